@@ -1,0 +1,51 @@
+"""Multi-agent global routing: every net is an agent on one shared capacity grid.
+
+>>> import marouting
+>>> problem = marouting.generate(1, nets=10)[0]
+>>> env = marouting.global_routing_v0.env(problem)
+"""
+
+import gymnasium
+
+from marouting import global_routing_v0
+from marouting._version import __version__
+from marouting.config import EnvOptions
+from marouting.engine import Engine
+from marouting.errors import InputError
+from marouting.generator import generate
+from marouting.grid import Move
+from marouting.make import make
+from marouting.problem import Adjustment, Net, Pin, Problem
+from marouting.search import sequential_astar
+from marouting.solution import Evaluation, Solution, evaluate
+
+__all__ = [
+    "Adjustment",
+    "Engine",
+    "EnvOptions",
+    "Evaluation",
+    "InputError",
+    "Move",
+    "Net",
+    "Pin",
+    "Problem",
+    "Solution",
+    "__version__",
+    "evaluate",
+    "generate",
+    "global_routing_v0",
+    "make",
+    "sequential_astar",
+]
+
+ENVIRONMENT_ID = "marouting/GlobalRouting-v0"
+
+gymnasium.register(ENVIRONMENT_ID, entry_point="marouting.env.single:GlobalRoutingSingle")
+
+try:  # PettingZoo has a registry from version 1.26 on
+    from pettingzoo import register as _register
+except ImportError:
+    pass
+else:
+    _register("aec", ENVIRONMENT_ID, "marouting.global_routing_v0:env")
+    _register("parallel", ENVIRONMENT_ID, "marouting.global_routing_v0:parallel_env")

@@ -1,0 +1,604 @@
+"""The rules of the game, all of them, for any number of problems at once.
+
+Every net is an agent. Its pins are cut into two-pin tasks (:mod:`marouting.decomposition`); the
+agent walks them one after the other, a Gcell a move, from the task's start to its target.
+
+* A move along an edge **crosses** it when the net already uses the edge (no new demand), when the
+  edge is a via, or when its remaining capacity covers the net's demand; with
+  ``overflow="allowed"`` always. Then the net uses the edge and its demand is taken.
+* Any other move is **blocked**: the agent stays where it is. So is a move off the grid.
+* Either way the step counts. A task ends **joined** on the target, or **failed** after
+  ``max_steps`` steps; then the next task starts at its own start pin. What the net used, it keeps.
+* An agent **terminates** when all its tasks are joined, and is **truncated** when its last task
+  has ended and some task failed. The episode of a problem ends with its last agent.
+* The nets take turns in ``net_order``: ``sequential``, a net routes to its end before the next
+  starts (the paper), or ``round_robin``, one step each.
+
+A step has two halves, so that a learner can see where a move arrived before the next task moves
+the agent to another pin: :meth:`Engine.move` and :meth:`Engine.settle`. :meth:`Engine.step` is both.
+
+The state lives in plain arrays with the problem as the first axis (M problems, N agents, E edges);
+the compiled functions below are the only code that changes it.
+"""
+
+import enum
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from marouting.decomposition import two_pin_tasks
+from marouting.errors import InputError
+from marouting.grid import MOVES, OFF_GRID, VIA_AXIS, Grid, Move
+from marouting.problem import UNLIMITED, Problem
+from marouting.solution import Solution
+
+TurnOrder = Literal["sequential", "round_robin"]
+NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
+Overflow = Literal["forbidden", "allowed"]
+
+NOBODY = -1
+"""Whose turn it is when the episode is over; also the action of a net that does not move."""
+
+
+class Status(enum.IntEnum):
+    """Where an agent stands in its episode."""
+
+    ACTIVE = 0  #: still has a task to walk
+    TERMINATED = 1  #: all tasks joined
+    TRUNCATED = 2  #: all tasks ended, at least one of them failed
+    ABSENT = 3  #: no net: fills up the row of a problem with fewer nets than its batch
+
+
+class Crossing(enum.IntEnum):
+    """What an agent's last move did."""
+
+    NONE = 0  #: the agent did not move
+    BLOCKED = 1  #: no capacity or off the grid: it stayed
+    NEW = 2  #: crossed an edge that the net now uses
+    OWN = 3  #: crossed an edge that the net used before, or took nothing
+
+
+class Ending(enum.IntEnum):
+    """What an agent's last move did to its task."""
+
+    NONE = 0  #: the task goes on
+    JOINED = 1  #: the target pin is reached
+    FAILED = 2  #: the steps are used up
+
+
+AGENT = np.dtype(
+    [
+        ("cell", np.int32),  # Gcell the agent stands in
+        ("target", np.int32),  # Gcell of the task's target pin
+        ("task", np.int32),  # row of the task in the table of tasks
+        ("steps", np.int32),  # steps taken in this task
+        ("joined", np.int32),  # tasks joined so far
+        ("overflow", np.int32),  # overflow that the last move added
+        ("status", np.int8),  # Status
+        ("crossing", np.int8),  # Crossing of the last move
+        ("ending", np.int8),  # Ending of the last move
+    ],
+    align=True,
+)
+"""One agent's state; the engine holds (M, N) of them."""
+
+GAME = np.dtype(
+    [
+        ("turn", np.int32),  # place in the turn order of the agent to move
+        ("agent", np.int32),  # the agent to move, or NOBODY
+        ("active", np.int32),  # agents still active
+        ("joined", np.int32),  # tasks joined
+        ("steps", np.int32),  # moves made
+        ("overflow", np.int64),  # overflow of all edges
+        ("wirelength", np.int64),  # edges used, summed over the nets
+    ],
+    align=True,
+)
+"""One problem's state; the engine holds (M,) of them."""
+
+
+class World(NamedTuple):
+    """What does not change during an episode."""
+
+    neighbour: NDArray[np.int32]  # (G, 6) Gcell that a move leads to, or OFF_GRID
+    edge: NDArray[np.int32]  # (G, 6) edge that a move crosses, or OFF_GRID
+    position: NDArray[np.int32]  # (G, 3) x, y, z of a Gcell
+    capacity: NDArray[np.int32]  # (M, E) capacity of every edge
+    demand: NDArray[np.int32]  # (M, N, Z) demand of an agent on an edge of a layer
+    tasks: NDArray[np.int32]  # (K, 2) start and target Gcell of every task
+    first: NDArray[np.int32]  # (M, N + 1) first task of an agent; the next agent's ends it
+    order: NDArray[np.int32]  # (M, N) agents in turn order, NOBODY after the last
+    sequential: bool
+    overflow: bool  # may an edge without remaining capacity be crossed
+    max_steps: int  # steps after which a task fails
+
+
+class Play(NamedTuple):
+    """What changes during an episode."""
+
+    remaining: NDArray[np.int32]  # (M, E) capacity less demand
+    used: NDArray[np.uint8]  # (M, N, ceil(E / 8)) bit e % 8 of byte e // 8: the net uses edge e
+    agents: NDArray[Any]  # (M, N) AGENT
+    games: NDArray[Any]  # (M,) GAME
+
+
+@njit(cache=True)
+def uses(used: Any, m: int, n: int, edge: int) -> bool:
+    """Whether agent n of problem m uses an edge."""
+    return used[m, n, edge >> 3] >> (edge & 7) & 1 == 1
+
+
+@njit(cache=True)
+def demand_of(world: World, m: int, n: int, cell: int, move: int) -> int:
+    """What the edge that a move crosses would cost the net: nothing for a via."""
+    if move // 2 == VIA_AXIS:
+        return 0
+    return world.demand[m, n, world.position[cell, 2]]
+
+
+@njit(cache=True)
+def has_room(world: World, play: Play, m: int, n: int, cell: int, move: int) -> bool:
+    """Whether a move from a Gcell crosses an edge that the net uses or whose demand it can pay."""
+    edge = world.edge[cell, move]
+    if edge == OFF_GRID:
+        return False
+    return play.remaining[m, edge] >= demand_of(world, m, n, cell, move) or uses(
+        play.used, m, n, edge
+    )
+
+
+@njit(cache=True)
+def may_cross(world: World, play: Play, m: int, n: int, cell: int, move: int) -> bool:
+    """Whether a move from a Gcell crosses its edge (rather than being blocked)."""
+    if world.overflow:
+        return world.edge[cell, move] != OFF_GRID
+    return has_room(world, play, m, n, cell, move)
+
+
+@njit(cache=True)
+def _move(world: World, play: Play, m: int, n: int, move: int) -> None:
+    """One step of one agent: the edge is crossed or not, the task ends or not."""
+    agent = play.agents[m, n]
+    game = play.games[m]
+    agent.overflow = 0
+    if not may_cross(world, play, m, n, agent.cell, move):
+        agent.crossing = Crossing.BLOCKED
+    else:
+        edge = world.edge[agent.cell, move]
+        if uses(play.used, m, n, edge):
+            agent.crossing = Crossing.OWN
+        else:
+            agent.crossing = Crossing.NEW
+            demand = demand_of(world, m, n, agent.cell, move)
+            if demand > 0:
+                # Only the part of the demand that the remaining capacity does not cover overflows.
+                agent.overflow = demand - min(max(play.remaining[m, edge], 0), demand)
+                play.remaining[m, edge] -= demand
+                game.overflow += agent.overflow
+            play.used[m, n, edge >> 3] |= np.uint8(1 << (edge & 7))
+            game.wirelength += 1
+        agent.cell = world.neighbour[agent.cell, move]
+    agent.steps += 1
+    game.steps += 1
+    if agent.cell == agent.target:
+        agent.ending = Ending.JOINED
+        agent.joined += 1
+        game.joined += 1
+    elif agent.steps >= world.max_steps:
+        agent.ending = Ending.FAILED
+    else:
+        agent.ending = Ending.NONE
+
+
+@njit(cache=True)
+def _wait(play: Play, m: int, n: int) -> None:
+    """No step: what the agent's last move did is forgotten."""
+    agent = play.agents[m, n]
+    agent.overflow = 0
+    agent.crossing = Crossing.NONE
+    agent.ending = Ending.NONE
+
+
+@njit(cache=True)
+def _begin(world: World, play: Play, m: int, n: int, task: int) -> None:
+    """Puts an agent on the start pin of a task."""
+    agent = play.agents[m, n]
+    agent.task = task
+    agent.cell = world.tasks[task, 0]
+    agent.target = world.tasks[task, 1]
+    agent.steps = 0
+
+
+@njit(cache=True)
+def _settle(world: World, play: Play, m: int, n: int) -> None:
+    """After a move: an agent whose task has ended starts its next one, or is done."""
+    agent = play.agents[m, n]
+    if agent.status != Status.ACTIVE or agent.ending == Ending.NONE:
+        return
+    if agent.task + 1 < world.first[m, n + 1]:
+        _begin(world, play, m, n, agent.task + 1)
+        return
+    tasks = world.first[m, n + 1] - world.first[m, n]
+    agent.status = Status.TERMINATED if agent.joined == tasks else Status.TRUNCATED
+    play.games[m].active -= 1
+
+
+@njit(cache=True)
+def _pass_turn(world: World, play: Play, m: int) -> None:
+    """The turn goes to the next agent: the same one while it routes, if the order is sequential."""
+    game = play.games[m]
+    if game.active == 0:
+        game.agent = NOBODY
+        return
+    agents = world.order.shape[1]
+    turn = game.turn if world.sequential else (game.turn + 1) % agents
+    while True:
+        n = world.order[m, turn]
+        if n != NOBODY and play.agents[m, n].status == Status.ACTIVE:
+            break
+        turn = (turn + 1) % agents
+    game.turn = turn
+    game.agent = n
+
+
+@njit(cache=True)
+def _reset(world: World, play: Play, which: Any) -> None:
+    """All agents of the chosen problems back to their first pin, all capacity free."""
+    for m in range(len(which)):
+        if not which[m]:
+            continue
+        play.remaining[m] = world.capacity[m]
+        play.used[m] = 0
+        game = play.games[m]
+        game.turn = game.active = game.joined = game.steps = 0
+        game.overflow = game.wirelength = 0
+        for n in range(world.order.shape[1]):
+            agent = play.agents[m, n]
+            agent.joined = 0
+            _wait(play, m, n)
+            if world.first[m, n] < world.first[m, n + 1]:
+                agent.status = Status.ACTIVE
+                game.active += 1
+                _begin(world, play, m, n, world.first[m, n])
+            else:
+                agent.status = Status.ABSENT
+        game.agent = world.order[m, 0]
+
+
+@njit(cache=True)
+def _move_turn(world: World, play: Play, moves: Any) -> None:
+    """Moves (M,): in every problem the agent whose turn it is moves."""
+    for m in range(len(moves)):
+        n = play.games[m].agent
+        if n != NOBODY and moves[m] != NOBODY:
+            _move(world, play, m, n, moves[m])
+        elif n != NOBODY:
+            _wait(play, m, n)
+
+
+@njit(cache=True)
+def _settle_turn(world: World, play: Play) -> None:
+    for m in range(len(play.games)):
+        n = play.games[m].agent
+        if n != NOBODY:
+            _settle(world, play, m, n)
+            _pass_turn(world, play, m)
+
+
+@njit(cache=True)
+def _move_all(world: World, play: Play, moves: Any) -> None:
+    """Moves (M, N): all agents move once, in turn order; one alone if the order is sequential."""
+    for m in range(len(moves)):
+        playing = play.games[m].agent
+        for k in range(world.order.shape[1]):
+            n = world.order[m, k]
+            if n == NOBODY:
+                break
+            agent = play.agents[m, n]
+            if (
+                agent.status == Status.ACTIVE
+                and moves[m, n] != NOBODY
+                and (n == playing or not world.sequential)
+            ):
+                _move(world, play, m, n, moves[m, n])
+            else:
+                _wait(play, m, n)
+
+
+@njit(cache=True)
+def _settle_all(world: World, play: Play) -> None:
+    for m in range(len(play.games)):
+        for n in range(world.order.shape[1]):
+            _settle(world, play, m, n)
+        if play.games[m].agent != NOBODY and (
+            world.sequential or play.agents[m, play.games[m].agent].status != Status.ACTIVE
+        ):
+            _pass_turn(world, play, m)
+
+
+@njit(cache=True)
+def _step_turn(world: World, play: Play, moves: Any) -> None:
+    _move_turn(world, play, moves)
+    _settle_turn(world, play)
+
+
+@njit(cache=True)
+def _step_all(world: World, play: Play, moves: Any) -> None:
+    _move_all(world, play, moves)
+    _settle_all(world, play)
+
+
+@njit(cache=True)
+def _masks(world: World, play: Play, problems: Any, agents: Any, out: Any) -> None:
+    for i in range(len(problems)):
+        m, n = problems[i], agents[i]
+        some = False
+        for move in range(MOVES):
+            free = n != NOBODY and may_cross(world, play, m, n, play.agents[m, n].cell, move)
+            out[i, move] = free
+            some |= free
+        if not some:
+            out[i] = 1
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """An episode in the figures that routes are judged by, apart from any reward.
+
+    Attributes:
+        overflow: summed over all edges.
+        wirelength: edges used, summed over the nets; a via counts 1.
+        joined: two-pin tasks joined.
+        tasks: two-pin tasks in all.
+        steps: moves made by all agents.
+    """
+
+    overflow: int
+    wirelength: int
+    joined: int
+    tasks: int
+    steps: int
+
+
+class Engine:
+    """M problems of one grid shape, played side by side by the same rules.
+
+    Nets whose pins all lie in one Gcell have nothing to route and are no agents; ``nets`` maps
+    agents to nets. A problem with fewer agents than the largest is filled up with ABSENT ones.
+
+    Args:
+        problems: the problems, all with the same grid shape.
+        turn_order: ``sequential`` (paper) or ``round_robin``.
+        net_order: ``half_perimeter``, largest bounding box first (the paper's code), ties in file
+            order; ``half_perimeter_up``, smallest first; or ``file``.
+        max_steps: steps after which a task fails (the paper's T_max). None: 50 as in the paper,
+            or twice X + Y where that is more: 50 steps do not cross a large grid.
+        overflow: ``forbidden`` or ``allowed``.
+
+    Raises:
+        InputError: no problem, unequal grids, a problem without anything to route, or an option
+            out of its range.
+    """
+
+    def __init__(
+        self,
+        problems: Sequence[Problem],
+        *,
+        turn_order: TurnOrder = "sequential",
+        net_order: NetOrder = "half_perimeter",
+        max_steps: int | None = None,
+        overflow: Overflow = "forbidden",
+    ) -> None:
+        if not problems:
+            raise InputError("problems: expected at least one")
+        if any(problem.grid != problems[0].grid for problem in problems):
+            shapes = sorted({problem.grid for problem in problems})
+            raise InputError(f"problems: expected one grid shape, found {shapes}")
+        for name, value, choices in (
+            ("turn_order", turn_order, TurnOrder),
+            ("net_order", net_order, NetOrder),
+            ("overflow", overflow, Overflow),
+        ):
+            if value not in get_args(choices):
+                raise InputError(f"{name}: expected one of {get_args(choices)}, found {value!r}")
+        width, height, _ = problems[0].grid
+        if max_steps is None:
+            max_steps = max(50, 2 * (width + height))
+        if max_steps < 1:
+            raise InputError(f"max_steps: expected a number from 1, found {max_steps}")
+        self.problems = tuple(problems)
+        self.grid = Grid.of(problems[0].grid)
+        self.turn_order: TurnOrder = turn_order
+        self.world, self.nets = _world(
+            self.problems,
+            self.grid,
+            net_order,
+            sequential=turn_order == "sequential",
+            overflow=overflow == "allowed",
+            max_steps=max_steps,
+        )
+        m, n = self.nets.shape
+        self.play = Play(
+            remaining=np.empty((m, self.grid.edges), np.int32),
+            used=np.empty((m, n, (self.grid.edges + 7) // 8), np.uint8),
+            agents=np.zeros((m, n), AGENT),
+            games=np.zeros(m, GAME),
+        )
+        self._all = tuple(np.indices((m, n), np.int32).reshape(2, -1))
+        self._problems = np.arange(m, dtype=np.int32)
+        self.reset()
+
+    @property
+    def agents(self) -> NDArray[Any]:
+        """(M, N) AGENT records; a view, to be read."""
+        return self.play.agents
+
+    @property
+    def games(self) -> NDArray[Any]:
+        """(M,) GAME records; a view, to be read."""
+        return self.play.games
+
+    @property
+    def max_steps(self) -> int:
+        """Steps after which a task fails (the paper's T_max)."""
+        return self.world.max_steps
+
+    @property
+    def tasks(self) -> NDArray[np.int32]:
+        """(M, N) number of two-pin tasks of every agent."""
+        return np.diff(self.world.first, axis=1)
+
+    def reset(self, which: NDArray[np.bool_] | None = None) -> None:
+        """Starts the episodes of all problems, or of those where ``which`` (M,) is true."""
+        if which is None:
+            which = np.ones(len(self.problems), np.bool_)
+        _reset(self.world, self.play, which)
+
+    def move(self, moves: NDArray[np.integer]) -> None:
+        """The first half of a step: agents move, tasks end.
+
+        Args:
+            moves: (M,), the moves of the agents whose turn it is, or (M, N), one for every agent,
+                carried out in turn order. NOBODY (−1) moves nobody; so does any move of an agent
+                that is not active, or that has to wait for its turn.
+
+        Raises:
+            ValueError: a move outside −1…5.
+        """
+        self._check(moves)
+        (_move_turn if moves.ndim == 1 else _move_all)(self.world, self.play, moves)
+
+    def settle(self, everyone: bool) -> None:
+        """The second half of a step: next tasks start, agents finish, the turn passes.
+
+        Args:
+            everyone: whether the moves were (M, N), of all agents, rather than (M,).
+        """
+        (_settle_all if everyone else _settle_turn)(self.world, self.play)
+
+    def step(self, moves: NDArray[np.integer]) -> None:
+        """Both halves of a step at once; arguments and errors as of :meth:`move`."""
+        self._check(moves)
+        (_step_turn if moves.ndim == 1 else _step_all)(self.world, self.play, moves)
+
+    def _check(self, moves: NDArray[np.integer]) -> None:
+        if moves.size and not (moves.min() >= NOBODY and moves.max() < MOVES):
+            raise ValueError(f"moves: expected {list(Move)} or {NOBODY}, found {moves}")
+
+    def pairs(self, everyone: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Indices (problem, agent) of all M·N agents, or of the M agents whose turn it is.
+
+        What observations and masks are asked for with; NOBODY marks a problem that is over.
+        """
+        if everyone:
+            return self._all  # type: ignore[return-value]
+        return self._problems, self.games["agent"]
+
+    def masks(
+        self,
+        problems: NDArray[np.integer],
+        agents: NDArray[np.integer],
+        out: NDArray[np.int8] | None = None,
+    ) -> NDArray[np.int8]:
+        """(K, 6) int8 action masks of K agents: 1 where a move would cross its edge.
+
+        A mask is never all zero: an agent that is boxed in gets all ones, every move being
+        blocked.
+        """
+        if out is None:
+            out = np.empty((len(problems), MOVES), np.int8)
+        _masks(self.world, self.play, problems, agents, out)
+        return out
+
+    def metrics(self, m: int = 0) -> Metrics:
+        """The figures of problem ``m`` as it stands."""
+        game = self.games[m]
+        return Metrics(
+            overflow=int(game["overflow"]),
+            wirelength=int(game["wirelength"]),
+            joined=int(game["joined"]),
+            tasks=int(self.world.first[m, -1] - self.world.first[m, 0]),
+            steps=int(game["steps"]),
+        )
+
+    def solution(self, m: int = 0, used: NDArray[np.uint8] | None = None) -> Solution:
+        """The routes of problem ``m``.
+
+        Args:
+            m: the problem.
+            used: (N, ceil(E / 8)) uint8 copy of ``play.used[m]`` from earlier; None: the present.
+        """
+        used = self.play.used[m] if used is None else used
+        problem = self.problems[m]
+        edges = [np.empty(0, np.int64)] * len(problem.nets)
+        for n, net in enumerate(self.nets[m]):
+            if net != NOBODY:
+                bits = np.unpackbits(used[n], bitorder="little")
+                edges[net] = np.flatnonzero(bits).astype(np.int64)
+        return Solution(problem, tuple(edges))
+
+
+def _world(
+    problems: tuple[Problem, ...],
+    grid: Grid,
+    net_order: NetOrder,
+    *,
+    sequential: bool,
+    overflow: bool,
+    max_steps: int,
+) -> tuple[World, NDArray[np.int32]]:
+    """The constant arrays of a batch, and (M, N) the net of every agent (NOBODY where absent)."""
+    tasks = [two_pin_tasks(problem) for problem in problems]
+    nets = [np.unique(table[:, 0]) for table in tasks]
+    for index, routable in enumerate(nets):
+        if not len(routable):
+            raise InputError(f"problem {index}: expected a net with pins in two Gcells or more")
+    size = max(len(routable) for routable in nets)
+    shape = (len(problems), size)
+    agent_net = np.full(shape, NOBODY, np.int32)
+    first = np.zeros((shape[0], size + 1), np.int32)
+    order = np.full(shape, NOBODY, np.int32)
+    demand = np.zeros((*shape, grid.shape[2]), np.int32)
+    done = 0
+    for m, (problem, table, routable) in enumerate(zip(problems, tasks, nets, strict=True)):
+        count = len(routable)
+        agent_net[m, :count] = routable
+        edges = np.searchsorted(table[:, 0], np.append(routable, len(problem.nets)))
+        first[m] = done + np.pad(edges, (0, size - count), mode="edge")
+        done += len(table)
+        order[m, :count] = _turns(problem, routable, net_order)
+        demand[m, :count] = problem.demand[routable]
+        most = int(demand[m].max(axis=1).sum(dtype=np.int64))
+        if overflow and most > UNLIMITED:
+            raise InputError(f"problem {m}: expected demands that add up to at most {UNLIMITED}")
+    world = World(
+        neighbour=grid.neighbour,
+        edge=grid.edge,
+        position=grid.position,
+        capacity=np.stack([problem.capacity for problem in problems]),
+        demand=demand,
+        tasks=np.ascontiguousarray(np.concatenate(tasks)[:, 1:]),
+        first=first,
+        order=order,
+        sequential=sequential,
+        overflow=overflow,
+        max_steps=max_steps,
+    )
+    return world, agent_net
+
+
+def _turns(
+    problem: Problem, routable: NDArray[np.integer], net_order: NetOrder
+) -> NDArray[np.int64]:
+    """The agents (places in ``routable``) in turn order."""
+    if net_order == "file":
+        return np.arange(len(routable))
+    position = problem.topology.position
+    size = np.array(
+        [np.ptp(position[problem.pin_gcells[net]][:, :2], axis=0).sum() for net in routable]
+    )
+    return np.argsort(-size if net_order == "half_perimeter" else size, kind="stable")

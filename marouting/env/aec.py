@@ -1,0 +1,147 @@
+"""The AEC face: nets move one after the other (PettingZoo's ``AECEnv``)."""
+
+from typing import Any
+
+import numpy as np
+from gymnasium import Space
+from gymnasium.spaces import Discrete
+from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
+from pettingzoo import AECEnv
+
+from marouting.engine import NOBODY, Status
+from marouting.env.face import METADATA, Face
+from marouting.grid import MOVES
+from marouting.source import Source
+
+
+class GlobalRoutingAEC(AECEnv, EzPickle):
+    """Global routing with every net an agent, one move at a time.
+
+    An agent's observation and mask are those of the moment it is selected; its reward is that of
+    its own last move. See :mod:`marouting.global_routing_v0` for spaces and options.
+
+    Args:
+        problem: see :data:`marouting.source.Source`.
+        **options: the fields of :class:`marouting.config.GameOptions`.
+    """
+
+    metadata = METADATA
+
+    def __init__(self, problem: Source = None, **options: Any) -> None:
+        EzPickle.__init__(self, problem, **options)
+        super().__init__()
+        self._face = Face(problem, "round_robin", options)
+        self.render_mode = self._face.render_mode
+        self.state_space = self._face.state_space
+        self.possible_agents = list(self._face.names)
+        self._number = {agent: n for n, agent in enumerate(self.possible_agents)}
+        self.observation_spaces = {a: self._face.new_observation_space() for a in self._number}
+        self.action_spaces = {a: Discrete(MOVES) for a in self._number}
+        self._moves = np.empty(1, np.int8)
+        self._who = np.zeros(1, np.int32), np.empty(1, np.int32)
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """The agent's observation space, the same object every time."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Discrete:
+        """The agent's action space, the same object every time."""
+        return self.action_spaces[agent]
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Starts an episode; ``seed`` matters where a new problem is drawn for each."""
+        self._face.restart(seed)
+        engine = self._face.engine
+        self.agents = list(self.possible_agents)
+        self.rewards = dict.fromkeys(self.agents, 0.0)
+        self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
+        self.terminations = dict.fromkeys(self.agents, False)
+        self.truncations = dict.fromkeys(self.agents, False)
+        masks = engine.masks(*engine.pairs(everyone=True))
+        self.infos = {
+            agent: self._face.info(mask, over=False)
+            for agent, mask in zip(self.agents, masks, strict=True)
+        }
+        self._skip_agent_selection = None
+        self.agent_selection = self.possible_agents[engine.games[0]["agent"]]
+
+    def observe(self, agent: str) -> Any:
+        """The agent's observation as the game stands."""
+        seen = self._face.observations(*self._pair(agent))[0]
+        return self._face.seen(seen, self._mask(agent))
+
+    def step(self, action: int | None) -> None:
+        """Moves the selected agent; None for one that is terminated or truncated.
+
+        Raises:
+            ValueError: the action is none of the six moves, or not None for a dead agent.
+        """
+        agent = self.agent_selection
+        if self.terminations[agent] or self.truncations[agent]:
+            self._was_dead_step(action)
+            self._refresh(self.agent_selection)
+            return
+        if action is None or not 0 <= action < MOVES:
+            raise ValueError(f"action: expected 0 to {MOVES - 1}, found {action}")
+        engine = self._face.engine
+        self._moves[0] = action
+        engine.step(self._moves)
+
+        record = engine.agents[0, self._number[agent]]
+        # Only the mover gets a reward; the last mover's is over.
+        self._clear_last_reward()
+        self._rewarded = agent
+        self.rewards[agent] = self._cumulative_rewards[agent] = float(self._face.rewards(record))
+        following = engine.games[0]["agent"]
+        if record["status"] == Status.ACTIVE:
+            self.agent_selection = self.possible_agents[following]
+        else:
+            self.terminations[agent] = bool(record["status"] == Status.TERMINATED)
+            self.truncations[agent] = not self.terminations[agent]
+            # The agent is selected once more, to be taken off the list, before the next one.
+            self._skip_agent_selection = (
+                None if following == NOBODY else self.possible_agents[following]
+            )
+        self._refresh(self.agent_selection)
+        if self.render_mode == "human":
+            self.render()
+
+    _rewarded: str | None = None
+
+    def _clear_last_reward(self) -> None:
+        if self._rewarded in self.rewards:
+            self.rewards[self._rewarded] = 0.0
+
+    def _refresh(self, agent: str) -> None:
+        """The selected agent's info: the others may have taken capacity since it was made."""
+        if agent in self.infos:
+            over = self.terminations[agent] or self.truncations[agent]
+            self.infos[agent] = self._face.info(self._mask(agent), over)
+
+    def _pair(self, agent: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        self._who[1][0] = self._number[agent]
+        return self._who
+
+    def _mask(self, agent: str) -> NDArray[np.int8]:
+        return self._face.engine.masks(*self._pair(agent))[0]
+
+    def state(self) -> NDArray[np.float32]:
+        """The global grid; see :func:`marouting.observation.state`."""
+        return self._face.state()
+
+    def metrics(self) -> dict[str, int]:
+        """Overflow, wirelength, tasks joined, tasks and steps of the episode as it stands."""
+        return self._face.metrics()
+
+    def solution(self) -> Any:
+        """The routes as they stand, a :class:`marouting.Solution`."""
+        return self._face.solution()
+
+    def render(self) -> Any:
+        """A picture of the game as ``render_mode`` says."""
+        return self._face.picture()
+
+    def close(self) -> None:
+        """Closes the window, if there is one."""
+        self._face.close()

@@ -1,0 +1,179 @@
+"""What the faces of the environment have in common: options in, a game to look at."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+from gymnasium import Space
+from gymnasium.spaces import Box, Dict, MultiBinary
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from marouting.config import GameOptions, build
+from marouting.engine import NOBODY, Engine, Status, TurnOrder
+from marouting.generator import GeneratorOptions
+from marouting.grid import MOVES
+from marouting.observation import Observation, nets_on_edges, state, state_space
+from marouting.problem import Problem
+from marouting.render import Scene, Window, ansi, rgb_array
+from marouting.reward import Reward
+from marouting.solution import Solution
+from marouting.source import Source, checked_source, load_problem
+
+METADATA: dict[str, Any] = {
+    "name": "global_routing_v0",
+    "render_modes": ["ansi", "rgb_array", "human"],
+    "render_fps": 10,
+    "is_parallelizable": True,
+}
+
+
+class Face:
+    """A game of one problem with its observation, reward, masks, state and pictures.
+
+    Args:
+        problem: what to play.
+        turn_order: the order if the options leave it open.
+        options: the fields of :class:`marouting.config.GameOptions`; ``observation`` and
+            ``reward`` may also be any object of their protocol.
+
+    Raises:
+        InputError: an option or a problem that cannot be used.
+    """
+
+    metadata = METADATA
+
+    def __init__(self, problem: Source, turn_order: TurnOrder, options: Mapping[str, Any]) -> None:
+        plain = dict(options)
+        # Pieces of other classes are injected as they are; everything else goes by the schema.
+        pieces = {
+            name: plain.pop(name)
+            for name in ("observation", "reward")
+            if name in plain and not isinstance(plain[name], Mapping)
+        }
+        checked = build(GameOptions, plain)
+        self._observation: Observation = pieces.get("observation", checked.observation)
+        self._reward: Reward = pieces.get("reward", checked.reward)
+        self._options = checked
+        self._turn_order = checked.turn_order or turn_order
+        self.render_mode = checked.render_mode
+        self._window = Window()
+        self._rng, _ = seeding.np_random(0)
+
+        source = checked_source(problem)
+        self._drawn = isinstance(source, GeneratorOptions) and source.seed is None
+        self._source = replace(source, seed=0) if self._drawn else source
+        self._play(load_problem(self._source))
+        problems, overflow = self.engine.problems, checked.overflow == "allowed"
+        self._box = self._observation.space(problems, overflow)
+        self.state_space: Box = state_space(problems, overflow)
+
+    def _play(self, problem: Problem) -> None:
+        """Sets up the game of a problem."""
+        self.engine = Engine(
+            [problem],
+            turn_order=self._turn_order,
+            net_order=self._options.net_order,
+            max_steps=self._options.max_steps,
+            overflow=self._options.overflow,
+        )
+        self.names = [f"net_{net}" for net in self.engine.nets[0]]
+
+    def restart(self, seed: int | None) -> None:
+        """A new episode; a new problem where one is to be drawn for every episode."""
+        if seed is not None:
+            self._rng, _ = seeding.np_random(seed)
+        if self._drawn:
+            number = int(self._rng.integers(2**31))
+            self._play(load_problem(replace(self._source, seed=number)))
+        else:
+            self.engine.reset()
+
+    @property
+    def problem(self) -> Problem:
+        """The problem that is played."""
+        return self.engine.problems[0]
+
+    def new_observation_space(self) -> Space[Any]:
+        """A space of its own for an agent, so that each can be seeded apart."""
+        box = Box(self._box.low, self._box.high, dtype=np.float32)
+        if not self._options.mask_in_observation:
+            return box
+        return Dict({"observation": box, "action_mask": MultiBinary(MOVES)})
+
+    def observations(
+        self, problems: NDArray[np.integer], agents: NDArray[np.integer]
+    ) -> NDArray[np.float32]:
+        """(K, F) float32, fresh observations of K agents."""
+        out = np.empty((len(agents), *self._box.shape), np.float32)
+        self._observation.write(self.engine, problems, agents, out)
+        return out
+
+    def seen(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
+        """One agent's observation in the form that the options ask for."""
+        if self._options.mask_in_observation:
+            return {"observation": observation, "action_mask": mask}
+        return observation
+
+    def rewards(self, agents: Any) -> Any:
+        """Rewards of the last moves of AGENT records."""
+        return self._reward(agents)
+
+    def info(self, mask: NDArray[np.int8], over: bool) -> dict[str, Any]:
+        """An agent's info: its mask, and the metrics as they stand when its episode is over."""
+        info: dict[str, Any] = {"action_mask": mask}
+        if over:
+            info["metrics"] = self.metrics()
+        return info
+
+    def metrics(self) -> dict[str, int]:
+        """The figures of the problem as it stands; see :class:`marouting.engine.Metrics`."""
+        return asdict(self.engine.metrics())
+
+    def solution(self) -> Solution:
+        """The routes as they stand."""
+        return self.engine.solution()
+
+    def state(self) -> NDArray[np.float32]:
+        """(X, Y, 5 Z) float32, the global grid; see :func:`marouting.observation.state`."""
+        return state(self.engine)
+
+    def scene(self) -> Scene:
+        """What a picture of the game shows."""
+        engine = self.engine
+        agents, game = engine.agents[0], engine.games[0]
+        active = np.flatnonzero(agents["status"] == Status.ACTIVE)
+        turn = np.flatnonzero(active == game["agent"])
+        now = engine.metrics()
+        return Scene(
+            grid=engine.grid,
+            capacity=engine.world.capacity[0],
+            remaining=engine.play.remaining[0],
+            used=nets_on_edges(engine),
+            heads=agents["cell"][active],
+            targets=agents["target"][active],
+            labels=tuple(self.names[n] for n in active),
+            turn=int(turn[0]) if game["agent"] != NOBODY and len(turn) else None,
+            caption=f"step {now.steps}  joined {now.joined}/{now.tasks}  "
+            f"overflow {now.overflow}  wirelength {now.wirelength}",
+        )
+
+    def picture(self) -> str | NDArray[np.uint8] | None:
+        """Renders the game as ``render_mode`` says."""
+        if self.render_mode is None:
+            from gymnasium import logger
+
+            logger.warn("render() without a render_mode: give one when making the environment.")
+            return None
+        if self.render_mode == "ansi":
+            return ansi(self.scene())
+        pixels = rgb_array(self.scene())
+        if self.render_mode == "rgb_array":
+            return pixels
+        self._window.show(pixels, self.metadata["render_fps"])
+        return None
+
+    def close(self) -> None:
+        """Closes the window of ``render_mode="human"``."""
+        self._window.close()

@@ -1,0 +1,101 @@
+"""The Gymnasium face: one player moves all nets, in turn order (the paper's single agent)."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Discrete
+from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
+
+from marouting.engine import NOBODY
+from marouting.env.face import METADATA, Face
+from marouting.grid import MOVES
+from marouting.source import Source
+
+
+class GlobalRoutingSingle(gymnasium.Env[Any, Any], EzPickle):
+    """Global routing as one agent's game: every step moves the net whose turn it is.
+
+    The observation is that of the net to move. The episode terminates when all tasks of all nets
+    are joined, and is truncated when all have ended and some failed. ``info`` holds the net's
+    ``action_mask`` and ``net``, and at the end the ``metrics``.
+
+    Args:
+        problem: see :data:`marouting.source.Source`.
+        render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
+        **options: the other fields of :class:`marouting.config.GameOptions`.
+    """
+
+    metadata = METADATA
+
+    def __init__(
+        self, problem: Source = None, render_mode: str | None = None, **options: Any
+    ) -> None:
+        EzPickle.__init__(self, problem, render_mode, **options)
+        self._face = Face(problem, "sequential", {**options, "render_mode": render_mode})
+        self.render_mode = render_mode
+        self.observation_space = self._face.new_observation_space()
+        self.action_space = Discrete(MOVES)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode; ``seed`` matters where a new problem is drawn for each."""
+        super().reset(seed=seed)
+        self._face.restart(seed)
+        self._net = int(self._face.engine.games[0]["agent"])
+        if self.render_mode == "human":
+            self.render()
+        return self._look()
+
+    def _look(self) -> tuple[Any, dict[str, Any]]:
+        """Observation and info of the net to move; at the end, of the one that moved last."""
+        face = self._face
+        pair = np.zeros(1, np.int32), np.array([self._net], np.int32)
+        mask = face.engine.masks(*pair)[0]
+        info = face.info(mask, over=face.engine.games[0]["agent"] == NOBODY)
+        info["net"] = face.names[self._net]
+        return face.seen(face.observations(*pair)[0], mask), info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Moves the net whose turn it is.
+
+        Raises:
+            ValueError: the action is none of the six moves.
+        """
+        if not 0 <= action < MOVES:
+            raise ValueError(f"action: expected 0 to {MOVES - 1}, found {action}")
+        engine = self._face.engine
+        engine.step(np.array([action], np.int8))
+        reward = float(self._face.rewards(engine.agents[0, self._net]))
+        following = int(engine.games[0]["agent"])
+        over = following == NOBODY
+        if not over:
+            self._net = following
+        now = engine.metrics()
+        joined = over and now.joined == now.tasks
+        if self.render_mode == "human":
+            self.render()
+        seen, info = self._look()
+        return seen, reward, joined, over and not joined, info
+
+    def state(self) -> NDArray[np.float32]:
+        """The global grid; see :func:`marouting.observation.state`."""
+        return self._face.state()
+
+    def metrics(self) -> dict[str, int]:
+        """Overflow, wirelength, tasks joined, tasks and steps of the episode as it stands."""
+        return self._face.metrics()
+
+    def solution(self) -> Any:
+        """The routes as they stand, a :class:`marouting.Solution`."""
+        return self._face.solution()
+
+    def render(self) -> Any:
+        """A picture of the game as ``render_mode`` says."""
+        return self._face.picture()
+
+    def close(self) -> None:
+        """Closes the window, if there is one."""
+        self._face.close()

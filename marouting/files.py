@@ -1,0 +1,60 @@
+"""Files are written whole or not at all, and what cannot be read or written says so in a line."""
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from marouting.errors import InputError
+
+
+@contextlib.contextmanager
+def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Gives a temporary path beside ``path`` and renames it to ``path`` when the block succeeds.
+
+    A reader, or a process killed in the middle, sees the old file or the new one, never a half.
+
+    Args:
+        path: the file to write; its folder is made when missing.
+
+    Yields:
+        The temporary file to write into.
+
+    Raises:
+        InputError: the folder cannot be made or written to.
+    """
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.is_dir():
+            raise IsADirectoryError(0, "it is a folder")
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        os.close(handle)
+    except OSError as error:
+        raise unusable(target, "cannot be written", error) from None
+    temporary = Path(name)
+    try:
+        yield temporary
+        # mkstemp is private to its owner; a result file has the usual permissions.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        with temporary.open("rb") as written:
+            os.fsync(written.fileno())
+        temporary.replace(target)
+    except OSError as error:
+        raise unusable(target, "cannot be written", error) from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Writes ``text`` as UTF-8 to ``path``, whole or not at all; raises InputError."""
+    with writing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def unusable(path: str | os.PathLike[str], what: str, error: OSError) -> InputError:
+    """The InputError for an operating system's error about ``path``."""
+    return InputError(f"{os.fspath(path)}: {what}: {error.strerror or error}")

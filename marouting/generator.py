@@ -1,0 +1,167 @@
+"""Problem sets in the manner of the paper's generator (section "Problem Sets Generator").
+
+Layers alternate: layer 1 has capacity along x, layer 2 along y, and so on. Pins lie in layer 1.
+Some edges are then reduced: the ones most used by the problem's own sequential A* solution.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from marouting.errors import InputError
+from marouting.problem import Adjustment, Net, Pin, Problem, check_grid, check_numbers
+from marouting.search import sequential_astar
+
+TILE = 10
+"""Width and height of a Gcell in chip coordinates, as in the authors' published problems."""
+
+REDUCTION = 2
+"""What an edge's capacity is reduced by unless told: the authors' 5 becomes 3."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeneratorOptions:
+    """What :func:`generate` takes, checked.
+
+    Attributes:
+        count: number of problems.
+        grid: columns, rows and layers of Gcells.
+        nets: nets a problem.
+        max_pins: pins a net, drawn uniformly from 2…max_pins.
+        capacity: capacity of an edge along its layer's direction.
+        reduced_edges: how many of the most used edges get another capacity.
+        reduced_capacity: that capacity; None: two less than ``capacity``, 3 where the authors
+            have 5.
+        seed: where the random numbers start. In an environment's problem None draws a new
+            problem at every reset.
+
+    Raises:
+        InputError: a value is out of its range.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    count: int = 1
+    grid: tuple[int, int, int] = (8, 8, 2)
+    nets: int = 50
+    max_pins: int = 2
+    capacity: int = 5
+    reduced_edges: int = 3
+    reduced_capacity: int | None = None
+    seed: int | None = 0
+
+    def __post_init__(self) -> None:
+        check_grid(self.grid)
+        if self.grid[0] * self.grid[1] < 2:
+            raise InputError(
+                f"grid {self.grid}: expected at least two Gcells in layer 1, for a net to span"
+            )
+        for name, least in (("count", 1), ("nets", 1), ("max_pins", 2)):
+            if getattr(self, name) < least:
+                raise InputError(f"{name}: expected at least {least}, found {getattr(self, name)}")
+        optional = (self.reduced_capacity, self.seed)
+        check_numbers("capacity and reduced_edges", (self.capacity, self.reduced_edges))
+        check_numbers("reduced_capacity and seed", (n for n in optional if n is not None))
+
+
+def generate(
+    count: int = 1,
+    grid: tuple[int, int, int] = (8, 8, 2),
+    nets: int = 50,
+    max_pins: int = 2,
+    capacity: int = 5,
+    reduced_edges: int = 3,
+    seed: int | None = 0,
+    *,
+    reduced_capacity: int | None = None,
+) -> list[Problem]:
+    """Generates problems; the same arguments give the same problems.
+
+    Every net spans at least two Gcells. Problem i is the same whatever the count.
+
+    Args:
+        count: number of problems.
+        grid: columns, rows and layers of Gcells.
+        nets: nets a problem.
+        max_pins: pins a net, drawn uniformly from 2…max_pins.
+        capacity: capacity of an edge along its layer's direction.
+        reduced_edges: how many edges are reduced, the ones that the problem's own sequential A*
+            solution uses most (ties: lowest edge number).
+        seed: where the random numbers start; None for a different set every time.
+        reduced_capacity: capacity of the reduced edges; None: two less than ``capacity``.
+
+    Raises:
+        InputError: a value is out of its range.
+    """
+    return generate_from(
+        GeneratorOptions(
+            count=count,
+            grid=grid,
+            nets=nets,
+            max_pins=max_pins,
+            capacity=capacity,
+            reduced_edges=reduced_edges,
+            reduced_capacity=reduced_capacity,
+            seed=seed,
+        )
+    )
+
+
+def generate_from(options: GeneratorOptions) -> list[Problem]:
+    """:func:`generate` with its arguments in one object."""
+    root = np.random.SeedSequence(options.seed)
+    return [
+        _generate_one(options, np.random.default_rng([*np.atleast_1d(root.entropy), index]))
+        for index in range(options.count)
+    ]
+
+
+def _generate_one(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
+    layers = np.arange(options.grid[2])
+    if options.grid[2] == 1:
+        along_x = along_y = np.array([options.capacity])  # a single layer takes both directions
+    else:
+        along_x = np.where(layers % 2 == 0, options.capacity, 0)
+        along_y = np.where(layers % 2 == 1, options.capacity, 0)
+    problem = Problem(
+        grid=options.grid,
+        vertical_capacity=tuple(along_y.tolist()),
+        horizontal_capacity=tuple(along_x.tolist()),
+        nets=tuple(_net(index, options, rng) for index in range(options.nets)),
+        min_width=(1,) * options.grid[2],
+        min_spacing=(0,) * options.grid[2],
+        via_spacing=(0,) * options.grid[2],
+        tile=(TILE, TILE),
+    )
+    if not options.reduced_edges:
+        return problem
+    reduced = options.reduced_capacity
+    if reduced is None:
+        reduced = max(options.capacity - REDUCTION, 0)
+    demand = sequential_astar(problem).demand
+    busiest = np.argsort(-demand, kind="stable")[: options.reduced_edges]
+    near, far = problem.topology.ends(busiest[problem.capacity[busiest] > 0])
+    position = problem.topology.position
+    return replace(
+        problem,
+        adjustments=tuple(
+            Adjustment(*_gcell(position[a]), *_gcell(position[b]), reduced)
+            for a, b in zip(near, far, strict=True)
+        ),
+    )
+
+
+def _net(index: int, options: GeneratorOptions, rng: np.random.Generator) -> Net:
+    """A net with pins uniform over layer 1, drawn again until they span two Gcells."""
+    size = [options.grid[0] * TILE, options.grid[1] * TILE]
+    while True:
+        pins = rng.integers(size, size=(rng.integers(2, options.max_pins + 1), 2))
+        if (pins // TILE != pins[0] // TILE).any():
+            break
+    return Net(f"A{index + 1}", index + 1, tuple(Pin(int(x), int(y), 1) for x, y in pins))
+
+
+def _gcell(position: np.ndarray) -> tuple[int, int, int]:
+    """A Gcell as adjustments name it: layer from 1."""
+    x, y, z = position.tolist()
+    return x, y, z + 1

@@ -1,0 +1,54 @@
+"""# Global Routing, version 0.
+
+Every net of a chip is an agent that lays its route over one shared grid of Gcells. Routes take
+capacity from the edges they cross; the nets have to share it.
+
+| | |
+|---|---|
+| Import | `from marouting import global_routing_v0` |
+| Agents | `net_0`, `net_1`, … one for every net that spans two Gcells or more |
+| Actions | Discrete(6): EAST +x, WEST −x, NORTH +y, SOUTH −y, UP +z, DOWN −z |
+| Observation | Box(12), float32: x, y, z; dx, dy, dz to the target; remaining capacity by move |
+| Action mask | `info["action_mask"]`, int8 of length 6 |
+| State | Box(X, Y, 5 Z), float32 |
+| Reward | +100 for reaching the target pin, −1 for any other move |
+| Parallel | yes, natively |
+
+A net's pins are cut into two-pin tasks, walked one after the other. A move across an edge without
+remaining capacity, or off the grid, is blocked: the agent stays, the step counts. An edge that the
+net already uses can be crossed again for nothing. A task fails after `max_steps` steps. An agent
+terminates when all its tasks are joined and is truncated when its last task has ended and some
+failed; its last info holds the `metrics`. All the rules: :mod:`marouting.engine`.
+
+The options of `env`, `raw_env` and `parallel_env` are the fields of
+:class:`marouting.config.GameOptions`; the problem may be a `Problem`, a `.gr` file, or what
+:func:`marouting.generate` takes as a mapping.
+
+## Version history
+
+* v0: first release.
+"""
+
+from typing import Any
+
+from pettingzoo import AECEnv
+from pettingzoo.utils.wrappers import AssertOutOfBoundsWrapper, OrderEnforcingWrapper
+
+from marouting.env.aec import GlobalRoutingAEC as raw_env
+from marouting.env.parallel import GlobalRoutingParallel as parallel_env
+from marouting.source import Source
+
+__all__ = ["env", "parallel_env", "raw_env"]
+
+
+def env(problem: Source = None, **options: Any) -> AECEnv:
+    """The AEC environment with the wrappers that check actions and the order of calls.
+
+    Args:
+        problem: see :data:`marouting.source.Source`.
+        **options: the fields of :class:`marouting.config.GameOptions`.
+
+    Raises:
+        InputError: an option or a problem that cannot be used.
+    """
+    return OrderEnforcingWrapper(AssertOutOfBoundsWrapper(raw_env(problem, **options)))

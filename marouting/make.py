@@ -1,0 +1,46 @@
+"""From a configuration to an environment."""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from marouting.config import EnvOptions, build, read_yaml
+from marouting.env.single import GlobalRoutingSingle
+from marouting.errors import InputError
+
+
+def make(config: str | os.PathLike[str] | Mapping[str, Any] | Any) -> Any:
+    """Makes the environment that the ``env:`` part of a configuration describes.
+
+    One key switches: ``agents: single`` gives the Gymnasium environment in which one player moves
+    all nets, ``agents: multi`` the PettingZoo AEC environment in which every net is an agent.
+
+    Args:
+        config: path to a YAML file, a mapping with a key ``env``, an
+            :class:`marouting.config.EnvOptions`, or an object that has one as ``env``. All other
+            parts of the configuration are left to :mod:`policies`.
+
+    Returns:
+        A ``gymnasium.Env`` or a ``pettingzoo.AECEnv``.
+
+    Raises:
+        InputError: names the file or key and what was expected.
+    """
+    from marouting.global_routing_v0 import env
+
+    where = "config"
+    if isinstance(config, str | os.PathLike):
+        where, config = os.fspath(config), read_yaml(config)
+    if isinstance(config, Mapping):
+        part = config.get("env", {})
+        part = {} if part is None else part
+        if not isinstance(part, Mapping):
+            raise InputError(f"{where}: env: expected a mapping, found {part!r}")
+        options = build(EnvOptions, part, f"{where}: env")
+    else:
+        options = config if isinstance(config, EnvOptions) else getattr(config, "env", None)
+        if not isinstance(options, EnvOptions):
+            raise InputError(f"config: expected a path, a mapping or a Config, found {config!r}")
+    plain = {name: getattr(options, name) for name in options.__dataclass_fields__}
+    agents = plain.pop("agents")
+    return env(**plain) if agents == "multi" else GlobalRoutingSingle(**plain)

@@ -1,0 +1,161 @@
+"""What an agent sees, and the global state.
+
+An observation is a piece to inject: anything with the two methods of :class:`Observation` can take
+the place of the paper's.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from gymnasium.spaces import Box
+from numba import njit
+from numpy.typing import NDArray
+
+from marouting.engine import NOBODY, Engine, Play, Status, World
+from marouting.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid
+from marouting.problem import Problem
+
+
+class Observation(Protocol):
+    """What an agent sees of the game."""
+
+    def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
+        """The space of one agent's observation: float32, one dimension, equal for all agents.
+
+        Args:
+            problems: the problems that will be played.
+            overflow: whether an edge may be crossed without remaining capacity.
+        """
+        ...
+
+    def write(
+        self,
+        engine: Engine,
+        problems: NDArray[np.integer],
+        agents: NDArray[np.integer],
+        out: NDArray[np.float32],
+    ) -> None:
+        """Fills ``out`` (K, F) with the observations of K agents; zeros for NOBODY."""
+        ...
+
+
+@dataclass(frozen=True)
+class PaperObservation:
+    """The paper's state, 12 numbers (paper, section "Deep Q-networks Router Implementation").
+
+    The x, y, z of the agent's Gcell; the signed distances to the target in x, y, z; the remaining
+    capacity of the edges that the six moves would cross, in the order of
+    :class:`marouting.grid.Move`: 0 off the grid, negative for an overflowed edge.
+
+    Attributes:
+        via_capacity: what is shown for a via, whose real capacity has no end. 10 is where the
+            authors' code starts (there it runs out; here it does not).
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    via_capacity: float = 10.0
+    FEATURES = 6 + MOVES
+
+    def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
+        """The box of the 12 numbers; see :class:`Observation`."""
+        far = np.array(problems[0].grid, np.float32) - 1
+        most = np.full(MOVES, max(*map(most_capacity, problems), self.via_capacity), np.float32)
+        least = np.zeros(MOVES, np.float32)
+        if overflow:
+            least -= max(map(most_demand, problems))
+        return Box(
+            np.concatenate((np.zeros(3, np.float32), -far, least)),
+            np.concatenate((far, far, most)),
+            dtype=np.float32,
+        )
+
+    def write(
+        self,
+        engine: Engine,
+        problems: NDArray[np.integer],
+        agents: NDArray[np.integer],
+        out: NDArray[np.float32],
+    ) -> None:
+        """Fills ``out`` (K, 12); see :class:`Observation`."""
+        _paper(engine.world, engine.play, self.via_capacity, problems, agents, out)
+
+
+@njit(cache=True)
+def _paper(
+    world: World, play: Play, via_capacity: float, problems: Any, agents: Any, out: Any
+) -> None:
+    for i in range(len(problems)):
+        m, n = problems[i], agents[i]
+        if n == NOBODY:
+            out[i] = 0
+            continue
+        agent = play.agents[m, n]
+        for axis in range(AXES):
+            at = world.position[agent.cell, axis]
+            out[i, axis] = at
+            out[i, AXES + axis] = world.position[agent.target, axis] - at
+        for move in range(MOVES):
+            edge = world.edge[agent.cell, move]
+            if edge == OFF_GRID:
+                shown = 0.0
+            elif move // 2 == VIA_AXIS:
+                shown = via_capacity
+            else:
+                shown = np.float64(play.remaining[m, edge])
+            out[i, 2 * AXES + move] = shown
+
+
+CHANNELS = AXES + 2
+"""Numbers a Gcell in the global state."""
+
+
+def state_space(problems: Sequence[Problem], overflow: bool) -> Box:
+    """The space of :func:`state`."""
+    columns, rows, layers = problems[0].grid
+    high = np.full(
+        (columns, rows, layers, CHANNELS), max(len(p.nets) for p in problems), np.float32
+    )
+    high[..., :VIA_AXIS] = max(most_capacity(problem) for problem in problems)
+    low = np.zeros_like(high)
+    if overflow:
+        low[..., :VIA_AXIS] -= max(most_demand(problem) for problem in problems)
+    shape = (columns, rows, layers * CHANNELS)
+    return Box(low.reshape(shape), high.reshape(shape), dtype=np.float32)
+
+
+def most_capacity(problem: Problem) -> float:
+    """The largest capacity of an edge that is no via."""
+    return float(problem.capacity.reshape(-1, AXES)[:, :VIA_AXIS].max())
+
+
+def most_demand(problem: Problem) -> float:
+    """The demand on an edge that every net uses, in the most demanding layer at most."""
+    return float(problem.demand.max(axis=1).sum(dtype=np.int64))
+
+
+def state(engine: Engine, m: int = 0) -> NDArray[np.float32]:
+    """The global grid of a problem, for critics and mixers that see everything.
+
+    Returns:
+        (X, Y, 5 Z) float32, five numbers a layer. For every Gcell: the remaining capacity of its
+        edges towards +x and +y (0 off the grid), the number of nets that use its via towards +z,
+        the number of active agents that stand in it, and the number whose target it is.
+    """
+    grid = engine.grid
+    out = np.zeros((grid.gcells, CHANNELS), np.float32)
+    out[:, :VIA_AXIS] = engine.play.remaining[m].reshape(-1, AXES)[:, :VIA_AXIS]
+    out[:, VIA_AXIS] = nets_on_edges(engine, m).reshape(-1, AXES)[:, VIA_AXIS]
+    active = engine.agents[m][engine.agents[m]["status"] == Status.ACTIVE]
+    out[:, AXES] = np.bincount(active["cell"], minlength=grid.gcells)
+    out[:, AXES + 1] = np.bincount(active["target"], minlength=grid.gcells)
+    return out.reshape(grid.shape[0], grid.shape[1], -1)
+
+
+def nets_on_edges(engine: Engine, m: int = 0) -> NDArray[np.int64]:
+    """(E,) how many nets use each edge of a problem, vias included."""
+    grid: Grid = engine.grid
+    bits = np.unpackbits(engine.play.used[m], axis=1, count=grid.edges, bitorder="little")
+    return bits.sum(axis=0, dtype=np.int64)

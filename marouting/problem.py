@@ -1,0 +1,329 @@
+"""A global routing problem: the chip's grid, its capacities, and the nets to be joined.
+
+Everything is frozen and in the units of the ISPD 2008 ``.gr`` format (:mod:`marouting.ispd` reads
+and writes it): pins in chip coordinates with layers from 1, capacities and widths in tracks. What
+the routers and the environment need is derived here once, in Gcell and edge numbers
+(:mod:`marouting.grid`) with layers from 0.
+"""
+
+import functools
+import itertools
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.errors import InputError
+from marouting.grid import AXES, OFF_GRID, VIA_AXIS, Grid
+
+UNLIMITED = int(np.iinfo(np.int32).max)
+"""The capacity of a via: vias never overflow (paper, section on the problem sets generator)."""
+
+MAX_GCELLS = 2**24
+"""The largest grid accepted, about eight times that of the largest ISPD 2008 problem."""
+
+MAX_NUMBER = 10**9
+"""The largest capacity, width or coordinate accepted; sums of them stay within 64 bits."""
+
+
+class FieldError(InputError):
+    """An InputError about one row of one field of a :class:`Problem`.
+
+    A reader that knows the line of each row can thereby leave the judging to the Problem and name
+    the line all the same.
+
+    Attributes:
+        field: the attribute's name, or ``"pins"``: the pins of all nets one after the other.
+        row: the index in that field.
+    """
+
+    def __init__(self, message: str, field: str = "", row: int = 0) -> None:
+        super().__init__(message)
+        self.field = field
+        self.row = row
+
+
+class Pin(NamedTuple):
+    """A pin of a net: x and y in chip coordinates, layer from 1."""
+
+    x: int
+    y: int
+    layer: int
+
+
+@dataclass(frozen=True, slots=True)
+class Net:
+    """A set of pins to be joined.
+
+    Attributes:
+        name: unique in its problem, printable, without white space.
+        id: the file's number of the net.
+        pins: one or more; several may lie in one Gcell.
+        min_width: the width of the net's wires, at least; 1 in the paper.
+    """
+
+    name: str
+    id: int
+    pins: tuple[Pin, ...]
+    min_width: int = 1
+
+
+class Adjustment(NamedTuple):
+    """One edge's own capacity: two neighbouring Gcells of one layer (layer from 1)."""
+
+    x1: int
+    y1: int
+    layer1: int
+    x2: int
+    y2: int
+    layer2: int
+    capacity: int
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A grid of Gcells with capacities, and the nets to be routed over it.
+
+    Attributes:
+        grid: (X, Y, Z): columns, rows and routing layers of Gcells.
+        vertical_capacity: Z numbers, capacity of the edges along y in each layer.
+        horizontal_capacity: Z numbers, capacity of the edges along x in each layer.
+        nets: the nets, in file order.
+        min_width: Z numbers, minimum wire width in each layer.
+        min_spacing: Z numbers, minimum wire spacing in each layer.
+        via_spacing: Z numbers; read and written, without influence on routing.
+        origin: chip coordinates of the lower left corner of Gcell (0, 0).
+        tile: width and height of a Gcell in chip coordinates.
+        adjustments: edges whose capacity differs from their layer's.
+
+    Raises:
+        FieldError: a value is out of its range or contradicts another (an InputError).
+    """
+
+    grid: tuple[int, int, int]
+    vertical_capacity: tuple[int, ...]
+    horizontal_capacity: tuple[int, ...]
+    nets: tuple[Net, ...]
+    min_width: tuple[int, ...]
+    min_spacing: tuple[int, ...]
+    via_spacing: tuple[int, ...]
+    origin: tuple[int, int] = (0, 0)
+    tile: tuple[int, int] = (1, 1)
+    adjustments: tuple[Adjustment, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_grid(self.grid)
+        if len(self.origin) != 2 or not all(abs(value) <= MAX_NUMBER for value in self.origin):
+            raise FieldError(
+                f"origin {self.origin}: expected two numbers from -{MAX_NUMBER} to {MAX_NUMBER}",
+                "origin",
+            )
+        check_tile(self.tile)
+        for name in (
+            "vertical_capacity",
+            "horizontal_capacity",
+            "min_width",
+            "min_spacing",
+            "via_spacing",
+        ):
+            values = getattr(self, name)
+            if len(values) != self.grid[2]:
+                raise FieldError(
+                    f"{name}: expected {self.grid[2]} values, one a layer, found {len(values)}",
+                    name,
+                )
+            check_numbers(name, values, name)
+        if not self.nets:
+            raise FieldError("nets: expected at least one net", "nets")
+        names: set[str] = set()
+        for row, net in enumerate(self.nets):
+            check_net(net, row)
+            if net.name in names:
+                raise FieldError(f"net {net.name}: expected a name no earlier net has", "nets", row)
+            names.add(net.name)
+        # Both look at every row, and what they find is kept for later.
+        _ = self._pins, self._adjusted_edges
+
+    def gcells(self, points: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The numbers of the Gcells that points lie in.
+
+        Args:
+            points: (n, 3) x and y in chip coordinates, layer from 1.
+
+        Returns:
+            (n,) Gcell numbers, OFF_GRID for a point off the grid.
+        """
+        cell = points - np.array([*self.origin, 1])
+        cell[:, :2] //= np.array(self.tile)
+        inside = np.all((cell >= 0) & (cell < np.array(self.grid)), axis=1)
+        return np.where(inside, cell @ self.strides, OFF_GRID)
+
+    @property
+    def strides(self) -> NDArray[np.int64]:
+        """(3,) how far Gcell numbers lie apart along x, y, z.
+
+        The tables of :attr:`topology` say the same, but take memory for every Gcell: too much to
+        spend on a file that only promises a large grid.
+        """
+        return np.array([self.grid[1] * self.grid[2], self.grid[2], 1], np.int64)
+
+    @property
+    def extent(self) -> str:
+        """What a point on the grid is, for the messages of errors."""
+        return f"a point on the {self.grid[0]}x{self.grid[1]} grid, in layers 1 to {self.grid[2]}"
+
+    @functools.cached_property
+    def _pins(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(pins,) twice: the net and the Gcell of every pin; raises FieldError for one off grid."""
+        table = _table("pins", (pin for net in self.nets for pin in net.pins), 3)
+        gcell = self.gcells(table)
+        net = np.repeat(np.arange(len(self.nets)), [len(net.pins) for net in self.nets])
+        if (off := gcell == OFF_GRID).any():
+            row = int(off.argmax())
+            raise FieldError(
+                f"net {self.nets[net[row]].name}: expected {self.extent}, "
+                f"found pin {tuple(table[row].tolist())}",
+                "pins",
+                row,
+            )
+        return net, gcell
+
+    @functools.cached_property
+    def _adjusted_edges(self) -> NDArray[np.int64]:
+        """(adjustments,) the edge that each adjustment sets; raises FieldError for none."""
+        table = _table("adjustments", self.adjustments, 7)
+        ends, capacity = table[:, :6].reshape(-1, 2, 3) - np.array([0, 0, 1]), table[:, 6]
+        near, far = ends.min(axis=1), ends.max(axis=1)
+        step = far - near
+        usable = np.all((near >= 0) & (far < np.array(self.grid)), axis=1)
+        usable &= (step.sum(axis=1) == 1) & (step[:, VIA_AXIS] == 0)
+        self._refuse_adjustment(
+            ~usable,
+            "two neighbouring Gcells of one layer, "
+            f"columns 0 to {self.grid[0] - 1}, rows 0 to {self.grid[1] - 1}, "
+            f"layers 1 to {self.grid[2]}",
+        )
+        self._refuse_adjustment(
+            (capacity < 0) | (capacity > MAX_NUMBER), f"a capacity from 0 to {MAX_NUMBER}"
+        )
+        edges: NDArray[np.int64] = AXES * (near @ self.strides) + step[:, 1]
+        _, first, inverse = np.unique(edges, return_index=True, return_inverse=True)
+        self._refuse_adjustment(
+            capacity != capacity[first[inverse]],
+            "the capacity that an earlier adjustment gave the same edge",
+        )
+        return edges
+
+    def _refuse_adjustment(self, refused: NDArray[np.bool_], expected: str) -> None:
+        """Raises FieldError for the first adjustment that ``refused`` (adjustments,) marks."""
+        if refused.any():
+            row = int(refused.argmax())
+            raise FieldError(
+                f"adjustment: expected {expected}, found {tuple(self.adjustments[row])}",
+                "adjustments",
+                row,
+            )
+
+    @functools.cached_property
+    def topology(self) -> Grid:
+        """The tables of this problem's grid."""
+        return Grid.of(self.grid)
+
+    @functools.cached_property
+    def capacity(self) -> NDArray[np.int32]:
+        """(E,) capacity of every edge: UNLIMITED for a via, 0 for an edge off the grid."""
+        capacity = np.empty((self.topology.gcells, AXES), np.int32)
+        capacity.reshape(-1, self.grid[2], AXES)[:, :, 0] = self.horizontal_capacity
+        capacity.reshape(-1, self.grid[2], AXES)[:, :, 1] = self.vertical_capacity
+        capacity[:, VIA_AXIS] = UNLIMITED
+        edges = capacity.reshape(-1)
+        edges[self._adjusted_edges] = [adjustment.capacity for adjustment in self.adjustments]
+        edges[~self.topology.exists] = 0
+        edges.setflags(write=False)
+        return edges
+
+    @functools.cached_property
+    def demand(self) -> NDArray[np.int32]:
+        """(nets, Z) what one edge of a layer costs a net: its wire's width and the spacing."""
+        width = np.array([net.min_width for net in self.nets], np.int32)[:, None]
+        demand = np.maximum(width, np.array(self.min_width, np.int32))
+        demand += np.array(self.min_spacing, np.int32)
+        demand.setflags(write=False)
+        return demand
+
+    @functools.cached_property
+    def pin_gcells(self) -> tuple[NDArray[np.int64], ...]:
+        """For each net the numbers of the Gcells with its pins, each once, in pin order."""
+        net, gcell = self._pins
+        _, first = np.unique(net * (MAX_GCELLS + 1) + gcell, return_index=True)
+        first.sort()
+        gcell = gcell[first]
+        gcell.setflags(write=False)
+        return tuple(np.split(gcell, np.searchsorted(net[first], np.arange(1, len(self.nets)))))
+
+    @staticmethod
+    def read(path: str | os.PathLike[str]) -> "Problem":
+        """Reads a ``.gr`` file; raises InputError naming the file and the line."""
+        from marouting import ispd
+
+        return ispd.read_problem(path)
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Writes the problem as ISPD 2008 ``.gr`` text, whole or not at all."""
+        from marouting import ispd
+
+        ispd.write_problem(self, path)
+
+
+def check_grid(grid: tuple[int, int, int]) -> None:
+    """Raises FieldError unless the grid has at least one and at most MAX_GCELLS Gcells."""
+    if len(grid) != 3 or min(grid) < 1 or grid[0] * grid[1] * grid[2] > MAX_GCELLS:
+        raise FieldError(
+            f"grid {tuple(grid)}: expected columns, rows and layers from 1, "
+            f"at most {MAX_GCELLS} Gcells in all",
+            "grid",
+        )
+
+
+def check_tile(tile: tuple[int, int]) -> None:
+    """Raises FieldError unless a Gcell has a positive width and height."""
+    if len(tile) != 2 or not all(1 <= side <= MAX_NUMBER for side in tile):
+        raise FieldError(
+            f"tile {tuple(tile)}: expected a width and a height from 1 to {MAX_NUMBER}", "tile"
+        )
+
+
+def check_net(net: Net, row: int = 0) -> None:
+    """Raises FieldError for what is wrong with a net whatever its problem; ``row`` is its place."""
+    # Control characters would break the lines of files and of messages, a lone surrogate cannot
+    # be written at all.
+    if not net.name or " " in net.name or not net.name.isprintable():
+        raise FieldError(
+            f"net {net.name!r}: expected a name of printable characters without white space",
+            "nets",
+            row,
+        )
+    if not net.pins:
+        raise FieldError(f"net {net.name}: expected at least one pin", "nets", row)
+    check_numbers(f"net {net.name}: id and minimum width", (net.id, net.min_width), "nets", row)
+
+
+def check_numbers(name: str, values: Iterable[int], field: str = "", row: int = 0) -> None:
+    """Raises FieldError, of the given field and row, unless all values are in 0…MAX_NUMBER."""
+    for value in values:
+        if not 0 <= value <= MAX_NUMBER:
+            raise FieldError(
+                f"{name}: expected a number from 0 to {MAX_NUMBER}, found {value}", field, row
+            )
+
+
+def _table(field: str, rows: Iterable[tuple[int, ...]], columns: int) -> NDArray[np.int64]:
+    """(rows, columns) the rows as one array; raises FieldError for numbers over 64 bits."""
+    try:
+        flat = np.fromiter(itertools.chain.from_iterable(rows), np.int64)
+    except OverflowError:
+        raise FieldError(f"{field}: expected numbers of at most 64 bits", field) from None
+    return flat.reshape(-1, columns)

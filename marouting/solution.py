@@ -1,0 +1,180 @@
+"""A solution of a global routing problem, and its quality judged from the routes alone."""
+
+import functools
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from marouting.errors import InputError
+from marouting.grid import AXES, VIA_AXIS
+from marouting.problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The edges that every net uses.
+
+    Attributes:
+        problem: what is routed.
+        edges: for each net an int64 array of the numbers of its edges (:mod:`marouting.grid`).
+            Any order and repetitions may be given; what is kept is sorted, each edge once, and
+            read-only.
+
+    Raises:
+        InputError: not one array a net, or an edge that the grid has not.
+    """
+
+    problem: Problem
+    edges: tuple[NDArray[np.int64], ...]
+
+    def __post_init__(self) -> None:
+        nets = len(self.problem.nets)
+        if len(self.edges) != nets:
+            raise InputError(
+                f"solution: expected the edges of {nets} nets, found {len(self.edges)}"
+            )
+        given = [np.asarray(edges, np.int64).reshape(-1) for edges in self.edges]
+        net = np.repeat(np.arange(nets), [len(edges) for edges in given])
+        edge = np.concatenate(given)
+        # Worked out for the given edges only: the grid's tables would cost memory for all of them.
+        near, axis = np.divmod(edge, AXES)
+        limit = np.array(self.problem.grid)
+        position = np.stack(np.unravel_index(near.clip(0, limit.prod() - 1), limit), axis=1)
+        missing = (near < 0) | (near >= limit.prod())
+        missing |= position[np.arange(len(edge)), axis] + 1 >= limit[axis]
+        if missing.any():
+            row = missing.argmax()
+            raise InputError(
+                f"solution, net {self.problem.nets[net[row]].name}: "
+                f"expected edges of the grid, found {edge[row]}"
+            )
+        size = AXES * limit.prod()
+        net, edge = np.divmod(np.unique(net * size + edge), size)
+        edge.setflags(write=False)
+        split = tuple(np.split(edge, np.searchsorted(net, np.arange(1, nets))))
+        object.__setattr__(self, "edges", split)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the other solution routes an equal problem with the same edges."""
+        if not isinstance(other, Solution):
+            return NotImplemented
+        return self.problem == other.problem and all(map(np.array_equal, self.edges, other.edges))
+
+    @functools.cached_property
+    def uses(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(uses,) twice: every net that uses an edge, and the edge; ordered by net, then edge."""
+        net = np.repeat(np.arange(len(self.edges)), [len(edges) for edges in self.edges])
+        return net, np.concatenate(self.edges)
+
+    @functools.cached_property
+    def demand(self) -> NDArray[np.int64]:
+        """(E,) tracks that the nets take of every edge; 0 for vias, which have no capacity.
+
+        A net takes max(its width, the layer's minimum width) + the layer's minimum spacing of each
+        edge that it uses, once (ISPD 2008 evaluator).
+        """
+        return _demand(self.problem, self)
+
+    @staticmethod
+    def read(path: str | os.PathLike[str], problem: Problem) -> "Solution":
+        """Reads ISPD solution text; raises InputError naming the file and the line."""
+        from marouting import ispd
+
+        return ispd.read_solution(path, problem)
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Writes the solution as ISPD solution text, whole or not at all; raises InputError."""
+        from marouting import ispd
+
+        ispd.write_solution(self, path)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a solution is worth: lower (overflow, wirelength) is better, compared in that order.
+
+    Attributes:
+        overflow: sum over the edges inside layers of max(0, demand − capacity), in tracks.
+        max_overflow: the largest of these.
+        wirelength: sum over the nets of the number of edges used, a via counting 1.
+        vias: how many of these edges are vias.
+        connected: whether every net's route joins all its pins.
+        disconnected: the names of the nets whose route does not.
+    """
+
+    overflow: int
+    max_overflow: int
+    wirelength: int
+    vias: int
+    connected: bool
+    disconnected: tuple[str, ...]
+
+
+def evaluate(problem: Problem, solution: Solution) -> Evaluation:
+    """Judges a solution by the rules of the ISPD 2008 contest's evaluator, which the paper uses.
+
+    Args:
+        problem: whose capacities count; its grid and nets must be those of the solution.
+        solution: the routes.
+
+    Returns:
+        The figures.
+
+    Raises:
+        InputError: the solution belongs to a problem with another grid or other nets.
+    """
+    own = solution.problem
+    if own is not problem and (own.grid, own.origin, own.tile, own.nets) != (
+        problem.grid,
+        problem.origin,
+        problem.tile,
+        problem.nets,
+    ):
+        raise InputError("solution: expected one of a problem with the same grid and nets")
+    overflow = np.maximum(_demand(problem, solution) - problem.capacity, 0)
+    _, edge = solution.uses
+    disconnected = _disconnected(problem, solution)
+    return Evaluation(
+        overflow=int(overflow.sum()),
+        max_overflow=int(overflow.max()),
+        wirelength=len(edge),
+        vias=int(np.count_nonzero(edge % AXES == VIA_AXIS)),
+        connected=not len(disconnected),
+        disconnected=tuple(problem.nets[net].name for net in disconnected),
+    )
+
+
+def _demand(problem: Problem, solution: Solution) -> NDArray[np.int64]:
+    """(E,) as :attr:`Solution.demand`, with the widths and spacings of ``problem``."""
+    net, edge = solution.uses
+    gcell, axis = np.divmod(edge, AXES)
+    tracks = problem.demand[net, gcell % problem.grid[2]].astype(np.int64)
+    demand = np.zeros(AXES * int(np.prod(problem.grid)), np.int64)
+    np.add.at(demand, edge, np.where(axis == VIA_AXIS, 0, tracks))
+    return demand
+
+
+def _disconnected(problem: Problem, solution: Solution) -> NDArray[np.int64]:
+    """The indices of the nets with pins that their route does not join, in order.
+
+    One graph holds all nets: its vertices are the pairs of a net and a Gcell with one of the net's
+    pins or edges.
+    """
+    net, edge = solution.uses
+    near, far = problem.topology.ends(edge)
+    pins = problem.pin_gcells
+    pin_net = np.repeat(np.arange(len(pins)), [len(gcells) for gcells in pins])
+    pairs = np.concatenate((net, net, pin_net)) * problem.topology.gcells
+    pairs += np.concatenate((near, far, *pins))
+    vertices, index = np.unique(pairs, return_inverse=True)
+    ends = index[: len(edge)], index[len(edge) : 2 * len(edge)]
+    graph = coo_array((np.ones(len(edge), np.int8), ends), shape=(len(vertices), len(vertices)))
+    _, part = connected_components(graph, directed=False)
+    pin_part = part[index[2 * len(edge) :]]
+    first = np.searchsorted(pin_net, np.arange(len(pins)))
+    apart: NDArray[np.int64] = np.unique(pin_net[pin_part != pin_part[first][pin_net]])
+    return apart

@@ -1,0 +1,63 @@
+"""What a problem can be given as, wherever one is asked for."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from marouting.config import SMALL, GameOptions, build
+from marouting.errors import InputError
+from marouting.generator import GeneratorOptions, generate_from
+from marouting.problem import Problem
+
+Source = (
+    Problem | GeneratorOptions | str | os.PathLike[str] | Sequence[str] | Mapping[str, Any] | None
+)
+"""A problem; what the generator takes; a file, a folder, a list of both; None: a small problem."""
+
+
+def checked_source(source: Source) -> Problem | GeneratorOptions | tuple[str, ...]:
+    """A source in one of three forms; raises InputError for what is none."""
+    if source is None:
+        return SMALL
+    if isinstance(source, Problem | GeneratorOptions):
+        return source
+    checked = build(GameOptions, {"problem": source}).problem
+    return (checked,) if isinstance(checked, str) else checked
+
+
+def load_problems(source: Source) -> dict[str, Problem]:
+    """The problems that a source names.
+
+    Returns:
+        The problems by name: the file's stem, with its folder's where stems repeat; problem_000
+        and so on for generated ones.
+
+    Raises:
+        InputError: the source is none, a file cannot be read, or a folder holds no ``.gr`` file.
+    """
+    source = checked_source(source)
+    if isinstance(source, Problem):
+        return {"problem": source}
+    if isinstance(source, GeneratorOptions):
+        return {f"problem_{i:03d}": p for i, p in enumerate(generate_from(source))}
+    files: list[Path] = []
+    for entry in map(Path, source):
+        inside = sorted(entry.glob("*.gr")) if entry.is_dir() else [entry]
+        if not inside:
+            raise InputError(f"{entry}: expected a .gr file in this folder")
+        files += inside
+    names = [file.stem for file in files]
+    if len(set(names)) < len(names):
+        names = [f"{file.parent.name}_{file.stem}" for file in files]
+    if len(set(names)) < len(names):
+        raise InputError("problem: expected every file once, and names that differ")
+    return {name: Problem.read(file) for name, file in zip(names, files, strict=True)}
+
+
+def load_problem(source: Source) -> Problem:
+    """The one problem that a source names; raises InputError for none or several."""
+    problems = load_problems(source)
+    if len(problems) != 1:
+        raise InputError(f"problem: expected one, found {len(problems)}")
+    return next(iter(problems.values()))

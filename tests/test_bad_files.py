@@ -1,0 +1,368 @@
+"""Files that cannot be used: one line that names file and line, fast, and never another error."""
+
+import time
+import tracemalloc
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from strategies import solved_problems
+
+from marouting.errors import InputError
+from marouting.problem import Adjustment, Net, Pin, Problem
+from marouting.solution import Solution
+
+T = TypeVar("T")
+
+GR = """\
+grid 3 2 2
+vertical capacity 0 4
+horizontal capacity 6 0
+minimum width 1 1
+minimum spacing 0 0
+via spacing 0 0
+0 0 10 10
+num net 2
+A 1 2 1
+5 5 1
+25 15 1
+B 2 1 1
+15 5 1
+2
+1 0 1 2 0 1 3
+0 0 2 0 1 2 0
+"""
+SOLUTION = """\
+A 1 2
+(5,5,1)-(25,5,1)
+(25,5,1)-(25,5,2)
+!
+B 2 0
+!
+"""
+HUGE = "9" * 5000
+
+
+def refused(read: Callable[[], object], file: Path) -> str:
+    """The message of the InputError, less the file's name."""
+    with pytest.raises(InputError) as caught:
+        read()
+    message = str(caught.value)
+    assert "\n" not in message
+    assert len(message) < len(str(file)) + 300
+    assert message.startswith(f"{file}:")
+    return message.removeprefix(f"{file}:")
+
+
+def refused_problem(tmp_path: Path, content: str | bytes) -> str:
+    file = tmp_path / "bad.gr"
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return refused(lambda: Problem.read(file), file)
+
+
+def refused_solution(tmp_path: Path, content: str | bytes) -> str:
+    problem_file, file = tmp_path / "good.gr", tmp_path / "bad.solution"
+    problem_file.write_text(GR)
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    problem = Problem.read(problem_file)
+    return refused(lambda: Solution.read(file, problem), file)
+
+
+def test_the_files_are_good_before_they_are_spoiled(tmp_path: Path) -> None:
+    (tmp_path / "good.gr").write_text(GR)
+    (tmp_path / "good.solution").write_text(SOLUTION)
+    problem = Problem.read(tmp_path / "good.gr")
+    assert Solution.read(tmp_path / "good.solution", problem).edges[0].size == 3
+
+
+@pytest.mark.parametrize("kind", [Problem.read, None])
+def test_a_missing_file_or_a_folder(tmp_path: Path, kind: Callable[[Path], object] | None) -> None:
+    (tmp_path / "good.gr").write_text(GR)
+    problem = Problem.read(tmp_path / "good.gr")
+    read = kind or (lambda path: Solution.read(path, problem))
+    missing = tmp_path / "missing"
+    assert "No such file" in refused(lambda: read(missing), missing)
+    assert "Is a directory" in refused(lambda: read(tmp_path), tmp_path)
+
+
+def test_writing_over_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "good.gr").write_text(GR)
+    problem = Problem.read(tmp_path / "good.gr")
+    assert "folder" in refused(lambda: problem.write(tmp_path), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "what"),
+    [
+        ("grid 3 2 2", "grid 3 2", 1, "columns, rows and layers, found 'grid 3 2'"),
+        ("grid 3 2 2", "\n\nnet 3 2 2", 3, "'grid'"),
+        ("grid 3 2 2", "grid 3 2 x", 1, "'grid'"),
+        ("grid 3 2 2", "grid 3 0 2", 1, "from 1"),
+        ("grid 3 2 2", "grid 99999 99999 2", 1, "Gcells in all"),
+        ("grid 3 2 2", f"grid 3 2 {HUGE}", 1, "found 'grid 3 2 9999"),
+        ("capacity 6 0", "capacity 6 0 0", 3, "expected 2 values, one a layer, found 3"),
+        ("capacity 0 4", "capacity -1 4", 2, "found -1"),
+        ("capacity 0 4", "capacity 0 1.5", 2, "'vertical capacity' and a number"),
+        ("capacity 0 4", "capacity 0 1_0", 2, "'vertical capacity' and a number"),
+        ("capacity 0 4", "capacity 0 ４", 2, "'vertical capacity' and a number"),
+        ("capacity 0 4", "capacity", 2, "'vertical capacity' and a number"),
+        ("minimum spacing", "minimum width", 5, "'minimum spacing'"),
+        ("0 0 10 10", "0 0 10 0", 7, "a width and a height from 1"),
+        ("0 0 10 10", "0 0 10", 7, "tile width and height"),
+        ("0 0 10 10", "0 9999999999 10 10", 7, "origin"),
+        ("num net 2", "num net 0", 8, "at least one net"),
+        ("num net 2", "num net -2", 8, "at least one net"),
+        ("num net 2", "num nets 2", 8, "'num net'"),
+        ("num net 2", "num net 1", 12, "number of adjusted capacities, found 'B 2 1 1'"),
+        ("num net 2", "num net 3", 14, "net 3 of 3 (name, id, number of pins, minimum width)"),
+        ("A 1 2 1", "A 1 2", 9, "net 1 of 2"),
+        ("A 1 2 1", "A 1 3 1", 12, "pin 3 of 3 of net A (x, y, layer), found 'B 2 1 1'"),
+        ("A 1 2 1", "A 1 1 1", 11, "net 2 of 2"),
+        ("A 1 2 1", "A\x07 1 2 1", 9, "printable"),
+        ("A 1 2 1", "A -1 2 1", 9, "found -1"),
+        ("A 1 2 1", "A 1 2 9999999999", 9, "found 9999999999"),
+        ("B 2 1 1", "A 2 1 1", 12, "net A: expected a name no earlier net has"),
+        ("B 2 1 1\n15 5 1", "B 2 0 1", 12, "net B: expected at least one pin"),
+        ("5 5 1", "5 5 0", 10, "net A: expected a point on the 3x2 grid, in layers 1 to 2"),
+        ("25 15 1", "25 20 1", 11, "found pin (25, 20, 1)"),
+        ("25 15 1", "25 -1 1", 11, "found pin (25, -1, 1)"),
+        ("15 5 1", "999999999999999999 5 1", 13, "net B: expected a point on the 3x2 grid"),
+        ("\n2\n1 0", "\n1\n1 0", 16, "the end of the file after 1 adjustments"),
+        ("\n2\n1 0", "\n3\n1 0", 16, "file ends after 2 of 3 adjustments"),
+        ("\n2\n1 0", "\n-1\n1 0", 14, "number of adjusted capacities"),
+        ("\n2\n1 0", "\n2 2\n1 0", 14, "number of adjusted capacities"),
+        ("1 0 1 2 0 1 3", "1 0 1 2 0 1", 15, "adjustment 1 of 2"),
+        ("1 0 1 2 0 1 3", "1 0 1 2 0 1 -3", 15, "a capacity from 0"),
+        ("1 0 1 2 0 1 3", "1 0 1 1 0 2 3", 15, "two neighbouring Gcells of one layer"),
+        ("1 0 1 2 0 1 3", "0 0 1 2 0 1 3", 15, "two neighbouring Gcells of one layer"),
+        ("1 0 1 2 0 1 3", "2 0 1 3 0 1 3", 15, "two neighbouring Gcells of one layer"),
+        ("0 0 2 0 1 2 0", "2 0 1 1 0 1 4", 16, "an earlier adjustment"),
+        (GR, GR + "\n\nx", 19, "the end of the file after 2 adjustments, found 'x'"),
+    ],
+)
+def test_a_spoiled_problem(tmp_path: Path, old: str, new: str, line: int, what: str) -> None:
+    assert old in GR
+    message = refused_problem(tmp_path, GR.replace(old, new, 1))
+    assert message.startswith(f"{line}: ")
+    assert what in message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "what"),
+    [
+        ("A 1 2", "C 1 2", 1, "'C'"),
+        ("A 1 2", "A 2 2", 1, "expected id 1, found 2"),
+        ("A 1 2", "A", 1, "a net's name, id"),
+        ("A 1 2", "A 1 x", 1, "a net's name, id"),
+        ("A 1 2", f"A {HUGE}", 1, "a net's name, id"),
+        ("B 2 0", "A 1 0", 5, "'A'"),
+        ("(25,5,1)\n", "(25,15,1)\n", 2, "expected a segment along one axis"),
+        ("(5,5,1)-", "(5,5,3)-", 2, "found (5, 5, 3)"),
+        ("(5,5,1)-", "(-1,5,1)-", 2, "found (-1, 5, 1)"),
+        ("-(25,5,2)", "-(30,5,2)", 3, "expected a point on the 3x2 grid, in layers 1 to 2"),
+        ("-(25,5,2)", "(25,5,2)", 3, "a segment '(x,y,layer)-(x,y,layer)' or '!'"),
+        ("-(25,5,2)", f"-({HUGE},5,2)", 3, "a segment"),
+        ("-(25,5,2)", "-(2 5,5,2)", 3, "a segment"),
+        ("!\nB", "B", 4, "a segment"),
+        ("B 2 0\n!\n", "B 2 0\n", 5, "file ends inside net B"),
+        (SOLUTION, SOLUTION + "!\n", 7, "a net's name, id"),
+    ],
+)
+def test_a_spoiled_solution(tmp_path: Path, old: str, new: str, line: int, what: str) -> None:
+    assert old in SOLUTION
+    message = refused_solution(tmp_path, SOLUTION.replace(old, new, 1))
+    assert message.startswith(f"{line}: ")
+    assert what in message
+
+
+def test_no_text_at_all(tmp_path: Path) -> None:
+    assert refused_problem(tmp_path, b"").startswith("1: expected 'grid'")
+    assert refused_problem(tmp_path, b"grid 3 2 2\n\xff\xfe\x00").startswith("2: expected UTF-8")
+    assert refused_solution(tmp_path, b"\x80\x81") == "1: expected UTF-8 text"
+
+
+@pytest.mark.parametrize("keep", range(13))
+def test_a_truncated_problem(tmp_path: Path, keep: int) -> None:
+    # From line 13 on all nets are there, and the adjustments may be missing.
+    message = refused_problem(tmp_path, "".join(GR.splitlines(keepends=True)[:keep]))
+    assert message.startswith(f"{max(1, keep)}: ")
+    assert "file ends" in message or "the end of the file" in message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("num net 2", "num net 1000000000", "net 3 of 1000000000"),
+        ("B 2 1 1\n15 5 1\n2\n1 0 1 2 0 1 3\n0 0 2 0 1 2 0\n", "", "after 1 of 1000000000 nets"),
+        ("A 1 2 1", "A 1 1000000000 1", "pin 3 of 1000000000 of net A"),
+        ("\n2\n1 0", "\n1000000000\n1 0", "file ends after 2 of 1000000000 adjustments"),
+        ("grid 3 2 2", "grid 1000000000 1000000000 1000000000", "Gcells in all"),
+        ("grid 3 2 2", "grid 2 2 1000000000", "Gcells in all"),
+        ("grid 3 2 2", "grid 1 1 16777216", "expected 16777216 values, one a layer, found 2"),
+        # As large as may be: not refused for its size, and yet costs nothing.
+        ("grid 3 2 2", "grid 2048 4096 2", "an earlier adjustment"),
+    ],
+)
+def test_a_promise_costs_nothing(tmp_path: Path, old: str, new: str, what: str) -> None:
+    assert old in GR
+    text = GR.replace(old, new, 1)
+    if what.startswith("after 1 of"):
+        text = text.replace("num net 2", "num net 1000000000")
+    if what == "an earlier adjustment":
+        text = text.replace("0 0 2 0 1 2 0", "2 0 1 1 0 1 4")
+    start = time.perf_counter()
+    tracemalloc.start()
+    try:
+        message = refused_problem(tmp_path, text)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert what in message
+    assert peak < 2e6
+    assert time.perf_counter() - start < 2
+
+
+def test_a_large_grid_costs_nothing_until_its_tables_are_needed(tmp_path: Path) -> None:
+    file = tmp_path / "large.gr"
+    file.write_text(GR.replace("grid 3 2 2", "grid 2048 4096 2"))
+    tracemalloc.start()
+    try:
+        problem = Problem.read(file)
+        solution = Solution(problem, (problem.pin_gcells[0][:0], problem.pin_gcells[0][:0]))
+        solution.write(tmp_path / "large.solution")
+        assert Solution.read(tmp_path / "large.solution", problem) == solution
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 2e6
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda p: Problem(**{**vars_of(p), "nets": ()}),
+        lambda p: Problem(**{**vars_of(p), "origin": (0, 2**70)}),
+        lambda p: Problem(**{**vars_of(p), "nets": (Net("A", 0, (Pin(2**70, 0, 1),)),)}),
+        lambda p: Problem(**{**vars_of(p), "nets": (Net("A", 0, (Pin(2**63 - 1, 0, 1),)),)}),
+        lambda p: Problem(**{**vars_of(p), "nets": (Net("a b", 0, (Pin(0, 0, 1),)),)}),
+        lambda p: Problem(**{**vars_of(p), "nets": (Net("\ud800", 0, (Pin(0, 0, 1),)),)}),
+        lambda p: Problem(**{**vars_of(p), "adjustments": (Adjustment(0, 0, 1, 2**62, 0, 1, 0),)}),
+    ],
+)
+def test_problems_made_in_memory_are_judged_the_same(
+    tmp_path: Path, change: Callable[[Problem], Problem]
+) -> None:
+    (tmp_path / "good.gr").write_text(GR)
+    with pytest.raises(InputError) as caught:
+        change(Problem.read(tmp_path / "good.gr"))
+    assert "\n" not in str(caught.value)
+
+
+def vars_of(problem: Problem) -> dict[str, object]:
+    return {name: getattr(problem, name) for name in Problem.__dataclass_fields__}
+
+
+NASTY = st.sampled_from(
+    [
+        "",
+        "-1",
+        "0",
+        "1",
+        "7",
+        "999999999",
+        HUGE,
+        "1e3",
+        "０",
+        "!",
+        "grid",
+        "\x00",
+        "\x1c",
+        "(1,1,1)",
+    ]
+)
+
+
+@st.composite
+def spoiled(draw: st.DrawFn, content: bytes) -> bytes:
+    """The content after a few accidents to its bytes, tokens and lines."""
+    for _ in range(draw(st.integers(1, 4))):
+        kind = draw(st.sampled_from(["byte", "token", "drop", "repeat", "swap", "cut"]))
+        if kind == "byte":
+            at = draw(st.integers(0, len(content)))
+            length = draw(st.integers(0, 2))
+            content = content[:at] + draw(st.binary(max_size=3)) + content[at + length :]
+            continue
+        if kind == "cut":
+            content = content[: draw(st.integers(0, len(content)))]
+            continue
+        lines = content.split(b"\n")
+        at = draw(st.integers(0, len(lines) - 1))
+        other = draw(st.integers(0, len(lines) - 1))
+        if kind == "drop":
+            del lines[at]
+        elif kind == "repeat":
+            lines.insert(other, lines[at])
+        elif kind == "swap":
+            lines[at], lines[other] = lines[other], lines[at]
+        else:
+            tokens = lines[at].split(b" ")
+            tokens[draw(st.integers(0, len(tokens) - 1))] = draw(NASTY).encode()
+            lines[at] = b" ".join(tokens)
+        content = b"\n".join(lines)
+    return content
+
+
+def read_or_refused(read: Callable[[Path], T], file: Path, content: bytes) -> T | None:
+    file.write_bytes(content)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            return read(file)
+    except InputError as error:
+        message = str(error)
+        assert message.startswith(f"{file}:")
+        assert message.isprintable()
+        line = int(message.removeprefix(f"{file}:").split(":")[0])
+        assert 1 <= line <= content.count(b"\n") + 1
+        return None
+
+
+SPOILING = settings(
+    max_examples=200,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+
+
+@SPOILING
+@given(solution=solved_problems(), data=st.data())
+def test_a_spoiled_problem_is_valid_or_refused(
+    solution: Solution, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    file = tmp_path_factory.getbasetemp() / "spoiled.gr"
+    solution.problem.write(file)
+    problem = read_or_refused(Problem.read, file, data.draw(spoiled(file.read_bytes())))
+    if problem is not None:
+        problem.write(file)
+        assert Problem.read(file) == problem
+
+
+@SPOILING
+@given(solution=solved_problems(), data=st.data())
+def test_a_spoiled_solution_is_valid_or_refused(
+    solution: Solution, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    file = tmp_path_factory.getbasetemp() / "spoiled.solution"
+    solution.write(file)
+    again = read_or_refused(
+        lambda path: Solution.read(path, solution.problem),
+        file,
+        data.draw(spoiled(file.read_bytes())),
+    )
+    if again is not None:
+        again.write(file)
+        assert Solution.read(file, solution.problem) == again

@@ -1,0 +1,184 @@
+"""Solutions and their judgement, against hand-worked figures, published ones and oracles."""
+
+import csv
+import dataclasses
+from pathlib import Path
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given
+from strategies import solved_problems
+
+from marouting.errors import InputError
+from marouting.grid import AXES, VIA_AXIS
+from marouting.problem import Adjustment, Net, Pin, Problem
+from marouting.solution import Evaluation, Solution, evaluate
+
+PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data" / "liao2019"
+
+# Three Gcells in a row, two layers. Net A takes max(1, 1) + 1 = 2 tracks of a layer 1 edge, net B
+# max(3, 1) + 1 = 4 there and max(3, 2) + 1 = 4 in layer 2.
+ROW = Problem(
+    grid=(3, 1, 2),
+    vertical_capacity=(0, 0),
+    horizontal_capacity=(3, 1),
+    nets=(
+        Net("A", 0, (Pin(0, 0, 1), Pin(2, 0, 1)), 1),
+        Net("B", 1, (Pin(0, 0, 1), Pin(2, 0, 1)), 3),
+    ),
+    min_width=(1, 2),
+    min_spacing=(1, 1),
+    via_spacing=(0, 0),
+    adjustments=(Adjustment(1, 0, 1, 2, 0, 1, 1),),
+)
+
+
+def x_edge(x: int, z: int) -> int:
+    return AXES * ROW.topology.number(x, 0, z)
+
+
+def via(x: int) -> int:
+    return AXES * ROW.topology.number(x, 0, 0) + VIA_AXIS
+
+
+ROUTES = ((x_edge(0, 0), x_edge(1, 0)), (x_edge(0, 0), via(1), x_edge(1, 1), via(2)))
+
+
+def solution_of(problem: Problem, *routes: tuple[int, ...]) -> Solution:
+    return Solution(problem, tuple(np.array(route, np.int64) for route in routes))
+
+
+def test_hand_worked_figures() -> None:
+    # Layer 1: 2 + 4 tracks over capacity 3, 2 over the adjusted 1. Layer 2: 4 over 1.
+    solution = solution_of(ROW, *ROUTES)
+    assert evaluate(ROW, solution) == Evaluation(
+        overflow=3 + 1 + 3,
+        max_overflow=3,
+        wirelength=6,
+        vias=2,
+        connected=True,
+        disconnected=(),
+    )
+    demand = np.zeros(ROW.topology.edges, np.int64)
+    demand[[x_edge(0, 0), x_edge(1, 0), x_edge(1, 1)]] = 6, 2, 4
+    np.testing.assert_array_equal(solution.demand, demand)
+
+
+def test_a_missing_edge_disconnects_its_net() -> None:
+    evaluation = evaluate(ROW, solution_of(ROW, ROUTES[0], ROUTES[1][1:]))
+    assert not evaluation.connected
+    assert evaluation.disconnected == ("B",)
+    # The nets' edges are not shared: A's alone do not join B's pins.
+    assert evaluate(ROW, solution_of(ROW, ROUTES[0], ())).disconnected == ("B",)
+
+
+def test_pins_in_one_gcell_need_no_edge() -> None:
+    net = Net("A", 0, (Pin(1, 0, 1), Pin(1, 0, 1)))
+    problem = dataclasses.replace(ROW, nets=(net,))
+    assert evaluate(problem, solution_of(problem, ())).connected
+
+
+def test_capacities_of_the_given_problem_count() -> None:
+    wide = dataclasses.replace(ROW, horizontal_capacity=(9, 9), adjustments=())
+    assert evaluate(wide, solution_of(ROW, *ROUTES)).overflow == 0
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        dataclasses.replace(ROW, nets=ROW.nets[::-1]),
+        dataclasses.replace(ROW, grid=(4, 1, 2)),
+    ],
+)
+def test_a_solution_of_another_problem_is_refused(other: Problem) -> None:
+    with pytest.raises(InputError, match="same grid and nets"):
+        evaluate(other, solution_of(ROW, *ROUTES))
+
+
+@pytest.mark.parametrize(
+    "missing",
+    [
+        -1,
+        ROW.topology.edges,
+        x_edge(2, 0),  # off the grid along x
+        x_edge(0, 0) + 1,  # along y
+        x_edge(0, 1) + 2,  # above the top layer
+    ],
+)
+def test_an_edge_that_the_grid_has_not_is_refused(missing: int) -> None:
+    with pytest.raises(InputError, match=rf"net B: expected edges of the grid, found {missing}$"):
+        solution_of(ROW, (), (x_edge(0, 0), missing))
+
+
+def test_one_array_a_net_is_needed() -> None:
+    with pytest.raises(InputError, match="expected the edges of 2 nets, found 1"):
+        solution_of(ROW, ())
+
+
+def test_edges_are_kept_sorted_once_and_read_only() -> None:
+    given_edges = np.array([via(1), x_edge(0, 0), via(1)])
+    solution = Solution(ROW, (given_edges, np.array([], np.int64)))
+    assert solution.edges[0].tolist() == [x_edge(0, 0), via(1)]
+    with pytest.raises(ValueError, match="read-only"):
+        solution.edges[0][0] = 1
+    given_edges[:] = 0
+    assert solution == solution_of(ROW, (via(1), x_edge(0, 0)), ())
+
+
+def test_equal_means_same_problem_and_same_edges() -> None:
+    solution = solution_of(ROW, *ROUTES)
+    assert solution == solution_of(dataclasses.replace(ROW), *ROUTES)
+    assert solution != solution_of(ROW, ROUTES[1], ROUTES[0])
+    other = dataclasses.replace(ROW, horizontal_capacity=(9, 9))
+    assert solution != solution_of(other, *ROUTES)
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(solution)
+
+
+@given(solution=solved_problems())
+def test_evaluation_against_plain_definitions(solution: Solution) -> None:
+    problem = solution.problem
+    demand: dict[int, int] = {}
+    joined = []
+    for net, edges, pins in zip(problem.nets, solution.edges, problem.pin_gcells, strict=True):
+        graph: nx.Graph[int] = nx.Graph()
+        graph.add_nodes_from(pins.tolist())
+        for edge in edges.tolist():
+            gcell, axis = divmod(edge, AXES)
+            x, y, z = problem.topology.position[gcell].tolist()
+            step = [int(axis == a) for a in range(AXES)]
+            graph.add_edge(gcell, problem.topology.number(x + step[0], y + step[1], z + step[2]))
+            if axis != VIA_AXIS:
+                width = max(net.min_width, problem.min_width[z])
+                demand[edge] = demand.get(edge, 0) + width + problem.min_spacing[z]
+        reached = nx.node_connected_component(graph, int(pins[0]))
+        joined.append(set(pins.tolist()) <= reached)
+    over = [max(0, tracks - int(problem.capacity[edge])) for edge, tracks in demand.items()]
+    evaluation = evaluate(problem, solution)
+    assert evaluation.overflow == sum(over)
+    assert evaluation.max_overflow == max(over, default=0)
+    assert evaluation.wirelength == sum(map(len, solution.edges))
+    assert evaluation.vias == sum(int((edges % AXES == VIA_AXIS).sum()) for edges in solution.edges)
+    assert evaluation.connected == all(joined)
+    assert evaluation.disconnected == tuple(
+        net.name for net, ok in zip(problem.nets, joined, strict=True) if not ok
+    )
+
+
+def test_published_figures_of_all_published_solutions() -> None:
+    if not PUBLISHED.is_dir():
+        pytest.skip("the solutions of Liao et al. are not beside the repository")
+    with (PUBLISHED / "results.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    published, found = {}, {}
+    for row in rows:
+        stem = f"{row['set']}/{row['problem']}"
+        problem = Problem.read(PUBLISHED / f"{stem}.gr")
+        for router in ("drl", "astar"):
+            name = f"{stem}.{router}.solution"
+            published[name] = int(row[f"{router}_overflow"]), int(row[f"{router}_wirelength"]), True
+            result = evaluate(problem, Solution.read(PUBLISHED / name, problem))
+            found[name] = result.overflow, result.wirelength, result.connected
+    assert len(published) == 242
+    assert found == published
