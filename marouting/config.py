@@ -12,7 +12,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast, get_args, get_type_hints
 
 import yaml
 from pydantic import ConfigDict, Discriminator, Tag, TypeAdapter, ValidationError
@@ -154,14 +154,14 @@ def build(schema: type[Schema], raw: Mapping[str, Any], where: str = "") -> Sche
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{_prefix(where)}expected plain data: {error}") from None
     try:
-        return _adapter(schema).validate_json(text, strict=True)
+        built: Schema = _adapter(cast(Any, schema)).validate_json(text, strict=True)
     except ValidationError as error:
         raise InputError(_prefix(where) + _explain(schema, error)) from None
+    return built
 
 
 @functools.cache
-def _adapter(schema: type[Schema]) -> TypeAdapter[Schema]:
-    # Dataclasses that are schema without having pydantic's settings forbid other keys too.
+def _adapter(schema: Any) -> TypeAdapter[Any]:
     return TypeAdapter(schema)
 
 

@@ -14,8 +14,9 @@ agent walks them one after the other, a Gcell a move, from the task's start to i
 * The nets take turns in ``net_order``: ``sequential``, a net routes to its end before the next
   starts (the paper), or ``round_robin``, one step each.
 
-A step has two halves, so that a learner can see where a move arrived before the next task moves
-the agent to another pin: :meth:`Engine.move` and :meth:`Engine.settle`. :meth:`Engine.step` is both.
+A step has two halves, :meth:`Engine.move` and :meth:`Engine.settle`, so that a learner can see
+where a move arrived before the next task puts the agent on another pin. :meth:`Engine.step` does
+both.
 
 The state lives in plain arrays with the problem as the first axis (M problems, N agents, E edges);
 the compiled functions below are the only code that changes it.
@@ -467,7 +468,7 @@ class Engine:
                 that is not active, or that has to wait for its turn.
 
         Raises:
-            ValueError: a move outside −1…5.
+            ValueError: a move outside −1…5, or another shape.
         """
         self._check(moves)
         (_move_turn if moves.ndim == 1 else _move_all)(self.world, self.play, moves)
@@ -486,7 +487,13 @@ class Engine:
         (_step_turn if moves.ndim == 1 else _step_all)(self.world, self.play, moves)
 
     def _check(self, moves: NDArray[np.integer]) -> None:
-        if moves.size and not (moves.min() >= NOBODY and moves.max() < MOVES):
+        # The compiled functions index by these without looking.
+        if moves.shape not in (self.games.shape, self.agents.shape) or moves.dtype.kind not in "iu":
+            raise ValueError(
+                f"moves: expected integers of shape {self.games.shape} or {self.agents.shape}, "
+                f"found {moves.dtype} of shape {moves.shape}"
+            )
+        if not (moves.min() >= NOBODY and moves.max() < MOVES):
             raise ValueError(f"moves: expected {list(Move)} or {NOBODY}, found {moves}")
 
     def pairs(self, everyone: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

@@ -9,7 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from marouting.errors import InputError
-from marouting.problem import Adjustment, Net, Pin, Problem, check_grid, check_numbers
+from marouting.problem import (
+    UNLIMITED,
+    Adjustment,
+    Net,
+    Pin,
+    Problem,
+    check_grid,
+    check_numbers,
+)
 from marouting.search import sequential_astar
 
 TILE = 10
@@ -109,11 +117,8 @@ def generate(
 
 def generate_from(options: GeneratorOptions) -> list[Problem]:
     """:func:`generate` with its arguments in one object."""
-    root = np.random.SeedSequence(options.seed)
-    return [
-        _generate_one(options, np.random.default_rng([*np.atleast_1d(root.entropy), index]))
-        for index in range(options.count)
-    ]
+    streams = np.random.SeedSequence(options.seed).spawn(options.count)
+    return [_generate_one(options, np.random.default_rng(stream)) for stream in streams]
 
 
 def _generate_one(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
@@ -139,8 +144,10 @@ def _generate_one(options: GeneratorOptions, rng: np.random.Generator) -> Proble
     if reduced is None:
         reduced = max(options.capacity - REDUCTION, 0)
     demand = sequential_astar(problem).demand
-    busiest = np.argsort(-demand, kind="stable")[: options.reduced_edges]
-    near, far = problem.topology.ends(busiest[problem.capacity[busiest] > 0])
+    # Vias have no capacity to reduce, edges across a layer's direction none left.
+    reducible = np.flatnonzero((problem.capacity > 0) & (problem.capacity < UNLIMITED))
+    busiest = np.argsort(-demand[reducible], kind="stable")[: options.reduced_edges]
+    near, far = problem.topology.ends(reducible[busiest])
     position = problem.topology.position
     return replace(
         problem,

@@ -126,7 +126,7 @@ def read_solution(path: str | os.PathLike[str], problem: Problem) -> Solution:
         warnings.warn(
             f"{os.fspath(path)}:{numbers[at]}: net {problem.nets[nets[at]].name} lists an edge "
             f"again; {len(edge) - len(uses)} repetitions in this file count once",
-            stacklevel=2,
+            stacklevel=3,
         )
     net, edge = np.divmod(uses, size)
     return Solution(
@@ -287,7 +287,7 @@ def _read_segments(
             raise _unexpected("a net's name, id and (optional) number of segments", header)
         name, id_ = header[0], int(header[1])
         if name not in index:
-            raise InputError(f"expected a net that the problem has and no earlier block, {name!r}")
+            raise _unexpected("a net of the problem that no earlier block is of", header)
         net = index.pop(name)
         if id_ != problem.nets[net].id:
             raise InputError(f"net {name}: expected id {problem.nets[net].id}, found {id_}")

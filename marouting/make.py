@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 from marouting.config import EnvOptions, build, read_yaml
@@ -31,6 +32,7 @@ def make(config: str | os.PathLike[str] | Mapping[str, Any] | Any) -> Any:
     where = "config"
     if isinstance(config, str | os.PathLike):
         where, config = os.fspath(config), read_yaml(config)
+    options: EnvOptions
     if isinstance(config, Mapping):
         part = config.get("env", {})
         part = {} if part is None else part
@@ -38,9 +40,9 @@ def make(config: str | os.PathLike[str] | Mapping[str, Any] | Any) -> Any:
             raise InputError(f"{where}: env: expected a mapping, found {part!r}")
         options = build(EnvOptions, part, f"{where}: env")
     else:
-        options = config if isinstance(config, EnvOptions) else getattr(config, "env", None)
+        options = getattr(config, "env", config)
         if not isinstance(options, EnvOptions):
             raise InputError(f"config: expected a path, a mapping or a Config, found {config!r}")
-    plain = {name: getattr(options, name) for name in options.__dataclass_fields__}
+    plain = {field.name: getattr(options, field.name) for field in fields(options)}
     agents = plain.pop("agents")
     return env(**plain) if agents == "multi" else GlobalRoutingSingle(**plain)

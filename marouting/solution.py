@@ -103,7 +103,10 @@ class Evaluation:
         wirelength: sum over the nets of the number of edges used, a via counting 1.
         vias: how many of these edges are vias.
         connected: whether every net's route joins all its pins.
-        disconnected: the names of the nets whose route does not.
+        joined: connections made between pins: for each net its Gcells with pins, less the parts
+            that its route leaves them in. A net's two-pin tasks, all joined, make one part.
+        tasks: connections to be made, one less than the Gcells with pins of each net.
+        disconnected: the names of the nets whose route does not join all their pins.
     """
 
     overflow: int
@@ -111,6 +114,8 @@ class Evaluation:
     wirelength: int
     vias: int
     connected: bool
+    joined: int
+    tasks: int
     disconnected: tuple[str, ...]
 
 
@@ -137,13 +142,17 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
         raise InputError("solution: expected one of a problem with the same grid and nets")
     overflow = np.maximum(_demand(problem, solution) - problem.capacity, 0)
     _, edge = solution.uses
-    disconnected = _disconnected(problem, solution)
+    pin_net, pin_part = _pin_parts(problem, solution)
+    first = np.searchsorted(pin_net, np.arange(len(problem.nets)))
+    disconnected = np.unique(pin_net[pin_part != pin_part[first][pin_net]])
     return Evaluation(
         overflow=int(overflow.sum()),
         max_overflow=int(overflow.max()),
         wirelength=len(edge),
         vias=int(np.count_nonzero(edge % AXES == VIA_AXIS)),
         connected=not len(disconnected),
+        joined=len(pin_net) - len(np.unique(pin_part)),
+        tasks=len(pin_net) - len(problem.nets),
         disconnected=tuple(problem.nets[net].name for net in disconnected),
     )
 
@@ -158,8 +167,8 @@ def _demand(problem: Problem, solution: Solution) -> NDArray[np.int64]:
     return demand
 
 
-def _disconnected(problem: Problem, solution: Solution) -> NDArray[np.int64]:
-    """The indices of the nets with pins that their route does not join, in order.
+def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The net of every pin Gcell, and the connected part of the net's route that it lies in.
 
     One graph holds all nets: its vertices are the pairs of a net and a Gcell with one of the net's
     pins or edges.
@@ -174,7 +183,4 @@ def _disconnected(problem: Problem, solution: Solution) -> NDArray[np.int64]:
     ends = index[: len(edge)], index[len(edge) : 2 * len(edge)]
     graph = coo_array((np.ones(len(edge), np.int8), ends), shape=(len(vertices), len(vertices)))
     _, part = connected_components(graph, directed=False)
-    pin_part = part[index[2 * len(edge) :]]
-    first = np.searchsorted(pin_net, np.arange(len(pins)))
-    apart: NDArray[np.int64] = np.unique(pin_net[pin_part != pin_part[first][pin_net]])
-    return apart
+    return pin_net, part[index[2 * len(edge) :]].astype(np.int64)

@@ -19,7 +19,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, SymmetricalLogLocator
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
@@ -54,7 +54,7 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     if kind not in figure.canvas.get_supported_filetypes():
         raise InputError(f"{target}: expected a picture's suffix such as .png, .pdf or .svg")
     with writing(target) as temporary:
-        figure.savefig(temporary, format=kind, dpi=_DPI)
+        figure.savefig(temporary, format=kind, dpi=_DPI, bbox_inches="tight", pad_inches=0.1)
 
 
 # Edge utilisation -------------------------------------------------------------------------------
@@ -81,10 +81,10 @@ class UtilisationMaps(NamedTuple):
 
 def utilisation_maps(problem: Problem, solution: Solution) -> UtilisationMaps:
     """The numbers behind :func:`heat_maps`."""
-    _, used = solution.uses
     shape = (*problem.grid, AXES)
-    uses = np.bincount(used, minlength=problem.topology.edges).reshape(shape)
-    demand = solution.demand.reshape(shape)
+    demand = _demand(problem, solution).reshape(shape)
+    _, used = solution.uses
+    uses = np.bincount(used, minlength=demand.size).reshape(shape)
     capacity = problem.capacity.astype(np.int64).reshape(shape)
 
     def direction(axis: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -122,10 +122,15 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
     """
     maps = utilisation_maps(problem, solution)
     columns, rows, _ = problem.grid
-    height = float(np.clip(4.2 * rows / columns, 1.6, 9)) + 1.6
-    figure = Figure(figsize=(14, height), layout="constrained")
+    # Side by side; one above the other where the grid is wide. In inches.
+    stacked = columns > 2 * rows
+    across = 9 if stacked else float(np.clip(3.4 * columns / rows, 0.8, 3.4))
+    height = across * rows / columns
+    height = max(height, 1) if stacked else min(height, 9)
+    size = (across + 1.6, 3 * height + 4) if stacked else (3 * max(across + 1.2, 3), height + 1.5)
+    figure = Figure(figsize=size, layout="constrained")
     figure.suptitle(_heading(problem, solution, title), fontsize=12)
-    panels = figure.subplots(1, 3)
+    panels = figure.subplots(3, 1) if stacked else figure.subplots(1, 3)
     colours = matplotlib.colormaps["viridis"].with_extremes(over=_RED, bad="#BBBBBB")
     fields: tuple[tuple[str, NDArray[np.float64], NDArray[np.bool_] | None], ...] = (
         ("Vias\n(edges between layers)", maps.via.astype(np.float64), None),
@@ -139,7 +144,15 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
     for axes, (name, values, overflow) in zip(panels, fields, strict=True):
         _prepare(axes, problem, name)
         if not values.size:
-            axes.text(0.5, 0.5, "no such edges", ha="center", transform=axes.transAxes)
+            axes.text(
+                0.5,
+                0.5,
+                "no such edges",
+                ha="center",
+                va="center",
+                rotation="horizontal" if stacked else "vertical",
+                transform=axes.transAxes,
+            )
             continue
         # A field is one Gcell wide and high and lies in the middle between the Gcells it joins.
         left, bottom = (columns - len(values)) / 2 - 0.5, (rows - values.shape[1]) / 2 - 0.5
@@ -155,13 +168,14 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
             vmax=largest,
         )
         over = overflow is not None and bool(np.any(values > 100))
-        bar = figure.colorbar(image, ax=axes, shrink=0.85, extend="max" if over else "neither")
+        # Inside the panel's own axes, so that it is as high as the map.
+        place = axes.inset_axes((1 + 0.1 / across, 0, 0.18 / across, 1))
+        bar = figure.colorbar(image, cax=place, extend="max" if over else "neither")
         if overflow is None:
-            bar.set_label("vias in use [count]")
+            bar.set_label("vias [count]")
             bar.locator = MaxNLocator(nbins=8, integer=True)
-            bar.update_ticks()
             continue
-        bar.set_label("utilisation = demand / capacity [%]")
+        bar.set_label("demand / capacity [%]")
         outlines = [Rectangle((x + left, y + bottom), 1, 1) for x, y in np.argwhere(overflow)]
         axes.add_collection(
             PatchCollection(outlines, facecolor="none", edgecolor=_RED, linewidth=2, zorder=3)
@@ -185,7 +199,7 @@ def histogram_counts(problem: Problem, solution: Solution) -> NDArray[np.int64]:
         below 100 %, exactly 100 %, above 100 %.
     """
     edge = _routable(problem)
-    demand, capacity = solution.demand[edge], problem.capacity[edge].astype(np.int64)
+    demand, capacity = _demand(problem, solution)[edge], problem.capacity[edge].astype(np.int64)
     # In integers: 29 of 100 tracks are exactly 29 %.
     tenth = np.minimum(10 * demand // capacity, 10) + (demand > capacity)
     return np.stack([np.bincount(tenth[edge % AXES == axis], minlength=12) for axis in (0, 1)])
@@ -220,11 +234,14 @@ def utilisation_histogram(problem: Problem, solution: Solution, title: str = "")
         )
         axes.bar_label(bars, labels=[str(n) if n else "" for n in counts[row]], fontsize=8)
     full = int(counts[:, 10:].sum())
+    note = f"{full} of {_edges(int(counts.sum()))}\nat or above 100 %"
+    if stray := _stray(problem, solution):
+        note += f"\n(and {_edges(stray)} used\nwithout capacity)"
     axes.axvspan(9.5, 11.5, color=_RED, alpha=0.12, zorder=0)
     axes.text(
         10.5,
         0.985,
-        f"{full} of {int(counts.sum())} edges\nat or above 100 %",
+        note,
         ha="center",
         va="top",
         color=_RED,
@@ -234,7 +251,7 @@ def utilisation_histogram(problem: Problem, solution: Solution, title: str = "")
     axes.set_xticks(bins, [*(f"{10 * n}–{10 * n + 10}" for n in range(10)), "100", "> 100"])
     axes.tick_params(axis="x", labelsize=9)
     axes.set_xlim(-0.6, 11.5)
-    axes.set_ylim(0, max(1.0, 1.2 * counts.max()))
+    axes.set_ylim(0, max(1.0, 1.3 * counts.max()))
     axes.set_xlabel("utilisation = demand / capacity [%], a range without its upper end")
     axes.set_ylabel("edges [count]")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -253,7 +270,7 @@ def depleted_edges(problem: Problem, solution: Solution) -> NDArray[np.int64]:
         Sorted edge numbers, int64.
     """
     edge = _routable(problem)
-    return edge[solution.demand[edge] >= problem.capacity[edge]]
+    return edge[_demand(problem, solution)[edge] >= problem.capacity[edge]]
 
 
 def edges_before_after(problem: Problem, solution: Solution, title: str = "") -> Figure:
@@ -269,28 +286,37 @@ def edges_before_after(problem: Problem, solution: Solution, title: str = "") ->
     """
     edge = _routable(problem)
     before = problem.capacity[edge].astype(np.int64)
-    after = before - solution.demand[edge]
+    after = before - _demand(problem, solution)[edge]
     order = np.lexsort((-before, -after))
     before, after = before[order], after[order]
-    place = np.arange(len(edge))
+    borders = np.arange(len(edge) + 1) - 0.5
     full, over = int(np.count_nonzero(after <= 0)), int(np.count_nonzero(after < 0))
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
     axes.axhline(0, color=_INK, linewidth=0.8)
-    axes.fill_between(place, before, after, step="mid", color=_BLUE, alpha=0.1, linewidth=0)
-    axes.step(place, before, where="mid", color=_BLUE, linewidth=1.5, label="before routing")
-    axes.step(
-        place, after, where="mid", color=_RED, linewidth=2, linestyle="--", label="after routing"
-    )
+    axes.stairs(before, borders, baseline=after, fill=True, color=_BLUE, alpha=0.1)
+    for remaining, colour, style, label in (
+        (before, _BLUE, "-", "before routing"),
+        (after, _RED, "--", "after routing"),
+    ):
+        axes.stairs(
+            remaining,
+            borders,
+            baseline=None,
+            color=colour,
+            linewidth=2,
+            linestyle=style,
+            label=label,
+        )
     if over:
         axes.plot(
-            place[-over:],
+            np.arange(len(edge) - over, len(edge)),
             after[-over:],
             linestyle="none",
             marker="v",
             markersize=5,
             color=_RED,
-            label=f"overflowed ({over} edges)",
+            label=f"overflowed ({_edges(over)})",
         )
     top, bottom = max(int(before.max(initial=1)), 1), min(int(after.min(initial=0)), 0)
     axes.set_ylim(bottom - 0.08 * (top - bottom), top + 0.25 * (top - bottom))
@@ -298,7 +324,7 @@ def edges_before_after(problem: Problem, solution: Solution, title: str = "") ->
         start = len(edge) - full
         axes.axvspan(start - 0.5, len(edge) - 0.5, color=_RED, alpha=0.12, linewidth=0)
         axes.annotate(
-            f"{full} of {len(edge)} edges fully used",
+            f"{full} of {_edges(len(edge))} fully used",
             xy=((start + len(edge) - 1) / 2, 0),
             xytext=(0.45 * len(edge), 0.12 * top),
             color=_RED,
@@ -310,18 +336,36 @@ def edges_before_after(problem: Problem, solution: Solution, title: str = "") ->
     axes.set_ylabel("remaining capacity [tracks]")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-    kind = (
-        f"Type II: {full} edges fully used" if full else "Type I: no edge with capacity is used up"
-    )
+    kind = f"Type II: {_edges(full)} fully used" if full else "Type I: no edge fully used"
+    if stray := _stray(problem, solution):
+        kind += f" (and {_edges(stray)} used without capacity)"
     axes.set_title(f"{title}: {kind}" if title else kind, fontsize=12)
-    axes.legend(frameon=False, loc="upper right", ncols=3)
+    axes.legend(frameon=False, loc="upper left", ncols=3)
     return figure
+
+
+def _demand(problem: Problem, solution: Solution) -> NDArray[np.int64]:
+    """(E,) the solution's demand in tracks; raises InputError unless the grids are the same."""
+    if solution.problem.grid != problem.grid:
+        raise InputError(
+            f"solution: expected one for the grid {problem.grid}, found {solution.problem.grid}"
+        )
+    return solution.demand
+
+
+def _edges(count: int) -> str:
+    return f"{count} edge" if count == 1 else f"{count} edges"
+
+
+def _stray(problem: Problem, solution: Solution) -> int:
+    """How many edges without capacity are used all the same: overflow without utilisation."""
+    return int(np.count_nonzero((problem.capacity == 0) & (_demand(problem, solution) > 0)))
 
 
 def _routable(problem: Problem) -> NDArray[np.int64]:
     """The edges along x and y that have capacity."""
-    edge = np.flatnonzero(problem.capacity > 0)
-    return edge[edge % AXES != VIA_AXIS].astype(np.int64)
+    along = np.arange(len(problem.capacity)) % AXES != VIA_AXIS
+    return np.flatnonzero(along & (problem.capacity > 0)).astype(np.int64)
 
 
 # Solutions --------------------------------------------------------------------------------------
@@ -400,7 +444,7 @@ def _drawing(problem: Problem, solution: Solution) -> _Drawing:
     pins = grid.position[np.concatenate(problem.pin_gcells)].astype(np.float64)
     owner = np.repeat(np.arange(len(problem.nets)), [len(p) for p in problem.pin_gcells])
     pins[:, :2] += shift[owner, None]
-    overflow = np.flatnonzero(solution.demand > problem.capacity)
+    overflow = np.flatnonzero(_demand(problem, solution) > problem.capacity)
     overflowed = grid.position[np.stack(grid.ends(overflow), axis=1)].astype(np.float64)
     return _Drawing(lines, vias, via_layers, pins, overflowed, pitch)
 
@@ -420,26 +464,25 @@ def solution_2d(problem: Problem, solution: Solution, title: str = "") -> Figure
         One drawing, with pins, vias and overflowed edges marked.
     """
     columns, rows, _ = problem.grid
-    side = float(np.clip(0.4 * max(columns, rows), 5.5, 11))
+    side = float(np.clip(0.45 * max(columns, rows), 5.5, 11))
     size = (side * min(1, max(columns / rows, 0.5)), side * min(1, max(rows / columns, 0.3)) + 1.2)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
-    _draw_2d(axes, problem, solution, side / max(columns, rows))
-    axes.set_title(_heading(problem, solution, title), fontsize=12)
+    _draw_2d(axes, problem, solution, title, side / max(columns, rows))
     _legend(figure, problem, [solution], 3 if size[0] < 7 else 6)
     return figure
 
 
-def _draw_2d(axes: Axes, problem: Problem, solution: Solution, gcell: float) -> None:
+def _draw_2d(axes: Axes, problem: Problem, solution: Solution, title: str, gcell: float) -> None:
     """Draws the routes; ``gcell`` is about the width of a Gcell in inches."""
-    _prepare(axes, problem)
+    _prepare(axes, problem, _heading(problem, solution, title))
     for x in range(problem.grid[0] + 1):
         axes.axvline(x - 0.5, color=_PALE, linewidth=0.5, zorder=0)
     for y in range(problem.grid[1] + 1):
         axes.axhline(y - 0.5, color=_PALE, linewidth=0.5, zorder=0)
     drawing = _drawing(problem, solution)
     points = 72 * gcell
-    width = float(np.clip(0.55 * points * drawing.pitch, 0.3, 2))
+    width = float(np.clip(0.65 * points * drawing.pitch, 0.6, 2))
     axes.add_collection(
         LineCollection(
             list(drawing.overflowed[..., :2]),
@@ -475,8 +518,9 @@ def solution_3d(problem: Problem, solution: Solution, title: str = "") -> Figure
     figure = Figure(figsize=(9, 8), layout="constrained")
     # Three-dimensional axes have no type stubs.
     axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
+    axes.set_title(_heading(problem, solution, title), fontsize=12)
     drawing = _drawing(problem, solution)
-    width = float(np.clip(0.4 * 430 / max(columns, rows) * drawing.pitch, 0.3, 1.6))
+    width = float(np.clip(300 / max(columns, rows) * drawing.pitch, 0.5, 1.8))
 
     def draw(segments: NDArray[np.float64], colour: str, width: float, zorder: int) -> None:
         # One line with gaps: NaN after each segment.
@@ -494,15 +538,14 @@ def solution_3d(problem: Problem, solution: Solution, title: str = "") -> Figure
     axes.plot(x, y, z + 1, "s", color=_INK, markersize=1.5 * width + 1, zorder=3 + layers)
     axes.set(
         xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5), zlim=(1, max(layers, 2)),
-        xlabel="x [Gcell]", ylabel="y [Gcell]", zlabel="layer",
+        zlabel="layer",
     )  # fmt: skip
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(nbins=9, integer=True))
+    _number_gcells(axes, problem)
     axes.set_zticks(range(1, layers + 1))
     longest = max(columns, rows)
-    axes.set_box_aspect((max(columns / longest, 0.2), max(rows / longest, 0.2), 0.45))
+    axes.set_box_aspect((max(columns / longest, 0.2), max(rows / longest, 0.2), 0.4))
+    axes.grid(False)
     axes.view_init(elev=32, azim=-62)
-    axes.set_title(_heading(problem, solution, title), fontsize=12)
     _legend(figure, problem, [solution], 6, upright=True)
     return figure
 
@@ -533,8 +576,7 @@ def comparison(solutions: Mapping[str, Solution]) -> Figure:
     )
     panels = figure.subplots(down, across, squeeze=False).ravel()
     for axes, (name, solution) in zip(panels, solutions.items(), strict=False):
-        _draw_2d(axes, problem, solution, 0.8 * side / max(columns, rows))
-        axes.set_title(_heading(problem, solution, name), fontsize=11)
+        _draw_2d(axes, problem, solution, name, 0.8 * side / max(columns, rows))
     for axes in panels[len(solutions) :]:
         axes.set_axis_off()
     _legend(figure, problem, list(solutions.values()), 3 if across == 1 else 6)
@@ -550,17 +592,21 @@ def _heading(problem: Problem, solution: Solution, title: str) -> str:
     return f"{title}: {line}" if title else line
 
 
-def _prepare(axes: Axes, problem: Problem, title: str = "") -> None:
+def _prepare(axes: Axes, problem: Problem, title: str) -> None:
     """Axes in Gcells: integer ticks, square Gcells, (0, 0) at the lower left."""
     columns, rows, _ = problem.grid
-    axes.set(
-        title=title, xlabel="x [Gcell]", ylabel="y [Gcell]", aspect="equal",
-        xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5),
-    )  # fmt: skip
-    axes.title.set_fontsize(11)
-    # A narrow grid has room for few numbers on its short side.
+    axes.set_title(title, fontsize=11)
+    axes.set(aspect="equal", xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
+    _number_gcells(axes, problem)
+
+
+def _number_gcells(axes: Any, problem: Problem) -> None:
+    """Integer ticks along x and y, few of them on the short side of a narrow grid."""
+    columns, rows, _ = problem.grid
+    axes.set_xlabel("x [Gcell]", labelpad=12 if axes.name == "3d" else 4)
+    axes.set_ylabel("y [Gcell]", labelpad=12 if axes.name == "3d" else 4)
     for axis, length, other in ((axes.xaxis, columns, rows), (axes.yaxis, rows, columns)):
-        nbins = int(np.clip(9 * length / other, 1, 9))
+        nbins = int(np.clip(9 * length / other, min(3, length), min(9, length)))
         axis.set_major_locator(MaxNLocator(nbins=nbins, integer=True, min_n_ticks=1))
 
 
@@ -568,7 +614,7 @@ def _layer_colour(layer: int, layers: int) -> str:
     """Blue for layer 1 and red for layer 2 as in the paper; many layers from a colour map."""
     if layers < len(_LINES):
         return _LINES[layer]
-    return to_hex(matplotlib.colormaps["turbo"](layer / (layers - 1)))
+    return to_hex(matplotlib.colormaps["plasma"](0.75 * layer / (layers - 1)))
 
 
 def _legend(
@@ -592,9 +638,16 @@ def _legend(
             [], [], color=_INK, marker="o", markerfacecolor="white", linestyle="none", label="via"
         )
     )
-    if any((solution.demand > problem.capacity).any() for solution in solutions):
+    if any((_demand(problem, solution) > problem.capacity).any() for solution in solutions):
         handles.append(Patch(color=_BAND, label="overflowed edge"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=ncols, frameon=False)
+    figure.legend(
+        handles=handles,
+        loc="outside lower center",
+        ncols=ncols,
+        frameon=False,
+        title="nets are shifted within their Gcells to be told apart",
+        title_fontsize=9,
+    )
 
 
 # Training ---------------------------------------------------------------------------------------
@@ -645,12 +698,17 @@ def reward_curves(
     scale = ""
     if log:
         axes.set_yscale("symlog", linthresh=_TASK_REWARD, linscale=0.5)
+        axes.yaxis.set_major_locator(
+            SymmetricalLogLocator(base=10, linthresh=_TASK_REWARD, subs=(1, 2, 5))
+        )
+        axes.yaxis.set_major_formatter("{x:g}")
         scale = f", signed logarithm, linear within ±{_TASK_REWARD}"
     axes.grid(color=_PALE, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.set_xlabel("episode")
     axes.set_ylabel(f"reward of an episode{scale}")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_xlim(left=0)
     mean_note = f"dark: mean of the last {smoothing} episodes" if smoothing > 1 else ""
     axes.set_title("\n".join(filter(None, (title, mean_note))), fontsize=11)
     if len(curves) <= 10:

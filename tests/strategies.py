@@ -3,8 +3,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from marouting.problem import Adjustment, Net, Pin, Problem
-from marouting.solution import Solution
+from marouting import Adjustment, Net, Pin, Problem, Solution
 
 names = st.text(st.characters(categories=("L", "N", "P", "S")), min_size=1, max_size=6)
 numbers = st.integers(0, 9)

@@ -4,6 +4,7 @@ import time
 import tracemalloc
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -12,9 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from strategies import solved_problems
 
-from marouting.errors import InputError
-from marouting.problem import Adjustment, Net, Pin, Problem
-from marouting.solution import Solution
+from marouting import Adjustment, InputError, Net, Pin, Problem, Solution
 
 T = TypeVar("T")
 
@@ -154,12 +153,12 @@ def test_a_spoiled_problem(tmp_path: Path, old: str, new: str, line: int, what: 
 @pytest.mark.parametrize(
     ("old", "new", "line", "what"),
     [
-        ("A 1 2", "C 1 2", 1, "'C'"),
+        ("A 1 2", "C 1 2", 1, "found 'C 1 2'"),
         ("A 1 2", "A 2 2", 1, "expected id 1, found 2"),
         ("A 1 2", "A", 1, "a net's name, id"),
         ("A 1 2", "A 1 x", 1, "a net's name, id"),
         ("A 1 2", f"A {HUGE}", 1, "a net's name, id"),
-        ("B 2 0", "A 1 0", 5, "'A'"),
+        ("B 2 0", "A 1 0", 5, "found 'A 1 0'"),
         ("(25,5,1)\n", "(25,15,1)\n", 2, "expected a segment along one axis"),
         ("(5,5,1)-", "(5,5,3)-", 2, "found (5, 5, 3)"),
         ("(5,5,1)-", "(-1,5,1)-", 2, "found (-1, 5, 1)"),
@@ -244,13 +243,13 @@ def test_a_large_grid_costs_nothing_until_its_tables_are_needed(tmp_path: Path) 
 @pytest.mark.parametrize(
     "change",
     [
-        lambda p: Problem(**{**vars_of(p), "nets": ()}),
-        lambda p: Problem(**{**vars_of(p), "origin": (0, 2**70)}),
-        lambda p: Problem(**{**vars_of(p), "nets": (Net("A", 0, (Pin(2**70, 0, 1),)),)}),
-        lambda p: Problem(**{**vars_of(p), "nets": (Net("A", 0, (Pin(2**63 - 1, 0, 1),)),)}),
-        lambda p: Problem(**{**vars_of(p), "nets": (Net("a b", 0, (Pin(0, 0, 1),)),)}),
-        lambda p: Problem(**{**vars_of(p), "nets": (Net("\ud800", 0, (Pin(0, 0, 1),)),)}),
-        lambda p: Problem(**{**vars_of(p), "adjustments": (Adjustment(0, 0, 1, 2**62, 0, 1, 0),)}),
+        lambda p: replace(p, nets=()),
+        lambda p: replace(p, origin=(0, 2**70)),
+        lambda p: replace(p, nets=(Net("A", 0, (Pin(2**70, 0, 1),)),)),
+        lambda p: replace(p, nets=(Net("A", 0, (Pin(2**63 - 1, 0, 1),)),)),
+        lambda p: replace(p, nets=(Net("a b", 0, (Pin(0, 0, 1),)),)),
+        lambda p: replace(p, nets=(Net("\ud800", 0, (Pin(0, 0, 1),)),)),
+        lambda p: replace(p, adjustments=(Adjustment(0, 0, 1, 2**62, 0, 1, 0),)),
     ],
 )
 def test_problems_made_in_memory_are_judged_the_same(
@@ -260,10 +259,6 @@ def test_problems_made_in_memory_are_judged_the_same(
     with pytest.raises(InputError) as caught:
         change(Problem.read(tmp_path / "good.gr"))
     assert "\n" not in str(caught.value)
-
-
-def vars_of(problem: Problem) -> dict[str, object]:
-    return {name: getattr(problem, name) for name in Problem.__dataclass_fields__}
 
 
 NASTY = st.sampled_from(

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from strategies import problems, solved_problems
 
+from marouting import Adjustment, Net, Pin, Problem, Solution
 from marouting.grid import AXES
-from marouting.problem import Adjustment, Net, Pin, Problem
-from marouting.solution import Solution
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -96,6 +95,7 @@ def test_the_count_of_adjustments_may_be_missing(tmp_path: Path) -> None:
     assert problem_of(tmp_path, GR + "0\n") == problem_of(tmp_path, GR)
 
 
+@settings(deadline=None)
 @given(problem=problems())
 def test_a_problem_is_read_as_it_was_written(
     problem: Problem, tmp_path_factory: pytest.TempPathFactory
@@ -109,6 +109,7 @@ def test_a_problem_is_read_as_it_was_written(
     assert file.read_bytes() == written
 
 
+@settings(deadline=None)
 @given(solution=solved_problems())
 def test_a_solution_is_read_as_it_was_written(
     solution: Solution, tmp_path_factory: pytest.TempPathFactory
@@ -168,7 +169,7 @@ def test_nets_may_come_in_any_order(tmp_path: Path) -> None:
 def test_an_edge_listed_twice_counts_once_and_warns_once(tmp_path: Path) -> None:
     problem = small(tmp_path)
     text = "A 7 3\n(-5,5,1)-(15,5,1)\n(-5,5,1)-(5,5,1)\n(15,5,1)-(-5,5,1)\n!\nB_1 3 0\n!\n"
-    with pytest.warns(UserWarning) as record:
+    with pytest.warns(UserWarning, match="lists an edge again") as record:
         solution = solution_of(tmp_path, problem, text)
     assert len(record) == 1
     message = str(record[0].message)
@@ -198,4 +199,13 @@ def test_the_form_of_a_written_solution(tmp_path: Path) -> None:
     # Maximal segments ordered by their lower end, centres of Gcells, id, number of segments.
     assert (tmp_path / "out").read_text() == (
         "A 7 3\n(-5,15,1)-(15,15,1)\n(-5,15,1)-(-5,15,2)\n(-5,35,1)-(5,35,1)\n!\nB_1 3 0\n!\n"
+    )
+
+
+def test_a_segment_ends_where_the_next_row_begins(tmp_path: Path) -> None:
+    problem = small(tmp_path)
+    used = np.array([edge(problem, 0, 0, 1, 0), edge(problem, 1, 1, 1, 0)])
+    Solution(problem, (used, used[:0])).write(tmp_path / "out")
+    assert (tmp_path / "out").read_text() == (
+        "A 7 2\n(-5,15,1)-(5,15,1)\n(5,35,1)-(15,35,1)\n!\nB_1 3 0\n!\n"
     )

@@ -7,13 +7,11 @@ from pathlib import Path
 import networkx as nx
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from strategies import solved_problems
 
-from marouting.errors import InputError
+from marouting import Adjustment, Evaluation, InputError, Net, Pin, Problem, Solution, evaluate
 from marouting.grid import AXES, VIA_AXIS
-from marouting.problem import Adjustment, Net, Pin, Problem
-from marouting.solution import Evaluation, Solution, evaluate
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data" / "liao2019"
 
@@ -136,6 +134,7 @@ def test_equal_means_same_problem_and_same_edges() -> None:
         hash(solution)
 
 
+@settings(deadline=None)
 @given(solution=solved_problems())
 def test_evaluation_against_plain_definitions(solution: Solution) -> None:
     problem = solution.problem

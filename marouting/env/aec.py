@@ -50,7 +50,13 @@ class GlobalRoutingAEC(AECEnv, EzPickle):
         return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-        """Starts an episode; ``seed`` matters where a new problem is drawn for each."""
+        """Starts an episode.
+
+        Args:
+            seed: matters where a new problem is drawn for each episode, and then decides it.
+            options: accepted for the interface's sake; there are none.
+        """
+        del options
         self._face.restart(seed)
         engine = self._face.engine
         self.agents = list(self.possible_agents)

@@ -15,7 +15,7 @@ from marouting.engine import NOBODY, Engine, Status, TurnOrder
 from marouting.generator import GeneratorOptions
 from marouting.grid import MOVES
 from marouting.observation import Observation, nets_on_edges, state, state_space
-from marouting.problem import Problem
+from marouting.problem import MAX_NUMBER, Problem
 from marouting.render import Scene, Window, ansi, rgb_array
 from marouting.reward import Reward
 from marouting.solution import Solution
@@ -62,9 +62,11 @@ class Face:
         self._rng, _ = seeding.np_random(0)
 
         source = checked_source(problem)
-        self._drawn = isinstance(source, GeneratorOptions) and source.seed is None
-        self._source = replace(source, seed=0) if self._drawn else source
-        self._play(load_problem(self._source))
+        self._drawn: GeneratorOptions | None = None
+        if isinstance(source, GeneratorOptions) and source.seed is None:
+            self._drawn = source
+            source = replace(source, seed=0)
+        self._play(load_problem(source))
         problems, overflow = self.engine.problems, checked.overflow == "allowed"
         self._box = self._observation.space(problems, overflow)
         self.state_space: Box = state_space(problems, overflow)
@@ -84,9 +86,9 @@ class Face:
         """A new episode; a new problem where one is to be drawn for every episode."""
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
-        if self._drawn:
-            number = int(self._rng.integers(2**31))
-            self._play(load_problem(replace(self._source, seed=number)))
+        if self._drawn is not None:
+            number = int(self._rng.integers(MAX_NUMBER))
+            self._play(load_problem(replace(self._drawn, seed=number)))
         else:
             self.engine.reset()
 

@@ -42,7 +42,7 @@ class GlobalRoutingParallel(ParallelEnv, EzPickle):
             agent: self._face.new_observation_space() for agent in self.possible_agents
         }
         self.action_spaces = {agent: Discrete(MOVES) for agent in self.possible_agents}
-        self.agents = []
+        self.agents: list[str] = []
 
     def observation_space(self, agent: str) -> Space[Any]:
         """The agent's observation space, the same object every time."""
@@ -55,7 +55,13 @@ class GlobalRoutingParallel(ParallelEnv, EzPickle):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Starts an episode; ``seed`` matters where a new problem is drawn for each."""
+        """Starts an episode.
+
+        Args:
+            seed: matters where a new problem is drawn for each episode, and then decides it.
+            options: accepted for the interface's sake; there are none.
+        """
+        del options
         self._face.restart(seed)
         self.agents = list(self.possible_agents)
         self._numbers = list(range(len(self.agents)))

@@ -41,7 +41,13 @@ class GlobalRoutingSingle(gymnasium.Env[Any, Any], EzPickle):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Starts an episode; ``seed`` matters where a new problem is drawn for each."""
+        """Starts an episode.
+
+        Args:
+            seed: matters where a new problem is drawn for each episode, and then decides it.
+            options: accepted for the interface's sake; there are none.
+        """
+        del options
         super().reset(seed=seed)
         self._face.restart(seed)
         self._net = int(self._face.engine.games[0]["agent"])

@@ -1,0 +1,48 @@
+"""Random walks: what a router has to beat."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from marouting import Engine, Problem, Solution
+from marouting.engine import NOBODY
+
+
+class RandomPolicy:
+    """A move drawn uniformly from those that cross an edge.
+
+    Args:
+        seed: where the random numbers start.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self._rng = np.random.default_rng(seed)
+
+    def act(self, observation: object, mask: np.ndarray) -> int:
+        """A random move; the observation does not matter."""
+        del observation
+        return int(self._rng.choice(np.flatnonzero(mask)))
+
+
+@dataclass(frozen=True)
+class RandomRouter:
+    """Every net walks at random, sequentially, until its tasks are joined or have failed.
+
+    Attributes:
+        seed: where the random numbers start; the same for the same routes.
+        max_steps: steps after which a task fails; None as in :class:`marouting.Engine`.
+    """
+
+    seed: int = 0
+    max_steps: int | None = None
+    name: str = "random"
+
+    def route(self, problem: Problem) -> Solution:
+        """A solution in which few nets are joined, without overflow."""
+        engine = Engine([problem], max_steps=self.max_steps)
+        policy = RandomPolicy(self.seed)
+        move = np.empty(1, np.int8)
+        while engine.games[0]["agent"] != NOBODY:
+            move[0] = policy.act(None, engine.masks(*engine.pairs(everyone=False))[0])
+            engine.step(move)
+        return engine.solution()

@@ -1,0 +1,261 @@
+"""The command line: ``marouting COMMAND``.
+
+Results go to standard output, progress and messages to standard error. The exit status is 0 when
+done, 2 for input that cannot be used (one line says which file, line or key, and what was
+expected), 130 when interrupted. The heavy libraries are imported by the commands that need them.
+"""
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+try:
+    import click
+except ImportError:  # pragma: no cover - the command line needs the extra
+    sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
+
+from marouting import InputError, Problem, Solution, __version__, evaluate
+
+if TYPE_CHECKING:
+    from policies.base import Router
+    from policies.config import Config
+    from policies.learned.trainer import Episode
+
+GridShape = click.Tuple([int, int, int])
+ROUTERS = ("astar", "random", "dqn")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="marouting")
+def cli() -> None:
+    """Multi-agent global routing: every net is an agent on one shared capacity grid."""
+
+
+@cli.command()
+@click.option("--count", default=1, show_default=True, help="Number of problems.")
+@click.option(
+    "--grid", type=GridShape, default=(8, 8, 2), show_default=True, help="Columns, rows, layers."
+)
+@click.option("--nets", default=50, show_default=True, help="Nets a problem.")
+@click.option("--max-pins", default=2, show_default=True, help="Pins a net, at most.")
+@click.option("--capacity", default=5, show_default=True, help="Capacity of an edge.")
+@click.option(
+    "--reduced-edges", default=3, show_default=True, help="How many of the busiest edges to reduce."
+)
+@click.option(
+    "--reduced-capacity", type=int, help="Their capacity.  [default: two less than --capacity]"
+)
+@click.option("--seed", default=0, show_default=True, help="Where the random numbers start.")
+@click.option("--out", type=Path, required=True, help="Folder for the .gr files.")
+def generate(out: Path, **options: Any) -> None:
+    """Generate problems: OUT/problem_000.gr and so on."""
+    from marouting.generator import GeneratorOptions
+    from marouting.source import load_problems
+
+    problems = load_problems(GeneratorOptions(**options))
+    for name, problem in problems.items():
+        problem.write(out / f"{name}.gr")
+    click.echo(f"{len(problems)} problems in {out}")
+
+
+@cli.command()
+@click.argument("problem", type=Path)
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option("--router", type=click.Choice(ROUTERS), default="astar", show_default=True)
+@click.option("--checkpoint", type=Path, help="A trained policy for the router dqn.")
+@click.option("--config", type=Path, help="What the router dqn trains, without a checkpoint.")
+@click.option("--seed", default=0, show_default=True, help="For the routers random and dqn.")
+@click.option("--out", type=Path, help="File for the solution.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def route(
+    problem: Path,
+    overrides: tuple[str, ...],
+    router: str,
+    checkpoint: Path | None,
+    config: Path | None,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Route a problem and judge the solution.
+
+    Without --checkpoint the router dqn trains on the problem, as the paper does; KEY=VALUE changes
+    keys of its configuration (train.episodes=200).
+    """
+    if router != "dqn" and (checkpoint or config or overrides):
+        given = overrides[0] if overrides else f"--{'checkpoint' if checkpoint else 'config'}"
+        raise InputError(f"{given}: expected --router dqn with it")
+    if checkpoint and (config or overrides):
+        raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
+    loaded = Problem.read(problem)
+    solver = _router(router, seed, checkpoint, config, overrides)
+    started = time.perf_counter()
+    solution = solver.route(loaded)
+    seconds = time.perf_counter() - started
+    if out is not None:
+        solution.write(out)
+    _report(router, loaded, solution, seconds, as_json)
+
+
+def _router(
+    name: str,
+    seed: int,
+    checkpoint: Path | None,
+    config: Path | None,
+    overrides: Sequence[str],
+) -> "Router":
+    if name == "astar":
+        from policies.classical.astar import AStarRouter
+
+        return AStarRouter()
+    if name == "random":
+        from policies.classical.random import RandomRouter
+
+        return RandomRouter(seed)
+    from policies.config import load_config
+    from policies.learned.router import DQNRouter
+
+    settings = load_config(config, [f"seed={seed}", *overrides])
+    return DQNRouter(settings, checkpoint, _counter(settings))
+
+
+def _counter(config: "Config") -> Any:
+    """What shows the progress of a training without a run folder, on standard error."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    if not sys.stderr.isatty():
+        return None
+    progress = Progress(console=Console(stderr=True), transient=True)
+    task = progress.add_task("training", total=config.train.episodes)
+    progress.start()
+
+    def watch(episodes: "list[Episode]") -> None:
+        progress.update(task, advance=len(episodes))
+        if episodes[-1].episode + 1 == config.train.episodes:
+            progress.stop()
+
+    return watch
+
+
+def _report(
+    router: str | None, problem: Problem, solution: Solution, seconds: float, as_json: bool
+) -> None:
+    """Prints the figures of a solution."""
+    figures = evaluate(problem, solution)
+    fields = {
+        "router": router,
+        "overflow": figures.overflow,
+        "max_overflow": figures.max_overflow,
+        "wirelength": figures.wirelength,
+        "vias": figures.vias,
+        "connected": figures.connected,
+        "joined": figures.joined,
+        "tasks": figures.tasks,
+        "seconds": round(seconds, 6),
+    }
+    if as_json:
+        click.echo(json.dumps(fields))
+        return
+    for name, value in fields.items():
+        if value is not None:
+            click.echo(f"{name:>12}  {value}")
+    if figures.disconnected:
+        shown = " ".join(figures.disconnected[:10])
+        more = len(figures.disconnected) - 10
+        click.echo(f"{'open nets':>12}  {shown}{f' and {more} more' if more > 0 else ''}")
+
+
+@cli.command("evaluate")
+@click.argument("problem", type=Path)
+@click.argument("solution", type=Path)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def evaluate_command(problem: Path, solution: Path, as_json: bool) -> None:
+    """Judge a solution file by the rules of the ISPD 2008 evaluator."""
+    loaded = Problem.read(problem)
+    routes = Solution.read(solution, loaded)
+    started = time.perf_counter()
+    evaluate(loaded, routes)
+    _report(None, loaded, routes, time.perf_counter() - started, as_json)
+
+
+@cli.command()
+@click.argument("config", type=Path)
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option("--resume", type=Path, help="Go on with the run in this folder.")
+def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None:
+    """Train a DQN on every problem of CONFIG; KEY=VALUE changes keys of it.
+
+    Everything goes into the run folder, the key `out`.
+    """
+    from policies.config import load_config
+    from policies.learned.run import Run
+    from policies.table import show
+
+    if resume is not None:
+        if not (resume / "config.yaml").exists():
+            raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
+        overrides = (*overrides, f"out={resume}")
+    run = Run(load_config(config, overrides), resume=resume is not None)
+    show(run.execute(), str(run.folder))
+
+
+@cli.command()
+@click.argument("paths", nargs=-1, required=True, type=Path, metavar="RUN_OR_FILE...")
+@click.option("--out", type=Path, help="Folder for the figures.")
+def plot(paths: tuple[Path, ...], out: Path | None) -> None:
+    """Draw the figures of run folders, of metrics.jsonl, or of .gr and solution files.
+
+    A .gr file is drawn with the solution files that follow it, or with sequential A*'s solution.
+    """
+    from policies.plot import plot as draw
+
+    for path in draw(paths, out):
+        click.echo(path)
+
+
+@cli.command()
+@click.option(
+    "--out", type=Path, default=Path("quickstart"), show_default=True, help="Folder for the result."
+)
+def quickstart(out: Path) -> None:
+    """Route, train and draw a small problem in about a minute."""
+    from policies.quickstart import run
+
+    run(out)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Runs the command line and exits with its status."""
+    sys.exit(status(arguments))
+
+
+def status(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command line; returns the exit status."""
+    try:
+        cli.main(args=arguments, prog_name="marouting", standalone_mode=False)
+    except InputError as error:
+        return _complain(str(error))
+    except click.ClickException as error:
+        return _complain(error.format_message())
+    except ModuleNotFoundError as error:
+        return _complain(f"{error.name} is missing: pip install 'marouting[learn]'")
+    except OSError as error:
+        return _complain(f"{error.filename or 'input or output'}: {error.strerror or error}")
+    except (KeyboardInterrupt, click.Abort):
+        click.echo("marouting: interrupted", err=True)
+        return 130
+    return 0
+
+
+def _complain(message: str) -> int:
+    """One line on standard error; returns the status for bad input."""
+    click.echo(f"marouting: {' '.join(message.split())}", err=True)
+    return 2
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,217 @@
+"""A training and its run folder: logs, checkpoints, resume, solutions, figures.
+
+What a run folder holds:
+
+=====================  ==========================================================================
+config.yaml            the whole configuration, defaults included
+problems/NAME.gr       what was routed
+metrics.jsonl          a line for every episode (:class:`policies.learned.trainer.Episode`)
+tensorboard/           the same for TensorBoard
+checkpoint.pt          everything needed to go on
+policy.pt              the networks alone, when the training is finished
+solutions/NAME.*       the routes of the best episode (``dqn``) and of sequential A* (``astar``)
+result.json            a row for each problem and router
+figures/               pictures
+=====================  ==========================================================================
+"""
+
+import json
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from marouting import InputError, Solution, evaluate
+from marouting.files import write_text, writing
+from marouting.source import load_problems
+from policies.classical.astar import AStarRouter
+from policies.config import Config, load_config
+from policies.learned.checkpoint import read_checkpoint
+from policies.learned.logs import Logs
+from policies.learned.trainer import Episode, Trainer
+
+CONFIG, METRICS, CHECKPOINT = "config.yaml", "metrics.jsonl", "checkpoint.pt"
+POLICY, RESULT = "policy.pt", "result.json"
+
+Row = dict[str, Any]
+"""One router on one problem, as ``result.json`` holds it."""
+
+
+def row(name: str, router: str, solution: Solution, seconds: float) -> Row:
+    """The figures of a solution under the names that all tables use."""
+    figures = asdict(evaluate(solution.problem, solution))
+    del figures["disconnected"]
+    return {"problem": name, "router": router, **figures, "seconds": round(seconds, 3)}
+
+
+def write_config(config: Config, path: Path) -> None:
+    """Writes a whole configuration as YAML."""
+    plain = json.loads(json.dumps(asdict(config)))
+    write_text(path, yaml.safe_dump(plain, sort_keys=False))
+
+
+def _save(state: Mapping[str, Any], path: Path) -> None:
+    with writing(path) as temporary:
+        torch.save(dict(state), temporary)
+
+
+class Run:
+    """A training in a run folder.
+
+    Args:
+        config: what to do; its ``out`` is the folder.
+        resume: whether the folder holds a run to go on with; otherwise it must hold none.
+        progress: whether to show a progress bar on standard error.
+
+    Raises:
+        InputError: the folder, the configuration or a problem cannot be used.
+    """
+
+    def __init__(self, config: Config, *, resume: bool = False, progress: bool = True) -> None:
+        self.config = config
+        self.folder = Path(config.out)
+        self._progress = progress
+        if resume:
+            self._check_same()
+        elif (self.folder / CONFIG).exists():
+            raise InputError(
+                f"{self.folder}: holds a run: expected another out=, or --resume {self.folder}"
+            )
+        if resume:
+            self.problems = load_problems(str(self.folder / "problems"))
+        else:
+            self.problems = load_problems(config.env.problem)
+        self.trainer = Trainer(self.problems, config)
+        self._seconds = 0.0
+        self._logged = 0
+        if resume:
+            self._load()
+        else:
+            for name, problem in self.problems.items():
+                problem.write(self.folder / "problems" / f"{name}.gr")
+            write_config(config, self.folder / CONFIG)
+
+    def _check_same(self) -> None:
+        """A resumed run has the configuration that it started with."""
+        kept = load_config(self.folder / CONFIG)
+        mine = _flat(asdict(replace(self.config, out=kept.out)))
+        for key, value in _flat(asdict(kept)).items():
+            if mine[key] != value:
+                raise InputError(
+                    f"{key}: expected {value!r}, as in {self.folder / CONFIG}, found {mine[key]!r}"
+                )
+
+    def _load(self) -> None:
+        path = self.folder / CHECKPOINT
+        if not path.exists():
+            return  # stopped before the first checkpoint: it starts again
+        state = read_checkpoint(path)
+        self.trainer.load_state(state, str(path))
+        self._seconds, self._logged = state["seconds"], state["logged"]
+
+    def _state(self) -> dict[str, Any]:
+        return {**self.trainer.state(), "seconds": self._seconds, "logged": self._logged}
+
+    def execute(self) -> list[Row]:
+        """Trains to the end and writes everything; returns the rows of ``result.json``."""
+        config, trainer = self.config, self.trainer
+        started = time.monotonic() - self._seconds
+        saved = time.monotonic()
+        with Logs(self.folder, self._logged, config.train.tensorboard) as logs, self._bar() as bar:
+            total = config.train.episodes * len(self.problems)
+            task = bar.add_task("burn-in", total=total, completed=int(trainer.episodes.sum()))
+            try:
+                for episodes in trainer.run():
+                    if episodes:
+                        logs.write(episodes)
+                        bar.update(task, advance=len(episodes), description=_brief(episodes[-1]))
+                    if time.monotonic() - saved >= config.train.checkpoint_seconds:
+                        self._seconds, self._logged = time.monotonic() - started, logs.flush()
+                        _save(self._state(), self.folder / CHECKPOINT)
+                        saved = time.monotonic()
+            except KeyboardInterrupt:
+                self._seconds, self._logged = time.monotonic() - started, logs.flush()
+                _save(self._state(), self.folder / CHECKPOINT)
+                raise
+            self._seconds, self._logged = time.monotonic() - started, logs.flush()
+        rows = self._results()
+        _save(self.trainer.policy(), self.folder / POLICY)
+        _save(self._state(), self.folder / CHECKPOINT)
+        if config.train.figures:
+            from policies.plot import run_figures
+
+            run_figures(self.folder)
+        return rows
+
+    def _results(self) -> list[Row]:
+        """Writes the solutions and ``result.json``."""
+        rows = []
+        each = self._seconds / len(self.problems)
+        for name, solution in self.trainer.solutions().items():
+            start = time.perf_counter()
+            astar = AStarRouter().route(self.problems[name])
+            seconds = time.perf_counter() - start
+            for router, routed, spent in (("astar", astar, seconds), ("dqn", solution, each)):
+                routed.write(self.folder / "solutions" / f"{name}.{router}.solution")
+                rows.append(row(name, router, routed, spent))
+        write_text(self.folder / RESULT, json.dumps(rows, indent=1) + "\n")
+        return rows
+
+    def _bar(self) -> Progress:
+        from rich.console import Console
+
+        return Progress(
+            TextColumn("{task.description}", justify="left"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("episodes"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            disable=not self._progress,
+        )
+
+
+def clear(folder: Path) -> None:
+    """Removes a run from its folder, and nothing else that lies there."""
+    if not (folder / CONFIG).exists():
+        return
+    for name in (CONFIG, METRICS, CHECKPOINT, POLICY, RESULT):
+        (folder / name).unlink(missing_ok=True)
+    for name in ("problems", "solutions", "tensorboard", "figures"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+
+
+def _brief(episode: Episode) -> str:
+    return (
+        f"{episode.problem}: joined {episode.joined}/{episode.tasks}, "
+        f"WL {episode.wirelength}, reward {episode.reward:.0f}"
+    )
+
+
+def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as one, keys joined by dots; sequences as tuples."""
+    flat: dict[str, Any] = {}
+    for key, value in nested.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{key}.")
+        else:
+            flat[prefix + key] = (
+                tuple(value)
+                if isinstance(value, Sequence) and not isinstance(value, str)
+                else value
+            )
+    return flat

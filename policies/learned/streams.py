@@ -1,0 +1,40 @@
+"""Random numbers without a state to keep: a number is a function of a key and a counter.
+
+Every problem has its own keys, drawn from the seed and the problem's name, so that its random
+numbers are the same whatever else is trained beside it, and a resumed run needs only its counters
+to go on as if it had not stopped. The function is SplitMix64 (Steele, Lea, Flood, "Fast splittable
+pseudorandom number generators", 2014).
+"""
+
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+
+def keys(seed: int, names: Sequence[str], purpose: str) -> NDArray[np.uint64]:
+    """(M,) uint64, a key for each name; other seeds and purposes give other keys."""
+    return np.array(
+        [
+            np.random.SeedSequence(
+                [seed, zlib.crc32(name.encode()), zlib.crc32(purpose.encode())]
+            ).generate_state(1, np.uint64)[0]
+            for name in names
+        ],
+        np.uint64,
+    )
+
+
+@njit(cache=True)
+def uniform(key: Any, counter: int, lane: int) -> float:
+    """The number in [0, 1) of a key, a counter and a lane below 2¹⁶ (draws of one counter)."""
+    z = key + (np.uint64(counter) * np.uint64(65536) + np.uint64(lane) + np.uint64(1)) * np.uint64(
+        0x9E3779B97F4A7C15
+    )
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return float(z >> np.uint64(11)) * 2.0**-53

@@ -1,0 +1,331 @@
+"""The rules of the game once more, from the design and not from the engine: slow, plain, obvious.
+
+Gcells are (x, y, z) tuples with z from 0, an edge is the pair of its Gcells, the nets that use an
+edge are a set. Also here: a strategy for problems on which nets get in each other's way.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import networkx as nx
+import numpy as np
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from marouting import Adjustment, Engine, Net, Pin, Problem, Solution
+from marouting.decomposition import two_pin_tasks
+
+Gcell = tuple[int, int, int]
+Edge = tuple[Gcell, Gcell]
+
+STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
+
+
+def gcell_of(problem: Problem, number: int) -> Gcell:
+    """(x, y, z) of a Gcell's number."""
+    _, rows, layers = problem.grid
+    return number // layers // rows, number // layers % rows, number % layers
+
+
+def edge_number(problem: Problem, edge: Edge) -> int:
+    """The number of an edge."""
+    (x, y, z), far = edge
+    axis = [far[i] - edge[0][i] for i in range(3)].index(1)
+    return 3 * ((x * problem.grid[1] + y) * problem.grid[2] + z) + axis
+
+
+def pin_gcells(problem: Problem, net: int) -> list[Gcell]:
+    """The Gcells of a net's pins, each once, in pin order."""
+    (left, low), (width, height) = problem.origin, problem.tile
+    cells = [
+        ((pin.x - left) // width, (pin.y - low) // height, pin.layer - 1)
+        for pin in problem.nets[net].pins
+    ]
+    return list(dict.fromkeys(cells))
+
+
+def distance(a: Gcell, b: Gcell) -> int:
+    """Manhattan distance over x, y and layer."""
+    return sum(abs(i - j) for i, j in zip(a, b, strict=True))
+
+
+def between(a: Gcell, b: Gcell) -> Edge:
+    """The edge that joins two neighbouring Gcells."""
+    return (a, b) if a < b else (b, a)
+
+
+def is_via(edge: Edge) -> bool:
+    """Whether an edge joins two layers."""
+    return edge[0][2] != edge[1][2]
+
+
+def all_edges(problem: Problem) -> list[Edge]:
+    """Every edge of the grid."""
+    columns, rows, layers = problem.grid
+    return [
+        (cell, (cell[0] + dx, cell[1] + dy, cell[2] + dz))
+        for cell in np.ndindex(columns, rows, layers)
+        for dx, dy, dz in STEPS[::2]
+        if cell[0] + dx < columns and cell[1] + dy < rows and cell[2] + dz < layers
+    ]
+
+
+def capacity_of(problem: Problem, edge: Edge) -> int | None:
+    """The capacity of an edge; None for a via, which has no end."""
+    if is_via(edge):
+        return None
+    for x1, y1, layer1, x2, y2, layer2, capacity in problem.adjustments:
+        if between((x1, y1, layer1 - 1), (x2, y2, layer2 - 1)) == edge:
+            return capacity
+    along_x = edge[0][0] != edge[1][0]
+    return (problem.horizontal_capacity if along_x else problem.vertical_capacity)[edge[0][2]]
+
+
+@dataclass
+class Agent:
+    """A net on its way."""
+
+    net: int
+    tasks: list[tuple[Gcell, Gcell]]
+    at: Gcell
+    task: int = 0
+    steps: int = 0
+    joined: int = 0
+    status: str = "ACTIVE"
+    crossing: str = "NONE"
+    ending: str = "NONE"
+    overflow: int = 0
+
+
+@dataclass
+class Game:
+    """One problem, played by the rules."""
+
+    problem: Problem
+    turn_order: str = "sequential"
+    net_order: str = "half_perimeter"
+    max_steps: int = 50
+    overflow: str = "forbidden"
+    agents: list[Agent] = field(init=False)
+    order: list[int] = field(init=False)
+    users: dict[Edge, set[int]] = field(init=False)
+    capacity: dict[Edge, int | None] = field(init=False)
+    turn: int | None = field(init=False)
+    steps: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        problem = self.problem
+        tasks: dict[int, list[tuple[Gcell, Gcell]]] = {}
+        for net, start, target in two_pin_tasks(problem).tolist():
+            ends = gcell_of(problem, start), gcell_of(problem, target)
+            tasks.setdefault(net, []).append(ends)
+        self.agents = [Agent(net, tasks[net], tasks[net][0][0]) for net in sorted(tasks)]
+        self.order = list(range(len(self.agents)))
+        if self.net_order != "file":
+            up = self.net_order == "half_perimeter_up"
+            self.order.sort(key=lambda n: self.half_perimeter(n) * (1 if up else -1))
+        self.capacity = {edge: capacity_of(problem, edge) for edge in all_edges(problem)}
+        self.users = {edge: set() for edge in self.capacity}
+        self.turn = self.order[0]
+
+    def half_perimeter(self, n: int) -> int:
+        """Width and height of the box around an agent's pins, in Gcells."""
+        cells = pin_gcells(self.problem, self.agents[n].net)
+        return sum(max(c[i] for c in cells) - min(c[i] for c in cells) for i in (0, 1))
+
+    def demand(self, n: int, edge: Edge) -> int:
+        """What an edge costs an agent's net."""
+        if is_via(edge):
+            return 0
+        layer = edge[0][2]
+        width = max(self.problem.nets[self.agents[n].net].min_width, self.problem.min_width[layer])
+        return width + self.problem.min_spacing[layer]
+
+    def remaining(self, edge: Edge) -> int | None:
+        """Capacity less the demand of all users; None for a via."""
+        capacity = self.capacity[edge]
+        if capacity is None:
+            return None
+        return capacity - sum(self.demand(n, edge) for n in self.users[edge])
+
+    def overflow_of(self, edge: Edge) -> int:
+        """Demand over capacity."""
+        remaining = self.remaining(edge)
+        return 0 if remaining is None else max(0, -remaining)
+
+    def has_room(self, n: int, edge: Edge) -> bool:
+        """Whether the agent uses the edge or its capacity can take the agent's demand."""
+        remaining = self.remaining(edge)
+        return n in self.users[edge] or remaining is None or remaining >= self.demand(n, edge)
+
+    def way(self, n: int, move: int) -> Edge | None:
+        """The edge that a move would cross; None where it is blocked."""
+        at = self.agents[n].at
+        to = tuple(a + d for a, d in zip(at, STEPS[move], strict=True))
+        edge = between(at, to)  # type: ignore[arg-type]
+        if edge not in self.capacity:
+            return None
+        return edge if self.overflow == "allowed" or self.has_room(n, edge) else None
+
+    def mask(self, n: int) -> list[int]:
+        """The action mask: never all zero."""
+        mask = [int(self.way(n, move) is not None) for move in range(6)]
+        return mask if any(mask) else [1] * 6
+
+    def active(self) -> list[int]:
+        """Agents that still have a task to walk, in turn order."""
+        return [n for n in self.order if self.agents[n].status == "ACTIVE"]
+
+    def go(self, n: int, move: int) -> None:
+        """One agent's move, the end of its task and the beginning of its next."""
+        agent = self.agents[n]
+        edge = self.way(n, move)
+        agent.overflow = 0
+        if edge is None:
+            agent.crossing = "BLOCKED"
+        else:
+            before = self.overflow_of(edge)
+            agent.crossing = "OWN" if n in self.users[edge] else "NEW"
+            self.users[edge].add(n)
+            agent.overflow = self.overflow_of(edge) - before
+            agent.at = edge[1] if agent.at == edge[0] else edge[0]
+        agent.steps += 1
+        self.steps += 1
+        agent.ending = "NONE"
+        if agent.at == agent.tasks[agent.task][1]:
+            agent.ending = "JOINED"
+            agent.joined += 1
+        elif agent.steps == self.max_steps:
+            agent.ending = "FAILED"
+        if agent.ending == "NONE":
+            return
+        if agent.task + 1 < len(agent.tasks):
+            agent.task += 1
+            agent.at, agent.steps = agent.tasks[agent.task][0], 0
+        else:
+            agent.status = "TERMINATED" if agent.joined == len(agent.tasks) else "TRUNCATED"
+
+    def step(self, move: int) -> None:
+        """The agent whose turn it is moves, and the turn passes."""
+        mover = self.turn
+        assert mover is not None
+        self.go(mover, move)
+        if self.turn_order == "sequential" and self.agents[mover].status == "ACTIVE":
+            return
+        self.turn = self.next_after(mover)
+
+    def next_after(self, mover: int) -> int | None:
+        """The next active agent in turn order, the mover itself last."""
+        place = self.order.index(mover)
+        cycle = self.order[place + 1 :] + self.order[: place + 1]
+        return next((n for n in cycle if self.agents[n].status == "ACTIVE"), None)
+
+    def step_all(self, moves: Sequence[int]) -> None:
+        """Every active agent moves once; in sequential order only the one whose turn it is."""
+        assert self.turn is not None
+        for agent in self.agents:  # what those did who do not move now is forgotten
+            agent.crossing, agent.ending, agent.overflow = "NONE", "NONE", 0
+        for n in [self.turn] if self.turn_order == "sequential" else self.active():
+            self.go(n, moves[n])
+        if self.agents[self.turn].status != "ACTIVE":
+            self.turn = self.next_after(self.turn)
+
+    def edges_of(self, n: int) -> set[Edge]:
+        """The edges that an agent's net uses."""
+        return {edge for edge, users in self.users.items() if n in users}
+
+    def solution(self) -> Solution:
+        """The routes."""
+        routes: list[list[int]] = [[] for _ in self.problem.nets]
+        for n, agent in enumerate(self.agents):
+            routes[agent.net] = [edge_number(self.problem, edge) for edge in self.edges_of(n)]
+        return Solution(self.problem, tuple(np.array(route, np.int64) for route in routes))
+
+    def overflow_sum(self) -> int:
+        """Overflow of all edges."""
+        return sum(self.overflow_of(edge) for edge in self.capacity)
+
+    def wirelength(self) -> int:
+        """Edges used, summed over the nets."""
+        return sum(len(users) for users in self.users.values())
+
+    def graph(self, n: int) -> nx.Graph:
+        """The grid as an agent finds it: 1 a step, 1000 across an edge without room."""
+        graph = nx.Graph()
+        for edge in self.capacity:
+            graph.add_edge(*edge, weight=1 if self.has_room(n, edge) else 1000)
+        return graph
+
+
+def random_moves(
+    engine: Engine, rng: np.random.Generator, wild: float = 0.2
+) -> NDArray[np.integer]:
+    """(M, N) moves: some anything, some towards the target, most what the mask allows."""
+    shape = engine.agents.shape
+    masks = engine.masks(*engine.pairs(everyone=True)).reshape(*shape, 6)
+    moves = rng.random((*shape, 6)) * masks
+    position = engine.grid.position
+    away = position[engine.agents["target"]] - position[engine.agents["cell"]]
+    wanted = np.stack((away > 0, away < 0), axis=-1).reshape(*shape, 6)
+    moves += wanted * masks * (rng.random((*shape, 1)) < 0.5)
+    choice = moves.argmax(axis=-1)
+    return np.where(rng.random(shape) < wild, rng.integers(6, size=shape), choice)
+
+
+@st.composite
+def contested(
+    draw: st.DrawFn,
+    grid: tuple[int, int, int] | None = None,
+    max_nets: int = 6,
+    max_pins: int = 4,
+    max_capacity: int = 4,
+) -> Problem:
+    """Problems with something to route: tight capacities, pins that repeat, nets of one Gcell."""
+    if grid is None:
+        sides = draw(st.sampled_from([(1, 5), (2, 2), (3, 4), (4, 4), (5, 3), (2, 6)]))
+        grid = (*sides, draw(st.integers(1, 3)))
+    columns, rows, layers = grid
+    tile = draw(st.sampled_from([(1, 1), (10, 10), (3, 7)]))
+    origin = draw(st.sampled_from([(0, 0), (-5, 20)]))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+
+    def pin() -> Pin:
+        x, y = rng.integers(columns * tile[0]), rng.integers(rows * tile[1])
+        return Pin(int(origin[0] + x), int(origin[1] + y), int(rng.integers(1, layers + 1)))
+
+    nets = []
+    for index in range(draw(st.integers(1, max_nets))):
+        pins = [pin() for _ in range(rng.integers(1, max_pins + 1))]
+        nets.append(Net(f"n{index}", index, tuple(pins), int(rng.integers(0, 3))))
+    # One net surely has something to route.
+    far = Pin(origin[0] + columns * tile[0] - 1, origin[1] + rows * tile[1] - 1, layers)
+    ends = (Pin(*origin, 1), far)
+    nets.insert(int(rng.integers(len(nets) + 1)), Net("ends", 99, ends, 1))
+
+    edges = [
+        (a, (a[0] + dx, a[1] + dy, a[2]))
+        for a in np.ndindex(columns, rows, layers)
+        for dx, dy in ((1, 0), (0, 1))
+        if a[0] + dx < columns and a[1] + dy < rows
+    ]
+    chosen = rng.permutation(len(edges))[: draw(st.integers(0, 6))]
+    adjustments = []
+    for (x1, y1, z1), (x2, y2, z2) in (edges[i][:: rng.choice((-1, 1))] for i in chosen):
+        capacity = int(rng.integers(0, max_capacity + 1))
+        adjustments.append(Adjustment(x1, y1, z1 + 1, x2, y2, z2 + 1, capacity))
+
+    def numbers(most: int) -> tuple[int, ...]:
+        return tuple(rng.integers(0, most + 1, layers).tolist())
+
+    return Problem(
+        grid=grid,
+        vertical_capacity=numbers(max_capacity),
+        horizontal_capacity=numbers(max_capacity),
+        nets=tuple(nets),
+        min_width=numbers(2),
+        min_spacing=numbers(1),
+        via_spacing=(0,) * layers,
+        origin=origin,
+        tile=tile,
+        adjustments=tuple(adjustments),
+    )

@@ -1,0 +1,368 @@
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from marouting.errors import InputError
+from marouting.problem import Adjustment, Net, Pin, Problem
+from marouting.solution import Solution
+
+figures = pytest.importorskip("policies.figures", exc_type=ImportError)
+
+
+def edge(problem, axis, x, y, z):
+    return 3 * problem.topology.number(x, y, z) + axis
+
+
+def problem_of(shape, horizontal, vertical, pins, adjustments=()):
+    layers = shape[2]
+    nets = tuple(
+        Net(f"n{i}", i, tuple(Pin(*pin) for pin in ends), 1) for i, ends in enumerate(pins)
+    )
+    return Problem(
+        shape,
+        vertical,
+        horizontal,
+        nets,
+        (1,) * layers,
+        (0,) * layers,
+        (0,) * layers,
+        adjustments=adjustments,
+    )
+
+
+@pytest.fixture(scope="module")
+def worked():
+    """Four nets on 3×3×2, worked out by hand.
+
+    Layer 1 has capacity 2 along x, layer 2 along y, but 1 from (0, 1) to (0, 2). Three nets take
+    (0, 0) to (1, 0), one of them goes on to (2, 0); the fourth goes from (0, 0) up to layer 2, to
+    (0, 2) and down.
+    """
+    ends = [((0, 0, 1), (2, 0, 1)), *[((0, 0, 1), (1, 0, 1))] * 2, ((0, 0, 1), (0, 2, 1))]
+    problem = problem_of((3, 3, 2), (2, 0), (0, 2), ends, (Adjustment(0, 1, 2, 0, 2, 2, 1),))
+    east = [edge(problem, 0, x, 0, 0) for x in (0, 1)]
+    north = [edge(problem, 1, 0, y, 1) for y in (0, 1)]
+    vias = [edge(problem, 2, 0, y, 0) for y in (0, 2)]
+    routes = (east, east[:1], east[:1], north + vias)
+    return problem, Solution(problem, tuple(np.array(route, np.int64) for route in routes))
+
+
+def crowd(nets=6):
+    """Nets that all take the same way: (0, 0), (1, 0), (1, 1)."""
+    problem = problem_of((2, 2, 1), (9,), (9,), [((0, 0, 1), (1, 1, 1))] * nets)
+    route = np.array([edge(problem, 0, 0, 0, 0), edge(problem, 1, 1, 0, 0)], np.int64)
+    return problem, Solution(problem, (route,) * nets)
+
+
+def outlines(axes):
+    return [path for collection in axes.collections for path in collection.get_paths()]
+
+
+def segments(axes, colour):
+    """The lines drawn in a colour."""
+    from matplotlib.colors import to_rgba
+
+    return [
+        segment
+        for collection in axes.collections
+        for segment in collection.get_segments()
+        if to_rgba(colour) in map(tuple, collection.get_edgecolor())
+    ]
+
+
+def test_utilisation_maps_by_hand(worked):
+    maps = figures.utilisation_maps(*worked)
+    assert maps.via.tolist() == [[1, 0, 1], [0, 0, 0], [0, 0, 0]]
+    assert maps.horizontal.tolist() == [[150, 0, 0], [50, 0, 0]]
+    assert maps.vertical.tolist() == [[50, 100], [0, 0], [0, 0]]
+    assert np.argwhere(maps.horizontal_overflow).tolist() == [[0, 0]]
+    assert not maps.vertical_overflow.any()
+
+
+def test_utilisation_sums_the_layers_and_still_sees_one_overflow():
+    problem = problem_of((2, 1, 2), (1, 3), (0, 0), [((0, 0, 1), (1, 0, 1))] * 2)
+    route = np.array([edge(problem, 0, 0, 0, 0)], np.int64)
+    maps = figures.utilisation_maps(problem, Solution(problem, (route, route)))
+    assert maps.horizontal.tolist() == [[50]]
+    assert maps.horizontal_overflow.tolist() == [[True]]
+    assert maps.vertical.shape == (2, 0)
+
+
+def test_utilisation_without_capacity():
+    problem = problem_of((2, 2, 1), (0,), (4,), [((0, 0, 1), (1, 0, 1))])
+    route = np.array([edge(problem, 0, 0, 0, 0)], np.int64)
+    solution = Solution(problem, (route,))
+    maps = figures.utilisation_maps(problem, solution)
+    assert maps.horizontal[0, 0] == np.inf
+    assert np.isnan(maps.horizontal[0, 1])
+    legend = figures.heat_maps(problem, solution).legends[0]
+    assert "no capacity" in [text.get_text() for text in legend.get_texts()]
+
+
+def test_heat_maps_draw_the_numbers_between_the_gcells(worked):
+    figure = figures.heat_maps(*worked, title="A*")
+    via, vertical, horizontal = (axes for axes in figure.axes if axes.images)
+    maps = figures.utilisation_maps(*worked)
+    for axes, values in ((via, maps.via), (vertical, maps.vertical), (horizontal, maps.horizontal)):
+        assert np.array_equal(axes.images[0].get_array(), values.T)
+        assert axes.images[0].origin == "lower"
+        assert axes.get_xlabel() == "x [Gcell]"
+    assert vertical.images[0].get_extent() == [-0.5, 2.5, 0, 2]
+    assert horizontal.images[0].get_extent() == [0, 2, -0.5, 2.5]
+    assert "row y and y + 1" in vertical.get_title()
+    # WL 2 + 1 + 1 + 4, OF 3 nets on 2 tracks.
+    assert figure.get_suptitle() == "A*: WL 8, OF 1"
+    assert not outlines(vertical)
+    (outline,) = outlines(horizontal)
+    assert outline.get_extents().extents.tolist() == [0, -0.5, 1, 0.5]
+
+
+def test_histogram_counts_by_hand(worked):
+    counts = figures.histogram_counts(*worked)
+    assert counts.shape == (2, 12)
+    assert dict(enumerate(counts[0][counts[0] > 0])) == {0: 4, 1: 1, 2: 1}
+    assert np.flatnonzero(counts[0]).tolist() == [0, 5, 11]
+    assert np.flatnonzero(counts[1]).tolist() == [0, 5, 10]
+    assert counts[1].sum() == 6
+    figure = figures.utilisation_histogram(*worked)
+    (axes,) = figure.axes
+    heights = [bar.get_height() for container in axes.containers for bar in container]
+    assert heights == counts.ravel().tolist()
+    assert any(text.get_text() == "2 of 12 edges\nat or above 100 %" for text in axes.texts)
+
+
+def test_histogram_bins_are_exact_in_integers():
+    # 0.29 · 100 is less than 29 in floating point; here 7 of 10 must count as 70 %, not less.
+    problem = problem_of((2, 1, 1), (10,), (0,), [((0, 0, 1), (1, 0, 1))] * 7)
+    route = np.array([0], np.int64)
+    counts = figures.histogram_counts(problem, Solution(problem, (route,) * 7))
+    assert np.flatnonzero(counts[0]).tolist() == [7]
+
+
+def test_used_edges_without_capacity_are_mentioned():
+    problem = problem_of((2, 2, 1), (0,), (4,), [((0, 0, 1), (1, 0, 1))])
+    solution = Solution(problem, (np.array([0], np.int64),))
+    texts = figures.utilisation_histogram(problem, solution).axes[0].texts
+    assert any("1 edge used" in text.get_text() for text in texts)
+    assert "1 edge used" in figures.edges_before_after(problem, solution).axes[0].get_title()
+
+
+def test_depleted_edges_and_type(worked):
+    problem, solution = worked
+    expected = sorted([edge(problem, 0, 0, 0, 0), edge(problem, 1, 0, 1, 1)])
+    assert figures.depleted_edges(problem, solution).tolist() == expected
+    (axes,) = figures.edges_before_after(problem, solution, "A*").axes
+    assert axes.get_title() == "A*: Type II: 2 edges fully used"
+    assert any("2 of 12 edges fully used" in text.get_text() for text in axes.texts)
+    assert "overflowed (1 edge)" in [text.get_text() for text in axes.get_legend().get_texts()]
+
+    calm = crowd(3)
+    assert not figures.depleted_edges(*calm).size
+    (axes,) = figures.edges_before_after(*calm).axes
+    assert axes.get_title().startswith("Type I:")
+
+
+def test_edges_before_and_after_are_in_order(worked):
+    from matplotlib.patches import StepPatch
+
+    (axes,) = figures.edges_before_after(*worked).axes
+    lines = {
+        patch.get_label(): patch.get_data().values
+        for patch in axes.patches
+        if isinstance(patch, StepPatch) and not patch.get_label().startswith("_")
+    }
+    assert lines["after routing"].tolist() == [2] * 8 + [1, 1, 0, -1]
+    assert sorted(lines["before routing"]) == [1] + [2] * 11
+    assert lines["before routing"][10] == 1  # of the edge that ends with 0
+
+
+def test_solution_2d_draws_every_edge_pin_and_via(worked):
+    (axes,) = figures.solution_2d(*worked, title="A*").axes
+    assert axes.get_title() == "A*: WL 8, OF 1"
+    assert len(segments(axes, "#0077BB")) == 4
+    assert len(segments(axes, "#CC3311")) == 2
+    pins, vias = (line for line in axes.lines if line.get_linestyle() == "None")
+    assert len(pins.get_xdata()) == 8
+    assert len(vias.get_xdata()) == 2
+    (overflowed,) = segments(axes, "#FFD24D")
+    assert overflowed.tolist() == [[0, 0], [1, 0]]
+
+
+def test_nets_on_the_same_way_lie_side_by_side():
+    problem, solution = crowd()
+    (axes,) = figures.solution_2d(problem, solution).axes
+    drawn = segments(axes, "#0077BB")
+    assert len({tuple(segment.ravel()) for segment in drawn}) == 12
+    # A route stays in one piece: from its pin to the bend, and on from there.
+    heads, tails = ({tuple(segment[end]) for segment in drawn} for end in (0, 1))
+    assert len(heads & tails) == 6
+    # Every point stays in its Gcell.
+    points = np.concatenate(drawn)
+    assert np.abs(points - points.round()).max() < 0.5
+    again = figures.solution_2d(problem, solution).axes[0]
+    assert np.array_equal(segments(again, "#0077BB"), drawn)
+
+
+def test_nets_that_touch_in_a_gcell_have_different_tracks():
+    rng = np.random.default_rng(0)
+    pins = [((*rng.integers(0, 6, 2), 1), (*rng.integers(0, 6, 2), 1)) for _ in range(40)]
+    problem = problem_of((6, 6, 1), (9,), (9,), pins)
+    routes = []
+    for (x1, y1, _), (x2, y2, _) in pins:
+        across = [edge(problem, 0, x, y1, 0) for x in range(min(x1, x2), max(x1, x2))]
+        up = [edge(problem, 1, x2, y, 0) for y in range(min(y1, y2), max(y1, y2))]
+        routes.append(np.array(across + up, np.int64))
+    (axes,) = figures.solution_2d(problem, Solution(problem, tuple(routes))).axes
+    pins_drawn = next(line for line in axes.lines if line.get_linestyle() == "None")
+    owners = [gcells for gcells in problem.pin_gcells for _ in gcells]
+    assert len(np.unique(pins_drawn.get_xydata(), axis=0)) == len(owners)
+
+
+def test_disconnected_nets_show_in_the_title(worked):
+    problem, _ = worked
+    solution = Solution(problem, (np.zeros(0, np.int64),) * 4)
+    (axes,) = figures.solution_2d(problem, solution).axes
+    assert axes.get_title() == "WL 0, OF 0, 4 of 4 nets not joined"
+
+
+def test_solution_3d_puts_layers_above_one_another(worked):
+    (axes,) = figures.solution_3d(*worked).axes
+    heights = {
+        line.get_color(): sorted({z for z in line.get_data_3d()[2] if np.isfinite(z)})
+        for line in axes.lines
+    }
+    assert heights["#0077BB"] == [1]
+    assert heights["#CC3311"] == [2]
+    assert heights["#808080"] == [1, 2]
+    assert axes.get_title() == "WL 8, OF 1"
+
+
+def test_many_layers_have_different_colours():
+    problem = problem_of((2, 2, 9), (1,) * 9, (1,) * 9, [((0, 0, 1), (1, 0, 1))])
+    solution = Solution(problem, (np.array([0], np.int64),))
+    legend = figures.solution_2d(problem, solution).legends[0]
+    colours = [line.get_color() for line in legend.get_lines()[:9]]
+    assert len(set(colours)) == 9
+
+
+def test_comparison_has_a_titled_drawing_for_each_router(worked):
+    problem, solution = worked
+    other = Solution(problem, (*solution.edges[:3], np.zeros(0, np.int64)))
+    figure = figures.comparison({"A*": solution, "DQN": other})
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles == ["A*: WL 8, OF 1", "DQN: WL 4, OF 1, 1 of 4 nets not joined"]
+    with pytest.raises(InputError, match="at least one"):
+        figures.comparison({})
+    with pytest.raises(InputError):
+        figures.comparison({"A*": solution, "other": crowd()[1]})
+
+
+@pytest.mark.parametrize(
+    "draw", ["heat_maps", "utilisation_histogram", "depleted_edges", "edges_before_after"]
+)
+def test_a_solution_of_another_problem_is_refused(worked, draw):
+    with pytest.raises(InputError, match="grid"):
+        getattr(figures, draw)(worked[0], crowd()[1])
+
+
+def mean_line(figure, name):
+    return next(line for line in figure.axes[0].lines if line.get_label() == name)
+
+
+def test_reward_curves_smooth_by_the_last_episodes():
+    figure = figures.reward_curves({"a": [0, 10, 20, 60]}, smoothing=2, title="DQN")
+    assert mean_line(figure, "a").get_ydata().tolist() == [0, 5, 15, 40]
+    assert mean_line(figure, "a").get_xdata().tolist() == [1, 2, 3, 4]
+    assert any(line.get_ydata().tolist() == [0, 10, 20, 60] for line in figure.axes[0].lines)
+    assert "DQN" in figure.axes[0].get_title()
+    assert "last 2 episodes" in figure.axes[0].get_title()
+    (only,) = figures.reward_curves({"a": [3, 1]}, smoothing=1).axes[0].lines
+    assert only.get_ydata().tolist() == [3, 1]
+
+
+def test_reward_curves_on_a_log_axis_keep_the_order_of_all_values():
+    rewards = np.array([-2500, -500, -100, -1, 0, 1, 100, 1000, 4800])
+    (axes,) = figures.reward_curves({"a": rewards}, log=True).axes
+    drawn = axes.yaxis.get_transform().transform(rewards.astype(float))
+    assert np.isfinite(drawn).all()
+    assert (np.diff(drawn) > 0).all()
+    # From 1000 to 4800 takes less room than from 100 to 1000.
+    assert drawn[-1] - drawn[-2] < drawn[-2] - drawn[-3]
+    assert "logarithm" in axes.get_ylabel()
+    assert "logarithm" not in figures.reward_curves({"a": rewards}).axes[0].get_ylabel()
+
+
+def test_reward_curves_have_a_legend_up_to_ten():
+    curves = {str(i): [i, i + 1] for i in range(11)}
+    assert figures.reward_curves(curves).axes[0].get_legend() is None
+    curves.popitem()
+    (axes,) = figures.reward_curves(curves).axes
+    assert len(axes.get_legend().get_texts()) == 10
+    looks = {(line.get_color(), line.get_linestyle()) for line in axes.get_legend().get_lines()}
+    assert len(looks) == 10
+
+
+@pytest.mark.parametrize(("curves", "smoothing"), [({}, 50), ({"a": [1]}, 0)])
+def test_reward_curves_refuse(curves, smoothing):
+    with pytest.raises(InputError, match="expected"):
+        figures.reward_curves(curves, smoothing=smoothing)
+
+
+@pytest.mark.parametrize(
+    ("name", "magic"),
+    [("a/b.png", b"\x89PNG"), ("plain", b"\x89PNG"), ("b.PDF", b"%PDF"), ("c.svg", b"<?xml")],
+)
+def test_save_writes_the_suffix_format(tmp_path, name, magic):
+    figures.save(figures.reward_curves({"a": [1, 2]}), tmp_path / name)
+    assert (tmp_path / name).read_bytes().startswith(magic)
+
+
+def test_save_is_whole_or_not_at_all(tmp_path, monkeypatch):
+    figure = figures.reward_curves({"a": [1, 2]})
+    path = tmp_path / "old.png"
+    path.write_text("old")
+
+    def half(target, **_):
+        target.write_text("half")
+        raise MemoryError
+
+    monkeypatch.setattr(figure, "savefig", half)
+    with pytest.raises(MemoryError):
+        figures.save(figure, path)
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("old.png", "old")]
+
+
+def test_save_says_where_it_cannot_write(tmp_path):
+    figure = figures.reward_curves({"a": [1, 2]})
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot be written"):
+        figures.save(figure, tmp_path / "file" / "a.png")
+    with pytest.raises(InputError, match="suffix"):
+        figures.save(figure, tmp_path / "a.docx")
+    assert [file.name for file in tmp_path.iterdir()] == ["file"]
+
+
+KINDS = ("heat_maps", "histogram", "edges", "solution_2d", "solution_3d")
+
+
+def test_problem_figures_writes_all(worked, tmp_path):
+    problem, solution = worked
+    written = figures.problem_figures(problem, {"A*": solution}, tmp_path / "out")
+    assert [path.name for path in written] == [f"A_{kind}.png" for kind in KINDS]
+    assert set(written) == set((tmp_path / "out").iterdir())
+
+
+def test_problem_figures_of_two_routers_are_compared_and_kept_apart(worked, tmp_path, monkeypatch):
+    problem, solution = worked
+    monkeypatch.setattr(figures, "save", lambda _, path: path.touch())
+    written = figures.problem_figures(problem, {"A*": solution, "A!": solution}, tmp_path)
+    expected = {f"{router}_{kind}.png" for router in ("A", "A_1") for kind in KINDS}
+    assert {path.name for path in tmp_path.iterdir()} == expected | {"comparison.png"}
+    assert len(written) == 11
+
+
+def test_figures_leave_pyplot_alone():
+    code = "import sys, policies.figures; sys.exit('matplotlib.pyplot' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

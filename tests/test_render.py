@@ -1,0 +1,305 @@
+import subprocess
+import sys
+import time
+import types
+import warnings
+
+import numpy as np
+import pytest
+
+from marouting.grid import AXES, Grid
+from marouting.problem import UNLIMITED
+from marouting.render import Scene, Window, ansi, rgb_array
+
+RED = (214, 39, 40)
+ORANGE = (230, 97, 0)
+
+
+def scene(shape=(3, 3, 2), demand=(), capacity=2, heads=(), targets=(), turn=None):
+    """Capacity along x in layers 1, 3, … and along y in 2, 4, …; ``demand`` maps edges to nets."""
+    grid = Grid.of(shape)
+    axis, layer = np.arange(grid.edges) % AXES, np.arange(grid.edges) // AXES % shape[2]
+    limits = np.where(axis == layer % 2, capacity, 0)
+    limits[axis == 2] = UNLIMITED
+    limits[~grid.exists] = 0
+    used = np.zeros(grid.edges, np.int64)
+    for edge, nets in dict(demand).items():
+        used[edge] = nets
+    remaining = limits - np.where(axis == 2, 0, used)
+    return Scene(
+        grid,
+        limits.astype(np.int32),
+        remaining.astype(np.int32),
+        used,
+        np.array(heads, np.int32),
+        np.array(targets, np.int32),
+        tuple(f"net_{i}" for i in range(len(heads))),
+        turn,
+        "step 3  overflow 1",
+    )
+
+
+def edge(axis, x, y, z, shape=(3, 3, 2)):
+    return AXES * Grid.of(shape).number(x, y, z) + axis
+
+
+def has(picture, colour):
+    return (picture == np.array(colour)).all(axis=2).any()
+
+
+def changed(before, after):
+    """The columns and rows of the smallest box around all changed pixels."""
+    rows, columns = np.nonzero((before != after).any(axis=2))
+    return (columns.min(), columns.max() + 1), (rows.min(), rows.max() + 1)
+
+
+def test_text_of_a_hand_drawn_scene():
+    grid = Grid.of((3, 3, 2))
+    picture = ansi(
+        scene(
+            demand={
+                edge(0, 0, 0, 0): 1,
+                edge(0, 1, 0, 0): 2,
+                edge(0, 0, 2, 0): 3,
+                edge(1, 2, 0, 1): 2,
+                edge(1, 2, 1, 1): 1,
+                edge(1, 0, 0, 0): 1,  # has no capacity
+                edge(2, 2, 0, 0): 1,
+            },
+            heads=(grid.number(2, 2, 1), grid.number(1, 1, 0)),
+            targets=(grid.number(0, 2, 0), grid.number(0, 1, 0)),
+            turn=0,
+        )
+    )
+    assert picture.splitlines() == [
+        "step 3  overflow 1",
+        "",
+        "layer 1",
+        "2 T××·╌╌·",
+        "",
+        "1 t╌╌h╌╌·",
+        "  ×",
+        "0 ·──·━━o",
+        "  0  1  2",
+        "",
+        "layer 2",
+        "2 ·  ·  H",
+        "  ╎  ╎  │",
+        "1 ·  ·  ·",
+        "  ╎  ╎  ┃",
+        "0 ·  ·  o",
+        "  0  1  2",
+        "",
+        "H head and T target of net_0, to move; h heads and t targets of other nets; o via",
+        "edges: ╌ free  ─ used  ━ full  × overflowed  (blank: no capacity)",
+    ]
+
+
+def test_text_names_no_mover_without_a_turn():
+    picture = ansi(scene(heads=(0,), targets=(4,)))
+    assert "to move" not in picture
+    assert not set("HT") & set(picture)
+    assert "h" in picture.split("layer 2")[0]
+
+
+def test_text_rulers_stay_in_line_on_a_large_grid():
+    lines = ansi(scene((105, 12, 1))).splitlines()
+    ruler = next(line for line in lines if line.startswith("   0"))
+    row = next(line for line in lines if line.startswith(" 9 "))
+    assert row.index("·") == ruler.index("0")
+    assert ruler.index("100") == ruler.index("0") + 300
+
+
+@pytest.mark.parametrize(
+    "shape", [(1, 1, 1), (2, 2, 1), (1, 9, 2), (8, 8, 2), (32, 32, 2), (20, 10, 4), (90, 90, 6)]
+)
+def test_rgb_sizes(shape):
+    gcells = int(np.prod(shape))
+    empty = rgb_array(scene(shape))
+    busy = rgb_array(
+        scene(shape, demand={2: 1} if shape[2] > 1 else {}, heads=(0,), targets=(gcells - 1,))
+    )
+    assert empty.dtype == np.uint8
+    assert empty.shape == busy.shape
+    assert empty.shape[2] == 3
+    assert empty.shape[0] % 2 == empty.shape[1] % 2 == 0
+    assert 190 <= max(empty.shape) <= 1210
+
+
+def test_rgb_two_layers_lie_side_by_side_and_four_in_a_square():
+    height, width, _ = rgb_array(scene((8, 8, 2))).shape
+    assert width > 1.8 * height
+    height, width, _ = rgb_array(scene((8, 8, 4))).shape
+    assert 0.9 < width / height < 1.1
+
+
+def test_rgb_a_used_edge_changes_only_the_bar_between_its_gcells():
+    before = rgb_array(scene())
+    along_x, above = changed(before, rgb_array(scene(demand={edge(0, 0, 0, 0): 1})))
+    next_x, same_row = changed(before, rgb_array(scene(demand={edge(0, 1, 0, 0): 1})))
+    upper_x, upper = changed(before, rgb_array(scene(demand={edge(0, 0, 2, 0): 1})))
+    assert above == same_row
+    assert along_x == upper_x
+    assert upper[1] < above[0]  # y runs upwards
+    assert along_x[1] < next_x[0]  # a Gcell lies between
+    other_layer, _ = changed(before, rgb_array(scene(demand={edge(1, 0, 0, 1): 1})))
+    assert other_layer[0] > before.shape[1] / 2
+
+
+def test_rgb_darkens_with_use_and_turns_red_and_wide_with_overflow():
+    name = edge(0, 0, 0, 0)
+    pictures = [rgb_array(scene(demand={name: nets}, capacity=3)) for nets in range(5)]
+    (left, right), (top, bottom) = changed(pictures[0], pictures[1])
+    bars = [p[(top + bottom) // 2, (left + right) // 2].astype(int).sum() for p in pictures]
+    assert bars[0] > bars[1] > bars[2] > bars[3]
+    assert [has(p, RED) for p in pictures] == [False] * 4 + [True]
+    _, (over_top, over_bottom) = changed(pictures[0], pictures[4])
+    assert over_bottom - over_top > bottom - top
+
+
+def test_rgb_edges_without_capacity_are_not_drawn_until_they_overflow():
+    free = rgb_array(scene())
+    none = rgb_array(scene(capacity=0))
+    assert (none != free).any()
+    # Layer 1 has no capacity along y: no bar there in either picture.
+    used = rgb_array(scene(demand={edge(1, 0, 0, 0): 1}))
+    (left, right), (top, bottom) = changed(free, used)
+    assert (free[top:bottom, left:right] == 255).all()
+    assert has(rgb_array(scene(capacity=0, demand={edge(1, 0, 0, 0): 1})), RED)
+
+
+def test_rgb_a_via_marks_both_layers():
+    before, after = rgb_array(scene()), rgb_array(scene(demand={edge(2, 1, 1, 0): 1}))
+    half = before.shape[1] // 2
+    for side in (slice(half), slice(half, None)):
+        assert (before[:, side] != after[:, side]).any()
+
+
+def test_rgb_marks_the_net_to_move():
+    grid = Grid.of((3, 3, 2))
+    heads, targets = (grid.number(0, 0, 0), grid.number(2, 2, 0)), (1, 3)
+    nobody, first, second = (
+        rgb_array(scene(heads=heads, targets=targets, turn=turn)) for turn in (None, 0, 1)
+    )
+    assert not has(nobody, ORANGE)
+    assert has(first, ORANGE)
+    assert not np.array_equal(first, second)
+    # The first net's head lies lower left in layer 1, the second's upper right.
+    lower_left = np.s_[first.shape[0] // 2 :, : first.shape[1] // 6]
+    assert has(first[lower_left], ORANGE)
+    assert not has(second[lower_left], ORANGE)
+    assert not np.array_equal(nobody, rgb_array(scene()))
+
+
+def test_pictures_need_no_matplotlib():
+    code = "import sys, marouting.render; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+FRAME = np.zeros((20, 30, 3), np.uint8)
+
+
+def shows_nothing_and_warns_once(match):
+    window = Window()
+    with pytest.warns(UserWarning, match=match) as caught:
+        window.show(FRAME, 1)
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
+    assert "rgb_array" in str(caught[0].message)
+    start = time.perf_counter()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        window.show(FRAME, 0.01)
+        window.close()
+        window.close()
+    assert time.perf_counter() - start < 1
+
+
+def test_window_without_a_display(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    shows_nothing_and_warns_once("no display")
+
+
+def test_window_without_matplotlib(monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.delitem(sys.modules, "matplotlib.pyplot", raising=False)
+    shows_nothing_and_warns_once("matplotlib")
+
+
+@pytest.fixture
+def backend(monkeypatch):
+    """Switches to a backend that keeps its windows to itself; gives its canvas class."""
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    from matplotlib.backend_bases import FigureManagerBase
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    class Manager(FigureManagerBase):
+        def show(self):
+            pass
+
+    class Canvas(FigureCanvasAgg):
+        manager_class = Manager
+        required_interactive_framework = "headless"
+
+    module = types.ModuleType("quiet_backend")
+    module.FigureCanvas = Canvas
+    monkeypatch.setitem(sys.modules, "quiet_backend", module)
+    monkeypatch.setenv("DISPLAY", ":4711")
+    pyplot.switch_backend("module://quiet_backend")
+    yield Canvas
+    pyplot.close("all")
+    pyplot.switch_backend("agg")
+
+
+@pytest.mark.usefixtures("backend")
+def test_window_shows_frames_in_one_window_until_it_is_closed():
+    from matplotlib import pyplot
+
+    window = Window()
+    for level in (0, 200):
+        window.show(FRAME + np.uint8(level), 0)
+        (number,) = pyplot.get_fignums()
+        (axes,) = pyplot.figure(number).axes
+        assert (axes.images[0].get_array() == level).all()
+    window.close()
+    assert not pyplot.get_fignums()
+    window.show(FRAME, 0)
+    assert len(pyplot.get_fignums()) == 1
+
+
+@pytest.mark.usefixtures("backend")
+def test_window_closed_by_its_user_stays_closed():
+    from matplotlib import pyplot
+
+    window = Window()
+    window.show(FRAME, 0)
+    pyplot.close("all")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        window.show(FRAME, 0)
+    assert not pyplot.get_fignums()
+
+
+@pytest.mark.usefixtures("backend")
+def test_window_waits_for_the_next_frame_and_no_longer():
+    window = Window()
+    window.show(FRAME, 0)
+    start = time.perf_counter()
+    window.show(FRAME, 5)
+    assert 0.1 < time.perf_counter() - start < 2
+
+
+def test_window_survives_what_a_toolkit_raises(backend, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("lost connection to the display")
+
+    monkeypatch.setattr(backend, "draw_idle", fail)
+    shows_nothing_and_warns_once("lost connection")
+
+
+def test_window_with_a_backend_that_opens_none(backend, monkeypatch):
+    monkeypatch.setattr(backend, "required_interactive_framework", None)
+    shows_nothing_and_warns_once("opens no windows")

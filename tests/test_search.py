@@ -1,0 +1,230 @@
+"""A* against networkx's shortest paths, and the sequential router net by net."""
+
+from dataclasses import replace
+from typing import Any
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference import STEPS, Game, between, contested, distance, gcell_of, random_moves
+from strategies import problems
+
+from marouting import Adjustment, Engine, Net, Pin, Problem, evaluate, generate, sequential_astar
+from marouting.engine import NOBODY, Ending, Status
+from marouting.search import AStar, scratch, shortest_path
+
+net_orders = st.sampled_from(["half_perimeter", "half_perimeter_up", "file"])
+seeds = st.integers(0, 2**32)
+
+
+def walk(engine: Engine, game: Game, n: int, start: int, target: int) -> tuple[list[int], int]:
+    """The moves of a cheapest path by A*, and what they cost by the plain model."""
+    working = scratch(engine.grid)
+    length = shortest_path(engine.world, engine.play, working, 0, n, start, target)
+    moves = working.path[:length].tolist()
+    at, cost, graph = gcell_of(game.problem, start), 0, game.graph(n)
+    for move in moves:
+        to = tuple(a + d for a, d in zip(at, STEPS[move], strict=True))
+        cost += graph.edges[between(at, to)]["weight"]  # type: ignore[arg-type]
+        at = to  # type: ignore[assignment]
+    assert at == gcell_of(game.problem, target)
+    return moves, cost
+
+
+@settings(deadline=None, max_examples=60)
+@given(contested(max_nets=8), seeds, st.sampled_from(["forbidden", "allowed"]))
+def test_path_cost_is_networkx_shortest_path(problem: Problem, seed: int, overflow: Any) -> None:
+    rng = np.random.default_rng(seed)
+    rules = {"turn_order": "round_robin", "overflow": overflow}
+    engine, game = Engine([problem], **rules), Game(problem, **rules)  # type: ignore[arg-type]
+    for _ in range(12):
+        if game.turn is not None:
+            moves = random_moves(engine, rng)
+            engine.step(moves)
+            game.step_all(moves[0].tolist())
+    for _ in range(6):
+        n = int(rng.integers(len(game.agents)))
+        start, target = (int(cell) for cell in rng.integers(engine.grid.gcells, size=2))
+        moves, cost = walk(engine, game, n, start, target)
+        ends = gcell_of(problem, start), gcell_of(problem, target)
+        assert cost == nx.shortest_path_length(game.graph(n), *ends, weight="weight")
+
+
+@settings(deadline=None, max_examples=40)
+@given(contested(max_nets=8), net_orders)
+def test_router_is_optimal_net_by_net_and_task_by_task(problem: Problem, net_order: Any) -> None:
+    """Replays sequential A* in a game; each task's path is checked against networkx."""
+    rules = {"net_order": net_order, "overflow": "allowed", "max_steps": 1000}
+    engine, game = Engine([problem], **rules), Game(problem, **rules)  # type: ignore[arg-type]
+    while game.turn is not None:
+        n = game.turn
+        agent = game.agents[n]
+        start, target = agent.tasks[agent.task]
+        best = nx.shortest_path_length(game.graph(n), start, target, weight="weight")
+        record = engine.agents[0, n]
+        moves, cost = walk(engine, game, n, int(record["cell"]), int(record["target"]))
+        assert cost == best
+        for move in moves:
+            engine.step(np.array([move]))
+            game.step(move)
+        assert agent.ending == "JOINED"
+    routed = sequential_astar(problem, net_order)
+    assert routed == game.solution()
+    assert evaluate(problem, routed).connected
+
+
+@settings(deadline=None, max_examples=40)
+@given(contested(max_nets=8, max_pins=2), net_orders)
+def test_routes_of_two_pin_nets_are_optimal_given_the_earlier(
+    problem: Problem, net_order: Any
+) -> None:
+    """From the solution alone: no engine has a part in the judgement."""
+    routed = sequential_astar(problem, net_order)
+    game = Game(problem, net_order=net_order)
+    for n in game.order:
+        (start, target), *_ = game.agents[n].tasks
+        graph = game.graph(n)
+        ends = zip(*problem.topology.ends(routed.edges[game.agents[n].net]), strict=True)
+        route = [(gcell_of(problem, int(a)), gcell_of(problem, int(b))) for a, b in ends]
+        cost = sum(graph.edges[edge]["weight"] for edge in route)
+        assert cost == nx.shortest_path_length(graph, start, target, weight="weight")
+        for edge in route:
+            game.users[edge].add(n)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.one_of(problems(), contested(max_nets=12)), net_orders)
+def test_every_net_is_joined_and_the_same_again(problem: Problem, net_order: Any) -> None:
+    routed = sequential_astar(problem, net_order)
+    assert evaluate(problem, routed).connected
+    assert routed == sequential_astar(replace(problem), net_order)
+
+
+def test_nothing_to_route() -> None:
+    nets = (Net("A", 0, (Pin(1, 1, 1),)), Net("B", 1, (Pin(0, 0, 1), Pin(0, 0, 1))))
+    problem = Problem((2, 2, 1), (1,), (1,), nets, (1,), (0,), (0,))
+    judged = evaluate(problem, sequential_astar(problem))
+    assert (judged.overflow, judged.wirelength, judged.connected) == (0, 0, True)
+
+
+@settings(deadline=None, max_examples=30)
+@given(contested(max_nets=8), st.sampled_from(["sequential", "round_robin"]))
+def test_policy_walks_manhattan_length_where_there_is_room(problem: Problem, order: Any) -> None:
+    wide = (1000,) * problem.grid[2]
+    problem = replace(problem, vertical_capacity=wide, horizontal_capacity=wide, adjustments=())
+    engine = Engine([problem], turn_order=order)
+    policy, game = AStar(engine), Game(problem)
+    while engine.games[0]["agent"] != NOBODY:
+        engine.step(policy.moves(*engine.pairs(everyone=False)))
+    assert (engine.agents["status"] == Status.TERMINATED).all()
+    lengths = [distance(*task) for agent in game.agents for task in agent.tasks]
+    assert engine.metrics().steps == sum(lengths)
+    assert evaluate(problem, engine.solution()).connected
+
+
+@settings(deadline=None, max_examples=30)
+@given(contested(max_nets=8), seeds)
+def test_policy_moves_of_all_agents_at_once(problem: Problem, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rules = {"turn_order": "round_robin", "overflow": "allowed", "max_steps": 9}
+    engine, game = Engine([problem], **rules), Game(problem, **rules)  # type: ignore[arg-type]
+    policy = AStar(engine)
+    while game.turn is not None:
+        moves = policy.moves(*engine.pairs(everyone=True))
+        for n, agent in enumerate(game.agents):
+            if agent.status != "ACTIVE":
+                assert moves[n] == NOBODY
+                continue
+            # The first move of a cheapest path: what is left is cheaper by what the move costs.
+            graph, target = game.graph(n), agent.tasks[agent.task][1]
+            to = tuple(a + d for a, d in zip(agent.at, STEPS[moves[n]], strict=True))
+            cost = graph.edges[between(agent.at, to)]["weight"]  # type: ignore[arg-type]
+            before, after = (
+                nx.shortest_path_length(graph, at, target, weight="weight") for at in (agent.at, to)
+            )
+            assert before == cost + after
+        wild = np.where(rng.random(len(moves)) < 0.3, rng.integers(6, size=len(moves)), moves)
+        engine.step(wild[None])
+        game.step_all(wild.tolist())
+
+
+def test_nobody_has_no_move() -> None:
+    engine = Engine(generate(1, nets=2))
+    moves = AStar(engine).moves(np.zeros(2, np.int32), np.array([NOBODY, 1], np.int32))
+    assert moves.dtype == np.int8
+    assert moves[0] == NOBODY
+    assert moves[1] in range(6)
+
+
+# One corridor of capacity 1 and a way round it. "small" and "large" both want the corridor.
+CORRIDOR = Problem(
+    grid=(5, 2, 1),
+    vertical_capacity=(9,),
+    horizontal_capacity=(1,),
+    nets=(
+        Net("small", 0, (Pin(1, 0, 1), Pin(3, 0, 1))),
+        Net("large", 1, (Pin(0, 0, 1), Pin(4, 0, 1))),
+    ),
+    min_width=(1,),
+    min_spacing=(0,),
+    via_spacing=(0,),
+)
+
+
+@pytest.mark.parametrize(
+    ("net_order", "lengths"),
+    [("half_perimeter", [4, 4]), ("half_perimeter_up", [2, 6]), ("file", [2, 6])],
+)
+def test_whose_turn_it_is_first_gets_the_corridor(net_order: Any, lengths: list[int]) -> None:
+    routed = sequential_astar(CORRIDOR, net_order)
+    assert [len(edges) for edges in routed.edges] == lengths
+    assert evaluate(CORRIDOR, routed).overflow == 0
+
+
+def test_half_perimeter_is_the_default_and_leaves_ties_in_file_order() -> None:
+    assert sequential_astar(CORRIDOR) == sequential_astar(CORRIDOR, "half_perimeter")
+    twins = (
+        Net("first", 0, (Pin(1, 0, 1), Pin(3, 0, 1))),
+        Net("second", 1, (Pin(1, 0, 1), Pin(3, 0, 1))),
+    )
+    routed = sequential_astar(replace(CORRIDOR, nets=twins))
+    assert [len(edges) for edges in routed.edges] == [2, 4]
+
+
+def test_overflow_is_chosen_only_where_the_detour_costs_more() -> None:
+    """1000 for a full edge: a third net through a full grid overflows once and goes on."""
+    twins = tuple(Net(f"n{i}", i, (Pin(0, 0, 1), Pin(1, 0, 1))) for i in range(4))
+    problem = replace(CORRIDOR, grid=(2, 2, 1), nets=twins)
+    routed = sequential_astar(problem)
+    judged = evaluate(problem, routed)
+    assert [len(edges) for edges in routed.edges] == [1, 3, 1, 1]
+    assert (judged.overflow, judged.connected) == (2, True)
+
+
+def test_a_net_goes_back_along_its_own_full_edges() -> None:
+    """Tasks A-B and A-C share the middle row, which the first fills; C has a long way round."""
+    row = (Adjustment(0, 2, 1, 1, 2, 1, 1), Adjustment(1, 2, 1, 2, 2, 1, 1))
+    top = (Adjustment(0, 5, 1, 1, 5, 1, 1), Adjustment(1, 5, 1, 2, 5, 1, 1))
+    problem = Problem(
+        grid=(3, 6, 1),
+        vertical_capacity=(2,),
+        horizontal_capacity=(0,),
+        nets=(Net("A", 0, (Pin(0, 2, 1), Pin(2, 4, 1), Pin(2, 0, 1))),),
+        min_width=(1,),
+        min_spacing=(0,),
+        via_spacing=(0,),
+        adjustments=row + top,
+    )
+    judged = evaluate(problem, sequential_astar(problem))
+    assert (judged.overflow, judged.wirelength, judged.connected) == (0, 6, True)
+
+
+def test_ending_of_every_task_is_joined() -> None:
+    engine = Engine(generate(1, nets=20, max_pins=4), overflow="allowed", max_steps=200)
+    policy = AStar(engine)
+    while (n := engine.games[0]["agent"]) != NOBODY:
+        engine.step(policy.moves(*engine.pairs(everyone=False)))
+        assert engine.agents[0, n]["ending"] != Ending.FAILED
+    assert engine.metrics().joined == engine.metrics().tasks
