@@ -60,7 +60,7 @@ class Crossing(enum.IntEnum):
     NONE = 0  #: the agent did not move
     BLOCKED = 1  #: no capacity or off the grid: it stayed
     NEW = 2  #: crossed an edge that the net now uses
-    OWN = 3  #: crossed an edge that the net used before, or took nothing
+    OWN = 3  #: crossed an edge that the net used before
 
 
 class Ending(enum.IntEnum):
@@ -454,9 +454,15 @@ class Engine:
         return np.diff(self.world.first, axis=1)
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
-        """Starts the episodes of all problems, or of those where ``which`` (M,) is true."""
+        """Starts the episodes of all problems, or of those where ``which`` (M,) is true.
+
+        Raises:
+            ValueError: ``which`` is not one boolean a problem.
+        """
         if which is None:
             which = np.ones(len(self.problems), np.bool_)
+        if which.shape != self.games.shape or which.dtype != np.bool_:
+            raise ValueError(f"which: expected {len(self.problems)} booleans, found {which}")
         _reset(self.world, self.play, which)
 
     def move(self, moves: NDArray[np.integer]) -> None:

@@ -167,7 +167,7 @@ def assert_same_play(batch: Engine, m: int, single: Engine) -> None:
     assert batch.metrics(m) == single.metrics()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=30)
 @given(batches(), options, seeds, st.booleans())
 def test_a_batch_is_its_problems_played_alone(
     problems: list[Problem], chosen: dict[str, Any], seed: int, everyone: bool
@@ -175,7 +175,7 @@ def test_a_batch_is_its_problems_played_alone(
     rng = np.random.default_rng(seed)
     batch = Engine(problems, **chosen)
     singles = [Engine([problem], **chosen) for problem in problems]
-    for _ in range(60):
+    for _ in range(40):
         masks = batch.masks(*batch.pairs(everyone=True)).reshape(*batch.agents.shape, 6)
         moves = random_moves(batch, rng)
         turns = batch.games["agent"].copy()
@@ -481,3 +481,12 @@ def test_bad_moves(moves: NDArray[np.integer]) -> None:
         with pytest.raises(ValueError, match="moves: expected"):
             act(moves)
     assert engine.metrics().steps == 0
+
+
+@pytest.mark.parametrize("which", [np.ones(2, bool), np.array([0]), np.array(True)], ids=str)
+def test_bad_reset(which: NDArray[Any]) -> None:
+    engine = Engine([ROW])
+    play(engine, E)
+    with pytest.raises(ValueError, match="which: expected 1 booleans"):
+        engine.reset(which)
+    assert engine.metrics().steps == 1

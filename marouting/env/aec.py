@@ -6,16 +6,15 @@ import numpy as np
 from gymnasium import Space
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
-from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
 from marouting.engine import NOBODY, Status
-from marouting.env.face import METADATA, Face
+from marouting.env.face import METADATA, Face, Looks, Pair
 from marouting.grid import MOVES
 from marouting.source import Source
 
 
-class GlobalRoutingAEC(AECEnv, EzPickle):
+class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
     """Global routing with every net an agent, one move at a time.
 
     An agent's observation and mask are those of the moment it is selected; its reward is that of
@@ -70,12 +69,12 @@ class GlobalRoutingAEC(AECEnv, EzPickle):
             for agent, mask in zip(self.agents, masks, strict=True)
         }
         self._skip_agent_selection = None
+        self._rewarded = self.agents[0]
         self.agent_selection = self.possible_agents[engine.games[0]["agent"]]
 
     def observe(self, agent: str) -> Any:
         """The agent's observation as the game stands."""
-        seen = self._face.observations(*self._pair(agent))[0]
-        return self._face.seen(seen, self._mask(agent))
+        return self._face.observation(self._pair(agent))
 
     def step(self, action: int | None) -> None:
         """Moves the selected agent; None for one that is terminated or truncated.
@@ -96,7 +95,8 @@ class GlobalRoutingAEC(AECEnv, EzPickle):
 
         record = engine.agents[0, self._number[agent]]
         # Only the mover gets a reward; the last mover's is over.
-        self._clear_last_reward()
+        if self._rewarded in self.rewards:
+            self.rewards[self._rewarded] = 0.0
         self._rewarded = agent
         self.rewards[agent] = self._cumulative_rewards[agent] = float(self._face.rewards(record))
         following = engine.games[0]["agent"]
@@ -113,41 +113,12 @@ class GlobalRoutingAEC(AECEnv, EzPickle):
         if self.render_mode == "human":
             self.render()
 
-    _rewarded: str | None = None
-
-    def _clear_last_reward(self) -> None:
-        if self._rewarded in self.rewards:
-            self.rewards[self._rewarded] = 0.0
-
     def _refresh(self, agent: str) -> None:
         """The selected agent's info: the others may have taken capacity since it was made."""
         if agent in self.infos:
             over = self.terminations[agent] or self.truncations[agent]
-            self.infos[agent] = self._face.info(self._mask(agent), over)
+            self.infos[agent] = self._face.info(self._face.mask(self._pair(agent)), over)
 
-    def _pair(self, agent: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    def _pair(self, agent: str) -> Pair:
         self._who[1][0] = self._number[agent]
         return self._who
-
-    def _mask(self, agent: str) -> NDArray[np.int8]:
-        return self._face.engine.masks(*self._pair(agent))[0]
-
-    def state(self) -> NDArray[np.float32]:
-        """The global grid; see :func:`marouting.observation.state`."""
-        return self._face.state()
-
-    def metrics(self) -> dict[str, int]:
-        """Overflow, wirelength, tasks joined, tasks and steps of the episode as it stands."""
-        return self._face.metrics()
-
-    def solution(self) -> Any:
-        """The routes as they stand, a :class:`marouting.Solution`."""
-        return self._face.solution()
-
-    def render(self) -> Any:
-        """A picture of the game as ``render_mode`` says."""
-        return self._face.picture()
-
-    def close(self) -> None:
-        """Closes the window, if there is one."""
-        self._face.close()

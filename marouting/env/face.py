@@ -29,6 +29,10 @@ METADATA: dict[str, Any] = {
 }
 
 
+Pair = tuple[NDArray[np.int32], NDArray[np.int32]]
+"""Indices (problem, agent) of one agent, as the engine takes them."""
+
+
 class Face:
     """A game of one problem with its observation, reward, masks, state and pictures.
 
@@ -58,6 +62,7 @@ class Face:
         self._options = checked
         self._turn_order = checked.turn_order or turn_order
         self.render_mode = checked.render_mode
+        self.masked = checked.mask_in_observation
         self._window = Window()
         self._rng, _ = seeding.np_random(0)
 
@@ -100,7 +105,7 @@ class Face:
     def new_observation_space(self) -> Space[Any]:
         """A space of its own for an agent, so that each can be seeded apart."""
         box = Box(self._box.low, self._box.high, dtype=np.float32)
-        if not self._options.mask_in_observation:
+        if not self.masked:
             return box
         return Dict({"observation": box, "action_mask": MultiBinary(MOVES)})
 
@@ -112,11 +117,18 @@ class Face:
         self._observation.write(self.engine, problems, agents, out)
         return out
 
-    def seen(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
+    def observation(self, m_n: Pair) -> Any:
         """One agent's observation in the form that the options ask for."""
-        if self._options.mask_in_observation:
-            return {"observation": observation, "action_mask": mask}
-        return observation
+        seen = self.observations(*m_n)[0]
+        return self.seen(seen, self.mask(m_n)) if self.masked else seen
+
+    def mask(self, m_n: Pair) -> NDArray[np.int8]:
+        """(6,) int8, one agent's action mask."""
+        return self.engine.masks(*m_n)[0]
+
+    def seen(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
+        """An observation and its mask in the form that the options ask for."""
+        return {"observation": observation, "action_mask": mask} if self.masked else observation
 
     def rewards(self, agents: Any) -> Any:
         """Rewards of the last moves of AGENT records."""
@@ -179,3 +191,29 @@ class Face:
     def close(self) -> None:
         """Closes the window of ``render_mode="human"``."""
         self._window.close()
+
+
+class Looks:
+    """What every face shows besides its interface's own methods."""
+
+    _face: Face
+
+    def state(self) -> NDArray[np.float32]:
+        """(X, Y, 5 Z) float32, the global grid; see :func:`marouting.observation.state`."""
+        return self._face.state()
+
+    def metrics(self) -> dict[str, int]:
+        """Overflow, wirelength, tasks joined, tasks and steps of the episode as it stands."""
+        return self._face.metrics()
+
+    def solution(self) -> Solution:
+        """The routes as they stand."""
+        return self._face.solution()
+
+    def render(self) -> Any:
+        """A picture of the game as ``render_mode`` says."""
+        return self._face.picture()
+
+    def close(self) -> None:
+        """Closes the window, if there is one."""
+        self._face.close()

@@ -10,16 +10,15 @@ import numpy as np
 from gymnasium import Space
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
-from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from marouting.engine import NOBODY, Status
-from marouting.env.face import METADATA, Face
+from marouting.env.face import METADATA, Face, Looks
 from marouting.grid import MOVES
 from marouting.source import Source
 
 
-class GlobalRoutingParallel(ParallelEnv, EzPickle):
+class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
     """Global routing with every net an agent, all moving in every step.
 
     With ``turn_order="sequential"`` all agents are asked and only the one whose turn it is moves;
@@ -120,23 +119,3 @@ class GlobalRoutingParallel(ParallelEnv, EzPickle):
         if self.render_mode == "human":
             self.render()
         return observations, rewards, terminated, truncated, infos
-
-    def state(self) -> NDArray[np.float32]:
-        """The global grid; see :func:`marouting.observation.state`."""
-        return self._face.state()
-
-    def metrics(self) -> dict[str, int]:
-        """Overflow, wirelength, tasks joined, tasks and steps of the episode as it stands."""
-        return self._face.metrics()
-
-    def solution(self) -> Any:
-        """The routes as they stand, a :class:`marouting.Solution`."""
-        return self._face.solution()
-
-    def render(self) -> Any:
-        """A picture of the game as ``render_mode`` says."""
-        return self._face.picture()
-
-    def close(self) -> None:
-        """Closes the window, if there is one."""
-        self._face.close()

@@ -6,15 +6,14 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
-from numpy.typing import NDArray
 
 from marouting.engine import NOBODY
-from marouting.env.face import METADATA, Face
+from marouting.env.face import METADATA, Face, Looks
 from marouting.grid import MOVES
 from marouting.source import Source
 
 
-class GlobalRoutingSingle(gymnasium.Env[Any, Any], EzPickle):
+class GlobalRoutingSingle(Looks, gymnasium.Env[Any, Any], EzPickle):
     """Global routing as one agent's game: every step moves the net whose turn it is.
 
     The observation is that of the net to move. The episode terminates when all tasks of all nets
@@ -85,23 +84,3 @@ class GlobalRoutingSingle(gymnasium.Env[Any, Any], EzPickle):
             self.render()
         seen, info = self._look()
         return seen, reward, joined, over and not joined, info
-
-    def state(self) -> NDArray[np.float32]:
-        """The global grid; see :func:`marouting.observation.state`."""
-        return self._face.state()
-
-    def metrics(self) -> dict[str, int]:
-        """Overflow, wirelength, tasks joined, tasks and steps of the episode as it stands."""
-        return self._face.metrics()
-
-    def solution(self) -> Any:
-        """The routes as they stand, a :class:`marouting.Solution`."""
-        return self._face.solution()
-
-    def render(self) -> Any:
-        """A picture of the game as ``render_mode`` says."""
-        return self._face.picture()
-
-    def close(self) -> None:
-        """Closes the window, if there is one."""
-        self._face.close()

@@ -284,7 +284,7 @@ class Trainer:
         for m in np.flatnonzero(over).tolist():
             metrics = self.engine.metrics(m)
             score = (metrics.tasks - metrics.joined, metrics.overflow, metrics.wirelength)
-            best = score < tuple(self.score[m])
+            best = bool(score < tuple(self.score[m].tolist()))
             if best:
                 self.score[m] = score
                 self.best_episode[m] = self.episodes[m]
