@@ -7,7 +7,7 @@
 
 import gymnasium
 
-from marouting import global_routing_v0
+from marouting import global_routing_v0, vector
 from marouting._version import __version__
 from marouting.config import EnvOptions
 from marouting.engine import Engine
@@ -36,6 +36,7 @@ __all__ = [
     "global_routing_v0",
     "make",
     "sequential_astar",
+    "vector",
 ]
 
 ENVIRONMENT_ID = "marouting/GlobalRouting-v0"

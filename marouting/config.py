@@ -115,7 +115,11 @@ def parse_yaml(text: str, name: str) -> Any:
         line = f":{mark.line + 1}" if mark else ""
         raise InputError(f"{name}{line}: expected YAML: {error.problem}") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"{name}: expected YAML: {str(error).splitlines()[0]}") from None
+        reason = (str(error).splitlines() or ["it cannot be read"])[0]
+        raise InputError(f"{name}: expected YAML: {reason}") from None
+    except (LookupError, AttributeError):
+        # What PyYAML does with values like `!!bool perhaps` or `!!int ""`.
+        raise InputError(f"{name}: expected YAML: a value is not of its tag's type") from None
 
 
 def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -183,7 +187,9 @@ def _prefix(where: str) -> str:
 def _explain(schema: type, error: ValidationError) -> str:
     """The first error of a validation as one line."""
     first = error.errors(include_url=False)[0]
-    path = [str(part) for part in first["loc"] if part not in _TAGS]
+    # A tag stands behind the field that it belongs to; elsewhere it is a key like any other.
+    loc = [str(part) for part in first["loc"]]
+    path = [p for i, p in enumerate(loc) if not (p in _TAGS and i and loc[i - 1] == "problem")]
     key = ".".join(path)
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         known = _keys(schema, path[:-1])

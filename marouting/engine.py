@@ -429,7 +429,9 @@ class Engine:
             agents=np.zeros((m, n), AGENT),
             games=np.zeros(m, GAME),
         )
-        self._all = tuple(np.indices((m, n), np.int32).reshape(2, -1))
+        rows, columns = np.indices((m, n), np.int32)
+        columns[self.nets == NOBODY] = NOBODY
+        self._all = rows.ravel(), columns.ravel()
         self._problems = np.arange(m, dtype=np.int32)
         self.reset()
 
@@ -505,10 +507,11 @@ class Engine:
     def pairs(self, everyone: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Indices (problem, agent) of all M·N agents, or of the M agents whose turn it is.
 
-        What observations and masks are asked for with; NOBODY marks a problem that is over.
+        What observations and masks are asked for with; NOBODY stands for an absent agent, and for
+        that of a problem that is over.
         """
         if everyone:
-            return self._all  # type: ignore[return-value]
+            return self._all
         return self._problems, self.games["agent"]
 
     def masks(

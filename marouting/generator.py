@@ -67,9 +67,10 @@ class GeneratorOptions:
         for name, least in (("count", 1), ("nets", 1), ("max_pins", 2)):
             if getattr(self, name) < least:
                 raise InputError(f"{name}: expected at least {least}, found {getattr(self, name)}")
-        optional = (self.reduced_capacity, self.seed)
         check_numbers("capacity and reduced_edges", (self.capacity, self.reduced_edges))
-        check_numbers("reduced_capacity and seed", (n for n in optional if n is not None))
+        check_numbers("reduced_capacity", [n for n in (self.reduced_capacity,) if n is not None])
+        if self.seed is not None and self.seed < 0:
+            raise InputError(f"seed: expected a number from 0, found {self.seed}")
 
 
 def generate(

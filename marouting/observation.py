@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from marouting.engine import NOBODY, Engine, Play, Status, World
+from marouting.errors import InputError
 from marouting.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid
 from marouting.problem import Problem
 
@@ -57,7 +58,10 @@ class PaperObservation:
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     via_capacity: float = 10.0
-    FEATURES = 6 + MOVES
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.via_capacity < np.inf:
+            raise InputError(f"via_capacity: expected a number from 0, found {self.via_capacity}")
 
     def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
         """The box of the 12 numbers; see :class:`Observation`."""

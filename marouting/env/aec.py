@@ -9,7 +9,7 @@ from gymnasium.utils import EzPickle
 from pettingzoo import AECEnv
 
 from marouting.engine import NOBODY, Status
-from marouting.env.face import METADATA, Face, Looks, Pair
+from marouting.env.face import METADATA, Face, Looks, Pair, checked_move
 from marouting.grid import MOVES
 from marouting.source import Source
 
@@ -87,10 +87,8 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
             self._was_dead_step(action)
             self._refresh(self.agent_selection)
             return
-        if action is None or not 0 <= action < MOVES:
-            raise ValueError(f"action: expected 0 to {MOVES - 1}, found {action}")
         engine = self._face.engine
-        self._moves[0] = action
+        self._moves[0] = checked_move(action)
         engine.step(self._moves)
 
         record = engine.agents[0, self._number[agent]]

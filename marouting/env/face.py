@@ -193,6 +193,13 @@ class Face:
         self._window.close()
 
 
+def checked_move(action: Any) -> int:
+    """An action as a move's number; raises ValueError for anything but 0 to 5."""
+    if action is None or not 0 <= action < MOVES or action != int(action):
+        raise ValueError(f"action: expected 0 to {MOVES - 1}, found {action}")
+    return int(action)
+
+
 class Looks:
     """What every face shows besides its interface's own methods."""
 

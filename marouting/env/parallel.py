@@ -13,7 +13,7 @@ from gymnasium.utils import EzPickle
 from pettingzoo import ParallelEnv
 
 from marouting.engine import NOBODY, Status
-from marouting.env.face import METADATA, Face, Looks
+from marouting.env.face import METADATA, Face, Looks, checked_move
 from marouting.grid import MOVES
 from marouting.source import Source
 
@@ -100,10 +100,7 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
         engine = self._face.engine
         self._moves[:] = NOBODY
         for agent, n in zip(self.agents, self._numbers, strict=True):
-            action = actions[agent]
-            if not 0 <= action < MOVES:
-                raise ValueError(f"action of {agent}: expected 0 to {MOVES - 1}, found {action}")
-            self._moves[0, n] = action
+            self._moves[0, n] = checked_move(actions[agent])
         engine.step(self._moves)
 
         observations, infos = self._look()

@@ -8,7 +8,7 @@ from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 
 from marouting.engine import NOBODY
-from marouting.env.face import METADATA, Face, Looks
+from marouting.env.face import METADATA, Face, Looks, checked_move
 from marouting.grid import MOVES
 from marouting.source import Source
 
@@ -69,10 +69,8 @@ class GlobalRoutingSingle(Looks, gymnasium.Env[Any, Any], EzPickle):
         Raises:
             ValueError: the action is none of the six moves.
         """
-        if not 0 <= action < MOVES:
-            raise ValueError(f"action: expected 0 to {MOVES - 1}, found {action}")
         engine = self._face.engine
-        engine.step(np.array([action], np.int8))
+        engine.step(np.array([checked_move(action)], np.int8))
         reward = float(self._face.rewards(engine.agents[0, self._net]))
         following = int(engine.games[0]["agent"])
         over = following == NOBODY
