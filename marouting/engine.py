@@ -23,12 +23,13 @@ the compiled functions below are the only code that changes it.
 """
 
 import enum
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from numba import njit
+from numba import njit, typeof
 from numpy.typing import NDArray
 
 from marouting.decomposition import two_pin_tasks
@@ -334,16 +335,44 @@ def _step_all(world: World, play: Play, moves: Any) -> None:
 
 
 @njit(cache=True)
+def _mask(world: World, play: Play, m: int, n: int, out: Any) -> None:
+    some = False
+    for move in range(MOVES):
+        free = n != NOBODY and may_cross(world, play, m, n, play.agents[m, n].cell, move)
+        out[move] = free
+        some |= free
+    if not some:
+        out[:] = 1
+
+
+@njit(cache=True)
 def _masks(world: World, play: Play, problems: Any, agents: Any, out: Any) -> None:
     for i in range(len(problems)):
-        m, n = problems[i], agents[i]
-        some = False
-        for move in range(MOVES):
-            free = n != NOBODY and may_cross(world, play, m, n, play.agents[m, n].cell, move)
-            out[i, move] = free
-            some |= free
-        if not some:
-            out[i] = 1
+        _mask(world, play, problems[i], agents[i], out[i])
+
+
+@njit(cache=True)
+def _play_turn(world: World, play: Play, move: int, mask: Any) -> tuple[int, int]:
+    n = play.games[0].agent
+    _move(world, play, 0, n, move)
+    _settle(world, play, 0, n)
+    _pass_turn(world, play, 0)
+    status = play.agents[0, n].status
+    _mask(world, play, 0, play.games[0].agent if status == Status.ACTIVE else n, mask)
+    return play.games[0].agent, status
+
+
+def bound(kernel: Any, *examples: Any) -> Callable[..., Any]:
+    """The machine code of a compiled function, for arguments of the types of the examples.
+
+    Numba looks up the types of all arguments at every call, which for the engine's tuples takes
+    several times as long as a move. What is returned looks up nothing: it has to be called with
+    the types, dimensions and memory layouts of the examples.
+    """
+    signature = tuple(map(typeof, examples))
+    kernel.compile(signature)
+    code: Callable[..., Any] = kernel.overloads[signature].entry_point
+    return code
 
 
 @dataclass(frozen=True)
@@ -493,6 +522,23 @@ class Engine:
         """Both halves of a step at once; arguments and errors as of :meth:`move`."""
         self._check(moves)
         (_step_turn if moves.ndim == 1 else _step_all)(self.world, self.play, moves)
+
+    def play_turn(self, move: int, mask: NDArray[np.int8]) -> tuple[int, int]:
+        """:meth:`step` for the only problem of an engine, without checks or arrays: quick.
+
+        Args:
+            move: 0 to 5, for the agent whose turn it is; there has to be one.
+            mask: (6,) int8, contiguous; filled with the mask of the agent to look at next: the one
+                whose turn it is now, or the one that moved if it is done.
+
+        Returns:
+            The agent whose turn it is now, or NOBODY, and the status of the one that moved.
+        """
+        return self._turn(self.world, self.play, move, mask)
+
+    @functools.cached_property
+    def _turn(self) -> Callable[..., Any]:
+        return bound(_play_turn, self.world, self.play, 0, np.empty(MOVES, np.int8))
 
     def _check(self, moves: NDArray[np.integer]) -> None:
         # The compiled functions index by these without looking.

@@ -244,6 +244,9 @@ def test_single_plays_the_aec_game(
         aec.step(action)
         assert isinstance(reward, float)
         assert reward == aec.rewards[agent]
+        if terminated or truncated:  # the last to be seen is the net that moved last
+            assert info["net"] == agent
+            assert_same(observation, aec.observe(agent))
         if aec.terminations[agent] or aec.truncations[agent]:
             aec.step(None)
         np.testing.assert_array_equal(single.state(), aec.state())  # type: ignore[attr-defined]

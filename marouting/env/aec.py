@@ -6,12 +6,16 @@ import numpy as np
 from gymnasium import Space
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
 from marouting.engine import NOBODY, Status
-from marouting.env.face import METADATA, Face, Looks, Pair, checked_move
+from marouting.env.face import METADATA, Face, Looks, checked_move
 from marouting.grid import MOVES
 from marouting.source import Source
+
+# Plain numbers compare many times quicker than members of an IntEnum.
+_ACTIVE, _TERMINATED = int(Status.ACTIVE), int(Status.TERMINATED)
 
 
 class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
@@ -37,8 +41,6 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
         self._number = {agent: n for n, agent in enumerate(self.possible_agents)}
         self.observation_spaces = {a: self._face.new_observation_space() for a in self._number}
         self.action_spaces = {a: Discrete(MOVES) for a in self._number}
-        self._moves = np.empty(1, np.int8)
-        self._who = np.zeros(1, np.int32), np.empty(1, np.int32)
 
     def observation_space(self, agent: str) -> Space[Any]:
         """The agent's observation space, the same object every time."""
@@ -63,18 +65,17 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
         self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
         self.terminations = dict.fromkeys(self.agents, False)
         self.truncations = dict.fromkeys(self.agents, False)
-        masks = engine.masks(*engine.pairs(everyone=True))
         self.infos = {
             agent: self._face.info(mask, over=False)
-            for agent, mask in zip(self.agents, masks, strict=True)
+            for agent, mask in zip(self.agents, self._face.masks(), strict=True)
         }
-        self._skip_agent_selection = None
+        self._skip_agent_selection: str | None = None
         self._rewarded = self.agents[0]
         self.agent_selection = self.possible_agents[engine.games[0]["agent"]]
 
     def observe(self, agent: str) -> Any:
         """The agent's observation as the game stands."""
-        return self._face.observation(self._pair(agent))
+        return self._face.observation(self._number[agent])
 
     def step(self, action: int | None) -> None:
         """Moves the selected agent; None for one that is terminated or truncated.
@@ -85,38 +86,34 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
         agent = self.agent_selection
         if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)
-            self._refresh(self.agent_selection)
+            agent = self.agent_selection
+            if agent in self.infos:
+                self._inform(agent, self._face.mask(self._number[agent]))
             return
         engine = self._face.engine
-        self._moves[0] = checked_move(action)
-        engine.step(self._moves)
+        mask = np.empty(MOVES, np.int8)
+        following, status = engine.play_turn(checked_move(action), mask)
 
-        record = engine.agents[0, self._number[agent]]
         # Only the mover gets a reward; the last mover's is over.
         if self._rewarded in self.rewards:
             self.rewards[self._rewarded] = 0.0
         self._rewarded = agent
-        self.rewards[agent] = self._cumulative_rewards[agent] = float(self._face.rewards(record))
-        following = engine.games[0]["agent"]
-        if record["status"] == Status.ACTIVE:
-            self.agent_selection = self.possible_agents[following]
+        reward = float(self._face.rewards(engine.agents[0, self._number[agent]]))
+        self.rewards[agent] = self._cumulative_rewards[agent] = reward
+        if status == _ACTIVE:
+            agent = self.agent_selection = self.possible_agents[following]
         else:
-            self.terminations[agent] = bool(record["status"] == Status.TERMINATED)
-            self.truncations[agent] = not self.terminations[agent]
+            self.terminations[agent] = status == _TERMINATED
+            self.truncations[agent] = status != _TERMINATED
             # The agent is selected once more, to be taken off the list, before the next one.
             self._skip_agent_selection = (
                 None if following == NOBODY else self.possible_agents[following]
             )
-        self._refresh(self.agent_selection)
+        self._inform(agent, mask)
         if self.render_mode == "human":
             self.render()
 
-    def _refresh(self, agent: str) -> None:
-        """The selected agent's info: the others may have taken capacity since it was made."""
-        if agent in self.infos:
-            over = self.terminations[agent] or self.truncations[agent]
-            self.infos[agent] = self._face.info(self._face.mask(self._pair(agent)), over)
-
-    def _pair(self, agent: str) -> Pair:
-        self._who[1][0] = self._number[agent]
-        return self._who
+    def _inform(self, agent: str, mask: NDArray[np.int8]) -> None:
+        """Renews the selected agent's info: others may have taken capacity since it was made."""
+        over = self.terminations[agent] or self.truncations[agent]
+        self.infos[agent] = self._face.info(mask, over)

@@ -14,7 +14,7 @@ from marouting.config import GameOptions, build
 from marouting.engine import NOBODY, Engine, Status, TurnOrder
 from marouting.generator import GeneratorOptions
 from marouting.grid import MOVES
-from marouting.observation import Observation, nets_on_edges, state, state_space
+from marouting.observation import Observation, nets_on_edges, state, state_space, writer
 from marouting.problem import MAX_NUMBER, Problem
 from marouting.render import Scene, Window, ansi, rgb_array
 from marouting.reward import Reward
@@ -27,10 +27,6 @@ METADATA: dict[str, Any] = {
     "render_fps": 10,
     "is_parallelizable": True,
 }
-
-
-Pair = tuple[NDArray[np.int32], NDArray[np.int32]]
-"""Indices (problem, agent) of one agent, as the engine takes them."""
 
 
 class Face:
@@ -74,6 +70,8 @@ class Face:
         self._play(load_problem(source))
         problems, overflow = self.engine.problems, checked.overflow == "allowed"
         self._box = self._observation.space(problems, overflow)
+        self._one = np.zeros(1, np.int32), np.empty(1, np.int32)
+        self._features = self._box.shape
         self.state_space: Box = state_space(problems, overflow)
 
     def _play(self, problem: Problem) -> None:
@@ -86,6 +84,7 @@ class Face:
             overflow=self._options.overflow,
         )
         self.names = [f"net_{net}" for net in self.engine.nets[0]]
+        self._write = writer(self._observation, self.engine)
 
     def restart(self, seed: int | None) -> None:
         """A new episode; a new problem where one is to be drawn for every episode."""
@@ -109,22 +108,30 @@ class Face:
             return box
         return Dict({"observation": box, "action_mask": MultiBinary(MOVES)})
 
-    def observations(
-        self, problems: NDArray[np.integer], agents: NDArray[np.integer]
-    ) -> NDArray[np.float32]:
-        """(K, F) float32, fresh observations of K agents."""
-        out = np.empty((len(agents), *self._box.shape), np.float32)
-        self._observation.write(self.engine, problems, agents, out)
+    def observations(self) -> NDArray[np.float32]:
+        """(N, F) float32, fresh observations of all agents."""
+        problems, agents = self.engine.pairs(everyone=True)
+        out = np.empty((len(agents), *self._features), np.float32)
+        self._write(problems, agents, out)
         return out
 
-    def observation(self, m_n: Pair) -> Any:
-        """One agent's observation in the form that the options ask for."""
-        seen = self.observations(*m_n)[0]
-        return self.seen(seen, self.mask(m_n)) if self.masked else seen
+    def masks(self) -> NDArray[np.int8]:
+        """(N, 6) int8, fresh action masks of all agents."""
+        return self.engine.masks(*self.engine.pairs(everyone=True))
 
-    def mask(self, m_n: Pair) -> NDArray[np.int8]:
-        """(6,) int8, one agent's action mask."""
-        return self.engine.masks(*m_n)[0]
+    def observation(self, agent: int) -> Any:
+        """A fresh observation of one agent in the form that the options ask for."""
+        problems, agents = self._one
+        agents[0] = agent
+        out = np.empty((1, *self._features), np.float32)
+        self._write(problems, agents, out)
+        return self.seen(out[0], self.mask(agent)) if self.masked else out[0]
+
+    def mask(self, agent: int) -> NDArray[np.int8]:
+        """(6,) int8, a fresh action mask of one agent."""
+        problems, agents = self._one
+        agents[0] = agent
+        return self.engine.masks(problems, agents)[0]
 
     def seen(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
         """An observation and its mask in the form that the options ask for."""
@@ -193,10 +200,10 @@ class Face:
         self._window.close()
 
 
-def checked_move(action: Any) -> int:
-    """An action as a move's number; raises ValueError for anything but 0 to 5."""
+def checked_move(action: Any, name: str = "action") -> int:
+    """An action as a move's number; raises ValueError, with its name, for all but 0 to 5."""
     if action is None or not 0 <= action < MOVES or action != int(action):
-        raise ValueError(f"action: expected 0 to {MOVES - 1}, found {action}")
+        raise ValueError(f"{name}: expected 0 to {MOVES - 1}, found {action}")
     return int(action)
 
 

@@ -10,12 +10,16 @@ import numpy as np
 from gymnasium import Space
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from marouting.engine import NOBODY, Status
 from marouting.env.face import METADATA, Face, Looks, checked_move
 from marouting.grid import MOVES
 from marouting.source import Source
+
+# Plain numbers compare many times quicker than members of an IntEnum.
+_ACTIVE, _TERMINATED, _TRUNCATED = map(int, (Status.ACTIVE, Status.TERMINATED, Status.TRUNCATED))
 
 
 class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
@@ -63,21 +67,22 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
         del options
         self._face.restart(seed)
         self.agents = list(self.possible_agents)
-        self._numbers = list(range(len(self.agents)))
+        self._numbers = np.arange(len(self.agents))  # of the agents in the game
         self._moves = np.full((1, len(self.agents)), NOBODY, np.int8)
-        return self._look()
+        return self._look(self._face.engine.agents["status"][0])
 
-    def _look(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Observations and infos of the agents that are in the game."""
-        face, engine = self._face, self._face.engine
-        pairs = engine.pairs(everyone=True)
-        observations, masks = face.observations(*pairs), engine.masks(*pairs)
-        status = engine.agents["status"][0]
-        seen, infos = {}, {}
-        for agent, n in zip(self.agents, self._numbers, strict=True):
-            seen[agent] = face.seen(observations[n], masks[n])
-            infos[agent] = face.info(masks[n], over=status[n] != Status.ACTIVE)
-        return seen, infos
+    def _look(self, status: NDArray[np.int8]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Observations and infos of the agents that are in the game; ``status`` (K,) is theirs."""
+        face = self._face
+        seen: Any = face.observations()[self._numbers]
+        masks = face.masks()[self._numbers]
+        if face.masked:
+            seen = [face.seen(*both) for both in zip(seen, masks, strict=True)]
+        infos = [{"action_mask": mask} for mask in masks]
+        for k in np.flatnonzero(status != _ACTIVE):
+            infos[k] = face.info(masks[k], over=True)
+        agents = self.agents
+        return dict(zip(agents, seen, strict=True)), dict(zip(agents, infos, strict=True))
 
     def step(
         self, actions: dict[str, int]
@@ -97,22 +102,26 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
             KeyError: an agent's action is missing.
             ValueError: an action is none of the six moves.
         """
-        engine = self._face.engine
+        engine, agents, numbers = self._face.engine, self.agents, self._numbers
+        moves = np.array([actions[agent] for agent in agents])
+        whole = moves.dtype.kind in "iu"
+        if len(moves) and not (whole and 0 <= moves.min() <= moves.max() < MOVES):
+            for agent in agents:
+                checked_move(actions[agent], f"action of {agent}")
         self._moves[:] = NOBODY
-        for agent, n in zip(self.agents, self._numbers, strict=True):
-            self._moves[0, n] = checked_move(actions[agent])
+        self._moves[0, numbers] = moves
         engine.step(self._moves)
 
-        observations, infos = self._look()
-        paid = self._face.rewards(engine.agents[0]).tolist()
-        status = engine.agents["status"][0].tolist()
-        rewards, terminated, truncated = {}, {}, {}
-        for agent, n in zip(self.agents, self._numbers, strict=True):
-            rewards[agent] = paid[n]
-            terminated[agent] = status[n] == Status.TERMINATED
-            truncated[agent] = status[n] == Status.TRUNCATED
-        self._numbers = [n for n in self._numbers if status[n] == Status.ACTIVE]
-        self.agents = [self.possible_agents[n] for n in self._numbers]
+        records = engine.agents[0, numbers]
+        status = records["status"]
+        observations, infos = self._look(status)
+        rewards = dict(zip(agents, self._face.rewards(records).tolist(), strict=True))
+        terminated = dict(zip(agents, (status == _TERMINATED).tolist(), strict=True))
+        truncated = dict(zip(agents, (status == _TRUNCATED).tolist(), strict=True))
+        playing = status == _ACTIVE
+        if not playing.all():
+            self._numbers = numbers[playing]
+            self.agents = [self.possible_agents[n] for n in self._numbers]
         if self.render_mode == "human":
             self.render()
         return observations, rewards, terminated, truncated, infos

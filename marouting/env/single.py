@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
 
 from marouting.engine import NOBODY
 from marouting.env.face import METADATA, Face, Looks, checked_move
@@ -52,16 +53,14 @@ class GlobalRoutingSingle(Looks, gymnasium.Env[Any, Any], EzPickle):
         self._net = int(self._face.engine.games[0]["agent"])
         if self.render_mode == "human":
             self.render()
-        return self._look()
+        return self._look(self._face.mask(self._net), over=False)
 
-    def _look(self) -> tuple[Any, dict[str, Any]]:
+    def _look(self, mask: NDArray[np.int8], over: bool) -> tuple[Any, dict[str, Any]]:
         """Observation and info of the net to move; at the end, of the one that moved last."""
         face = self._face
-        pair = np.zeros(1, np.int32), np.array([self._net], np.int32)
-        mask = face.engine.masks(*pair)[0]
-        info = face.info(mask, over=face.engine.games[0]["agent"] == NOBODY)
+        info = face.info(mask, over)
         info["net"] = face.names[self._net]
-        return face.seen(face.observations(*pair)[0], mask), info
+        return face.observation(self._net), info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Moves the net whose turn it is.
@@ -70,15 +69,16 @@ class GlobalRoutingSingle(Looks, gymnasium.Env[Any, Any], EzPickle):
             ValueError: the action is none of the six moves.
         """
         engine = self._face.engine
-        engine.step(np.array([checked_move(action)], np.int8))
+        mask = np.empty(MOVES, np.int8)
+        following, _ = engine.play_turn(checked_move(action), mask)
         reward = float(self._face.rewards(engine.agents[0, self._net]))
-        following = int(engine.games[0]["agent"])
         over = following == NOBODY
-        if not over:
+        if not over and following != self._net:
             self._net = following
+            mask = self._face.mask(following)  # what came back may be that of a net that is done
         now = engine.metrics()
         joined = over and now.joined == now.tasks
         if self.render_mode == "human":
             self.render()
-        seen, info = self._look()
+        seen, info = self._look(mask, over)
         return seen, reward, joined, over and not joined, info
