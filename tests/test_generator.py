@@ -169,7 +169,7 @@ def test_sizes_of_nets_are_uniform() -> None:
         ({"capacity": -1}, "capacity and reduced_edges: expected a number from 0"),
         ({"capacity": MAX_NUMBER + 1}, "capacity"),
         ({"reduced_edges": -1}, "reduced_edges: expected a number from 0"),
-        ({"reduced_capacity": -1}, "reduced_capacity and seed: expected a number from 0"),
+        ({"reduced_capacity": -1}, "reduced_capacity: expected a number from 0"),
         ({"seed": -1}, "seed: expected a number from 0"),
     ],
 )

@@ -56,6 +56,8 @@ def test_hand_worked_figures() -> None:
         wirelength=6,
         vias=2,
         connected=True,
+        joined=2,
+        tasks=2,
         disconnected=(),
     )
     demand = np.zeros(ROW.topology.edges, np.int64)
@@ -67,6 +69,7 @@ def test_a_missing_edge_disconnects_its_net() -> None:
     evaluation = evaluate(ROW, solution_of(ROW, ROUTES[0], ROUTES[1][1:]))
     assert not evaluation.connected
     assert evaluation.disconnected == ("B",)
+    assert (evaluation.joined, evaluation.tasks) == (1, 2)
     # The nets' edges are not shared: A's alone do not join B's pins.
     assert evaluate(ROW, solution_of(ROW, ROUTES[0], ())).disconnected == ("B",)
 
@@ -181,3 +184,20 @@ def test_published_figures_of_all_published_solutions() -> None:
             found[name] = result.overflow, result.wirelength, result.connected
     assert len(published) == 242
     assert found == published
+
+
+def test_joined_counts_connections_between_the_pins_of_a_net() -> None:
+    """Three pins in a row need two connections, whichever pieces of route there are."""
+    row = replace(
+        ROW, nets=(Net("A", 0, (Pin(0, 0, 1), Pin(1, 0, 1), Pin(2, 0, 1), Pin(2, 0, 1))),)
+    )
+    for route, joined in (
+        ((), 0),
+        ((x_edge(0, 0),), 1),
+        ((x_edge(1, 0), via(0)), 1),
+        ((x_edge(0, 0), x_edge(1, 0)), 2),
+        ((via(0), via(1)), 0),
+    ):
+        evaluation = evaluate(row, solution_of(row, route))
+        assert (evaluation.joined, evaluation.tasks) == (joined, 2)
+        assert evaluation.connected == (joined == 2)
