@@ -188,9 +188,8 @@ def test_published_figures_of_all_published_solutions() -> None:
 
 def test_joined_counts_connections_between_the_pins_of_a_net() -> None:
     """Three pins in a row need two connections, whichever pieces of route there are."""
-    row = replace(
-        ROW, nets=(Net("A", 0, (Pin(0, 0, 1), Pin(1, 0, 1), Pin(2, 0, 1), Pin(2, 0, 1))),)
-    )
+    pins = (Pin(0, 0, 1), Pin(1, 0, 1), Pin(2, 0, 1), Pin(2, 0, 1))
+    row = dataclasses.replace(ROW, nets=(Net("A", 0, pins),))
     for route, joined in (
         ((), 0),
         ((x_edge(0, 0),), 1),
