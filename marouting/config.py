@@ -108,6 +108,7 @@ _Loader.add_implicit_resolver(
 
 def parse_yaml(text: str, name: str) -> Any:
     """Plain data from YAML text by the safe loader; InputError names ``name`` and the line."""
+    name = one_line(name)
     try:
         return yaml.load(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
@@ -156,11 +157,11 @@ def build(schema: type[Schema], raw: Mapping[str, Any], where: str = "") -> Sche
         # In JSON a list can be a tuple and an integer a float, and nothing else is converted.
         text = json.dumps(raw, default=_plain)
     except (TypeError, ValueError, RecursionError) as error:
-        raise InputError(f"{_prefix(where)}expected plain data: {error}") from None
+        raise InputError(one_line(f"{_prefix(where)}expected plain data: {error}")) from None
     try:
         built: Schema = _adapter(cast(Any, schema)).validate_json(text, strict=True)
     except ValidationError as error:
-        raise InputError(_prefix(where) + _explain(schema, error)) from None
+        raise InputError(one_line(_prefix(where) + _explain(schema, error))) from None
     return built
 
 
@@ -178,6 +179,11 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"{value!r} is not")
+
+
+def one_line(text: str) -> str:
+    """A text without its line breaks, which keys and paths may hold."""
+    return " ".join(text.splitlines())
 
 
 def _prefix(where: str) -> str:

@@ -9,6 +9,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +29,7 @@ GridShape = click.Tuple([int, int, int])
 ROUTERS = ("astar", "random", "dqn")
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(no_args_is_help=False, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="marouting")
 def cli() -> None:
     """Multi-agent global routing: every net is an agent on one shared capacity grid."""
@@ -67,7 +68,9 @@ def generate(out: Path, **options: Any) -> None:
 @click.option("--router", type=click.Choice(ROUTERS), default="astar", show_default=True)
 @click.option("--checkpoint", type=Path, help="A trained policy for the router dqn.")
 @click.option("--config", type=Path, help="What the router dqn trains, without a checkpoint.")
-@click.option("--seed", default=0, show_default=True, help="For the routers random and dqn.")
+@click.option(
+    "--seed", type=int, help="For the routers random and dqn.  [default: 0, or as in --config]"
+)
 @click.option("--out", type=Path, help="File for the solution.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def route(
@@ -76,7 +79,7 @@ def route(
     router: str,
     checkpoint: Path | None,
     config: Path | None,
-    seed: int,
+    seed: int | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -91,7 +94,7 @@ def route(
     if checkpoint and (config or overrides):
         raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
     loaded = Problem.read(problem)
-    solver = _router(router, seed, checkpoint, config, overrides)
+    solver = _router(router, seed, checkpoint, problem.stem, config, overrides)
     started = time.perf_counter()
     solution = solver.route(loaded)
     seconds = time.perf_counter() - started
@@ -102,8 +105,9 @@ def route(
 
 def _router(
     name: str,
-    seed: int,
+    seed: int | None,
     checkpoint: Path | None,
+    problem: str,
     config: Path | None,
     overrides: Sequence[str],
 ) -> "Router":
@@ -114,12 +118,13 @@ def _router(
     if name == "random":
         from policies.classical.random import RandomRouter
 
-        return RandomRouter(seed)
+        return RandomRouter(seed or 0)
     from policies.config import load_config
     from policies.learned.router import DQNRouter
 
-    settings = load_config(config, [f"seed={seed}", *overrides])
-    return DQNRouter(settings, checkpoint, _counter(settings))
+    given = [] if seed is None else [f"seed={seed}"]
+    settings = load_config(config, [*given, *overrides])
+    return DQNRouter(settings, checkpoint, _counter(settings), network=problem)
 
 
 def _counter(config: "Config") -> Any:
@@ -195,11 +200,12 @@ def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None
     from policies.learned.run import Run
     from policies.table import show
 
+    if resume is not None and not (resume / "config.yaml").exists():
+        raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
+    settings = load_config(config, overrides)
     if resume is not None:
-        if not (resume / "config.yaml").exists():
-            raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
-        overrides = (*overrides, f"out={resume}")
-    run = Run(load_config(config, overrides), resume=resume is not None)
+        settings = replace(settings, out=str(resume))
+    run = Run(settings, resume=resume is not None)
     show(run.execute(), str(run.folder))
 
 
@@ -243,6 +249,8 @@ def status(arguments: Sequence[str] | None = None) -> int:
         return _complain(error.format_message())
     except ModuleNotFoundError as error:
         return _complain(f"{error.name} is missing: pip install 'marouting[learn]'")
+    except MemoryError as error:
+        return _complain(f"expected a smaller problem or configuration: out of memory: {error}")
     except OSError as error:
         return _complain(f"{error.filename or 'input or output'}: {error.strerror or error}")
     except (KeyboardInterrupt, click.Abort):

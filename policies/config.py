@@ -8,10 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from marouting.config import EnvOptions, build, parse_yaml, read_yaml
+from marouting.config import EnvOptions, build, one_line, parse_yaml, read_yaml
 from marouting.errors import InputError
 
 BurnIn = Literal["astar", "random"]
+
+MOST = 2**31 - 1
+"""The largest count: compiled code and arrays take no arbitrary integers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +41,7 @@ class DQNOptions:
         steps_per_update: moves to each gradient step.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
 
     hidden: tuple[int, ...] = (32, 64, 32)
     init: Literal["torch", "uniform"] = "torch"
@@ -56,18 +59,19 @@ class DQNOptions:
     steps_per_update: int = 1
 
     def __post_init__(self) -> None:
-        check("hidden", all(1 <= units <= 65536 for units in self.hidden), "units from 1")
+        check("hidden", all(1 <= units <= 4096 for units in self.hidden), "numbers from 1 to 4096")
         check("gamma", 0 <= self.gamma <= 1, "a number from 0 to 1")
         check("learning_rate", self.learning_rate > 0, "a number above 0")
         check("batch_size", 1 <= self.batch_size <= 65536, "a number from 1 to 65536")
         check("burn_in_size", self.burn_in_size >= 1, "a number from 1")
         check("buffer_size", self.buffer_size >= self.burn_in_size, "at least burn_in_size")
+        check("buffer_size", self.buffer_size <= MOST, f"a number up to {MOST}")
         check("epsilon", 0 <= self.epsilon <= 1, "a number from 0 to 1")
         final = self.epsilon if self.epsilon_final is None else self.epsilon_final
         check("epsilon_final", 0 <= final <= 1, "a number from 0 to 1")
         check("epsilon_decay_from", self.epsilon_decay_from >= 0, "a number from 0")
-        check("target_period", self.target_period >= 0, "a number from 0")
-        check("steps_per_update", self.steps_per_update >= 1, "a number from 1")
+        check("target_period", 0 <= self.target_period <= MOST, f"a number from 0 to {MOST}")
+        check("steps_per_update", 1 <= self.steps_per_update <= MOST, f"a number from 1 to {MOST}")
 
     def epsilon_at(self, episode: int, episodes: int) -> float:
         """The chance of a random move in an episode (counted from 0) of a training."""
@@ -87,13 +91,13 @@ class TrainOptions:
         device: ``cpu``, or ``cuda`` for the networks.
         backend: ``compiled`` (one network after the other, for the processor) or ``torch``
             (batched over the stack); None: the one that suits the device.
-        threads: threads of the networks' products; more than one pays off for large stacks only.
+        threads: threads that share the networks of a stack (and torch's products).
         checkpoint_seconds: time between checkpoints.
         tensorboard: whether to write TensorBoard's event files beside ``metrics.jsonl``.
         figures: whether to draw the figures at the end.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
 
     episodes: int = 5000
     device: str = "cpu"
@@ -104,7 +108,7 @@ class TrainOptions:
     figures: bool = True
 
     def __post_init__(self) -> None:
-        check("episodes", self.episodes >= 1, "a number from 1")
+        check("episodes", 1 <= self.episodes <= MOST, f"a number from 1 to {MOST}")
         check(
             "backend", self.backend != "compiled" or self.device == "cpu", "torch for this device"
         )
@@ -124,7 +128,7 @@ class Config:
         train: the run.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
 
     seed: int = 0
     out: str = "runs/dqn"
@@ -156,7 +160,7 @@ def load_config(path: str | os.PathLike[str] | None, overrides: Sequence[str] = 
     for override in overrides:
         key, equals, value = override.partition("=")
         if not equals or not key:
-            raise InputError(f"{override}: expected key=value")
+            raise InputError(one_line(f"{override}: expected key=value"))
         *parts, last = key.split(".")
         place = raw
         for part in parts:

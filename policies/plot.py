@@ -21,7 +21,7 @@ def reward_figures(metrics: Path, folder: Path) -> list[Path]:
             try:
                 entry: Any = json.loads(line)
                 curves[str(entry["problem"])].append(float(entry["reward"]))
-            except (ValueError, KeyError, TypeError):
+            except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
                 raise InputError(
                     f"{metrics}:{number}: expected an episode with problem and reward"
                 ) from None

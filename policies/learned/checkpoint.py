@@ -1,6 +1,7 @@
 """Checkpoints and policy files, read with care: plain data and tensors, nothing that runs code."""
 
 import os
+import zipfile
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,6 +21,11 @@ def read_checkpoint(path: str | os.PathLike[str]) -> Mapping[str, Any]:
         InputError: the file is missing, damaged, or holds anything else.
     """
     try:
+        # torch does not look at the archive's checksums.
+        with zipfile.ZipFile(path) as archive:
+            damaged = archive.testzip()
+        if damaged is not None:
+            raise zipfile.BadZipFile(f"bad checksum of {damaged}")
         state = torch.load(path, map_location="cpu", weights_only=True)
     except OSError as error:
         raise unusable(path, "cannot be read", error) from None

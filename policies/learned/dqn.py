@@ -18,9 +18,6 @@ from policies.learned import kernel
 from policies.learned.qnetwork import Initial, Layers, backward, forward, initial
 from policies.learned.replay import Batch, Replay
 
-ADAM = kernel.Adam(learning_rate=1e-4, beta1=0.9, beta2=0.999, tiny=1e-8)
-"""Adam with the defaults of torch and TensorFlow (Kingma and Ba, 2015) and the paper's rate."""
-
 Backend = Literal["compiled", "torch"]
 
 
@@ -38,6 +35,7 @@ class DQN:
         init: how weights start, see :func:`policies.learned.qnetwork.initial`.
         device: where the networks live.
         backend: ``compiled`` or ``torch``; None: compiled on the processor.
+        threads: threads that share the networks of the backend ``compiled``.
     """
 
     def __init__(
@@ -52,20 +50,18 @@ class DQN:
         init: Initial = "torch",
         device: torch.device | None = None,
         backend: Backend | None = None,
+        threads: int = 1,
     ) -> None:
+        self.threads = threads
         self.device = device or torch.device("cpu")
         self.backend = backend or ("compiled" if self.device.type == "cpu" else "torch")
         self.sizes = tuple(sizes)
-        self.gamma = gamma
-        self.adam = ADAM._replace(learning_rate=learning_rate)
-        self.batch_size = batch_size
-        self.target_period = target_period
+        self.rule = kernel.Rule(batch_size, gamma, target_period, learning_rate)
         self.weights = initial(sizes, seeds, init).to(self.device)
         self.target = self.weights.clone() if target_period else self.weights
         self.mean = torch.zeros_like(self.weights)
         self.square = torch.zeros_like(self.weights)
         self.steps = np.zeros(len(seeds), np.int64)  # gradient steps taken
-        self._loss = np.zeros(len(seeds), np.float32)
         if self.backend == "compiled":
             self._sizes = np.array(sizes, np.int64)
             self._flat = tuple(
@@ -92,21 +88,24 @@ class DQN:
             return forward(self._layers, torch.from_numpy(seen).to(self.device))[-1].cpu().numpy()
 
     def learn(
-        self, replay: Replay, keys: NDArray[np.uint64], chosen: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
-        """One gradient step of the chosen networks, each on a sample of its own memory.
+        self, replay: Replay, keys: NDArray[np.uint64], due: NDArray[np.integer]
+    ) -> NDArray[np.float64]:
+        """Takes gradient steps, each network on samples of its own memory.
 
         Args:
             replay: the memories.
             keys: (M,) uint64 keys of the samples' random numbers; the counter is ``steps``.
-            chosen: (M,) bool.
+            due: (M,) how many steps each network takes.
 
         Returns:
-            (M,) float32 mean squared Bellman error of the chosen networks before the step.
+            (M,) float64 mean squared Bellman errors before the steps, summed over them.
         """
+        due = due.astype(np.int64)
+        loss = np.zeros(len(due))
         if self.backend == "compiled":
             weights, target, mean, square = self._flat
-            kernel.learn(
+            learn = kernel.learn_threaded if self.threads > 1 else kernel.learn
+            learn(
                 self._sizes,
                 weights,
                 target,
@@ -115,17 +114,17 @@ class DQN:
                 self.steps,
                 replay.memory,
                 keys,
-                chosen,
-                self.batch_size,
-                self.gamma,
-                self.target_period,
-                self.adam,
-                self._loss,
+                due,
+                self.rule,
+                loss,
             )
-        else:
-            batch = replay.sample(self.batch_size, keys, self.steps, self.device)
-            self._loss = self._update(batch, chosen).cpu().numpy()
-        return self._loss
+            return loss
+        while due.any():
+            chosen = due > 0
+            batch = replay.sample(self.rule.batch, keys, self.steps, self.device)
+            loss += np.where(chosen, self._update(batch, chosen).cpu().numpy(), 0)
+            due -= chosen
+        return loss
 
     @torch.no_grad()
     def _update(self, batch: Batch, chosen: NDArray[np.bool_]) -> Tensor:
@@ -134,16 +133,16 @@ class DQN:
         if batch.mask is not None:
             following.masked_fill_(batch.mask == 0, -torch.inf)
         best = following.amax(dim=2, keepdim=True)
-        wanted = torch.addcmul(batch.reward, batch.goes_on, best, value=self.gamma)
+        wanted = torch.addcmul(batch.reward, batch.goes_on, best, value=self.rule.gamma)
         activations = forward(self._layers, batch.seen)
         error = activations[-1].gather(2, batch.move).sub_(wanted)
         slope = torch.zeros_like(activations[-1])
-        slope.scatter_(2, batch.move, error * (2 / self.batch_size))
+        slope.scatter_(2, batch.move, error * (2 / self.rule.batch))
         backward(self._layers, activations, slope, self._gradients)
 
         # The corrections for the averages' start at 0 go into the rate and into epsilon, row by
         # row: networks may have taken different numbers of steps.
-        adam = self.adam
+        adam = self.rule
         self.steps += chosen
         steps = np.maximum(self.steps, 1)
         second = np.sqrt(1 - adam.beta2**steps)
@@ -153,8 +152,8 @@ class DQN:
         self.square.lerp_(self._gradient.square(), (1 - adam.beta2) * share)
         divisor = self.square.sqrt().add_(self._column(adam.tiny * second))
         self.weights.sub_(self.mean.div(divisor).mul_(rate))
-        if self.target_period:
-            due = chosen & (self.steps % self.target_period == 0)
+        if self.rule.target_period:
+            due = chosen & (self.steps % self.rule.target_period == 0)
             if due.any():
                 self.target.lerp_(self.weights, self._column(due))
         return error.square_().mean(dim=(1, 2))

@@ -8,10 +8,13 @@ here a whole step, sampling included, is one call. The products go to BLAS.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from policies.learned.streams import uniform
+
+# Division as in NumPy: checking every divisor for zero would keep Adam from being vectorised.
+compiled = njit(cache=True, error_model="numpy")
 
 
 class Memory(NamedTuple):
@@ -26,16 +29,20 @@ class Memory(NamedTuple):
     stored: NDArray[np.int64]  # (M,)
 
 
-class Adam(NamedTuple):
-    """The optimiser's parameters."""
+class Rule(NamedTuple):
+    """How a gradient step is taken."""
 
+    batch: int  # transitions a sample
+    gamma: float  # discount factor
+    target_period: int  # steps between copies to the target network; 0: there is none
     learning_rate: float
-    beta1: float
-    beta2: float
-    tiny: float
+    # Adam with the defaults of torch and TensorFlow (Kingma and Ba, 2015).
+    beta1: float = 0.9
+    beta2: float = 0.999
+    tiny: float = 1e-8
 
 
-@njit(cache=True)
+@compiled
 def _forward(sizes: Any, flat: Any, x: Any, activations: Any) -> Any:
     """Q (B, moves) of x (B, F); hidden activations go into ``activations`` (units, B) rows."""
     at, row = 0, 0
@@ -57,7 +64,7 @@ def _forward(sizes: Any, flat: Any, x: Any, activations: Any) -> Any:
     return x
 
 
-@njit(cache=True)
+@compiled
 def _backward(
     sizes: Any, flat: Any, x: Any, activations: Any, slope: Any, slopes: Any, gradient: Any
 ) -> None:
@@ -89,13 +96,13 @@ def _backward(
             slope = onward
 
 
-@njit(cache=True)
-def _adam(weights: Any, gradient: Any, mean: Any, square: Any, step: int, adam: Adam) -> None:
-    second = np.sqrt(1 - adam.beta2**step)
-    rate = np.float32(adam.learning_rate * second / (1 - adam.beta1**step))
-    tiny = np.float32(adam.tiny * second)
-    keep1, keep2 = np.float32(adam.beta1), np.float32(adam.beta2)
-    take1, take2 = np.float32(1 - adam.beta1), np.float32(1 - adam.beta2)
+@compiled
+def _adam(weights: Any, gradient: Any, mean: Any, square: Any, step: int, rule: Rule) -> None:
+    second = np.sqrt(1 - rule.beta2**step)
+    rate = np.float32(rule.learning_rate * second / (1 - rule.beta1**step))
+    tiny = np.float32(rule.tiny * second)
+    keep1, keep2 = np.float32(rule.beta1), np.float32(rule.beta2)
+    take1, take2 = np.float32(1 - rule.beta1), np.float32(1 - rule.beta2)
     for p in range(len(weights)):
         g = gradient[p]
         mean[p] = keep1 * mean[p] + take1 * g
@@ -103,8 +110,9 @@ def _adam(weights: Any, gradient: Any, mean: Any, square: Any, step: int, adam: 
         weights[p] -= rate * mean[p] / (np.sqrt(square[p]) + tiny)
 
 
-@njit(cache=True)
-def learn(
+@compiled
+def _learn_one(
+    m: int,
     sizes: Any,
     weights: Any,
     target: Any,
@@ -113,14 +121,70 @@ def learn(
     steps: Any,
     memory: Memory,
     keys: Any,
-    chosen: Any,
-    batch: int,
-    gamma: float,
-    target_period: int,
-    adam: Adam,
+    due: Any,
+    rule: Rule,
     loss: Any,
 ) -> None:
-    """One gradient step of every chosen network on a sample of its own memory.
+    """The gradient steps of network m, see :func:`learn`."""
+    capacity, features = memory.seen.shape[1], memory.seen.shape[2]
+    moves, units, batch = sizes[-1], sizes[1:].sum(), rule.batch
+    masked = memory.mask.shape[2] > 0
+    seen = np.empty((batch, features), np.float32)
+    arrived = np.empty((batch, features), np.float32)
+    activations = np.empty(units * batch, np.float32)
+    slopes = np.empty(units * batch, np.float32)
+    slope = np.empty((batch, moves), np.float32)
+    gradient = np.empty(weights.shape[1], np.float32)
+    rows = np.empty(batch, np.int64)
+    wanted = np.empty(batch, np.float32)
+    size = min(memory.stored[m], capacity)
+    loss[m] = 0
+    for _ in range(due[m]):
+        for b in range(batch):
+            row = np.int64(uniform(keys[m], steps[m], b) * size)
+            rows[b] = row
+            for f in range(features):
+                seen[b, f] = memory.seen[m, row, f]
+                arrived[b, f] = memory.arrived[m, row, f]
+        q = _forward(sizes, target[m], arrived, activations)
+        for b in range(batch):
+            best = np.float32(-np.inf)
+            for move in range(moves):
+                if (not masked or memory.mask[m, rows[b], move] != 0) and q[b, move] > best:
+                    best = q[b, move]
+            wanted[b] = memory.reward[m, rows[b]]
+            if memory.goes_on[m, rows[b]] > 0:
+                wanted[b] += np.float32(rule.gamma) * best
+        q = _forward(sizes, weights[m], seen, activations)
+        total = np.float32(0)
+        slope[:] = 0
+        for b in range(batch):
+            move = memory.move[m, rows[b]]
+            error = q[b, move] - wanted[b]
+            total += error * error
+            slope[b, move] = error * np.float32(2 / batch)
+        loss[m] += total / np.float32(batch)
+        _backward(sizes, weights[m], seen, activations, slope, slopes, gradient)
+        steps[m] += 1
+        _adam(weights[m], gradient, mean[m], square[m], steps[m], rule)
+        if rule.target_period > 0 and steps[m] % rule.target_period == 0:
+            target[m] = weights[m]
+
+
+def _learn(
+    sizes: Any,
+    weights: Any,
+    target: Any,
+    mean: Any,
+    square: Any,
+    steps: Any,
+    memory: Memory,
+    keys: Any,
+    due: Any,
+    rule: Rule,
+    loss: Any,
+) -> None:
+    """The gradient steps that every network is due, each on a sample of its own memory.
 
     Args:
         sizes: (layers + 1,) int64 units, inputs first.
@@ -131,58 +195,21 @@ def learn(
         steps: (M,) int64 gradient steps taken; changed.
         memory: the replay stores.
         keys: (M,) uint64 keys of the samples' random numbers.
-        chosen: (M,) bool.
-        batch: transitions a sample.
-        gamma: discount factor.
-        target_period: see :class:`policies.learned.dqn.DQN`.
-        adam: the optimiser's parameters.
-        loss: (M,) float32, filled for the chosen ones.
+        due: (M,) int64, how many steps of each.
+        rule: how a step is taken.
+        loss: (M,) float64, filled with the sum of the steps' losses.
     """
-    capacity, features = memory.seen.shape[1], memory.seen.shape[2]
-    moves = sizes[-1]
-    units = sizes[1:].sum()
-    seen = np.empty((batch, features), np.float32)
-    arrived = np.empty((batch, features), np.float32)
-    activations = np.empty(units * batch, np.float32)
-    slopes = np.empty(units * batch, np.float32)
-    gradient = np.empty(weights.shape[1], np.float32)
-    rows = np.empty(batch, np.int64)
-    wanted = np.empty(batch, np.float32)
-    masked = memory.mask.shape[2] > 0
-    for m in range(len(steps)):
-        if not chosen[m]:
-            continue
-        size = min(memory.stored[m], capacity)
-        for b in range(batch):
-            rows[b] = np.int64(uniform(keys[m], steps[m], b) * size)
-            seen[b] = memory.seen[m, rows[b]]
-            arrived[b] = memory.arrived[m, rows[b]]
-        q = _forward(sizes, target[m], arrived, activations)
-        for b in range(batch):
-            best = np.float32(-np.inf)
-            for move in range(moves):
-                if (not masked or memory.mask[m, rows[b], move] != 0) and q[b, move] > best:
-                    best = q[b, move]
-            wanted[b] = memory.reward[m, rows[b]]
-            if memory.goes_on[m, rows[b]] > 0:
-                wanted[b] += np.float32(gamma) * best
-        q = _forward(sizes, weights[m], seen, activations)
-        slope = np.zeros((batch, moves), np.float32)
-        total = np.float32(0)
-        for b in range(batch):
-            move = memory.move[m, rows[b]]
-            error = q[b, move] - wanted[b]
-            total += error * error
-            slope[b, move] = error * np.float32(2 / batch)
-        loss[m] = total / np.float32(batch)
-        _backward(sizes, weights[m], seen, activations, slope, slopes, gradient)
-        steps[m] += 1
-        _adam(weights[m], gradient, mean[m], square[m], steps[m], adam)
-        if target_period > 0 and steps[m] % target_period == 0:
-            target[m] = weights[m]
+    for m in prange(len(steps)):
+        _learn_one(m, sizes, weights, target, mean, square, steps, memory, keys, due, rule, loss)
 
 
-@njit(cache=True)
+learn = compiled(_learn)
+learn_threaded = njit(cache=True, error_model="numpy", parallel=True)(_learn)
+"""The same, the networks shared out among numba's threads: each is learned by one thread, so the
+results do not depend on how many there are."""
+
+
+@compiled
 def values(sizes: Any, weights: Any, seen: Any, out: Any) -> None:
     """Fills ``out`` (M, K, moves) with the Q values of ``seen`` (M, K, F)."""
     scratch = np.empty(sizes[1:].sum() * seen.shape[1], np.float32)

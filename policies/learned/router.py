@@ -57,11 +57,15 @@ class QPolicy:
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{where}: expected a whole checkpoint: {error!r}") from None
         env = build(EnvOptions, plain, where) if isinstance(plain, Mapping) else EnvOptions()
+        if len(sizes) < 2:
+            raise InputError(f"{where}: sizes: expected two or more, found {sizes}")
         expected = (len(names), count(sizes))
         if (
             not isinstance(weights, torch.Tensor)
             or weights.dtype != torch.float32
             or weights.shape != expected
+            or not names
+            or min(sizes) < 1
             or sizes[-1] != MOVES
         ):
             shape = tuple(getattr(weights, "shape", ()))
@@ -117,6 +121,7 @@ class DQNRouter:
         config: what to train; its ``env.problem`` and ``out`` do not matter here.
         checkpoint: a trained policy to walk with; None trains on every problem anew.
         watch: called with the episodes of a training as they end.
+        network: the problem whose network to take from a checkpoint that holds several.
     """
 
     name = "dqn"
@@ -126,9 +131,10 @@ class DQNRouter:
         config: Config | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         watch: Callable[[list[Episode]], Any] | None = None,
+        network: str | None = None,
     ) -> None:
         self.config = config or Config()
-        self.policy = None if checkpoint is None else QPolicy.load(checkpoint)
+        self.policy = None if checkpoint is None else QPolicy.load(checkpoint, network)
         self._watch = watch
 
     def route(self, problem: Problem) -> Solution:

@@ -15,10 +15,13 @@ figures/               pictures
 =====================  ==========================================================================
 """
 
+import contextlib
 import json
 import shutil
+import signal
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -108,10 +111,13 @@ class Run:
         """A resumed run has the configuration that it started with."""
         kept = load_config(self.folder / CONFIG)
         mine = _flat(asdict(replace(self.config, out=kept.out)))
-        for key, value in _flat(asdict(kept)).items():
-            if mine[key] != value:
+        expected = _flat(asdict(kept))
+        # The keys of a problem are not the same for files and for the generator.
+        for key in (*expected, *(mine.keys() - expected.keys())):
+            value, found = expected.get(key), mine.get(key)
+            if value != found:
                 raise InputError(
-                    f"{key}: expected {value!r}, as in {self.folder / CONFIG}, found {mine[key]!r}"
+                    f"{key}: expected {value!r}, as in {self.folder / CONFIG}, found {found!r}"
                 )
 
     def _load(self) -> None:
@@ -119,8 +125,13 @@ class Run:
         if not path.exists():
             return  # stopped before the first checkpoint: it starts again
         state = read_checkpoint(path)
-        self.trainer.load_state(state, str(path))
-        self._seconds, self._logged = state["seconds"], state["logged"]
+        try:
+            self.trainer.load_state(state, str(path))
+            self._seconds, self._logged = float(state["seconds"]), int(state["logged"])
+        except InputError:
+            raise
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"{path}: expected a whole checkpoint: {error!r}") from None
 
     def _state(self) -> dict[str, Any]:
         return {**self.trainer.state(), "seconds": self._seconds, "logged": self._logged}
@@ -130,22 +141,23 @@ class Run:
         config, trainer = self.config, self.trainer
         started = time.monotonic() - self._seconds
         saved = time.monotonic()
-        with Logs(self.folder, self._logged, config.train.tensorboard) as logs, self._bar() as bar:
+        with (
+            Logs(self.folder, self._logged, config.train.tensorboard) as logs,
+            self._bar() as bar,
+            _holding_interrupts() as interrupts,
+        ):
             total = config.train.episodes * len(self.problems)
             task = bar.add_task("burn-in", total=total, completed=int(trainer.episodes.sum()))
-            try:
-                for episodes in trainer.run():
-                    if episodes:
-                        logs.write(episodes)
-                        bar.update(task, advance=len(episodes), description=_brief(episodes[-1]))
-                    if time.monotonic() - saved >= config.train.checkpoint_seconds:
-                        self._seconds, self._logged = time.monotonic() - started, logs.flush()
-                        _save(self._state(), self.folder / CHECKPOINT)
-                        saved = time.monotonic()
-            except KeyboardInterrupt:
-                self._seconds, self._logged = time.monotonic() - started, logs.flush()
-                _save(self._state(), self.folder / CHECKPOINT)
-                raise
+            for episodes in trainer.run():
+                if episodes:
+                    logs.write(episodes)
+                    bar.update(task, advance=len(episodes), description=_brief(episodes[-1]))
+                if interrupts or time.monotonic() - saved >= config.train.checkpoint_seconds:
+                    self._seconds, self._logged = time.monotonic() - started, logs.flush()
+                    _save(self._state(), self.folder / CHECKPOINT)
+                    saved = time.monotonic()
+                if interrupts:
+                    raise KeyboardInterrupt
             self._seconds, self._logged = time.monotonic() - started, logs.flush()
         rows = self._results()
         _save(self.trainer.policy(), self.folder / POLICY)
@@ -183,6 +195,31 @@ class Run:
             console=Console(stderr=True),
             disable=not self._progress,
         )
+
+
+@contextlib.contextmanager
+def _holding_interrupts() -> Iterator[list[int]]:
+    """Holds Ctrl-C back: within a step of the trainer there is no state to save.
+
+    Yields:
+        A list that is no longer empty after a Ctrl-C. A second one is not held back.
+    """
+    held: list[int] = []
+    ours = threading.current_thread() is threading.main_thread()
+    if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield held  # somebody else's
+        return
+
+    def hold(number: int, _frame: Any) -> None:
+        if held:
+            raise KeyboardInterrupt
+        held.append(number)
+
+    signal.signal(signal.SIGINT, hold)
+    try:
+        yield held
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def clear(folder: Path) -> None:

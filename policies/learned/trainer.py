@@ -10,20 +10,22 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numba
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 
 from marouting import Engine, InputError, Problem, Solution
-from marouting.engine import NOBODY, Crossing, Ending, Status
+from marouting.engine import NOBODY, Crossing, Ending
 from marouting.grid import MOVES
+from marouting.observation import writer
 from marouting.search import AStar
 from policies.config import Config
+from policies.learned import loop
 from policies.learned.checkpoint import FORMAT
 from policies.learned.dqn import DQN
 from policies.learned.replay import Replay
-from policies.learned.streams import keys, uniform
+from policies.learned.streams import keys
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,11 @@ class Episode:
     best: bool
 
 
-Moves = Callable[[NDArray[np.float32], NDArray[np.int8] | None], NDArray[np.int8]]
+Moves = Callable[[], NDArray[np.int8]]
+"""Chooses (M, K) moves for the agents asked, in the state that the trainer has looked at."""
+
+# Plain numbers compare many times quicker than members of an IntEnum.
+_NONE, _JOINED = int(Crossing.NONE), int(Ending.JOINED)
 
 
 class Trainer:
@@ -80,6 +86,8 @@ class Trainer:
         self.config = config
         self.names = tuple(problems)
         torch.set_num_threads(config.train.threads)
+        most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+        numba.set_num_threads(min(config.train.threads, most))
         env, dqn = config.env, config.dqn
         self.everyone = env.agents == "multi"
         self.engine = Engine(
@@ -102,6 +110,7 @@ class Trainer:
             init=dqn.init,
             device=_device(config.train.device),
             backend=config.train.backend,
+            threads=config.train.threads,
         )
         self.replay = Replay(stack, dqn.buffer_size, features, dqn.masking)
         self.episodes = np.zeros(stack, np.int64)  # episodes finished
@@ -119,8 +128,21 @@ class Trainer:
         self._arrived = np.zeros((stack, lanes, features), np.float32)
         self._mask = np.ones((stack, lanes, MOVES), np.int8)
         self._arrived_mask = np.ones((stack, lanes, MOVES), np.int8)
-        self._chosen = np.empty((stack, lanes), np.int8)
+        self._moves = np.empty((stack, lanes), np.int8)
+        self._done: dict[
+            str, NDArray[Any]
+        ] = {  # what the moves did: the part of an AGENT record that a reward looks at
+            "crossing": np.empty((stack, lanes), np.int8),
+            "ending": np.empty((stack, lanes), np.int8),
+            "overflow": np.empty((stack, lanes), np.int32),
+        }
+        self._over = np.empty(stack, np.bool_)
         self._epsilon = np.empty(stack)
+        # The agents asked for moves: all of them, or of each problem the one whose turn it is.
+        rows, everybody = self.engine.pairs(everyone=True)
+        self._rows = rows if self.everyone else np.arange(stack, dtype=np.int32)
+        self._agents = everybody.reshape(stack, -1)[:, :lanes].copy()
+        self._write = writer(env.observation, self.engine)
 
     @property
     def updates(self) -> NDArray[np.int64]:
@@ -134,16 +156,12 @@ class Trainer:
 
     # --- one step of all problems -------------------------------------------------------------
 
-    def _pairs(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        return self.engine.pairs(self.everyone)
-
-    def _look(self, seen: NDArray[np.float32], mask: NDArray[np.int8], pairs: Any) -> None:
-        """Observations, and masks where they are used, of the agents in ``pairs``."""
-        flat = seen.reshape(-1, seen.shape[-1])
-        problems, agents = pairs
-        self.config.env.observation.write(self.engine, problems, agents, flat)
+    def _look(self, seen: NDArray[np.float32], mask: NDArray[np.int8]) -> None:
+        """Observations, and masks where they are used, of the agents asked."""
+        agents = self._agents.reshape(-1)
+        self._write(self._rows, agents, seen.reshape(-1, seen.shape[-1]))
         if self.config.dqn.masking:
-            self.engine.masks(problems, agents, mask.reshape(-1, MOVES))
+            self.engine.masks(self._rows, agents, mask.reshape(-1, MOVES))
 
     def _step(self, choose: Moves) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Moves the agents, stores what happened, starts what comes next.
@@ -151,59 +169,46 @@ class Trainer:
         Returns:
             (M, K) which agents moved, and (M,) the problems whose episode is over.
         """
-        engine = self.engine
-        problems, agents = self._pairs()
-        pairs = problems, agents.copy()  # settling passes the turn on
-        self._look(self._seen, self._mask, pairs)
-        moves = choose(self._seen, self._mask if self.config.dqn.masking else None)
-        engine.move(moves if self.everyone else moves[:, 0])
-        if self.everyone:
-            records = engine.agents
-        else:
-            records = engine.agents[np.arange(len(self.names)), pairs[1]][:, None]
-            records["crossing"][pairs[1] == NOBODY] = Crossing.NONE
-        moved = records["crossing"] != Crossing.NONE
-        reward = self.config.env.reward(records)
-        self._look(self._arrived, self._arrived_mask, pairs)
+        world, play = self.engine.world, self.engine.play
+        if not self.everyone:
+            self._agents[:, 0] = play.games["agent"]
+        self._look(self._seen, self._mask)
+        moves = choose()
+        done = self._done
+        loop.advance(world, play, self.everyone, self._agents, moves, *done.values())
+        reward = self.config.env.reward(done)
+        moved = done["crossing"] != _NONE
+        self._look(self._arrived, self._arrived_mask)
         self.replay.add(
             moved,
             self._seen,
             moves,
             reward,
             self._arrived,
-            records["ending"] != Ending.JOINED,
+            done["ending"] != _JOINED,
             self._arrived_mask if self.config.dqn.masking else None,
         )
-        self.reward += np.where(moved, reward, 0).sum(axis=1)
-        active = engine.games["active"] > 0
-        engine.settle(self.everyone)
-        return moved, active & (engine.games["active"] == 0)
+        self.reward += reward.sum(axis=1)
+        loop.settle(world, play, self.everyone, self._over)
+        return moved, self._over
 
     def _burn_in_moves(self) -> Moves:
         """Whose moves fill the memory before training."""
         if self.config.dqn.burn_in == "astar":
             astar = AStar(self.engine)
-
-            def search(_seen: Any, _mask: Any) -> NDArray[np.int8]:
-                return astar.moves(*self._pairs()).reshape(self._shape)
-
-            return search
+            return lambda: astar.moves(self._rows, self._agents.reshape(-1)).reshape(self._shape)
         counters = np.zeros(len(self.names), np.int64)
         nothing = np.zeros((*self._shape, MOVES), np.float32)
         always = np.ones(len(self.names))
-
-        def walk(_seen: Any, mask: NDArray[np.int8] | None) -> NDArray[np.int8]:
-            return self._pick(nothing, mask, always, "burn-in", counters)
-
-        return walk
+        return lambda: self._pick(nothing, always, "burn-in", counters)
 
     def burn_in(self) -> None:
         """Fills the memories with the moves of A* or of random walks, episode after episode."""
         moves = self._burn_in_moves()
         filled = np.zeros(len(self.names), np.bool_)
 
-        def choose(seen: NDArray[np.float32], mask: NDArray[np.int8] | None) -> NDArray[np.int8]:
-            chosen = moves(seen, mask)
+        def choose() -> NDArray[np.int8]:
+            chosen = moves()
             chosen[filled] = NOBODY
             return chosen
 
@@ -218,48 +223,36 @@ class Trainer:
     def _pick(
         self,
         values: NDArray[np.float32],
-        mask: NDArray[np.int8] | None,
         epsilon: NDArray[np.float64],
         purpose: str,
         counters: NDArray[np.int64],
     ) -> NDArray[np.int8]:
-        """ε-greedy moves (M, K) of the agents that may move; NOBODY for the others."""
-        if self.everyone:
-            may_move = self.engine.agents["status"] == Status.ACTIVE
-        else:
-            may_move = self.engine.games["agent"][:, None] != NOBODY
-        masked = mask is not None
-        _epsilon_greedy(
+        """ε-greedy moves (M, K) of the agents asked; NOBODY for those that may not move."""
+        loop.pick(
+            self.engine.play,
+            self._agents,
             values,
-            mask if mask is not None else self._mask,
-            masked,
-            may_move,
+            self._mask,
+            self.config.dqn.masking,
             epsilon,
             self._keys[purpose],
             counters,
-            self._chosen,
+            self._moves,
         )
-        counters += may_move.any(axis=1)
-        return self._chosen
+        return self._moves
 
-    def _choose(self, seen: NDArray[np.float32], mask: NDArray[np.int8] | None) -> NDArray[np.int8]:
+    def _choose(self) -> NDArray[np.int8]:
         """The learners' own ε-greedy moves."""
-        return self._pick(
-            self.learner.values(seen), mask, self._epsilon, "explore", self.moves_made
-        )
+        values = self.learner.values(self._seen)
+        return self._pick(values, self._epsilon, "explore", self.moves_made)
 
     def _learn(self, moved: NDArray[np.bool_]) -> None:
         """The gradient steps that the moves just made ask for."""
         self.owed += moved.sum(axis=1)
-        every = self.config.dqn.steps_per_update
-        while True:
-            due = self.owed >= every
-            if not due.any():
-                return
-            loss = self.learner.learn(self.replay, self._keys["sample"], due)
-            self.owed[due] -= every
-            self.loss[0, due] += loss[due]
-            self.loss[1, due] += 1
+        due = self.owed // self.config.dqn.steps_per_update
+        self.owed -= due * self.config.dqn.steps_per_update
+        self.loss[0] += self.learner.learn(self.replay, self._keys["sample"], due)
+        self.loss[1] += due
 
     def _set_epsilon(self) -> None:
         dqn, episodes = self.config.dqn, self.config.train.episodes
@@ -390,49 +383,8 @@ class Trainer:
 def _device(name: str) -> torch.device:
     try:
         device = torch.device(name)
-        torch.empty(0, device=device)
+        torch.zeros(1, device=device).cpu()
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"device: expected cpu, or cuda where there is one: {reason}") from None
     return device
-
-
-@njit(cache=True)
-def _epsilon_greedy(
-    values: Any,
-    mask: Any,
-    masked: bool,
-    may_move: Any,
-    epsilon: Any,
-    key: Any,
-    counters: Any,
-    out: Any,
-) -> None:
-    for m in range(out.shape[0]):
-        for k in range(out.shape[1]):
-            if not may_move[m, k]:
-                out[m, k] = NOBODY
-                continue
-            # Two draws a lane: whether to explore, and where to.
-            if uniform(key[m], counters[m], 2 * k) < epsilon[m]:
-                allowed = MOVES
-                if masked:
-                    allowed = 0
-                    for move in range(MOVES):
-                        allowed += mask[m, k, move]
-                left = np.int64(uniform(key[m], counters[m], 2 * k + 1) * allowed)
-                for move in range(MOVES):
-                    if masked and mask[m, k, move] == 0:
-                        continue
-                    if left == 0:
-                        out[m, k] = move
-                        break
-                    left -= 1
-                continue
-            best = NOBODY
-            for move in range(MOVES):
-                if masked and mask[m, k, move] == 0:
-                    continue
-                if best == NOBODY or values[m, k, move] > values[m, k, best]:
-                    best = move
-            out[m, k] = best

@@ -1,0 +1,996 @@
+"""The command line: what it prints and writes, and what it makes of bad input."""
+
+import csv
+import json
+import os
+import pickle
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+import marouting
+from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
+from policies.cli import status
+from policies.config import Config, DQNOptions, TrainOptions, load_config
+from policies.learned.router import DQNRouter, QPolicy
+from policies.learned.run import write_config
+
+ROOT = Path(__file__).resolve().parents[1]
+PUBLISHED = ROOT.parent / "shared" / "data" / "liao2019"
+KEYS = {"router", "overflow", "max_overflow", "wirelength", "vias", "connected", "seconds"}
+PNG = b"\x89PNG\r\n\x1a\n"
+
+SMALL = {
+    "env": {
+        "problem": {"grid": [4, 4, 2], "nets": 3, "capacity": 2, "seed": 1},
+        "max_steps": 12,
+    },
+    "dqn": {"burn_in_size": 100, "buffer_size": 500, "hidden": [8], "epsilon": 0.3},
+    "train": {"episodes": 5, "figures": False, "tensorboard": False},
+}
+"""A configuration whose training takes a moment."""
+
+FAST = ["env.max_steps=12", "dqn.burn_in_size=100", "dqn.hidden=[8]", "train.episodes=5"]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run on two problems, made by the command line."""
+    folder = tmp_path_factory.mktemp("trained")
+    (folder / "small.yaml").write_text(yaml.safe_dump(SMALL))
+    run = folder / "run"
+    arguments = ["train", str(folder / "small.yaml"), f"out={run}", "env.problem.count=2"]
+    assert status([*arguments, "train.tensorboard=true"]) == 0
+    return run
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder with a problem, a solution of it and a configuration."""
+    problem = generate(1, grid=(4, 4, 2), nets=3, capacity=2, seed=1)[0]
+    problem.write(tmp_path / "p.gr")
+    marouting.sequential_astar(problem).write(tmp_path / "p.solution")
+    (tmp_path / "small.yaml").write_text(yaml.safe_dump(SMALL))
+    (tmp_path / "file").write_text("a file")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def printed(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """What a command that works prints to standard output."""
+    assert status(arguments) == 0
+    return capsys.readouterr().out
+
+
+def only_object(text: str) -> dict[str, Any]:
+    """The one JSON object that a text consists of."""
+    found = json.loads(text)
+    assert isinstance(found, dict)
+    return found
+
+
+def pictures(text: str) -> list[Path]:
+    """The pictures whose paths were printed, one a line."""
+    paths = [Path(line) for line in text.splitlines()]
+    assert paths
+    assert len(set(paths)) == len(paths)
+    assert all(path.read_bytes().startswith(PNG) for path in paths)
+    return paths
+
+
+# --- generate, route, evaluate --------------------------------------------------------------------
+
+
+def test_generate_writes_what_the_library_generates(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = "--count 3 --grid 5 4 3 --nets 7 --max-pins 3 --capacity 4 --reduced-edges 2 --seed 9"
+    printed(capsys, "generate", *text.split(), "--out", "deep/set")
+    expected = generate(3, grid=(5, 4, 3), nets=7, max_pins=3, capacity=4, reduced_edges=2, seed=9)
+    written = sorted((here / "deep" / "set").iterdir())
+    assert [path.name for path in written] == [f"problem_00{i}.gr" for i in range(3)]
+    assert [Problem.read(path) for path in written] == expected
+    printed(capsys, "generate", "--out", "set")
+    assert [Problem.read(path) for path in Path("set").iterdir()] == generate()
+    printed(capsys, "generate", "--out", "reduced", "--reduced-capacity", "1")
+    assert Problem.read("reduced/problem_000.gr") == generate(reduced_capacity=1)[0]
+
+
+ROUTERS: dict[str, list[str]] = {
+    "astar": [],
+    "random": ["--seed", "3"],
+    "dqn": ["--seed", "3", *FAST],
+}
+
+
+@pytest.mark.parametrize(("router", "options"), ROUTERS.items(), ids=ROUTERS)
+def test_route_prints_the_figures_of_the_solution(
+    router: str, options: list[str], here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["route", "p.gr", "--router", router, *options]
+    shown = only_object(printed(capsys, *command, "--json", "--out", "a/b.solution"))
+    assert set(shown) >= KEYS
+    assert shown["router"] == router
+    assert shown["seconds"] >= 0
+    problem = Problem.read("p.gr")
+    figures = asdict(evaluate(problem, Solution.read("a/b.solution", problem)))
+    assert {name: shown[name] for name in figures if name != "disconnected"} == {
+        name: figures[name] for name in figures if name != "disconnected"
+    }
+    assert type(shown["connected"]) is bool
+    # In words the same, and the same again.
+    words = dict(line.split(maxsplit=1) for line in printed(capsys, *command).splitlines())
+    assert {name: str(shown[name]) for name in KEYS - {"seconds"}} == {
+        name: words[name] for name in KEYS - {"seconds"}
+    }
+    assert sorted(path.name for path in here.iterdir()) == [
+        "a",
+        "file",
+        "p.gr",
+        "p.solution",
+        "small.yaml",
+    ]
+
+
+def test_astar_is_the_default_router(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shown = only_object(printed(capsys, "route", "p.gr", "--json", "--out", "mine.solution"))
+    assert shown["router"] == "astar"
+    assert (here / "mine.solution").read_bytes() == (here / "p.solution").read_bytes()
+
+
+@pytest.mark.usefixtures("here")
+def test_route_trains_what_the_configuration_says(capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["route", "p.gr", "--router", "dqn", "--config", "small.yaml", "--seed", "4"]
+    printed(capsys, *command, "--out", "a.solution", "dqn.masking=true")
+    problem = Problem.read("p.gr")
+    expected = DQNRouter(load_config("small.yaml", ["seed=4", "dqn.masking=true"])).route(problem)
+    assert Solution.read("a.solution", problem) == expected
+    other = DQNRouter(load_config("small.yaml", ["seed=5"])).route(problem)
+    assert expected != other
+    Path("five.yaml").write_text(yaml.safe_dump({**SMALL, "seed": 5}))
+    printed(capsys, *command[:4], "--config", "five.yaml", "--out", "b.solution")
+    assert Solution.read("b.solution", problem) == other
+
+
+@pytest.mark.parametrize("name", ["policy.pt", "checkpoint.pt"])
+def test_route_with_a_checkpoint(
+    name: str, trained: Path, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for stem in ("problem_000", "problem_001"):  # each with its own network
+        path = trained / "problems" / f"{stem}.gr"
+        command = ["route", str(path), "--router", "dqn", "--checkpoint", str(trained / name)]
+        shown = only_object(printed(capsys, *command, "--json", "--out", "a.solution"))
+        problem = Problem.read(path)
+        walked = QPolicy.load(trained / name, stem).route(problem)
+        assert Solution.read("a.solution", problem) == walked
+        assert shown["wirelength"] == evaluate(problem, walked).wirelength
+    assert (here / "a.solution").exists()
+
+
+@pytest.mark.usefixtures("here")
+def test_evaluate_prints_the_figures(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = only_object(printed(capsys, "evaluate", "p.gr", "p.solution", "--json"))
+    problem = Problem.read("p.gr")
+    figures = evaluate(problem, Solution.read("p.solution", problem))
+    assert set(shown) >= KEYS
+    assert shown["wirelength"] == figures.wirelength > 0
+    assert shown["connected"] is True
+    nothing = Solution(problem, tuple(np.empty(0, np.int64) for _ in problem.nets))
+    nothing.write("nothing.solution")
+    text = printed(capsys, "evaluate", "p.gr", "nothing.solution")
+    assert "False" in text
+    assert all(net.name in text.splitlines()[-1] for net in problem.nets)
+
+
+@pytest.mark.skipif(not PUBLISHED.exists(), reason="needs the published problems in ../shared/data")
+def test_published_solutions_have_the_published_figures(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with (PUBLISHED / "results.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    seen = set()
+    for row in rows:
+        if row["set"] in seen:
+            continue  # one of every set
+        seen.add(row["set"])
+        stem = PUBLISHED / row["set"] / row["problem"]
+        for router in ("drl", "astar"):
+            shown = only_object(
+                printed(capsys, "evaluate", f"{stem}.gr", f"{stem}.{router}.solution", "--json")
+            )
+            assert shown["overflow"] == int(row[f"{router}_overflow"])
+            assert shown["wirelength"] == int(row[f"{router}_wirelength"])
+    assert len(seen) == 10
+
+
+# --- train, plot ----------------------------------------------------------------------------------
+
+
+def test_train_writes_a_run_and_prints_a_table(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    overrides = [
+        "out=runs/a",
+        "seed=7",
+        "train.episodes=4",
+        "dqn.hidden=[6, 5]",
+        "env.agents=multi",
+    ]
+    text = printed(capsys, "train", "small.yaml", *overrides)
+    config = load_config("runs/a/config.yaml")
+    assert (config.seed, config.train.episodes, config.env.agents) == (7, 4, "multi")
+    assert config.dqn.hidden == (6, 5)
+    assert config.dqn.burn_in_size == 100  # the file's
+    assert config.dqn.learning_rate == 1e-4  # the default
+    rows = json.loads((here / "runs" / "a" / "result.json").read_text())
+    for row in rows:
+        (line,) = [line for line in text.splitlines() if f" {row['router']} " in line]
+        assert str(row["wirelength"]) in line.split()
+        assert f"{row['joined']}/{row['tasks']}" in line.split()
+    assert len((here / "runs" / "a" / "metrics.jsonl").read_text().splitlines()) == 4
+    assert not (here / "runs" / "a" / "figures").exists()
+    assert not (here / "runs" / "a" / "tensorboard").exists()
+
+
+def test_train_takes_problem_files(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    printed(
+        capsys, "generate", "--count", "2", "--grid", "4", "4", "2", "--nets", "3", "--out", "s"
+    )
+    for out, source, names in (
+        ("a", "p.gr", ["p"]),
+        ("b", "s", ["problem_000", "problem_001"]),
+        ("c", "[s, p.gr]", ["p", "problem_000", "problem_001"]),
+    ):
+        printed(capsys, "train", "small.yaml", f"out={out}", f"env.problem={source}")
+        assert sorted(path.stem for path in (here / out / "problems").iterdir()) == names
+
+
+def test_resume_goes_by_the_folder_whatever_its_name(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("2024", "1e5", "null", "a: b", "[x"):
+        printed(capsys, "train", "small.yaml", "out=run")
+        Path("run").rename(name)
+        (here / name / "result.json").unlink()
+        printed(capsys, "train", "small.yaml", "--resume", name)
+        assert (here / name / "result.json").exists()
+
+
+def test_plot_of_a_run(trained: Path, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    copy = here / "run"
+    shutil.copytree(trained, copy)
+    (copy / "problems" / "problem_001.gr").unlink()
+    (copy / "solutions" / "problem_000.astar.solution").unlink()
+    inside = pictures(printed(capsys, "plot", str(copy)))
+    assert {path.relative_to(copy).parts[0] for path in inside} == {"figures"}
+    kinds = ("heat_maps", "histogram", "edges", "solution_2d", "solution_3d")
+    assert {str(path.relative_to(copy / "figures")) for path in inside} == {
+        "reward.png",
+        "reward_log.png",
+        *(f"problem_000/dqn_{kind}.png" for kind in kinds),
+    }
+    curves = pictures(printed(capsys, "plot", str(copy / "metrics.jsonl"), "--out", "curves"))
+    assert {path.name for path in curves} == {"reward.png", "reward_log.png"}
+    beside = pictures(printed(capsys, "plot", str(copy / "metrics.jsonl")))
+    assert {path.parent for path in beside} == {copy / "figures"}
+
+
+@pytest.mark.usefixtures("here")
+def test_plot_of_problems_and_solutions(capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copy("p.gr", "q.gr")
+    printed(capsys, "route", "q.gr", "--router", "random", "--out", "q.random.solution")
+    drawn = pictures(printed(capsys, "plot", "p.gr", "q.gr", "q.random.solution"))
+    by_folder = {path.parent: path.name.split("_")[0] for path in drawn}
+    assert by_folder == {Path("figures/p"): "astar", Path("figures/q"): "random"}
+    assert len(drawn) == 10
+
+
+@pytest.mark.slow
+def test_quickstart(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = printed(capsys, "quickstart", "--out", "q")
+    assert "astar" in text
+    assert "dqn" in text
+    assert (here / "q" / "solutions.png").read_bytes().startswith(PNG)
+    # Once more into the same folder: it starts again.
+    again = printed(capsys, "quickstart", "--out", "q")
+    assert len(again.splitlines()) == len(text.splitlines())
+
+
+# --- exit status, as a process --------------------------------------------------------------------
+
+
+def process(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "policies.cli", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+
+
+@pytest.mark.usefixtures("here")
+def test_as_a_process() -> None:
+    done = process("route", "p.gr", "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert set(only_object(done.stdout)) >= KEYS
+    refused = process("route", "q.gr", "--json")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert len(refused.stderr.splitlines()) == 1
+    assert "q.gr" in refused.stderr
+
+
+@pytest.mark.usefixtures("here")
+def test_interrupted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("policies.classical.astar.AStarRouter.route", interrupted)
+    assert status(["route", "p.gr"]) == 130
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert [line for line in shown.err.splitlines() if line] == ["marouting: interrupted"]
+
+
+def test_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert marouting.__version__ in printed(capsys, "--version")
+    text = printed(capsys, "--help")
+    for name in ("generate", "route", "evaluate", "train", "plot", "quickstart"):
+        assert name in text
+        assert name in printed(capsys, name, "-h")
+
+
+# --- bad input ------------------------------------------------------------------------------------
+
+
+def tree(folder: Path) -> dict[str, bytes | None]:
+    """Everything in a folder."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in folder.rglob("*")
+    }
+
+
+@pytest.fixture
+def refused(here: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs a command that must be refused in one line, with nothing left behind."""
+
+    def run(*arguments: str, out: str | None = None) -> str:
+        before = tree(here)
+        capsys.readouterr()
+        code = status(arguments)
+        shown = capsys.readouterr()
+        assert code == 2, shown
+        assert shown.out == ""
+        (line,) = shown.err.splitlines()
+        assert line.startswith("marouting: ")
+        assert "Traceback" not in line
+        assert len(line) > len("marouting: ")
+        assert tree(here) == before
+        assert out is None or not Path(out).exists()
+        return line.removeprefix("marouting: ")
+
+    return run
+
+
+USAGE: dict[str, tuple[list[str], str]] = {
+    "nothing": ([], "command"),
+    "unknown command": (["rout"], "rout"),
+    "unknown option": (["route", "p.gr", "--rooter", "astar"], "--rooter"),
+    "unknown router": (["route", "p.gr", "--router", "dijkstra"], "dijkstra"),
+    "missing argument": (["evaluate", "p.gr"], "SOLUTION"),
+    "too many arguments": (["evaluate", "p.gr", "p.solution", "x"], "x"),
+    "missing value": (["route", "p.gr", "--seed"], "--seed"),
+    "ill-typed value": (["route", "p.gr", "--seed", "one"], "one"),
+    "generate without out": (["generate"], "--out"),
+    "half a grid": (["generate", "--out", "g", "--grid", "4", "4"], "--grid"),
+    "checkpoint without dqn": (["route", "p.gr", "--checkpoint", "c.pt"], "--checkpoint"),
+    "config without dqn": (["route", "p.gr", "--config", "small.yaml"], "--config"),
+    "override without dqn": (["route", "p.gr", "train.episodes=1"], "train.episodes=1"),
+    "checkpoint and override": (
+        ["route", "p.gr", "--router", "dqn", "--checkpoint", "c.pt", "seed=1"],
+        "--checkpoint",
+    ),
+    "plot nothing": (["plot"], "RUN_OR_FILE"),
+    "count": (["generate", "--out", "g", "--count", "0"], "count"),
+    "grid": (["generate", "--out", "g", "--grid", "0", "4", "2"], "grid"),
+    "one Gcell": (["generate", "--out", "g", "--grid", "1", "1", "2"], "grid"),
+    "huge grid": (["generate", "--out", "g", "--grid", "99999", "99999", "99"], "grid"),
+    "max pins": (["generate", "--out", "g", "--max-pins", "1"], "max_pins"),
+    "capacity": (["generate", "--out", "g", "--capacity", "-1"], "capacity"),
+    "negative seed": (["generate", "--out", "g", "--seed", "-1"], "seed"),
+    "negative route seed": (["route", "p.gr", "--router", "dqn", "--seed", "-1"], "seed"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "named"), USAGE.values(), ids=USAGE)
+def test_wrong_usage(arguments: list[str], named: str, refused: Callable[..., str]) -> None:
+    assert named.lower() in refused(*arguments).lower()
+
+
+UNREADABLE: dict[str, tuple[bytes | None, str]] = {
+    "missing": (None, "No such file"),
+    "empty": (b"", "expected"),
+    "binary": (bytes(range(256)) * 20, "expected"),
+    "zeros": (b"\0" * 4096, "expected"),
+    "prose": (b"This is no file of ours.\n", ":1"),
+}
+
+
+@pytest.mark.parametrize(("content", "said"), UNREADABLE.values(), ids=UNREADABLE)
+def test_unreadable_files(content: bytes | None, said: str, refused: Callable[..., str]) -> None:
+    for name, commands in {
+        "bad.gr": (
+            ["route", "bad.gr", "--out", "o.solution", "--json"],
+            ["route", "bad.gr", "--router", "dqn", *FAST],
+            ["evaluate", "bad.gr", "p.solution"],
+            ["plot", "bad.gr"],
+            ["train", "small.yaml", "env.problem=bad.gr", "out=o"],
+        ),
+        "bad.solution": (
+            ["evaluate", "p.gr", "bad.solution", "--json"],
+            ["plot", "p.gr", "bad.solution"],
+        ),
+    }.items():
+        if content == b"" and name == "bad.solution":
+            continue  # a solution that routes nothing
+        if content is not None:
+            Path(name).write_bytes(content)
+        for command in commands:
+            line = refused(*command)
+            assert name in line
+            if command[0] != "plot" or content is not None:
+                assert said in line
+
+
+def test_damaged_problem_names_the_line(refused: Callable[..., str]) -> None:
+    lines = Path("p.gr").read_text().splitlines()
+    Path("bad.gr").write_text("\n".join(lines[:-3]))
+    assert f"bad.gr:{len(lines) - 2}" in refused("route", "bad.gr") or "bad.gr" in refused(
+        "route", "bad.gr"
+    )
+    Path("bad.gr").write_text("\n".join([lines[0], "vertical capacity 1 many", *lines[2:]]))
+    assert "bad.gr:2" in refused("route", "bad.gr")
+
+
+def test_solution_of_another_problem(refused: Callable[..., str]) -> None:
+    # Its routes leave the other problem's grid.
+    generate(1, grid=(2, 2, 2), nets=4, seed=8)[0].write("other.gr")
+    assert "p.solution" in refused("evaluate", "other.gr", "p.solution")
+    assert "p.solution" in refused("plot", "other.gr", "p.solution")
+
+
+@pytest.mark.parametrize("target", ["file/inside", "file/in/side"])
+def test_output_that_cannot_be_written(
+    target: str, trained: Path, refused: Callable[..., str]
+) -> None:
+    for command in (
+        ["generate", "--grid", "4", "4", "2", "--nets", "2", "--out", target],
+        ["route", "p.gr", "--out", target],
+        ["route", "p.gr", "--router", "dqn", *FAST, "--out", target],
+        ["train", "small.yaml", f"out={target}"],
+        ["plot", "p.gr", "--out", target],
+        ["plot", str(trained), "--out", target],
+        ["plot", str(trained / "metrics.jsonl"), "--out", target],
+        ["quickstart", "--out", target],
+    ):
+        line = refused(*command)
+        assert target in line
+        assert "cannot be written" in line
+
+
+def test_folder_in_place_of_a_file_and_back(refused: Callable[..., str]) -> None:
+    Path("folder").mkdir()
+    assert "folder" in refused("route", "p.gr", "--out", "folder")
+    assert "folder" in refused("route", "folder")
+    assert "folder" in refused("train", "folder")
+    assert "folder" in refused("evaluate", "p.gr", "folder")
+    assert "folder" in refused("route", "p.gr", "--router", "dqn", "--checkpoint", "folder")
+    assert "expected a run folder" in refused("plot", "folder")
+    assert "expected a .gr file" in refused("train", "small.yaml", "env.problem=folder", "out=o")
+    for command in (
+        ["generate", "--grid", "4", "4", "2", "--nets", "2", "--out", "file"],
+        ["train", "small.yaml", "out=file"],
+    ):
+        assert "file" in refused(*command)
+
+
+def test_plot_of_what_cannot_be_plotted(refused: Callable[..., str]) -> None:
+    assert "nowhere" in refused("plot", "nowhere")
+    assert "p.solution" in refused("plot", "p.solution")
+    for text in (
+        "",
+        "{",
+        "[]\n",
+        "{}\n",
+        '{"problem": "p"}\n',
+        '{"problem": "p", "reward": "much"}\n',
+        '{"problem": "p", "reward": 1' + 400 * "0" + "}\n",
+        50_000 * "[" + "\n",
+        '{"problem": "p", "reward": 1}\n{"problem": "p", "rew',
+    ):
+        Path("m.jsonl").write_text(text)
+        assert "m.jsonl" in refused("plot", "m.jsonl")
+    Path("m.jsonl").write_bytes(b"\xff\xfe")
+    assert "m.jsonl" in refused("plot", "m.jsonl")
+
+
+BAD_CONFIGS: dict[str, tuple[str, str]] = {
+    "a list": ("[1, 2]", "expected a mapping"),
+    "a word": ("word", "expected a mapping"),
+    "a number": ("3", "expected a mapping"),
+    "broken": ("env:\n  agents: [single\n", "bad.yaml:"),
+    "a tab": ("env:\n\tagents: single\n", "bad.yaml:2"),
+    "an object": ("out: !!python/object/apply:os.getcwd []", "bad.yaml:1"),
+    "a tag": ("out: !!bool perhaps", "bad.yaml"),
+    "a date": ("out: 2020-01-01", "bad.yaml"),
+    "a circle": ("&a\nenv: *a", "bad.yaml"),
+    "deep": (500 * "[", "bad.yaml"),
+    "control": ("seed: \x01", "bad.yaml"),
+    "a key of a list": ("{[1]: 2}", "bad.yaml"),
+    "a line break in a key": ('"a\\nb": 1', "bad.yaml"),
+    "half a character": ('out: "\\ud800"', "bad.yaml"),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), BAD_CONFIGS.values(), ids=BAD_CONFIGS)
+def test_malformed_configurations(text: str, said: str, refused: Callable[..., str]) -> None:
+    Path("bad.yaml").write_text(text)
+    assert said in refused("train", "bad.yaml", out="runs")
+    assert said in refused("route", "p.gr", "--router", "dqn", "--config", "bad.yaml")
+
+
+def test_configuration_that_is_no_text(refused: Callable[..., str]) -> None:
+    Path("bad.yaml").write_bytes(b"seed: \xff\xfe")
+    assert "bad.yaml: expected UTF-8" in refused("train", "bad.yaml")
+    assert "none.yaml" in refused("train", "none.yaml")
+
+
+UNKNOWN: dict[str, tuple[str, str]] = {
+    "sede": ("seed", "sede"),
+    "dqn.gama": ("gamma", "dqn.gama"),
+    "train.episode": ("episodes", "train.episode"),
+    "env.agent": ("agents", "env.agent"),
+    "env.problem.net": ("nets", "env.problem.net"),
+    "env.reward.reach": ("reached", "env.reward.reach"),
+    "env.observation.via_capacty": ("via_capacity", "env.observation.via_capacty"),
+    "trian.episodes": ("train", "trian"),
+    "dqn.zzz": ("gamma", "dqn.zzz"),
+    "file": ("seed", "file"),
+    "dqn.files": ("gamma", "dqn.files"),
+    "env.generator": ("net_order", "env.generator"),
+    "dqn.hidden.0": ("hidden", "dqn.hidden"),
+}
+
+
+@pytest.mark.parametrize(("key", "expected"), UNKNOWN.items(), ids=UNKNOWN)
+def test_unknown_keys(key: str, expected: tuple[str, str], refused: Callable[..., str]) -> None:
+    near, named = expected
+    by_override = refused("train", "small.yaml", f"{key}=1", out="runs")
+    assert named in by_override
+    if key == "dqn.hidden.0":
+        return  # an ill-typed value
+    assert near in by_override
+    assert "unknown key" in by_override
+    nested: Any = 1
+    for part in reversed(key.split(".")):
+        nested = {part: nested}
+    Path("bad.yaml").write_text(yaml.safe_dump(nested))
+    line = refused("train", "bad.yaml", out="runs")
+    assert line.startswith(f"bad.yaml: {named}")
+    assert near in line
+
+
+ILL_TYPED = [
+    "train.episodes=ten",
+    "train.episodes=true",
+    "train.episodes=1.5",
+    "train.episodes='3'",
+    "train.episodes=[3]",
+    "train.episodes={a: 1}",
+    "train.episodes=null",
+    "train.episodes=",
+    "train.episodes=0",
+    "train.episodes=-1",
+    f"train.episodes={10**30}",
+    "train.device=tpu",
+    "train.device=meta",
+    "train.device=''",
+    "train.device=3",
+    "train.backend=jax",
+    "train.threads=0",
+    "train.checkpoint_seconds=-1",
+    "train.checkpoint_seconds=soon",
+    "train.checkpoint_seconds=.nan",
+    "train.checkpoint_seconds=true",
+    "train.tensorboard=1",
+    "train.figures=maybe",
+    "train=5",
+    "train=[episodes]",
+    "seed=-1",
+    "seed=1.0",
+    "seed=one",
+    f"seed={2**63}",
+    "out=5",
+    "out=[a]",
+    "dqn.hidden=32",
+    "dqn.hidden=[a]",
+    "dqn.hidden=[0]",
+    "dqn.hidden=[32.5]",
+    "dqn.hidden=[65536, 65536]",
+    "dqn.init=zeros",
+    "dqn.gamma=1.5",
+    "dqn.gamma=high",
+    "dqn.gamma=.nan",
+    "dqn.learning_rate=0",
+    "dqn.learning_rate=.inf",
+    "dqn.batch_size=0",
+    "dqn.buffer_size=50",  # less than burn_in_size
+    f"dqn.buffer_size={10**30}",
+    "dqn.burn_in=a*",
+    "dqn.burn_in_size=0",
+    "dqn.epsilon=2",
+    "dqn.epsilon_final=-0.1",
+    "dqn.epsilon_decay_from=-1",
+    "dqn.target_period=-1",
+    f"dqn.target_period={10**30}",
+    "dqn.masking=1",
+    "dqn.steps_per_update=0",
+    "env=3",
+    "env.agents=many",
+    "env.agents=[single]",
+    "env.turn_order=alphabetical",
+    "env.net_order=largest",
+    "env.max_steps=0",
+    "env.max_steps=ten",
+    "env.overflow=true",
+    "env.problem=3",
+    "env.problem=[]",
+    "env.problem.grid=[4, 4]",
+    "env.problem.grid=[4, 4, 0]",
+    "env.problem.nets=0",
+    "env.problem.nets=three",
+    "env.problem.seed=-1",
+    "env.reward.reached=lots",
+    "env.observation=12",
+]
+
+
+@pytest.mark.parametrize("override", ILL_TYPED)
+def test_ill_typed_values(override: str, refused: Callable[..., str]) -> None:
+    line = refused("train", "small.yaml", override, out="runs")
+    assert override.partition("=")[0].split(".")[-1] in line
+
+
+@pytest.mark.parametrize("override", ["=", "=3", "episodes", "a b", "", "train.episodes"])
+def test_overrides_without_key_or_value(override: str, refused: Callable[..., str]) -> None:
+    assert "key=value" in refused("train", "small.yaml", override, out="runs")
+
+
+@pytest.mark.parametrize("override", ["seed=[1", "seed=!!bool x", 'seed=!!int ""', "seed=&a [*a]"])
+def test_overrides_that_are_no_yaml(override: str, refused: Callable[..., str]) -> None:
+    refused("train", "small.yaml", override, out="runs")
+
+
+@pytest.mark.parametrize("key", [".", ".seed", "seed.", "train..episodes"])
+def test_keys_of_nothing(key: str, refused: Callable[..., str]) -> None:
+    refused("train", "small.yaml", f"{key}=1", out="runs")
+
+
+def test_problems_that_do_not_go_together(refused: Callable[..., str]) -> None:
+    generate(1, grid=(5, 5, 2), nets=2)[0].write("other.gr")
+    line = refused("train", "small.yaml", "env.problem=[p.gr, other.gr]", "out=o")
+    assert "one grid shape" in line
+    assert "differ" in refused("train", "small.yaml", "env.problem=[p.gr, p.gr]", "out=o")
+
+
+def test_too_much_memory_to_ask_for(refused: Callable[..., str]) -> None:
+    size = 2**31 - 1
+    line = refused(
+        "train", "small.yaml", f"dqn.buffer_size={size}", "env.problem.count=90", "out=o"
+    )
+    assert "memory" in line
+
+
+def test_resume_of_nothing(refused: Callable[..., str]) -> None:
+    assert "--resume nowhere" in refused("train", "small.yaml", "--resume", "nowhere")
+    assert "--resume file" in refused("train", "small.yaml", "--resume", "file")
+
+
+# --- checkpoints ----------------------------------------------------------------------------------
+
+
+class Exploit:
+    """Runs code when it is unpickled."""
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (Path("exploited"),)
+
+
+def whole(path: Path) -> dict[str, Any]:
+    """A policy file's content, of one problem."""
+    state: dict[str, Any] = torch.load(path, weights_only=True)
+    return {**state, "names": ["p"], "weights": state["weights"][:1].clone()}
+
+
+Damage = Callable[[Path, Path], None]
+
+
+def resaved(change: Callable[[dict[str, Any]], Any]) -> Damage:
+    """Something changed in the content, and saved in order."""
+
+    def damage(good: Path, bad: Path) -> None:
+        state = whole(good)
+        change(state)
+        torch.save(state, bad)
+
+    return damage
+
+
+def cut(share: float) -> Damage:
+    def damage(good: Path, bad: Path) -> None:
+        bad.write_bytes(good.read_bytes()[: int(share * good.stat().st_size)])
+
+    return damage
+
+
+def flipped(good: Path, bad: Path) -> None:
+    """One bit of the weights is another."""
+    state = whole(good)
+    torch.save(state, bad)
+    data = bytearray(bad.read_bytes())
+    at = data.index(state["weights"].numpy().tobytes()[:40])
+    data[at + 20] ^= 64
+    bad.write_bytes(data)
+
+
+def archived(_: Path, bad: Path) -> None:
+    with zipfile.ZipFile(bad, "w") as archive:
+        archive.writestr("hello.txt", "hello")
+
+
+def older(good: Path, bad: Path) -> None:
+    """In the format of torch before its archives."""
+    torch.save(whole(good), bad, _use_new_zipfile_serialization=False)
+
+
+DAMAGES: dict[str, tuple[Damage, str]] = {
+    "missing": (lambda _good, _bad: None, "No such file"),
+    "empty": (cut(0), "undamaged"),
+    "truncated": (cut(0.5), "undamaged"),
+    "nearly whole": (cut(0.98), "undamaged"),
+    "flipped": (flipped, "undamaged"),
+    "random": (
+        lambda _, bad: void(bad.write_bytes(np.random.default_rng(0).bytes(9999))),
+        "undamaged",
+    ),
+    "text": (lambda _, bad: void(bad.write_text("not a checkpoint")), "undamaged"),
+    "another pickle": (
+        lambda _, bad: void(bad.write_bytes(pickle.dumps({"format": 1}))),
+        "undamaged",
+    ),
+    "code in a pickle": (
+        lambda _, bad: void(bad.write_bytes(pickle.dumps(Exploit()))),
+        "undamaged",
+    ),
+    "code in an archive": (lambda _, bad: torch.save({"format": Exploit()}, bad), "undamaged"),
+    "another archive": (archived, "undamaged"),
+    "older": (older, "undamaged"),
+    "a tensor": (lambda _, bad: torch.save(torch.zeros(3), bad), "format"),
+    "a list": (lambda _, bad: torch.save([1, 2], bad), "format"),
+    "no format": (resaved(lambda state: state.pop("format")), "format"),
+    "another format": (resaved(lambda state: state.update(format="marouting-dqn-0")), "format"),
+    "a format of tensors": (resaved(lambda s: s.update(format=torch.zeros(2))), "format"),
+    "no weights": (resaved(lambda state: state.pop("weights")), "weights"),
+    "no tensor": (resaved(lambda state: state.update(weights=[1.0])), "weights"),
+    "doubles": (resaved(lambda s: s.update(weights=s["weights"].double())), "weights"),
+    "another shape": (resaved(lambda s: s.update(weights=s["weights"][:, 1:])), "weights"),
+    "another network": (resaved(lambda state: state.update(sizes=[12, 9, 6])), "weights"),
+    "other inputs": (
+        resaved(lambda s: s.update(sizes=[13, 6], weights=torch.zeros(1, 84))),
+        "12 inputs",
+    ),
+    "other moves": (
+        resaved(lambda s: s.update(sizes=[12, 5], weights=torch.zeros(1, 65))),
+        "weights",
+    ),
+    "no sizes": (resaved(lambda s: s.update(sizes=[], weights=torch.zeros(1, 0))), "sizes"),
+    "empty layers": (
+        resaved(lambda s: s.update(sizes=[12, 0, 6], weights=torch.zeros(1, 6))),
+        "weights",
+    ),
+    "sizes of words": (resaved(lambda state: state.update(sizes=["a", "b"])), "whole"),
+    "no networks": (resaved(lambda s: s.update(names=[], weights=torch.zeros(0, 158))), "weights"),
+    "names of none": (resaved(lambda state: state.update(names=3)), "whole"),
+    "another game": (resaved(lambda state: state.update(env={"agents": "many"})), "agents"),
+    "unknown option": (resaved(lambda state: state.update(env={"gravity": 1})), "gravity"),
+    "no game": (resaved(lambda state: state.pop("env")), "whole"),
+    "another problem": (
+        lambda good, bad: torch.save(torch.load(good, weights_only=True), bad),
+        "problem_000",
+    ),
+}
+
+
+def void(_: Any) -> None:
+    """Makes a statement of an expression."""
+
+
+@pytest.mark.parametrize(("damage", "said"), DAMAGES.values(), ids=DAMAGES)
+def test_bad_checkpoints(
+    damage: Damage, said: str, trained: Path, refused: Callable[..., str]
+) -> None:
+    damage(trained / "policy.pt", Path("c.pt"))
+    line = refused(
+        "route", "p.gr", "--router", "dqn", "--checkpoint", "c.pt", "--out", "o.solution"
+    )
+    assert said in line
+    assert "c.pt" in line or said == "12 inputs"
+    assert not Path("exploited").exists()
+
+
+@pytest.mark.usefixtures("here")
+def test_the_checkpoint_that_is_damaged_above_is_good(
+    trained: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    resaved(lambda _: None)(trained / "policy.pt", Path("c.pt"))
+    printed(capsys, "route", "p.gr", "--router", "dqn", "--checkpoint", "c.pt")
+
+
+# --- configurations, whatever is in them ----------------------------------------------------------
+
+
+def test_shipped_configurations_are_valid() -> None:
+    paths = sorted((ROOT / "configs").rglob("*.yaml"))
+    assert paths
+    for path in paths:
+        assert isinstance(load_config(path), Config)
+
+
+TOKENS = st.sampled_from(
+    [
+        *"[]{},:&*!|>'\"%@`#-?= \n\t.~",
+        *(
+            "null",
+            "true",
+            "no",
+            ".nan",
+            "-.inf",
+            "1e400",
+            "-1",
+            "0x1F",
+            "0o17",
+            "1_000",
+            "12:30:45",
+        ),
+        *(
+            "2020-01-01",
+            "!!bool x",
+            '!!int ""',
+            "!!timestamp x",
+            "!!float y",
+            "!!binary =",
+            "!!set",
+        ),
+        *("!!python/name:os.system", "&a [*a]", "*b", "<<: 3", "<<: {a: 1}", "---", "...", "--- 1"),
+        *("file", "files", "generator", "seed", "problem", "env.", "\ud7ff", "\x00", "\x85", "é"),
+        "9" * 5000,
+    ]
+)
+CONFIG_TEXT = yaml.safe_dump(json.loads(json.dumps(asdict(Config()))), sort_keys=False)
+NAMES = [
+    f"{part}{name}"
+    for part, schema in (
+        ("", Config),
+        ("env.", EnvOptions),
+        ("dqn.", DQNOptions),
+        ("train.", TrainOptions),
+    )
+    for name in schema.__dataclass_fields__
+]
+
+
+def loads_or_is_refused(path: Path | None, overrides: list[str]) -> None:
+    """A Config comes of it, or an InputError of one line."""
+    try:
+        result: Config | InputError = load_config(path, overrides)
+    except InputError as error:
+        result = error
+    assert isinstance(result, Config) or len(str(result).splitlines()) == 1
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("scratch") / "config.yaml"
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    edits=st.lists(
+        st.tuples(
+            st.integers(0, len(CONFIG_TEXT)),
+            st.integers(0, 30),
+            TOKENS | st.text(max_size=4),
+        ),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_mutated_configurations(scratch: Path, edits: list[tuple[int, int, str]]) -> None:
+    text = CONFIG_TEXT
+    for start, length, inserted in edits:
+        text = text[:start] + inserted + text[start + length :]
+    scratch.write_text(text, encoding="utf-8", errors="surrogatepass")
+    loads_or_is_refused(scratch, [])
+
+
+KEY_TEXT = (
+    st.sampled_from(NAMES)
+    | st.text(max_size=8)
+    | st.builds("{}.{}".format, st.sampled_from(NAMES), TOKENS)
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.lists(
+        st.builds(
+            "{}={}".format,
+            KEY_TEXT,
+            TOKENS | st.text(max_size=6) | st.integers().map(str) | st.floats().map(str),
+        )
+        | st.text(max_size=10),
+        max_size=4,
+    )
+)
+@example(["file=1"])
+@example(["env.problem.file=1"])
+@example(["a\nb=1"])
+@example(["a\u2028b=1"])
+@example(["\ud800=1"])
+@example(["seed=\ud800"])
+@example(["env.problem=x", "env.problem.nets=3"])
+def test_any_overrides(overrides: list[str]) -> None:
+    loads_or_is_refused(None, overrides)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    config=st.builds(
+        Config,
+        seed=st.integers(0, 2**63 - 1),
+        out=st.text(st.characters(exclude_categories=("Cs",)), max_size=8),
+        env=st.builds(
+            EnvOptions,
+            problem=st.text(st.characters(exclude_categories=("Cs",)), max_size=8)
+            | st.tuples(st.just("a.gr"), st.just("1")),
+            agents=st.sampled_from(["single", "multi"]),
+            max_steps=st.none() | st.integers(1, 1000),
+        ),
+        dqn=st.builds(
+            DQNOptions,
+            hidden=st.lists(st.integers(1, 99), max_size=4).map(tuple),
+            gamma=st.floats(0, 1),
+            learning_rate=st.floats(1e-12, 1e6),
+            epsilon_final=st.none() | st.floats(0, 1),
+            masking=st.booleans(),
+        ),
+        train=st.builds(TrainOptions, checkpoint_seconds=st.floats(0, 1e9)),
+    )
+)
+def test_configurations_survive_their_files(scratch: Path, config: Config) -> None:
+    write_config(config, scratch)
+    assert load_config(scratch) == config

@@ -1,0 +1,283 @@
+"""Routers and policies, against the same moves made by hand through the environment's faces."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import problems
+
+from marouting import (
+    EnvOptions,
+    InputError,
+    Problem,
+    Solution,
+    evaluate,
+    generate,
+    global_routing_v0,
+    sequential_astar,
+)
+from marouting.env.single import GlobalRoutingSingle
+from policies.base import Policy, Router
+from policies.classical.astar import AStarRouter
+from policies.classical.random import RandomPolicy, RandomRouter
+from policies.config import Config, DQNOptions, TrainOptions
+from policies.learned.router import DQNRouter, QPolicy
+from policies.learned.trainer import Episode, Trainer
+
+SIZES = (12, 9, 6)
+WEIGHTS = 13 * 9 + 10 * 6
+
+
+def problem_of(seed: int, **options: Any) -> Problem:
+    return generate(1, **{"grid": (5, 4, 2), "nets": 6, "capacity": 2, "seed": seed, **options})[0]
+
+
+def policy_of(seed: int, masking: bool = False, **env: Any) -> QPolicy:
+    """A policy of random weights."""
+    weights = torch.randn(WEIGHTS, generator=torch.Generator().manual_seed(seed))
+    return QPolicy(SIZES, weights, masking, EnvOptions(**env))
+
+
+def by_gymnasium(policy: Policy, problem: Problem, **options: Any) -> Solution:
+    env = GlobalRoutingSingle(problem, **options)
+    seen, info = env.reset()
+    over = False
+    while not over:
+        seen, _, terminated, truncated, info = env.step(policy.act(seen, info["action_mask"]))
+        over = terminated or truncated
+    return env.solution()
+
+
+def by_aec(policy: Policy, problem: Problem, **options: Any) -> Solution:
+    env = global_routing_v0.env(problem, **options)
+    env.reset()
+    for _ in env.agent_iter():
+        seen, _, terminated, truncated, info = env.last()
+        over = terminated or truncated
+        env.step(None if over else policy.act(seen, info["action_mask"]))
+    return env.unwrapped.solution()
+
+
+def by_parallel(policy: Policy, problem: Problem, **options: Any) -> Solution:
+    env = global_routing_v0.parallel_env(problem, **options)
+    seen, infos = env.reset()
+    while env.agents:
+        moves = {a: policy.act(seen[a], infos[a]["action_mask"]) for a in env.agents}
+        seen, _, _, _, infos = env.step(moves)
+    return env.solution()
+
+
+@pytest.fixture(scope="module")
+def trained() -> dict[str, Trainer]:
+    """Trainers after a short training, which walk further than random weights do."""
+    trainers = {}
+    for agents in ("single", "multi"):
+        config = Config(
+            env=EnvOptions(agents=agents, max_steps=20),
+            dqn=DQNOptions(
+                gamma=0.9, learning_rate=2e-3, burn_in_size=500, target_period=100, masking=True
+            ),
+            train=TrainOptions(episodes=40),
+        )
+        trainers[agents] = Trainer({"p": problem_of(0), "q": problem_of(1)}, config)
+        for _ in trainers[agents].run():
+            pass
+    return trainers
+
+
+def saved(trainer: Trainer, path: Path) -> Path:
+    torch.save(trainer.policy(), path)
+    return path
+
+
+OPTIONS: tuple[dict[str, Any], ...] = (
+    {"max_steps": 20},
+    {"max_steps": 7, "net_order": "file"},
+    {"max_steps": 15, "net_order": "half_perimeter_up", "overflow": "allowed"},
+)
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+@pytest.mark.parametrize("masking", [False, True])
+@pytest.mark.parametrize("seed", [3, 4])
+def test_route_is_the_walk_through_the_faces(
+    seed: int, masking: bool, options: dict[str, Any]
+) -> None:
+    problem = problem_of(seed)
+    one = policy_of(seed, masking, agents="single", **options)
+    routed = one.route(problem)
+    assert routed == by_gymnasium(one, problem, **options)
+    assert routed == by_aec(one, problem, turn_order="sequential", **options)
+    many = policy_of(seed, masking, agents="multi", **options)
+    routed = many.route(problem)
+    assert routed == by_parallel(many, problem, **options)
+    # Without a mask, random weights can stand before a full edge all day.
+    assert evaluate(problem, routed).wirelength > 0 or not masking
+    if "overflow" not in options:
+        assert evaluate(problem, routed).overflow == 0
+
+
+def test_the_turn_order_of_the_game_counts() -> None:
+    problem = problem_of(2)
+    policy = policy_of(3, masking=True, turn_order="round_robin", max_steps=20)
+    assert policy.route(problem) == by_gymnasium(
+        policy, problem, turn_order="round_robin", max_steps=20
+    )
+    policy = policy_of(3, masking=True, agents="multi", turn_order="sequential", max_steps=20)
+    routed = policy.route(problem)
+    assert routed == by_parallel(policy, problem, turn_order="sequential", max_steps=20)
+    assert routed == by_aec(policy, problem, turn_order="sequential", max_steps=20)
+
+
+def test_trained_policies_walk_the_same_everywhere(
+    trained: dict[str, Trainer], tmp_path: Path
+) -> None:
+    for agents, trainer in trained.items():
+        path = saved(trainer, tmp_path / f"{agents}.pt")
+        for name, seed in (("p", 0), ("q", 1)):
+            policy = QPolicy.load(path, name)
+            for problem in (problem_of(seed), problem_of(7, nets=9, grid=(6, 6, 3))):
+                routed = policy.route(problem)
+                by_hand = by_gymnasium if agents == "single" else by_parallel
+                assert routed == by_hand(policy, problem, max_steps=20)
+            figures = evaluate(problem_of(seed), policy.route(problem_of(seed)))
+            assert figures.joined > 0
+            assert DQNRouter(checkpoint=path, network=name).route(problem) == routed
+
+
+def test_the_network_is_asked_with_torch_layers(
+    trained: dict[str, Trainer], tmp_path: Path
+) -> None:
+    """Which move is best, and best of those that cross an edge."""
+    path = saved(trained["single"], tmp_path / "policy.pt")
+    rng = np.random.default_rng(0)
+    for row, name in enumerate(("p", "q")):
+        flat, net = trained["single"].learner.weights[row], torch.nn.Sequential()
+        for inputs, outputs in ((12, 32), (32, 64), (64, 32), (32, 6)):
+            linear = torch.nn.Linear(inputs, outputs)
+            linear.weight.data = flat[: inputs * outputs].view(inputs, outputs).T
+            linear.bias.data = flat[inputs * outputs : (inputs + 1) * outputs]
+            flat = flat[(inputs + 1) * outputs :]
+            net.extend([linear, torch.nn.ReLU()])
+        policy = QPolicy.load(path, name)
+        differ = 0
+        for _ in range(50):
+            seen = rng.integers(-3, 6, 12).astype(np.float32)
+            mask = rng.integers(2, size=6, dtype=np.int8)
+            mask[rng.integers(6)] = 1
+            with torch.no_grad():
+                values = net[:-1](torch.from_numpy(seen)).numpy()
+            best = int(np.where(mask == 1, values, -np.inf).argmax())
+            assert policy.act(seen, mask) == best
+            unmasked = QPolicy(
+                policy.sizes, trained["single"].learner.weights[row], False, policy.env
+            )
+            assert unmasked.act(seen, mask) == int(values.argmax())
+            differ += best != int(values.argmax())
+        assert differ > 0
+
+
+def test_a_network_for_other_inputs_is_refused() -> None:
+    policy = QPolicy((13, 6), torch.zeros(14 * 6), False, EnvOptions())
+    with pytest.raises(InputError, match="expected 12 inputs, found 13"):
+        policy.route(problem_of(0))
+
+
+# --- DQNRouter ------------------------------------------------------------------------------------
+
+SHORT = Config(
+    env=EnvOptions(max_steps=15),
+    dqn=DQNOptions(burn_in_size=100, buffer_size=500, hidden=(8,), epsilon=0.3),
+    train=TrainOptions(episodes=6),
+)
+
+
+@pytest.mark.parametrize("agents", ["single", "multi"])
+def test_dqn_router_gives_the_best_episode_of_a_training(agents: Any) -> None:
+    problem = problem_of(3)
+    config = replace(SHORT, env=replace(SHORT.env, agents=agents))
+    watched: list[Episode] = []
+    router = DQNRouter(config, watch=watched.extend)
+    routed = router.route(problem)
+    trainer = Trainer({"problem": problem}, config)
+    episodes = [episode for finished in trainer.run() for episode in finished]
+    assert watched == episodes
+    best = min(episodes, key=lambda e: (-e.joined, e.overflow, e.wirelength))
+    figures = evaluate(problem, routed)
+    assert (figures.overflow, figures.wirelength) == (best.overflow, best.wirelength)
+    assert figures.joined >= best.joined
+    assert routed == trainer.solutions()["problem"]
+    assert routed == DQNRouter(config).route(problem)
+    # Problems routed before make no difference.
+    other = problem_of(4)
+    assert router.route(other) == DQNRouter(config).route(other)
+
+
+def test_dqn_router_with_a_checkpoint_trains_nothing(
+    trained: dict[str, Trainer], tmp_path: Path
+) -> None:
+    path = saved(trained["single"], tmp_path / "policy.pt")
+    watched: list[Episode] = []
+    router = DQNRouter(SHORT, path, watched.extend, network="q")
+    problem = problem_of(5)
+    assert router.route(problem) == QPolicy.load(path, "q").route(problem)
+    assert not watched
+    with pytest.raises(InputError, match="expected a problem named as one of"):
+        DQNRouter(SHORT, path)
+
+
+# --- classical ------------------------------------------------------------------------------------
+
+
+def test_random_router_walks_by_its_seed() -> None:
+    problem = problem_of(0)
+    first = RandomRouter(3).route(problem)
+    assert first == RandomRouter(3).route(problem)
+    assert first != RandomRouter(4).route(problem)
+    router = RandomRouter(3)
+    assert router.route(problem) == router.route(problem) == first
+    assert first == by_gymnasium(RandomPolicy(3), problem)
+    short = RandomRouter(3, max_steps=2).route(problem)
+    assert short == by_gymnasium(RandomPolicy(3), problem, max_steps=2)
+    assert evaluate(problem, short).wirelength <= 2 * len(problem.nets)
+
+
+def test_random_policy_draws_evenly_from_the_open_moves() -> None:
+    policy = RandomPolicy(0)
+    mask = np.array([1, 0, 1, 1, 0, 0], np.int8)
+    counts = np.bincount([policy.act(None, mask) for _ in range(3000)], minlength=6)
+    assert counts.tolist() == (counts * mask).tolist()
+    assert abs(counts[mask == 1] - 1000).max() < 5 * (1000 * 2 / 3) ** 0.5
+    env = global_routing_v0.env(problem_of(0), max_steps=5)
+    env.reset()
+    assert by_aec(policy, problem_of(0), max_steps=5).problem == problem_of(0)
+
+
+@settings(max_examples=25, deadline=None)
+@given(problems(), st.integers(0, 3))
+def test_random_routes_take_no_more_than_there_is(problem: Problem, seed: int) -> None:
+    router = RandomRouter(seed, max_steps=20)
+    if all(len(gcells) == 1 for gcells in problem.pin_gcells):
+        with pytest.raises(InputError, match="pins in two Gcells"):
+            router.route(problem)
+    else:
+        assert evaluate(problem, router.route(problem)).overflow == 0
+
+
+def test_astar_router_is_sequential_astar() -> None:
+    for seed in range(3):
+        problem = problem_of(seed, max_pins=4, nets=12)
+        assert AStarRouter().route(problem) == sequential_astar(problem)
+        up = AStarRouter(net_order="half_perimeter_up").route(problem)
+        assert up == sequential_astar(problem, "half_perimeter_up")
+        assert evaluate(problem, up).connected
+
+
+def test_routers_have_the_names_of_the_command_line() -> None:
+    routers: list[Router] = [AStarRouter(), RandomRouter(), DQNRouter(SHORT)]
+    assert [router.name for router in routers] == ["astar", "random", "dqn"]

@@ -1,0 +1,577 @@
+"""Run folders: what they hold, and trainings that are killed and go on as if they were not."""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
+from marouting.generator import GeneratorOptions
+from policies.cli import status
+from policies.config import Config, DQNOptions, TrainOptions, load_config
+from policies.learned.logs import Logs
+from policies.learned.router import QPolicy
+from policies.learned.run import Run, clear
+from policies.learned.trainer import Episode, Trainer
+
+PROBLEMS = GeneratorOptions(count=2, grid=(4, 4, 2), nets=3, capacity=2, seed=5)
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def config_in(folder: Path, episodes: int = 20, **options: Any) -> Config:
+    """A small configuration of two problems.
+
+    Args:
+        folder: the run folder.
+        episodes: see TrainOptions.
+        **options: fields of EnvOptions, DQNOptions and TrainOptions.
+    """
+    fields = {
+        part: {k: v for k, v in options.items() if k in part.__dataclass_fields__}
+        for part in (EnvOptions, DQNOptions, TrainOptions)
+    }
+    env = {"problem": PROBLEMS, "max_steps": 12, **fields[EnvOptions]}
+    dqn = {"burn_in_size": 100, "buffer_size": 500, "hidden": (8,), **fields[DQNOptions]}
+    train = {"tensorboard": False, "figures": False, **fields[TrainOptions]}
+    return Config(
+        out=str(folder),
+        env=EnvOptions(**env),
+        dqn=DQNOptions(**{"epsilon": 0.2, "target_period": 7, **dqn}),
+        train=TrainOptions(episodes=episodes, **train),
+    )
+
+
+def metrics(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+
+
+def results(folder: Path) -> list[dict[str, Any]]:
+    """The rows of result.json without the times."""
+    rows = json.loads((folder / "result.json").read_text())
+    assert all(row.pop("seconds") >= 0 for row in rows)
+    return rows
+
+
+def outcome(folder: Path) -> dict[str, Any]:
+    """Everything of a finished run that has to be the same however often it was stopped."""
+    files = [folder / "metrics.jsonl", *sorted((folder / "solutions").iterdir())]
+    policy = torch.load(folder / "policy.pt", weights_only=True)
+    checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
+    return {
+        **{path.name: path.read_bytes() for path in files},
+        "result": results(folder),
+        "policy": policy.pop("weights").numpy().tobytes(),
+        "about": policy,
+        **{k: v.numpy().tobytes() for k, v in checkpoint["learner"].items()},
+        **{k: v.numpy().tobytes() for k, v in checkpoint["trainer"].items()},
+    }
+
+
+# --- what a folder holds --------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a whole run, without the figures."""
+    folder = tmp_path_factory.mktemp("runs") / "deep" / "run"
+    Run(config_in(folder, tensorboard=True), progress=False).execute()
+    return folder
+
+
+def test_folder_holds_what_it_should(finished: Path) -> None:
+    assert sorted(path.name for path in finished.iterdir()) == [
+        "checkpoint.pt",
+        "config.yaml",
+        "metrics.jsonl",
+        "policy.pt",
+        "problems",
+        "result.json",
+        "solutions",
+        "tensorboard",
+    ]
+
+
+def test_config_reloads(finished: Path) -> None:
+    config = config_in(finished, tensorboard=True)
+    assert load_config(finished / "config.yaml") == config
+    # The whole of it, defaults included.
+    assert yaml.safe_load((finished / "config.yaml").read_text()) == json.loads(
+        json.dumps(asdict(config))
+    )
+
+
+def test_problems_are_those_routed(finished: Path) -> None:
+    written = {path.stem: Problem.read(path) for path in (finished / "problems").glob("*.gr")}
+    generated = generate(2, grid=(4, 4, 2), nets=3, capacity=2, seed=5)
+    assert written == {"problem_000": generated[0], "problem_001": generated[1]}
+
+
+def test_metrics_are_complete(finished: Path) -> None:
+    lines = metrics(finished)
+    names = list(Episode.__dataclass_fields__)
+    assert all(list(line) == names for line in lines)
+    for name in ("problem_000", "problem_001"):
+        own = [line for line in lines if line["problem"] == name]
+        assert [line["episode"] for line in own] == list(range(20))
+        assert all(0 <= line["joined"] <= line["tasks"] == 3 for line in own)
+        assert own[-1]["updates"] == sum(line["steps"] for line in own)
+    assert len(lines) == 40
+
+
+def test_results_are_those_of_the_solutions(finished: Path) -> None:
+    rows = results(finished)
+    assert [(row["problem"], row["router"]) for row in rows] == [
+        (problem, router)
+        for problem in ("problem_000", "problem_001")
+        for router in ("astar", "dqn")
+    ]
+    lines = metrics(finished)
+    for row in rows:
+        problem = Problem.read(finished / "problems" / f"{row['problem']}.gr")
+        path = finished / "solutions" / f"{row['problem']}.{row['router']}.solution"
+        expected = asdict(evaluate(problem, Solution.read(path, problem)))
+        del expected["disconnected"]
+        assert expected == {name: row[name] for name in expected}
+        assert set(row) == {"problem", "router", *expected}
+        if row["router"] == "dqn":
+            # Of the best episode: most joined, then overflow, wirelength.
+            own = [line for line in lines if line["problem"] == row["problem"]]
+            best = min((-line["joined"], line["overflow"], line["wirelength"]) for line in own)
+            assert (row["overflow"], row["wirelength"]) == best[1:]
+            assert row["joined"] >= -best[0]
+            marked = [line for line in own if line["best"]][-1]
+            assert (-marked["joined"], marked["overflow"], marked["wirelength"]) == best
+
+
+def test_figures_are_pictures(tmp_path: Path) -> None:
+    config = config_in(tmp_path / "run", 2, problem=replace(PROBLEMS, count=1), figures=True)
+    Run(config, progress=False).execute()
+    figures = tmp_path / "run" / "figures"
+    kinds = ("heat_maps", "histogram", "edges", "solution_2d", "solution_3d")
+    expected = {"reward.png", "reward_log.png"} | {
+        f"problem_000/{stem}.png"
+        for stem in ("comparison", *(f"{r}_{kind}" for r in ("astar", "dqn") for kind in kinds))
+    }
+    assert {str(path.relative_to(figures)) for path in figures.rglob("*.*")} == expected
+    assert all((figures / name).read_bytes().startswith(PNG) for name in expected)
+
+
+def test_tensorboard_shows_the_metrics(finished: Path) -> None:
+    events = EventAccumulator(str(finished / "tensorboard"))
+    events.Reload()
+    curves = ("reward", "joined", "overflow", "wirelength", "steps", "epsilon", "loss")
+    assert set(events.Tags()["scalars"]) == {
+        f"{curve}/{problem}" for curve in curves for problem in ("problem_000", "problem_001")
+    }
+    lines = [line for line in metrics(finished) if line["problem"] == "problem_001"]
+    for curve in curves:
+        shown = events.Scalars(f"{curve}/problem_001")
+        assert [event.step for event in shown] == list(range(20))
+        assert [event.value for event in shown] == pytest.approx([line[curve] for line in lines])
+
+
+def test_policy_file_plays(finished: Path) -> None:
+    whole = torch.load(finished / "checkpoint.pt", weights_only=True)
+    for row, name in enumerate(("problem_000", "problem_001")):
+        policy = QPolicy.load(finished / "policy.pt", name)
+        assert policy.sizes == (12, 8, 6)
+        assert policy.env.max_steps == 12
+        problem = Problem.read(finished / "problems" / f"{name}.gr")
+        assert evaluate(problem, policy.route(problem)).tasks == 3
+        same = QPolicy.load(finished / "checkpoint.pt", name)
+        assert same.route(problem) == policy.route(problem)
+        seen = np.arange(12, dtype=np.float32)
+        first = torch.load(finished / "policy.pt", weights_only=True)["weights"][row]
+        assert torch.equal(first, whole["learner"]["weights"][row])
+        hidden = torch.relu(torch.from_numpy(seen) @ first[:96].view(12, 8) + first[96:104])
+        values = hidden @ first[104:152].view(8, 6) + first[152:]
+        assert policy.act(seen, np.ones(6, np.int8)) == int(values.argmax())
+    with pytest.raises(InputError, match="problem_000"):
+        QPolicy.load(finished / "policy.pt", "another")
+
+
+def test_the_same_configuration_gives_the_same_run(finished: Path, tmp_path: Path) -> None:
+    Run(config_in(tmp_path / "run"), progress=False).execute()
+    assert outcome(tmp_path / "run") == outcome(finished)
+
+
+# --- stopped and resumed --------------------------------------------------------------------------
+
+
+class Killed(Exception):
+    """Stands for a kill: nothing of the run catches it."""
+
+
+KINDS: dict[str, dict[str, Any]] = {
+    "single": {},
+    "multi, masked": {"agents": "multi", "masking": True},
+    "torch": {"backend": "torch", "target_period": 0, "steps_per_update": 2},
+}
+
+
+@pytest.mark.parametrize("options", KINDS.values(), ids=KINDS)
+def test_a_run_killed_anywhere_goes_on_as_if_not(
+    options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, folder = tmp_path / "whole", tmp_path / "killed"
+    Run(config_in(whole, 8, **options), progress=False).execute()
+    write = Logs.write
+    left = 0
+
+    def count_down(self: Logs, episodes: list[Episode]) -> None:
+        nonlocal left
+        left -= 1
+        if left == 0:
+            self._lines.write('{"problem": "prob')  # killed in the middle of a line
+            raise Killed
+        write(self, episodes)
+
+    monkeypatch.setattr(Logs, "write", count_down)
+    # Before the first checkpoint; with a checkpoint after every step; long after the last one.
+    for resume, (seconds, writes) in enumerate([(3600.0, 3), (0.0, 3), (3600.0, 5), (0.0, 2)]):
+        left = writes
+        config = config_in(folder, 8, **options)
+        run = Run(config, resume=resume > 0, progress=False)
+        run.config = replace(config, train=replace(config.train, checkpoint_seconds=seconds))
+        with pytest.raises(Killed):
+            run.execute()
+        assert (folder / "checkpoint.pt").exists() == (resume > 0)
+        assert not (folder / "result.json").exists()
+    monkeypatch.undo()
+    Run(config_in(folder, 8, **options), resume=True, progress=False).execute()
+    assert outcome(folder) == outcome(whole)
+    # Once more: there is nothing left to do, and nothing changes.
+    Run(config_in(folder, 8, **options), resume=True, progress=False).execute()
+    assert outcome(folder) == outcome(whole)
+
+
+def test_an_interrupt_waits_for_the_end_of_a_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C in the middle of a step, where moves are made but not learned from, or in burn-in."""
+    whole, folder = tmp_path / "whole", tmp_path / "stopped"
+    Run(config_in(whole), progress=False).execute()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    for method, calls in (("burn_in", 1), ("_learn", 30), ("_step", 200), ("_finish", 5)):
+        original: Callable[..., Any] = getattr(Trainer, method)
+        countdown = calls
+
+        def interrupted(self: Any, *arguments: Any, original: Any = original) -> Any:
+            nonlocal countdown
+            countdown -= 1
+            if countdown == 0:
+                signal.raise_signal(signal.SIGINT)
+            return original(self, *arguments)
+
+        monkeypatch.setattr(Trainer, method, interrupted)
+        run = Run(config_in(folder), resume=method != "burn_in", progress=False)
+        with pytest.raises(KeyboardInterrupt):
+            run.execute()
+        monkeypatch.undo()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        assert (folder / "checkpoint.pt").exists()
+        assert not (folder / "result.json").exists()
+    Run(config_in(folder), resume=True, progress=False).execute()
+    assert outcome(folder) == outcome(whole)
+
+
+def test_a_second_interrupt_does_not_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def twice(_self: Trainer) -> None:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        pytest.fail("expected the second interrupt at once")
+
+    monkeypatch.setattr(Trainer, "burn_in", twice)
+    with pytest.raises(KeyboardInterrupt):
+        Run(config_in(tmp_path / "run"), progress=False).execute()
+    assert not (tmp_path / "run" / "checkpoint.pt").exists()
+
+
+def test_a_run_in_another_thread(tmp_path: Path) -> None:
+    """Where no signal handler can be set."""
+    run = Run(config_in(tmp_path / "run", 2), progress=False)
+    thread = threading.Thread(target=run.execute)
+    thread.start()
+    thread.join()
+    assert len(results(tmp_path / "run")) == 4
+
+
+def command(*arguments: str) -> subprocess.Popen[str]:
+    """The command line in a process of its own, whatever the test's own process ignores."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "policies.cli", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+
+
+def stopped(process: subprocess.Popen[str], ready: Callable[[], bool], number: int) -> int:
+    """Sends a signal once something is so; returns the exit status."""
+    with process:
+        try:
+            until = time.monotonic() + 120
+            while not ready():
+                assert process.poll() is None, process.communicate()[1]
+                assert time.monotonic() < until
+                time.sleep(0.005)
+            process.send_signal(number)
+            _, process.errors = process.communicate(timeout=60)  # type: ignore[attr-defined]
+        finally:
+            process.kill()
+    return process.returncode
+
+
+LONG = 200  # episodes: some seconds
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A longer run, and beside it the configuration file that it came from."""
+    folder = tmp_path_factory.mktemp("long")
+    config = config_in(folder / "run", LONG, checkpoint_seconds=0.1)
+    (folder / "config.yaml").write_text(yaml.safe_dump(json.loads(json.dumps(asdict(config)))))
+    Run(config, progress=False).execute()
+    return folder
+
+
+def lines_in(path: Path) -> int:
+    return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+@pytest.mark.parametrize(
+    "when",
+    [pytest.param("before the first checkpoint", marks=pytest.mark.slow), "after one"],
+)
+def test_a_killed_process_is_resumed(when: str, uninterrupted: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    arguments = ["train", str(uninterrupted / "config.yaml")]
+    first = when == "before the first checkpoint"
+    seconds = ["train.checkpoint_seconds=3600"] if first else []
+    process = command(*arguments, f"out={folder}", *seconds)
+    waited_for = folder / ("metrics.jsonl" if first else "checkpoint.pt")
+    code = stopped(
+        process,
+        lambda: waited_for.exists() and lines_in(folder / "metrics.jsonl") > 0,
+        signal.SIGKILL,
+    )
+    assert code == -signal.SIGKILL
+    assert (folder / "checkpoint.pt").exists() != first
+    assert not (folder / "result.json").exists()
+    assert 0 < lines_in(folder / "metrics.jsonl") < 2 * LONG
+    assert status([*arguments, "--resume", str(folder), *seconds]) == 0
+    assert outcome(folder) == outcome(uninterrupted / "run")
+
+
+def test_an_interrupted_process_is_resumed(uninterrupted: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    arguments = ["train", str(uninterrupted / "config.yaml"), "train.checkpoint_seconds=3600"]
+    process = command(*arguments, f"out={folder}")
+    code = stopped(process, lambda: lines_in(folder / "metrics.jsonl") > 0, signal.SIGINT)
+    assert code == 130
+    errors: str = process.errors  # type: ignore[attr-defined]
+    assert "Traceback" not in errors
+    assert errors.splitlines()[-1] == "marouting: interrupted"
+    assert (folder / "checkpoint.pt").exists()
+    assert not (folder / "result.json").exists()
+    logged = lines_in(folder / "metrics.jsonl")
+    assert (
+        torch.load(folder / "checkpoint.pt", weights_only=True)["trainer"]["episodes"].sum()
+        == logged
+    )
+    assert 0 < logged < 2 * LONG
+    assert status([*arguments, "--resume", str(folder)]) == 0
+    assert outcome(folder) == outcome(uninterrupted / "run")
+
+
+def test_resume_takes_another_place_of_the_folder(tmp_path: Path) -> None:
+    config = config_in(tmp_path / "run", 3)
+    Run(config, progress=False).execute()
+    before = outcome(tmp_path / "run")
+    (tmp_path / "run").rename(tmp_path / "moved")
+    Run(replace(config, out=str(tmp_path / "moved")), resume=True, progress=False).execute()
+    assert outcome(tmp_path / "moved") == before
+    assert not (tmp_path / "run").exists()
+
+
+# --- refused --------------------------------------------------------------------------------------
+
+OTHERS: dict[str, dict[str, Any]] = {
+    "seed": {"seed": 1},
+    "dqn.gamma": {"gamma": 0.5},
+    "dqn.hidden": {"hidden": (8, 8)},
+    "env.max_steps": {"max_steps": 13},
+    "env.problem.nets": {"problem": replace(PROBLEMS, nets=4)},
+    "env.problem.count": {"problem": "some.gr"},
+    "train.episodes": {"episodes": 9},
+}
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("short") / "run"
+    Run(config_in(folder, 3), progress=False).execute()
+    return folder
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+@pytest.mark.parametrize(("key", "other"), OTHERS.items(), ids=OTHERS)
+def test_resume_with_another_configuration_is_refused(
+    key: str, other: dict[str, Any], short: Path
+) -> None:
+    before = snapshot(short)
+    options = dict(other)
+    seed = options.pop("seed", 0)
+    config = replace(config_in(short, **{"episodes": 3, **options}), seed=seed)
+    with pytest.raises(InputError) as caught:
+        Run(config, resume=True, progress=False)
+    assert str(caught.value).startswith(f"{key}: expected ")
+    assert str(short / "config.yaml") in str(caught.value)
+    assert snapshot(short) == before
+
+
+def test_resume_of_files_with_a_generator_is_refused(tmp_path: Path) -> None:
+    generate(1, grid=(4, 4, 2), nets=3)[0].write(tmp_path / "a.gr")
+    config = config_in(tmp_path / "run", 2, problem=str(tmp_path / "a.gr"))
+    Run(config, progress=False).execute()
+    with pytest.raises(InputError, match=r"^env\.problem: expected '.*a\.gr'"):
+        Run(config_in(tmp_path / "run", 2), resume=True, progress=False)
+    (tmp_path / "a.gr").unlink()  # the run folder has its own
+    Run(config, resume=True, progress=False).execute()
+
+
+def test_a_folder_with_a_run_is_refused(short: Path) -> None:
+    before = snapshot(short)
+    with pytest.raises(InputError, match="holds a run") as caught:
+        Run(config_in(short, 3), progress=False)
+    assert str(short) in str(caught.value)
+    assert snapshot(short) == before
+
+
+def test_clear_removes_a_run_and_nothing_else(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    Run(config_in(folder, 2, tensorboard=True), progress=False).execute()
+    (folder / "mine.txt").write_text("mine")
+    clear(folder)
+    assert [path.name for path in folder.iterdir()] == ["mine.txt"]
+    (folder / "metrics.jsonl").write_text("not a run's")
+    clear(folder)  # no config.yaml, no run
+    assert (folder / "metrics.jsonl").exists()
+
+
+def truncated(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def flipped(path: Path) -> None:
+    """A bit of a tensor is another: the archive is whole, its checksum is not."""
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 64
+    path.write_bytes(data)
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def folder_instead(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def random_bytes(path: Path) -> None:
+    path.write_bytes(np.random.default_rng(0).bytes(5000))
+
+
+def policy_only(path: Path) -> None:
+    path.write_bytes((path.parent / "policy.pt").read_bytes())
+
+
+def changed(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
+    """A checkpoint of which something is changed and saved in order."""
+
+    def damage(path: Path) -> None:
+        state = torch.load(path, weights_only=True)
+        change(state)
+        torch.save(state, path)
+
+    return damage
+
+
+DAMAGES: dict[str, Callable[[Path], None]] = {
+    "truncated": truncated,
+    "flipped": flipped,
+    "random": random_bytes,
+    "empty": empty,
+    "folder": folder_instead,
+    "policy": policy_only,
+    "names": changed(lambda state: state.update(names=["problem_000", "x"])),
+    "sizes": changed(lambda state: state.update(sizes=[12, 9, 6])),
+    "format": changed(lambda state: state.update(format="marouting-dqn-0")),
+    "no learner": changed(lambda state: state.pop("learner")),
+    "no seconds": changed(lambda state: state.pop("seconds")),
+    "shape": changed(
+        lambda state: state["learner"].update(mean=state["learner"]["mean"][:, :-1].clone())
+    ),
+    "memory": changed(lambda state: state["trainer"].update({"replay.move": torch.zeros(2, 400)})),
+    "missing": changed(lambda state: state["trainer"].pop("play.used")),
+    "no tensor": changed(lambda state: state["trainer"].update(episodes=[1, 2])),
+    "logged": changed(lambda state: state.update(logged=10**6)),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_resume_from_a_damaged_checkpoint_is_refused(
+    damage: Callable[[Path], None], short: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    for name, content in snapshot(short).items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    damage(folder / "checkpoint.pt")
+    before = snapshot(folder)
+    with pytest.raises(InputError) as caught:
+        Run(config_in(folder, 3), resume=True, progress=False).execute()
+    assert str(folder) in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+    assert "InputError" not in str(caught.value)
+    assert status(["train", str(folder / "config.yaml"), "--resume", str(folder)]) == 2
+    assert snapshot(folder) == before
+
+
+@pytest.mark.parametrize("depth", [1, 2])
+def test_a_folder_that_cannot_be_made_is_refused(depth: int, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("a file")
+    folder = tmp_path / "file" if depth == 1 else tmp_path / "file" / "run"
+    with pytest.raises(InputError, match="cannot be written") as caught:
+        Run(config_in(folder, 2), progress=False)
+    assert str(folder) in str(caught.value)
+    assert snapshot(tmp_path) == {"file": b"a file"}
+
+
+def test_a_metrics_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    (folder / "metrics.jsonl").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"metrics\.jsonl: cannot be written"):
+        Run(config_in(folder, 2), progress=False).execute()
+    assert list((folder / "metrics.jsonl").iterdir()) == []
