@@ -109,7 +109,8 @@ def _paper(
     for i in range(len(problems)):
         m, n = problems[i], agents[i]
         if n == NOBODY:
-            out[i] = 0
+            for f in range(out.shape[1]):
+                out[i, f] = 0
             continue
         agent = play.agents[m, n]
         for axis in range(AXES):

@@ -26,6 +26,7 @@ from marouting.engine import (
     _pass_turn,
     _settle,
     has_room,
+    wide,
 )
 from marouting.grid import MOVES, OFF_GRID, Grid
 from marouting.problem import Problem
@@ -156,7 +157,8 @@ def shortest_path(
         s.path[length] = s.came[cell]
         length += 1
         cell = world.neighbour[cell, s.came[cell] ^ 1]  # the opposite move
-    s.path[:length] = s.path[:length][::-1].copy()
+    for i in range(length // 2):
+        s.path[i], s.path[length - 1 - i] = s.path[length - 1 - i], s.path[i]
     return length
 
 
@@ -165,11 +167,11 @@ def _route(world: World, play: Play, s: Scratch) -> None:
     """All agents of all problems, one after the other in turn order, along cheapest paths."""
     for m in range(len(play.games)):
         while play.games[m].agent != NOBODY:
-            n = play.games[m].agent
+            n = wide(play.games[m].agent)
             agent = play.agents[m, n]
             length = shortest_path(world, play, s, m, n, agent.cell, agent.target)
             for i in range(length):
-                _move(world, play, m, n, s.path[i])
+                _move(world, play, m, n, wide(s.path[i]))
             _settle(world, play, m, n)
             _pass_turn(world, play, m)
 
@@ -179,7 +181,7 @@ def _first_moves(
     world: World, play: Play, s: Scratch, problems: Any, agents: Any, out: Any
 ) -> None:
     for i in range(len(problems)):
-        m, n = problems[i], agents[i]
+        m, n = wide(problems[i]), wide(agents[i])
         out[i] = NOBODY
         if n != NOBODY and play.agents[m, n].status == Status.ACTIVE:
             agent = play.agents[m, n]

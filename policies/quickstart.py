@@ -2,51 +2,82 @@
 
 import time
 from pathlib import Path
+from typing import Any, get_args
 
 import click
 
-from marouting import Solution
-from marouting.config import EnvOptions
+from marouting import Problem, Solution
+from marouting.config import Agents, EnvOptions
 from marouting.generator import GeneratorOptions
 from marouting.source import load_problem
 from policies import figures
 from policies.classical.astar import AStarRouter
 from policies.classical.random import RandomRouter
 from policies.config import Config, DQNOptions, TrainOptions
+from policies.learned.router import DQNRouter
 from policies.learned.run import Run, clear, row
-from policies.plot import run_figures
+from policies.plot import reward_figures, run_figures
 from policies.table import show
 
-PROBLEM = GeneratorOptions(nets=20, seed=1)
-EPISODES = {"single": 300, "multi": 300}
+PROBLEM = GeneratorOptions(nets=30, capacity=4, seed=29)
+"""Small, and tight enough for sequential A* to overflow an edge."""
+
+EPISODES = 350
 
 
 def run(out: Path) -> None:
     """Does it all, and writes it into a folder; raises InputError if that cannot be."""
     problem = load_problem(PROBLEM)
     problem.write(out / "problem.gr")
+    click.echo("Compiling, once on a machine ...", err=True)
+    _compile()
     rows, solutions = [], {}
     for router in (RandomRouter(), AStarRouter()):
         started = time.perf_counter()
         solutions[router.name] = router.route(problem)
         seconds = time.perf_counter() - started
-        rows.append(row("quickstart", router.name, solutions[router.name], seconds))
-    for agents in ("single", "multi"):
-        folder = out / agents
-        clear(folder)
-        config = Config(
-            out=str(folder),
-            env=EnvOptions(problem=str(out / "problem.gr"), agents=agents),
-            dqn=DQNOptions(gamma=0.95, target_period=1000),
-            train=TrainOptions(episodes=EPISODES[agents], figures=False),
-        )
-        (result,) = [r for r in Run(config).execute() if r["router"] == "dqn"]
-        name = f"dqn ({agents} agent{'s' if agents == 'multi' else ''})"
-        rows.append({**result, "problem": "quickstart", "router": name})
-        path = folder / "solutions" / "problem.dqn.solution"
-        solutions[name] = Solution.read(path, problem)
-        run_figures(folder)
+        rows.append(row(router.name, solutions[router.name], seconds))
     del solutions["random"]  # a tangle that shows nothing
+    games: dict[str, Agents] = {"dqn, one agent": "single", "dqn, every net an agent": "multi"}
+    for name, agents in games.items():
+        result, solutions[name] = _train(problem, out, agents)
+        rows.append({**result, "router": name})
     figures.save(figures.comparison(solutions), out / "solutions.png")
-    show(rows, "20 nets on 8x8x2")
-    click.echo(f"Pictures: {out / 'solutions.png'}, {out / 'single' / 'figures'}")
+    run_figures(out / "single")
+    reward_figures(out / "multi" / "metrics.jsonl", out / "multi" / "figures")
+    nets, grid = len(problem.nets), "x".join(map(str, problem.grid))
+    show(rows, f"{nets} nets on {grid} Gcells")
+    for what, path in (
+        ("solutions", out / "solutions.png"),
+        ("heat maps", out / "single" / "figures" / "problem" / "dqn_heat_maps.png"),
+        ("reward curve", out / "single" / "figures" / "reward.png"),
+    ):
+        click.echo(f"{what:>12}: {path}")
+
+
+def _compile() -> None:
+    """Has everything compiled that is timed later."""
+    tiny = load_problem(GeneratorOptions(grid=(3, 3, 2), nets=2))
+    RandomRouter().route(tiny)
+    for agents in get_args(Agents):
+        config = Config(
+            env=EnvOptions(agents=agents),
+            dqn=DQNOptions(burn_in_size=32),
+            train=TrainOptions(episodes=1),
+        )
+        DQNRouter(config).route(tiny)
+
+
+def _train(problem: Problem, out: Path, agents: Agents) -> tuple[dict[str, Any], Solution]:
+    """A short training in a run folder: its row of the table, without the problem, and routes."""
+    folder = out / agents
+    clear(folder)
+    config = Config(
+        out=str(folder),
+        env=EnvOptions(problem=str(out / "problem.gr"), agents=agents),
+        dqn=DQNOptions(gamma=0.95, target_period=1000),
+        train=TrainOptions(episodes=EPISODES, figures=False),
+    )
+    (result,) = [r for r in Run(config).execute() if r["router"] == "dqn"]
+    del result["problem"]
+    return result, Solution.read(folder / "solutions" / "problem.dqn.solution", problem)

@@ -20,13 +20,16 @@ COLUMNS = (
 def show(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Prints rows as ``result.json`` holds them to standard output.
 
-    Where nets stayed open, less wirelength is no merit: the tasks joined stand beside it.
+    Where nets stayed open, less wirelength is no merit: the tasks joined stand beside it. A column
+    that no row has is left out.
     """
     table = Table(title=title, box=SIMPLE_HEAD, title_justify="left")
-    for _, heading in COLUMNS:
-        table.add_column(heading, justify="left" if heading in ("problem", "router") else "right")
+    columns = [(key, heading) for key, heading in COLUMNS if any(key in row for row in rows)]
+    for _, heading in columns:
+        left = heading in ("problem", "router")
+        table.add_column(heading, justify="left" if left else "right", no_wrap=True)
     for row in rows:
         joined = f"{row['joined']}/{row['tasks']}"
         shown = {**row, "joined": joined, "seconds": f"{row['seconds']:.2f}"}
-        table.add_row(*(str(shown[key]) for key, _ in COLUMNS))
+        table.add_row(*(str(shown[key]) for key, _ in columns))
     Console().print(table)

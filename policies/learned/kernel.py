@@ -43,6 +43,15 @@ class Rule(NamedTuple):
 
 
 @compiled
+def _units(sizes: Any) -> int:
+    """Units of all layers but the inputs."""
+    units = 0
+    for i in range(1, len(sizes)):
+        units += sizes[i]
+    return units
+
+
+@compiled
 def _forward(sizes: Any, flat: Any, x: Any, activations: Any) -> Any:
     """Q (B, moves) of x (B, F); hidden activations go into ``activations`` (units, B) rows."""
     at, row = 0, 0
@@ -72,7 +81,7 @@ def _backward(
     batch = x.shape[0]
     layers = len(sizes) - 1
     at = len(flat)
-    row = batch * (sizes[1:].sum())
+    row = batch * _units(sizes)
     for i in range(layers - 1, -1, -1):
         inputs, outputs = sizes[i], sizes[i + 1]
         at -= (inputs + 1) * outputs
@@ -81,7 +90,8 @@ def _backward(
         below = x if i == 0 else activations[before:row].reshape(batch, inputs)
         np.dot(below.T, slope, gradient[at : at + inputs * outputs].reshape(inputs, outputs))
         bias = gradient[at + inputs * outputs : at + (inputs + 1) * outputs]
-        bias[:] = 0
+        for o in range(outputs):
+            bias[o] = 0
         for b in range(batch):
             for o in range(outputs):
                 bias[o] += slope[b, o]
@@ -127,7 +137,7 @@ def _learn_one(
 ) -> None:
     """The gradient steps of network m, see :func:`learn`."""
     capacity, features = memory.seen.shape[1], memory.seen.shape[2]
-    moves, units, batch = sizes[-1], sizes[1:].sum(), rule.batch
+    moves, units, batch = sizes[-1], _units(sizes), rule.batch
     masked = memory.mask.shape[2] > 0
     seen = np.empty((batch, features), np.float32)
     arrived = np.empty((batch, features), np.float32)
@@ -157,8 +167,9 @@ def _learn_one(
                 wanted[b] += np.float32(rule.gamma) * best
         q = _forward(sizes, weights[m], seen, activations)
         total = np.float32(0)
-        slope[:] = 0
         for b in range(batch):
+            for move in range(moves):
+                slope[b, move] = 0
             move = memory.move[m, rows[b]]
             error = q[b, move] - wanted[b]
             total += error * error
@@ -168,7 +179,8 @@ def _learn_one(
         steps[m] += 1
         _adam(weights[m], gradient, mean[m], square[m], steps[m], rule)
         if rule.target_period > 0 and steps[m] % rule.target_period == 0:
-            target[m] = weights[m]
+            for p in range(weights.shape[1]):
+                target[m, p] = weights[m, p]
 
 
 def _learn(
@@ -212,6 +224,9 @@ results do not depend on how many there are."""
 @compiled
 def values(sizes: Any, weights: Any, seen: Any, out: Any) -> None:
     """Fills ``out`` (M, K, moves) with the Q values of ``seen`` (M, K, F)."""
-    scratch = np.empty(sizes[1:].sum() * seen.shape[1], np.float32)
+    scratch = np.empty(_units(sizes) * seen.shape[1], np.float32)
     for m in range(len(weights)):
-        out[m] = _forward(sizes, weights[m], seen[m], scratch)
+        q = _forward(sizes, weights[m], seen[m], scratch)
+        for k in range(out.shape[1]):
+            for move in range(out.shape[2]):
+                out[m, k, move] = q[k, move]

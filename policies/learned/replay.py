@@ -150,10 +150,12 @@ def _add(
             if not moved[m, k]:
                 continue
             at = memory.stored[m] % capacity
-            memory.seen[m, at] = seen[m, k]
-            memory.arrived[m, at] = arrived[m, k]
+            for f in range(seen.shape[2]):
+                memory.seen[m, at, f] = seen[m, k, f]
+                memory.arrived[m, at, f] = arrived[m, k, f]
             memory.move[m, at] = move[m, k]
             memory.reward[m, at] = reward[m, k]
             memory.goes_on[m, at] = goes_on[m, k]
-            memory.mask[m, at] = mask[m, k]
+            for i in range(mask.shape[2]):
+                memory.mask[m, at, i] = mask[m, k, i]
             memory.stored[m] += 1

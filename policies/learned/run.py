@@ -53,11 +53,11 @@ Row = dict[str, Any]
 """One router on one problem, as ``result.json`` holds it."""
 
 
-def row(name: str, router: str, solution: Solution, seconds: float) -> Row:
+def row(router: str, solution: Solution, seconds: float) -> Row:
     """The figures of a solution under the names that all tables use."""
     figures = asdict(evaluate(solution.problem, solution))
     del figures["disconnected"]
-    return {"problem": name, "router": router, **figures, "seconds": round(seconds, 3)}
+    return {"router": router, **figures, "seconds": round(seconds, 3)}
 
 
 def write_config(config: Config, path: Path) -> None:
@@ -178,7 +178,7 @@ class Run:
             seconds = time.perf_counter() - start
             for router, routed, spent in (("astar", astar, seconds), ("dqn", solution, each)):
                 routed.write(self.folder / "solutions" / f"{name}.{router}.solution")
-                rows.append(row(name, router, routed, spent))
+                rows.append({"problem": name, **row(router, routed, spent)})
         write_text(self.folder / RESULT, json.dumps(rows, indent=1) + "\n")
         return rows
 
