@@ -42,6 +42,13 @@ TurnOrder = Literal["sequential", "round_robin"]
 NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
 Overflow = Literal["forbidden", "allowed"]
 
+compiled = njit(cache=True, _nrt=False)  # type: ignore[call-overload]
+"""How the rules are compiled: to disk, and without counting references to arrays. Nothing here
+allocates; counting at every call of a rule would take ten times as long as the rules."""
+
+inlined = njit(cache=True, _nrt=False, inline="always")  # type: ignore[call-overload]
+"""For the small rules inside the loops of others: a call hands over a dozen arrays."""
+
 NOBODY = -1
 """Whose turn it is when the episode is over; also the action of a net that does not move."""
 
@@ -128,7 +135,7 @@ class Play(NamedTuple):
     games: NDArray[Any]  # (M,) GAME
 
 
-@njit(cache=True)
+@inlined
 def wide(index: Any) -> int:
     """An index out of an array as int64.
 
@@ -138,13 +145,13 @@ def wide(index: Any) -> int:
     return np.int64(index)  # type: ignore[return-value]
 
 
-@njit(cache=True)
+@inlined
 def uses(used: Any, m: int, n: int, edge: int) -> bool:
     """Whether agent n of problem m uses an edge."""
     return used[m, n, edge >> 3] >> (edge & 7) & 1 == 1
 
 
-@njit(cache=True)
+@inlined
 def demand_of(world: World, m: int, n: int, cell: int, move: int) -> int:
     """What the edge that a move crosses would cost the net: nothing for a via."""
     if move // 2 == VIA_AXIS:
@@ -152,7 +159,7 @@ def demand_of(world: World, m: int, n: int, cell: int, move: int) -> int:
     return world.demand[m, n, world.position[cell, 2]]
 
 
-@njit(cache=True)
+@inlined
 def has_room(world: World, play: Play, m: int, n: int, cell: int, move: int) -> bool:
     """Whether a move from a Gcell crosses an edge that the net uses or whose demand it can pay."""
     edge = world.edge[cell, move]
@@ -163,7 +170,7 @@ def has_room(world: World, play: Play, m: int, n: int, cell: int, move: int) -> 
     )
 
 
-@njit(cache=True)
+@inlined
 def may_cross(world: World, play: Play, m: int, n: int, cell: int, move: int) -> bool:
     """Whether a move from a Gcell crosses its edge (rather than being blocked)."""
     if world.overflow:
@@ -171,8 +178,8 @@ def may_cross(world: World, play: Play, m: int, n: int, cell: int, move: int) ->
     return has_room(world, play, m, n, cell, move)
 
 
-@njit(cache=True)
-def _move(world: World, play: Play, m: int, n: int, move: int) -> None:
+@compiled
+def move_agent(world: World, play: Play, m: int, n: int, move: int) -> None:
     """One step of one agent: the edge is crossed or not, the task ends or not."""
     agent = play.agents[m, n]
     game = play.games[m]
@@ -206,8 +213,8 @@ def _move(world: World, play: Play, m: int, n: int, move: int) -> None:
         agent.ending = Ending.NONE
 
 
-@njit(cache=True)
-def _wait(play: Play, m: int, n: int) -> None:
+@compiled
+def wait(play: Play, m: int, n: int) -> None:
     """No step: what the agent's last move did is forgotten."""
     agent = play.agents[m, n]
     agent.overflow = 0
@@ -215,8 +222,8 @@ def _wait(play: Play, m: int, n: int) -> None:
     agent.ending = Ending.NONE
 
 
-@njit(cache=True)
-def _begin(world: World, play: Play, m: int, n: int, task: int) -> None:
+@compiled
+def begin_task(world: World, play: Play, m: int, n: int, task: int) -> None:
     """Puts an agent on the start pin of a task."""
     agent = play.agents[m, n]
     agent.task = task
@@ -225,22 +232,22 @@ def _begin(world: World, play: Play, m: int, n: int, task: int) -> None:
     agent.steps = 0
 
 
-@njit(cache=True)
-def _settle(world: World, play: Play, m: int, n: int) -> None:
+@compiled
+def settle_agent(world: World, play: Play, m: int, n: int) -> None:
     """After a move: an agent whose task has ended starts its next one, or is done."""
     agent = play.agents[m, n]
     if agent.status != Status.ACTIVE or agent.ending == Ending.NONE:
         return
     if agent.task + 1 < world.first[m, n + 1]:
-        _begin(world, play, m, n, agent.task + 1)
+        begin_task(world, play, m, n, agent.task + 1)
         return
     tasks = world.first[m, n + 1] - world.first[m, n]
     agent.status = Status.TERMINATED if agent.joined == tasks else Status.TRUNCATED
     play.games[m].active -= 1
 
 
-@njit(cache=True)
-def _pass_turn(world: World, play: Play, m: int) -> None:
+@compiled
+def pass_turn(world: World, play: Play, m: int) -> None:
     """The turn goes to the next agent: the same one while it routes, if the order is sequential."""
     game = play.games[m]
     if game.active == 0:
@@ -257,7 +264,7 @@ def _pass_turn(world: World, play: Play, m: int) -> None:
     game.agent = n
 
 
-@njit(cache=True)
+@compiled
 def _reset(world: World, play: Play, which: Any) -> None:
     """All agents of the chosen problems back to their first pin, all capacity free."""
     for m in range(len(which)):
@@ -275,38 +282,39 @@ def _reset(world: World, play: Play, which: Any) -> None:
         for n in range(world.order.shape[1]):
             agent = play.agents[m, n]
             agent.joined = 0
-            _wait(play, m, n)
+            wait(play, m, n)
             if world.first[m, n] < world.first[m, n + 1]:
                 agent.status = Status.ACTIVE
                 game.active += 1
-                _begin(world, play, m, n, world.first[m, n])
+                begin_task(world, play, m, n, world.first[m, n])
             else:
                 agent.status = Status.ABSENT
         game.agent = world.order[m, 0]
 
 
-@njit(cache=True)
-def _move_turn(world: World, play: Play, moves: Any) -> None:
+@compiled
+def move_turn(world: World, play: Play, moves: Any) -> None:
     """Moves (M,): in every problem the agent whose turn it is moves."""
     for m in range(len(moves)):
         n = wide(play.games[m].agent)
         if n != NOBODY and moves[m] != NOBODY:
-            _move(world, play, m, n, wide(moves[m]))
+            move_agent(world, play, m, n, wide(moves[m]))
         elif n != NOBODY:
-            _wait(play, m, n)
+            wait(play, m, n)
 
 
-@njit(cache=True)
-def _settle_turn(world: World, play: Play) -> None:
+@compiled
+def settle_turn(world: World, play: Play) -> None:
+    """After the moves of :func:`move_turn`: next tasks start, and the turn passes."""
     for m in range(len(play.games)):
         n = wide(play.games[m].agent)
         if n != NOBODY:
-            _settle(world, play, m, n)
-            _pass_turn(world, play, m)
+            settle_agent(world, play, m, n)
+            pass_turn(world, play, m)
 
 
-@njit(cache=True)
-def _move_all(world: World, play: Play, moves: Any) -> None:
+@compiled
+def move_all(world: World, play: Play, moves: Any) -> None:
     """Moves (M, N): all agents move once, in turn order; one alone if the order is sequential."""
     for m in range(len(moves)):
         playing = play.games[m].agent
@@ -320,61 +328,65 @@ def _move_all(world: World, play: Play, moves: Any) -> None:
                 and moves[m, n] != NOBODY
                 and (n == playing or not world.sequential)
             ):
-                _move(world, play, m, n, wide(moves[m, n]))
+                move_agent(world, play, m, n, wide(moves[m, n]))
             else:
-                _wait(play, m, n)
+                wait(play, m, n)
 
 
-@njit(cache=True)
-def _settle_all(world: World, play: Play) -> None:
+@compiled
+def settle_all(world: World, play: Play) -> None:
+    """After the moves of :func:`move_all`: next tasks start, and the turn passes."""
     for m in range(len(play.games)):
         for n in range(world.order.shape[1]):
-            _settle(world, play, m, n)
+            settle_agent(world, play, m, n)
         if play.games[m].agent != NOBODY and (
             world.sequential or play.agents[m, play.games[m].agent].status != Status.ACTIVE
         ):
-            _pass_turn(world, play, m)
+            pass_turn(world, play, m)
 
 
-@njit(cache=True)
+@compiled
 def _step_turn(world: World, play: Play, moves: Any) -> None:
-    _move_turn(world, play, moves)
-    _settle_turn(world, play)
+    move_turn(world, play, moves)
+    settle_turn(world, play)
 
 
-@njit(cache=True)
+@compiled
 def _step_all(world: World, play: Play, moves: Any) -> None:
-    _move_all(world, play, moves)
-    _settle_all(world, play)
+    move_all(world, play, moves)
+    settle_all(world, play)
 
 
-@njit(cache=True)
-def _mask(world: World, play: Play, m: int, n: int, out: Any) -> None:
+@inlined
+def write_mask(world: World, play: Play, m: int, n: int, out: Any, row: int) -> None:
+    """Fills a row of ``out`` (K, 6) with the moves of an agent that cross an edge; all if none."""
     some = False
-    for move in range(MOVES):
-        free = n != NOBODY and may_cross(world, play, m, n, play.agents[m, n].cell, move)
-        out[move] = free
-        some |= free
+    if n != NOBODY:
+        cell = play.agents[m, n].cell
+        for move in range(MOVES):
+            free = may_cross(world, play, m, n, cell, move)
+            out[row, move] = free
+            some |= free
     if not some:
         for move in range(MOVES):
-            out[move] = 1
+            out[row, move] = 1
 
 
-@njit(cache=True)
+@compiled
 def _masks(world: World, play: Play, problems: Any, agents: Any, out: Any) -> None:
     for i in range(len(problems)):
-        _mask(world, play, wide(problems[i]), wide(agents[i]), out[i])
+        write_mask(world, play, wide(problems[i]), wide(agents[i]), out, i)
 
 
-@njit(cache=True)
+@compiled
 def _play_turn(world: World, play: Play, move: int, mask: Any) -> tuple[int, int]:
     m, n = wide(0), wide(play.games[0].agent)
-    _move(world, play, m, n, move)
-    _settle(world, play, m, n)
-    _pass_turn(world, play, m)
+    move_agent(world, play, m, n, move)
+    settle_agent(world, play, m, n)
+    pass_turn(world, play, m)
     status = play.agents[m, n].status
     following = wide(play.games[m].agent)
-    _mask(world, play, m, following if status == Status.ACTIVE else n, mask)
+    write_mask(world, play, m, following if status == Status.ACTIVE else n, mask, 0)
     return following, status
 
 
@@ -524,7 +536,7 @@ class Engine:
             ValueError: a move outside −1…5, or another shape.
         """
         self._check(moves)
-        (_move_turn if moves.ndim == 1 else _move_all)(self.world, self.play, moves)
+        (move_turn if moves.ndim == 1 else move_all)(self.world, self.play, moves)
 
     def settle(self, everyone: bool) -> None:
         """The second half of a step: next tasks start, agents finish, the turn passes.
@@ -532,7 +544,7 @@ class Engine:
         Args:
             everyone: whether the moves were (M, N), of all agents, rather than (M,).
         """
-        (_settle_all if everyone else _settle_turn)(self.world, self.play)
+        (settle_all if everyone else settle_turn)(self.world, self.play)
 
     def step(self, moves: NDArray[np.integer]) -> None:
         """Both halves of a step at once; arguments and errors as of :meth:`move`."""
@@ -544,8 +556,8 @@ class Engine:
 
         Args:
             move: 0 to 5, for the agent whose turn it is; there has to be one.
-            mask: (6,) int8, contiguous; filled with the mask of the agent to look at next: the one
-                whose turn it is now, or the one that moved if it is done.
+            mask: (1, 6) int8, contiguous; filled with the mask of the agent to look at next: the
+                one whose turn it is now, or the one that moved if it is done.
 
         Returns:
             The agent whose turn it is now, or NOBODY, and the status of the one that moved.
@@ -554,7 +566,7 @@ class Engine:
 
     @functools.cached_property
     def _turn(self) -> Callable[..., Any]:
-        return bound(_play_turn, self.world, self.play, 0, np.empty(MOVES, np.int8))
+        return bound(_play_turn, self.world, self.play, 0, np.empty((1, MOVES), np.int8))
 
     def _check(self, moves: NDArray[np.integer]) -> None:
         # The compiled functions index by these without looking.

@@ -11,10 +11,9 @@ from typing import Any, Protocol
 
 import numpy as np
 from gymnasium.spaces import Box
-from numba import njit
 from numpy.typing import NDArray
 
-from marouting.engine import NOBODY, Engine, Play, Status, World, bound
+from marouting.engine import NOBODY, Engine, Play, Status, World, bound, compiled
 from marouting.errors import InputError
 from marouting.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid
 from marouting.problem import Problem
@@ -102,7 +101,7 @@ class PaperObservation:
         return functools.partial(code, world, play, shown)
 
 
-@njit(cache=True)
+@compiled
 def _paper(
     world: World, play: Play, via_capacity: float, problems: Any, agents: Any, out: Any
 ) -> None:

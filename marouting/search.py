@@ -12,7 +12,6 @@ is opened first, and neighbours are found in the order of :class:`marouting.grid
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from marouting.engine import (
@@ -22,10 +21,11 @@ from marouting.engine import (
     Play,
     Status,
     World,
-    _move,
-    _pass_turn,
-    _settle,
+    compiled,
     has_room,
+    move_agent,
+    pass_turn,
+    settle_agent,
     wide,
 )
 from marouting.grid import MOVES, OFF_GRID, Grid
@@ -65,7 +65,7 @@ def scratch(grid: Grid) -> Scratch:
     )
 
 
-@njit(cache=True)
+@compiled
 def _push(s: Scratch, size: int, key: int, cell: int) -> None:
     """Puts an entry into the binary heap of ``size`` entries."""
     at = size
@@ -80,7 +80,7 @@ def _push(s: Scratch, size: int, key: int, cell: int) -> None:
     s.cell[at] = cell
 
 
-@njit(cache=True)
+@compiled
 def _pop(s: Scratch, size: int) -> int:
     """Takes the first entry's Gcell from the heap of ``size`` entries."""
     first = s.cell[0]
@@ -100,7 +100,7 @@ def _pop(s: Scratch, size: int) -> int:
     return first
 
 
-@njit(cache=True)
+@compiled
 def _distance(position: Any, a: int, b: int) -> int:
     """Manhattan distance of two Gcells over x, y and layer."""
     return (
@@ -110,7 +110,7 @@ def _distance(position: Any, a: int, b: int) -> int:
     )
 
 
-@njit(cache=True)
+@compiled
 def shortest_path(
     world: World, play: Play, s: Scratch, m: int, n: int, source: int, target: int
 ) -> int:
@@ -162,7 +162,7 @@ def shortest_path(
     return length
 
 
-@njit(cache=True)
+@compiled
 def _route(world: World, play: Play, s: Scratch) -> None:
     """All agents of all problems, one after the other in turn order, along cheapest paths."""
     for m in range(len(play.games)):
@@ -171,12 +171,12 @@ def _route(world: World, play: Play, s: Scratch) -> None:
             agent = play.agents[m, n]
             length = shortest_path(world, play, s, m, n, agent.cell, agent.target)
             for i in range(length):
-                _move(world, play, m, n, wide(s.path[i]))
-            _settle(world, play, m, n)
-            _pass_turn(world, play, m)
+                move_agent(world, play, m, n, wide(s.path[i]))
+            settle_agent(world, play, m, n)
+            pass_turn(world, play, m)
 
 
-@njit(cache=True)
+@compiled
 def _first_moves(
     world: World, play: Play, s: Scratch, problems: Any, agents: Any, out: Any
 ) -> None:

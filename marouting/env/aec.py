@@ -91,7 +91,7 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
                 self._inform(agent, self._face.mask(self._number[agent]))
             return
         engine = self._face.engine
-        mask = np.empty(MOVES, np.int8)
+        mask = np.empty((1, MOVES), np.int8)
         following, status = engine.play_turn(checked_move(action), mask)
 
         # Only the mover gets a reward; the last mover's is over.
@@ -109,7 +109,7 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
             self._skip_agent_selection = (
                 None if following == NOBODY else self.possible_agents[following]
             )
-        self._inform(agent, mask)
+        self._inform(agent, mask[0])
         if self.render_mode == "human":
             self.render()
 

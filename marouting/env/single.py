@@ -69,8 +69,9 @@ class GlobalRoutingSingle(Looks, gymnasium.Env[Any, Any], EzPickle):
             ValueError: the action is none of the six moves.
         """
         engine = self._face.engine
-        mask = np.empty(MOVES, np.int8)
-        following, _ = engine.play_turn(checked_move(action), mask)
+        masks = np.empty((1, MOVES), np.int8)
+        following, _ = engine.play_turn(checked_move(action), masks)
+        mask = masks[0]
         reward = float(self._face.rewards(engine.agents[0, self._net]))
         over = following == NOBODY
         if not over and following != self._net:

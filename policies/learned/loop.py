@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from marouting.engine import (
     NOBODY,
@@ -12,16 +11,17 @@ from marouting.engine import (
     Play,
     Status,
     World,
-    _move_all,
-    _move_turn,
-    _settle_all,
-    _settle_turn,
+    compiled,
+    move_all,
+    move_turn,
+    settle_all,
+    settle_turn,
 )
 from marouting.grid import MOVES
 from policies.learned.streams import uniform
 
 
-@njit(cache=True)
+@compiled
 def pick(
     play: Play,
     agents: Any,
@@ -80,7 +80,7 @@ def pick(
         counters[m] += playing
 
 
-@njit(cache=True)
+@compiled
 def advance(
     world: World,
     play: Play,
@@ -104,9 +104,9 @@ def advance(
         overflow: (M, K) int32; filled.
     """
     if everyone:
-        _move_all(world, play, moves)
+        move_all(world, play, moves)
     else:
-        _move_turn(world, play, moves[:, 0])
+        move_turn(world, play, moves[:, 0])
     for m in range(agents.shape[0]):
         for k in range(agents.shape[1]):
             n = agents[m, k]
@@ -120,14 +120,14 @@ def advance(
                 overflow[m, k] = agent.overflow
 
 
-@njit(cache=True)
+@compiled
 def settle(world: World, play: Play, everyone: bool, over: Any) -> None:
     """The second half of a step; fills (M,) the problems whose episode ended with it."""
     for m in range(len(over)):
         over[m] = play.games[m].active > 0
     if everyone:
-        _settle_all(world, play)
+        settle_all(world, play)
     else:
-        _settle_turn(world, play)
+        settle_turn(world, play)
     for m in range(len(over)):
         over[m] &= play.games[m].active == 0
