@@ -4,7 +4,9 @@ Oracles: torch's autograd with its own Adam for the gradient step; the Gymnasium
 of the environment, played again move by move, for everything that the trainer stores and logs.
 """
 
+import importlib
 import itertools
+import pkgutil
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,9 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from numba.core.dispatcher import Dispatcher
 from numpy.typing import NDArray
 from torch import nn
 
+import marouting
+import policies
 from marouting import (
     EnvOptions,
     Problem,
@@ -26,6 +31,7 @@ from marouting import (
 )
 from marouting.env.single import GlobalRoutingSingle
 from marouting.grid import MOVES
+from marouting.reward import PaperReward
 from policies.config import Config, DQNOptions, TrainOptions
 from policies.learned.dqn import DQN, Backend
 from policies.learned.replay import Replay
@@ -153,6 +159,35 @@ def test_gradient_step_is_that_of_autograd_and_adam(
         assert learner.steps.tolist() == [step] * problems
     held = torch.stack([torch.from_numpy(flat(target)) for target in targets])
     assert torch.allclose(learner.target.double(), held, atol=1e-4)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_steps_due_together_are_steps_one_by_one(backend: Backend) -> None:
+    replay, sampling = filled(3, 50, masking=False), keys(0, ["a", "b", "c"], "sample")
+    together, apart = learner_of(backend), learner_of(backend)
+    loss = together.learn(replay, sampling, np.array([3, 0, 1])).copy()
+    summed = np.zeros(3)
+    for due in ([1, 0, 1], [1, 0, 0], [1, 0, 0]):
+        summed += apart.learn(replay, sampling, np.array(due))
+    assert together.steps.tolist() == [3, 0, 1]
+    assert loss == pytest.approx(summed)
+    assert loss[1] == 0
+    for a, b in zip(tensors(together), tensors(apart), strict=True):
+        assert np.array_equal(a, b)
+
+
+def test_compiled_functions_do_not_share_a_place_in_the_cache() -> None:
+    # Numba's cache knows a function by its name and line, not by its options: of two compiled from
+    # one, serial and parallel, the second would be the first.
+    places = []
+    for package in (marouting, policies):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            for value in vars(importlib.import_module(module.name)).values():
+                if isinstance(value, Dispatcher) and value.__module__ == module.name:
+                    code = value.py_func.__code__
+                    places.append((code.co_filename, code.co_firstlineno))
+    assert len(places) > 20
+    assert len(set(places)) == len(places)
 
 
 def learner_of(backend: Backend, problems: int = 3, **options: Any) -> DQN:
@@ -411,7 +446,13 @@ class Replayed:
         self.masks: list[NDArray[np.int8]] = []  # of every move
         self.failed = 0  # tasks
         self.everyone = trainer.config.env.agents == "multi"
-        self.max_steps = trainer.config.env.max_steps
+        env = trainer.config.env
+        self.options = {
+            "max_steps": env.max_steps,
+            "overflow": env.overflow,
+            "turn_order": env.turn_order,
+            "reward": env.reward,
+        }
         self.problem = trainer.engine.problems[0]
 
     def episode(self, episode: Episode) -> Solution:
@@ -423,20 +464,22 @@ class Replayed:
         return env.solution()
 
     def _single(self) -> tuple[Any, float]:
-        env = GlobalRoutingSingle(self.problem, max_steps=self.max_steps)
+        env = GlobalRoutingSingle(self.problem, **self.options)
         seen, info = env.reset()
-        total, over, steps = 0.0, False, 0
+        total, over, steps = 0.0, False, dict[str, int]()
         while not over:
+            net = info["net"]
             move = self._take(self.at, seen, info["action_mask"])
             seen, reward, terminated, truncated, info = env.step(move)
             over = terminated or truncated
-            steps = self._gave(reward, seen, steps + 1)
+            shown = seen if info["net"] == net else None  # where another net is next, not this one
+            steps[net] = self._gave(reward, shown, steps.get(net, 0) + 1)
             total += reward
         assert terminated == (env.metrics()["joined"] == env.metrics()["tasks"])
         return env, total
 
     def _multi(self) -> tuple[Any, float]:
-        env = global_routing_v0.parallel_env(self.problem, max_steps=self.max_steps)
+        env = global_routing_v0.parallel_env(self.problem, **self.options)
         seen, infos = env.reset()
         total, steps = 0.0, dict.fromkeys(env.possible_agents, 0)
         while env.agents:
@@ -456,16 +499,16 @@ class Replayed:
         self.masks.append(mask)
         return int(self.memory.move[0, row])
 
-    def _gave(self, reward: float, seen: NDArray[np.float32], steps: int) -> int:
+    def _gave(self, reward: float, seen: NDArray[np.float32] | None, steps: int) -> int:
         """Checks what came of the next row's move; returns the steps of the task, 0 at its end."""
         memory, row = self.memory, self.at
-        joined = reward == REACHED
-        failed = not joined and steps == self.max_steps
+        joined = reward > REACHED / 2  # overflow may have a price
+        failed = not joined and steps == self.options["max_steps"]
         arrived = memory.arrived[0, row]
         assert memory.reward[0, row] == reward
         assert memory.goes_on[0, row] == (not joined)
         assert arrived[3:6].any() == (not joined)  # the way that is left to this task's target
-        if not joined and not failed:
+        if not joined and not failed and seen is not None:
             assert np.array_equal(arrived, seen)
         self.at += 1
         self.failed += failed
@@ -476,7 +519,18 @@ LEARNERS: dict[str, dict[str, Any]] = {
     "single": {},
     "single, masked": {"masking": True, "epsilon": 0.5, "target_period": 10},
     "single, torch": {"backend": "torch", "steps_per_update": 3},
+    "single, round robin": {"turn_order": "round_robin"},
+    "single, overflow": {
+        "overflow": "allowed",
+        "reward": PaperReward(own_edge=0, overflow_price=2.5),
+    },
     "multi": {"agents": "multi"},
+    "multi, a step for three moves": {"agents": "multi", "steps_per_update": 3},
+    "multi, overflow": {
+        "agents": "multi",
+        "overflow": "allowed",
+        "reward": PaperReward(overflow_price=1),
+    },
     "multi, masked, torch": {"agents": "multi", "masking": True, "backend": "torch"},
 }
 
@@ -484,7 +538,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("options", LEARNERS.values(), ids=LEARNERS)
 def test_memory_and_episodes_are_what_the_environment_shows(options: dict[str, Any]) -> None:
     config = small_config(**{"epsilon": 0.3, **options}, max_steps=9)
-    problem = tiny(nets=5)
+    env, problem = config.env, tiny(nets=5)
     trainer = Trainer({"p": problem}, config)
     trainer.burn_in()
     burnt = int(trainer.replay.stored[0])
@@ -497,6 +551,7 @@ def test_memory_and_episodes_are_what_the_environment_shows(options: dict[str, A
     walked = [replayed.episode(episode) for episode in episodes]
     assert replayed.at == replayed.rows
     assert replayed.failed > 0  # among them tasks that ran out of steps
+    assert all(episode.overflow == 0 for episode in episodes) == (env.overflow == "forbidden")
     moves = trainer.replay.memory.move[0, burnt : replayed.rows]
     allowed = np.stack(replayed.masks)[np.arange(len(moves)), moves]
     assert allowed.all() == config.dqn.masking
@@ -607,6 +662,67 @@ def test_seeds_decide_everything(backend: Backend, agents: Any) -> None:
     other = Trainer(problems, replace(config, seed=1))
     assert train(other) != train(first)
     assert bits(other) != bits(first)
+
+
+@pytest.mark.parametrize("purpose", ["weights", "explore", "sample"])
+def test_the_seed_decides_each_kind_of_number(purpose: str) -> None:
+    """Two seeds that differ in one thing only: first weights, random moves or samples."""
+    options = {
+        "weights": {"steps_per_update": 10**6, "epsilon": 0},
+        "explore": {"steps_per_update": 10**6, "epsilon": 1},
+        "sample": {"epsilon": 0},
+    }[purpose]
+    trainers = [
+        Trainer({"p": tiny()}, small_config(3, seed=seed, learning_rate=1e-9, **options))
+        for seed in (0, 1)
+    ]
+    if purpose != "weights":
+        trainers[1].learner.weights.copy_(trainers[0].learner.weights)
+    first, second = map(train, trainers)
+    if purpose == "sample":  # too small a rate to show in the moves
+        assert [e.loss for e in first] != [e.loss for e in second]
+        assert [replace(e, loss=0) for e in first] == [replace(e, loss=0) for e in second]
+    else:
+        moves = [trainer.replay.memory.move for trainer in trainers]
+        assert not np.array_equal(*moves)
+
+
+@pytest.mark.parametrize("agents", ["single", "multi"])
+def test_loss_is_the_mean_of_the_gradient_steps_of_an_episode(
+    agents: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trainer = Trainer({"p": tiny(), "q": tiny(1)}, small_config(4, agents=agents))
+    taken = []
+    learn = DQN.learn
+
+    def note(self: DQN, *arguments: Any) -> Any:
+        before = self.steps.copy()
+        loss = learn(self, *arguments)
+        taken.append((self.steps - before, loss.copy()))
+        return loss
+
+    monkeypatch.setattr(DQN, "learn", note)
+    before = [0, 0]
+    for finished in trainer.run():
+        for episode in finished:
+            m = trainer.names.index(episode.problem)
+            own = [(steps[m], loss[m]) for steps, loss in taken[before[m] :] if steps[m]]
+            before[m] = len(taken)
+            steps, losses = np.array(own).T
+            assert steps.sum() == episode.steps
+            assert episode.loss == pytest.approx(losses.sum() / steps.sum())
+
+
+@pytest.mark.slow  # the time is the compiler's
+@pytest.mark.parametrize("agents", ["single", "multi"])
+def test_threads_change_nothing(agents: Any) -> None:
+    problems = {name: tiny(seed) for seed, name in enumerate("abc")}
+    config = small_config(3, backend="compiled", agents=agents, epsilon=0.2)
+    one = Trainer(problems, config)
+    expected = train(one)
+    two = Trainer(problems, replace(config, train=replace(config.train, threads=2)))
+    assert train(two) == expected
+    assert bits(two) == bits(one)
 
 
 @pytest.mark.parametrize("agents", ["single", "multi"])

@@ -98,6 +98,7 @@ def saved(trainer: Trainer, path: Path) -> Path:
 OPTIONS: tuple[dict[str, Any], ...] = (
     {"max_steps": 20},
     {"max_steps": 7, "net_order": "file"},
+    {"max_steps": 1},
     {"max_steps": 15, "net_order": "half_perimeter_up", "overflow": "allowed"},
 )
 
@@ -116,6 +117,7 @@ def test_route_is_the_walk_through_the_faces(
     many = policy_of(seed, masking, agents="multi", **options)
     routed = many.route(problem)
     assert routed == by_parallel(many, problem, **options)
+    assert evaluate(problem, routed).wirelength <= 6 * options["max_steps"]
     # Without a mask, random weights can stand before a full edge all day.
     assert evaluate(problem, routed).wirelength > 0 or not masking
     if "overflow" not in options:

@@ -183,7 +183,8 @@ def _learn_one(
                 target[m, p] = weights[m, p]
 
 
-def _learn(
+@compiled
+def learn(
     sizes: Any,
     weights: Any,
     target: Any,
@@ -211,14 +212,31 @@ def _learn(
         rule: how a step is taken.
         loss: (M,) float64, filled with the sum of the steps' losses.
     """
-    for m in prange(len(steps)):
+    for m in range(len(steps)):
         _learn_one(m, sizes, weights, target, mean, square, steps, memory, keys, due, rule, loss)
 
 
-learn = compiled(_learn)
-learn_threaded = njit(cache=True, error_model="numpy", parallel=True)(_learn)
-"""The same, the networks shared out among numba's threads: each is learned by one thread, so the
-results do not depend on how many there are."""
+@njit(cache=True, error_model="numpy", parallel=True)
+def learn_threaded(
+    sizes: Any,
+    weights: Any,
+    target: Any,
+    mean: Any,
+    square: Any,
+    steps: Any,
+    memory: Memory,
+    keys: Any,
+    due: Any,
+    rule: Rule,
+    loss: Any,
+) -> None:
+    """:func:`learn`, with the networks shared out among numba's threads.
+
+    Each network is learned by one thread: the results do not depend on how many there are. Numba's
+    cache does not look at options, so this has to be a function of its own.
+    """
+    for m in prange(len(steps)):
+        _learn_one(m, sizes, weights, target, mean, square, steps, memory, keys, due, rule, loss)
 
 
 @compiled

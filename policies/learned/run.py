@@ -93,10 +93,9 @@ class Run:
             raise InputError(
                 f"{self.folder}: holds a run: expected another out=, or --resume {self.folder}"
             )
-        if resume:
-            self.problems = load_problems(str(self.folder / "problems"))
-        else:
-            self.problems = load_problems(config.env.problem)
+        source = str(self.folder / "problems") if resume else config.env.problem
+        # In an order that does not depend on where they come from.
+        self.problems = dict(sorted(load_problems(source).items()))
         self.trainer = Trainer(self.problems, config)
         self._seconds = 0.0
         self._logged = 0
