@@ -255,6 +255,9 @@ def test_train_takes_problem_files(here: Path, capsys: pytest.CaptureFixture[str
     ):
         printed(capsys, "train", "small.yaml", f"out={out}", f"env.problem={source}")
         assert sorted(path.stem for path in (here / out / "problems").iterdir()) == names
+        before = (here / out / "metrics.jsonl").read_bytes()
+        printed(capsys, "train", "small.yaml", f"env.problem={source}", "--resume", out)
+        assert (here / out / "metrics.jsonl").read_bytes() == before
 
 
 def test_resume_goes_by_the_folder_whatever_its_name(
