@@ -466,8 +466,8 @@ class Engine:
         width, height, _ = problems[0].grid
         if max_steps is None:
             max_steps = max(50, 2 * (width + height))
-        if max_steps < 1:
-            raise InputError(f"max_steps: expected a number from 1, found {max_steps}")
+        if not 1 <= max_steps <= UNLIMITED:
+            raise InputError(f"max_steps: expected 1 to {UNLIMITED}, found {max_steps}")
         self.problems = tuple(problems)
         self.grid = Grid.of(problems[0].grid)
         self.turn_order: TurnOrder = turn_order

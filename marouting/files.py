@@ -49,6 +49,16 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Raises InputError unless ``path`` could be written: for before the work, not after it."""
+
+    class Checked(Exception):
+        """Leaves :func:`writing` without a file."""
+
+    with contextlib.suppress(Checked), writing(path):
+        raise Checked
+
+
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Writes ``text`` as UTF-8 to ``path``, whole or not at all; raises InputError."""
     with writing(path) as temporary:

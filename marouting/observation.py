@@ -62,7 +62,7 @@ class PaperObservation:
             authors' code starts (there it runs out; here it does not).
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
 
     via_capacity: float = 10.0
 

@@ -43,7 +43,7 @@ class PaperReward:
             where overflow is allowed.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
 
     reached: float = 100.0
     step: float = -1.0

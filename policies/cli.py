@@ -19,6 +19,7 @@ except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
 from marouting import InputError, Problem, Solution, __version__, evaluate
+from marouting.files import check_writable
 
 if TYPE_CHECKING:
     from policies.base import Router
@@ -94,6 +95,8 @@ def route(
     if checkpoint and (config or overrides):
         raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
     loaded = Problem.read(problem)
+    if out is not None:
+        check_writable(out)
     solver = _router(router, seed, checkpoint, problem.stem, config, overrides)
     started = time.perf_counter()
     solution = solver.route(loaded)

@@ -488,7 +488,8 @@ def test_output_that_cannot_be_written(
     for command in (
         ["generate", "--grid", "4", "4", "2", "--nets", "2", "--out", target],
         ["route", "p.gr", "--out", target],
-        ["route", "p.gr", "--router", "dqn", *FAST, "--out", target],
+        # Found out before the training, not after it.
+        ["route", "p.gr", "--router", "dqn", "train.episodes=1000000", "--out", target],
         ["train", "small.yaml", f"out={target}"],
         ["plot", "p.gr", "--out", target],
         ["plot", str(trained), "--out", target],
@@ -660,6 +661,10 @@ ILL_TYPED = [
     "env.turn_order=alphabetical",
     "env.net_order=largest",
     "env.max_steps=0",
+    "env.max_steps=1000000000000000000000000000000",
+    "env.reward.reached=.nan",
+    "env.reward.step=.inf",
+    "env.observation.via_capacity=.inf",
     "env.max_steps=ten",
     "env.overflow=true",
     "env.problem=3",

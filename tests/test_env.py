@@ -741,7 +741,7 @@ def test_make_from_a_file(tmp_path: Path) -> None:
         ({"observation": {"via": 1}}, "observation.via: unknown key; "),
         ({"max_steps": "ten"}, "max_steps: expected a valid integer, found 'ten'"),
         ({"max_steps": True}, "max_steps: expected a valid integer, found True"),
-        ({"max_steps": 0}, "max_steps: expected a number from 1, found 0"),
+        ({"max_steps": 0}, "max_steps: expected 1 to 2147483647, found 0"),
         ({"turn_order": "sequentiel"}, "turn_order: expected 'sequential' or 'round_robin'"),
         ({"mask_in_observation": "yes"}, "mask_in_observation: expected a valid boolean"),
         ({"render_mode": "svg"}, "render_mode: expected 'ansi', 'rgb_array' or 'human'"),

@@ -215,7 +215,7 @@ class Killed(Exception):
 
 
 KINDS: dict[str, dict[str, Any]] = {
-    "single": {},
+    "single": {"tensorboard": True},
     "multi, masked": {"agents": "multi", "masking": True},
     "torch": {"backend": "torch", "target_period": 0, "steps_per_update": 2},
 }
@@ -252,6 +252,10 @@ def test_a_run_killed_anywhere_goes_on_as_if_not(
     monkeypatch.undo()
     Run(config_in(folder, 8, **options), resume=True, progress=False).execute()
     assert outcome(folder) == outcome(whole)
+    if options.get("tensorboard"):  # every episode once, those before the kills as well
+        events = EventAccumulator(str(folder / "tensorboard"))
+        events.Reload()
+        assert [event.step for event in events.Scalars("reward/problem_000")] == list(range(8))
     # Once more: there is nothing left to do, and nothing changes.
     Run(config_in(folder, 8, **options), resume=True, progress=False).execute()
     assert outcome(folder) == outcome(whole)
@@ -395,6 +399,29 @@ def test_an_interrupted_process_is_resumed(uninterrupted: Path, tmp_path: Path) 
     assert 0 < logged < 2 * LONG
     assert status([*arguments, "--resume", str(folder)]) == 0
     assert outcome(folder) == outcome(uninterrupted / "run")
+
+
+def test_problems_of_an_aborted_start_are_not_taken_for_the_runs(tmp_path: Path) -> None:
+    config = config_in(tmp_path / "run", 1)
+    other = tmp_path / "run" / "problems" / "other.gr"
+    generate(1, grid=(4, 4, 2), nets=2)[0].write(other)
+    with pytest.raises(InputError, match=r"problems: expected no problems but this run's, .*other"):
+        Run(config, progress=False)
+    assert not (tmp_path / "run" / "config.yaml").exists()
+    other.rename(other.with_name("problem_000.gr"))  # of the run's own name: written over
+    Run(config, progress=False).execute()
+
+
+def test_the_order_of_files_does_not_matter_to_a_resumed_run(tmp_path: Path) -> None:
+    files = []
+    for seed, name in enumerate(("b", "a-b", "a")):
+        files.append(tmp_path / f"{name}.gr")
+        generate(1, grid=(4, 4, 2), nets=2, seed=seed)[0].write(files[-1])
+    config = config_in(tmp_path / "run", 2, problem=tuple(map(str, files)))
+    first = Run(config, progress=False).execute()
+    again = Run(config, resume=True, progress=False).execute()
+    assert [row["problem"] for row in first] == ["a", "a", "a-b", "a-b", "b", "b"]
+    assert [row["wirelength"] for row in again] == [row["wirelength"] for row in first]
 
 
 def test_resume_takes_another_place_of_the_folder(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -43,17 +44,30 @@ class Logs:
         if tensorboard:
             from torch.utils.tensorboard import SummaryWriter
 
+            # The lines hold all that was logged: a resumed run's events are made anew from them,
+            # without those that a killed run wrote after its last checkpoint.
+            shutil.rmtree(folder / "tensorboard", ignore_errors=True)
             self._events = SummaryWriter(str(folder / "tensorboard"))
+            self._lines.seek(0)
+            for number, line in enumerate(self._lines, 1):
+                try:
+                    self._show(Episode(**json.loads(line)))
+                except (ValueError, TypeError, RecursionError):
+                    raise InputError(f"{path}:{number}: expected an episode") from None
 
     def write(self, episodes: Sequence[Episode]) -> None:
         """Logs finished episodes."""
         for episode in episodes:
             self._lines.write(json.dumps(asdict(episode)) + "\n")
-            if self._events is not None:
-                for curve in CURVES:
-                    self._events.add_scalar(
-                        f"{curve}/{episode.problem}", getattr(episode, curve), episode.episode
-                    )
+            self._show(episode)
+
+    def _show(self, episode: Episode) -> None:
+        """Hands an episode to TensorBoard, if it is wanted."""
+        if self._events is not None:
+            for curve in CURVES:
+                self._events.add_scalar(
+                    f"{curve}/{episode.problem}", getattr(episode, curve), episode.episode
+                )
 
     def flush(self) -> int:
         """Puts everything on disk; returns the bytes of ``metrics.jsonl``."""

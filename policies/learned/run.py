@@ -102,6 +102,12 @@ class Run:
         if resume:
             self._load()
         else:
+            kept = {path.stem for path in (self.folder / "problems").glob("*.gr")}
+            if kept - self.problems.keys():
+                raise InputError(
+                    f"{self.folder / 'problems'}: expected no problems but this run's, "
+                    f"found {min(kept - self.problems.keys())}.gr"
+                )
             for name, problem in self.problems.items():
                 problem.write(self.folder / "problems" / f"{name}.gr")
             write_config(config, self.folder / CONFIG)
