@@ -43,7 +43,7 @@ ENVIRONMENT_ID = "marouting/GlobalRouting-v0"
 
 gymnasium.register(ENVIRONMENT_ID, entry_point="marouting.env.single:GlobalRoutingSingle")
 
-try:  # PettingZoo has a registry from version 1.26 on
+try:  # PettingZoo has a registry from version 1.27 on
     from pettingzoo import register as _register
 except ImportError:
     pass

@@ -43,15 +43,17 @@ def two_pin_tasks(problem: Problem) -> NDArray[np.int32]:
         ranks = max(len(a), 1)
         weights.append((distance + (np.arange(len(a)) + 1) / (ranks + 1)).ravel())
         ends.append(np.stack((near.ravel(), far.ravel())))
-    (near, far), weight = np.concatenate(ends, axis=1), np.concatenate(weights)
+    # scipy's graph routines take int32 indices; before 1.16 they refuse others.
+    near, far = np.concatenate(ends, axis=1).astype(np.int32)
+    weight = np.concatenate(weights)
     total = len(gcells)
     tree = minimum_spanning_tree(coo_array((weight, (near, far)), shape=(total, total)).tocsr())
 
     # A root above the first pins of all nets makes the forest one tree to walk.
     branches = coo_array(tree)
     root = np.full(len(pins), total)
-    rows = np.concatenate((branches.row, root))
-    columns = np.concatenate((branches.col, first[:-1]))
+    rows = np.concatenate((branches.row, root)).astype(np.int32)
+    columns = np.concatenate((branches.col, first[:-1])).astype(np.int32)
     joined = coo_array((np.ones(len(rows)), (rows, columns)), shape=(total + 1, total + 1))
     order, parent = breadth_first_order(joined.tocsr(), total, directed=False)
     reached = order[(parent[order] >= 0) & (parent[order] < total)]

@@ -179,7 +179,8 @@ def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64],
     pin_net = np.repeat(np.arange(len(pins)), [len(gcells) for gcells in pins])
     pairs = np.concatenate((net, net, pin_net)) * problem.topology.gcells
     pairs += np.concatenate((near, far, *pins))
-    vertices, index = np.unique(pairs, return_inverse=True)
+    vertices, inverse = np.unique(pairs, return_inverse=True)
+    index = inverse.astype(np.int32)  # scipy's graph routines refuse others before 1.16
     ends = index[: len(edge)], index[len(edge) : 2 * len(edge)]
     graph = coo_array((np.ones(len(edge), np.int8), ends), shape=(len(vertices), len(vertices)))
     _, part = connected_components(graph, directed=False)

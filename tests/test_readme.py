@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pettingzoo
 import pytest
 
 import marouting
@@ -16,6 +17,8 @@ EXAMPLES = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_an_example_runs(example: str, tmp_path: Path) -> None:
+    if "pettingzoo.make(" in example and not hasattr(pettingzoo, "make"):
+        pytest.skip("this PettingZoo has no registry")
     marouting.generate(1, nets=5)[0].write(tmp_path / "problem.gr")
     done = subprocess.run(
         [sys.executable, "-c", example], cwd=tmp_path, capture_output=True, text=True, check=False
