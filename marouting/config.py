@@ -9,7 +9,7 @@ import functools
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast, get_args, get_type_hints
@@ -17,11 +17,12 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast, get_args, g
 import yaml
 from pydantic import ConfigDict, Discriminator, Tag, TypeAdapter, ValidationError
 
-from marouting.engine import NetOrder, Overflow, TurnOrder
+from marouting.engine import Engine, NetOrder, Overflow, TurnOrder
 from marouting.errors import InputError
 from marouting.files import unusable
 from marouting.generator import GeneratorOptions
 from marouting.observation import PaperObservation
+from marouting.problem import Problem
 from marouting.reward import PaperReward
 
 Agents = Literal["single", "multi"]
@@ -81,6 +82,25 @@ class GameOptions:
     reward: PaperReward = field(default_factory=PaperReward)
     mask_in_observation: bool = False
     render_mode: RenderMode | None = None
+
+    def engine(self, problems: Sequence[Problem], turn_order: TurnOrder) -> Engine:
+        """The engine that plays problems by these options; raises InputError if it cannot.
+
+        Args:
+            problems: what to play, whatever ``problem`` says.
+            turn_order: the order where the options leave it open.
+        """
+        return Engine(
+            problems,
+            turn_order=self.turn_order or turn_order,
+            net_order=self.net_order,
+            max_steps=self.max_steps,
+            overflow=self.overflow,
+        )
+
+
+ORDERS: dict[Agents, TurnOrder] = {"single": "sequential", "multi": "round_robin"}
+"""The turn order of each face, where the options leave it open."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from marouting.config import GameOptions, build
-from marouting.engine import NOBODY, Engine, Status, TurnOrder
+from marouting.engine import NOBODY, Status, TurnOrder
 from marouting.generator import GeneratorOptions
 from marouting.grid import MOVES
 from marouting.observation import Observation, nets_on_edges, state, state_space, writer
@@ -56,7 +56,7 @@ class Face:
         self._observation: Observation = pieces.get("observation", checked.observation)
         self._reward: Reward = pieces.get("reward", checked.reward)
         self._options = checked
-        self._turn_order = checked.turn_order or turn_order
+        self._turn_order: TurnOrder = turn_order
         self.render_mode = checked.render_mode
         self.masked = checked.mask_in_observation
         self._window = Window()
@@ -76,13 +76,7 @@ class Face:
 
     def _play(self, problem: Problem) -> None:
         """Sets up the game of a problem."""
-        self.engine = Engine(
-            [problem],
-            turn_order=self._turn_order,
-            net_order=self._options.net_order,
-            max_steps=self._options.max_steps,
-            overflow=self._options.overflow,
-        )
+        self.engine = self._options.engine([problem], self._turn_order)
         self.names = [f"net_{net}" for net in self.engine.nets[0]]
         self._write = writer(self._observation, self.engine)
 

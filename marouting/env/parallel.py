@@ -13,6 +13,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from marouting.config import ORDERS
 from marouting.engine import NOBODY, Status
 from marouting.env.face import METADATA, Face, Looks, checked_move
 from marouting.grid import MOVES
@@ -37,7 +38,7 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
 
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
-        self._face = Face(problem, "round_robin", options)
+        self._face = Face(problem, ORDERS["multi"], options)
         self.render_mode = self._face.render_mode
         self.state_space = self._face.state_space
         self.possible_agents = list(self._face.names)

@@ -8,6 +8,7 @@ from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
+from marouting.config import ORDERS
 from marouting.engine import NOBODY
 from marouting.env.face import METADATA, Face, Looks, checked_move
 from marouting.grid import MOVES
@@ -33,7 +34,7 @@ class GlobalRoutingSingle(Looks, gymnasium.Env[Any, Any], EzPickle):
         self, problem: Source = None, render_mode: str | None = None, **options: Any
     ) -> None:
         EzPickle.__init__(self, problem, render_mode, **options)
-        self._face = Face(problem, "sequential", {**options, "render_mode": render_mode})
+        self._face = Face(problem, ORDERS["single"], {**options, "render_mode": render_mode})
         self.render_mode = render_mode
         self.observation_space = self._face.new_observation_space()
         self.action_space = Discrete(MOVES)

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from marouting import Engine, EnvOptions, InputError, Problem, Solution
-from marouting.config import build
+from marouting import EnvOptions, InputError, Problem, Solution
+from marouting.config import ORDERS, build
 from marouting.engine import NOBODY
 from marouting.grid import MOVES
 from policies.config import Config
@@ -95,13 +95,7 @@ class QPolicy:
         """
         env = self.env
         everyone = env.agents == "multi"
-        engine = Engine(
-            [problem],
-            turn_order=env.turn_order or ("round_robin" if everyone else "sequential"),
-            net_order=env.net_order,
-            max_steps=env.max_steps,
-            overflow=env.overflow,
-        )
+        engine = env.engine([problem], ORDERS[env.agents])
         (features,) = env.observation.space(engine.problems, env.overflow == "allowed").shape
         if features != self.sizes[0]:
             raise InputError(f"checkpoint: expected {features} inputs, found {self.sizes[0]}")

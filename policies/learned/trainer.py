@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from marouting import Engine, InputError, Problem, Solution
+from marouting import InputError, Problem, Solution
+from marouting.config import ORDERS
 from marouting.engine import NOBODY, Crossing, Ending
 from marouting.grid import MOVES
 from marouting.observation import writer
@@ -90,13 +91,7 @@ class Trainer:
         numba.set_num_threads(min(config.train.threads, most))
         env, dqn = config.env, config.dqn
         self.everyone = env.agents == "multi"
-        self.engine = Engine(
-            list(problems.values()),
-            turn_order=env.turn_order or ("round_robin" if self.everyone else "sequential"),
-            net_order=env.net_order,
-            max_steps=env.max_steps,
-            overflow=env.overflow,
-        )
+        self.engine = env.engine(list(problems.values()), ORDERS[env.agents])
         (features,) = env.observation.space(self.engine.problems, env.overflow == "allowed").shape
         sizes = (features, *dqn.hidden, MOVES)
         stack, agents = self.engine.nets.shape
