@@ -63,9 +63,13 @@ class DQN:
         self.square = torch.zeros_like(self.weights)
         self.steps = np.zeros(len(seeds), np.int64)  # gradient steps taken
         if self.backend == "compiled":
-            self._sizes = np.array(sizes, np.int64)
-            self._flat = tuple(
-                t.numpy() for t in (self.weights, self.target, self.mean, self.square)
+            self._nets = kernel.Networks(
+                sizes=np.array(sizes, np.int64),
+                weights=self.weights.numpy(),
+                target=self.target.numpy(),
+                mean=self.mean.numpy(),
+                square=self.square.numpy(),
+                steps=self.steps,
             )
         else:
             self._gradient = torch.zeros_like(self.weights)
@@ -82,7 +86,7 @@ class DQN:
         """(M, K, 6) float32 Q values of observations (M, K, F) float32."""
         if self.backend == "compiled":
             out = np.empty((*seen.shape[:2], self.sizes[-1]), np.float32)
-            kernel.values(self._sizes, self._flat[0], seen, out)
+            kernel.values(self._nets.sizes, self._nets.weights, seen, out)
             return out
         with torch.no_grad():
             return forward(self._layers, torch.from_numpy(seen).to(self.device))[-1].cpu().numpy()
@@ -103,21 +107,8 @@ class DQN:
         due = due.astype(np.int64)
         loss = np.zeros(len(due))
         if self.backend == "compiled":
-            weights, target, mean, square = self._flat
             learn = kernel.learn_threaded if self.threads > 1 else kernel.learn
-            learn(
-                self._sizes,
-                weights,
-                target,
-                mean,
-                square,
-                self.steps,
-                replay.memory,
-                keys,
-                due,
-                self.rule,
-                loss,
-            )
+            learn(self._nets, replay.memory, keys, due, self.rule, loss)
             return loss
         while due.any():
             chosen = due > 0

@@ -29,6 +29,17 @@ class Memory(NamedTuple):
     stored: NDArray[np.int64]  # (M,)
 
 
+class Networks(NamedTuple):
+    """A stack of M networks of P weights and their optimisers; see :mod:`policies.learned.dqn`."""
+
+    sizes: NDArray[np.int64]  # (layers + 1,) units, inputs first
+    weights: NDArray[np.float32]  # (M, P)
+    target: NDArray[np.float32]  # (M, P); ``weights`` itself where there is no target network
+    mean: NDArray[np.float32]  # (M, P) Adam's mean of the gradients
+    square: NDArray[np.float32]  # (M, P) Adam's mean of their squares
+    steps: NDArray[np.int64]  # (M,) gradient steps taken
+
+
 class Rule(NamedTuple):
     """How a gradient step is taken."""
 
@@ -123,12 +134,7 @@ def _adam(weights: Any, gradient: Any, mean: Any, square: Any, step: int, rule: 
 @compiled
 def _learn_one(
     m: int,
-    sizes: Any,
-    weights: Any,
-    target: Any,
-    mean: Any,
-    square: Any,
-    steps: Any,
+    nets: Networks,
     memory: Memory,
     keys: Any,
     due: Any,
@@ -136,6 +142,8 @@ def _learn_one(
     loss: Any,
 ) -> None:
     """The gradient steps of network m, see :func:`learn`."""
+    sizes, weights, target = nets.sizes, nets.weights, nets.target
+    mean, square, steps = nets.mean, nets.square, nets.steps
     capacity, features = memory.seen.shape[1], memory.seen.shape[2]
     moves, units, batch = sizes[-1], _units(sizes), rule.batch
     masked = memory.mask.shape[2] > 0
@@ -185,12 +193,7 @@ def _learn_one(
 
 @compiled
 def learn(
-    sizes: Any,
-    weights: Any,
-    target: Any,
-    mean: Any,
-    square: Any,
-    steps: Any,
+    nets: Networks,
     memory: Memory,
     keys: Any,
     due: Any,
@@ -200,30 +203,20 @@ def learn(
     """The gradient steps that every network is due, each on a sample of its own memory.
 
     Args:
-        sizes: (layers + 1,) int64 units, inputs first.
-        weights: (M, P) float32; changed.
-        target: (M, P) float32; changed. ``weights`` itself where there is no target network.
-        mean: (M, P) float32, Adam's mean of the gradients; changed.
-        square: (M, P) float32, Adam's mean of their squares; changed.
-        steps: (M,) int64 gradient steps taken; changed.
+        nets: the networks; changed.
         memory: the replay stores.
         keys: (M,) uint64 keys of the samples' random numbers.
         due: (M,) int64, how many steps of each.
         rule: how a step is taken.
         loss: (M,) float64, filled with the sum of the steps' losses.
     """
-    for m in range(len(steps)):
-        _learn_one(m, sizes, weights, target, mean, square, steps, memory, keys, due, rule, loss)
+    for m in range(len(nets.steps)):
+        _learn_one(m, nets, memory, keys, due, rule, loss)
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
 def learn_threaded(
-    sizes: Any,
-    weights: Any,
-    target: Any,
-    mean: Any,
-    square: Any,
-    steps: Any,
+    nets: Networks,
     memory: Memory,
     keys: Any,
     due: Any,
@@ -235,8 +228,8 @@ def learn_threaded(
     Each network is learned by one thread: the results do not depend on how many there are. Numba's
     cache does not look at options, so this has to be a function of its own.
     """
-    for m in prange(len(steps)):
-        _learn_one(m, sizes, weights, target, mean, square, steps, memory, keys, due, rule, loss)
+    for m in prange(len(nets.steps)):
+        _learn_one(m, nets, memory, keys, due, rule, loss)
 
 
 @compiled

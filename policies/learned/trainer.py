@@ -124,9 +124,8 @@ class Trainer:
         self._mask = np.ones((stack, lanes, MOVES), np.int8)
         self._arrived_mask = np.ones((stack, lanes, MOVES), np.int8)
         self._moves = np.empty((stack, lanes), np.int8)
-        self._done: dict[
-            str, NDArray[Any]
-        ] = {  # what the moves did: the part of an AGENT record that a reward looks at
+        # What the moves did: the part of an AGENT record that a reward looks at.
+        self._done: dict[str, NDArray[Any]] = {
             "crossing": np.empty((stack, lanes), np.int8),
             "ending": np.empty((stack, lanes), np.int8),
             "overflow": np.empty((stack, lanes), np.int32),
