@@ -4,13 +4,13 @@ The distance of two pins is the Manhattan distance of their Gcells over x, y and
 same Gcell count once; a net whose pins all lie in one Gcell needs no task.
 """
 
-from itertools import groupby
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
+from marouting.grid import AXES
 from marouting.problem import Problem
 
 
@@ -24,41 +24,71 @@ def two_pin_tasks(problem: Problem) -> NDArray[np.int32]:
     Returns:
         (K, 3) int32: net, start Gcell and target Gcell of each task, nets in file order.
     """
-    pins = problem.pin_gcells
-    sizes = np.array([len(p) for p in pins])
-    first = np.concatenate(([0], np.cumsum(sizes)))
-    gcells = np.concatenate(pins)
-    position = problem.topology.position[gcells].astype(np.int64)
+    first, gcells = problem.flat_pin_gcells
+    tasks = np.empty((len(gcells) - len(problem.nets), 3), np.int32)
+    working = np.empty((4, (first[1:] - first[:-1]).max()), np.int64)
+    _span(first, gcells, problem.topology.position, *working, tasks)
+    return tasks
 
-    # The candidate edges of all nets at once, nets of equal size together: one sparse graph and
-    # one call instead of one for every net.
-    by_size = sorted(range(len(pins)), key=lambda net: sizes[net])
-    ends, weights = [], []
-    for size, group in groupby(by_size, key=lambda net: sizes[net]):
-        a, b = np.triu_indices(size, 1)
-        base = first[list(group)][:, None]
-        near, far = base + a, base + b
-        distance = np.abs(position[near] - position[far]).sum(axis=-1)
-        # The rank of the pair within its net decides between equal distances.
-        ranks = max(len(a), 1)
-        weights.append((distance + (np.arange(len(a)) + 1) / (ranks + 1)).ravel())
-        ends.append(np.stack((near.ravel(), far.ravel())))
-    # scipy's graph routines take int32 indices; before 1.16 they refuse others.
-    near, far = np.concatenate(ends, axis=1).astype(np.int32)
-    weight = np.concatenate(weights)
-    total = len(gcells)
-    tree = minimum_spanning_tree(coo_array((weight, (near, far)), shape=(total, total)).tocsr())
 
-    # A root above the first pins of all nets makes the forest one tree to walk.
-    branches = coo_array(tree)
-    root = np.full(len(pins), total)
-    rows = np.concatenate((branches.row, root)).astype(np.int32)
-    columns = np.concatenate((branches.col, first[:-1])).astype(np.int32)
-    joined = coo_array((np.ones(len(rows)), (rows, columns)), shape=(total + 1, total + 1))
-    order, parent = breadth_first_order(joined.tocsr(), total, directed=False)
-    reached = order[(parent[order] >= 0) & (parent[order] < total)]
-    net = np.repeat(np.arange(len(pins)), sizes)
-    reached = reached[np.argsort(net[reached], kind="stable")]
-    return np.stack((net[reached], gcells[parent[reached]], gcells[reached]), axis=1).astype(
-        np.int32
-    )
+@njit(cache=True, _nrt=False)  # type: ignore[call-overload]
+def _span(
+    first: Any, gcells: Any, position: Any, parent: Any, near: Any, rank: Any, queue: Any, out: Any
+) -> None:
+    """The trees of all nets by Prim's algorithm, written as tasks.
+
+    Of equally distant pairs of a net's pins the one that comes first in the order (0, 1), (0, 2),
+    …, (1, 2), … goes into the tree: no two pairs tie, so there is one shortest tree.
+
+    Args:
+        first: (nets + 1,) as ``gcells``, see :attr:`marouting.problem.Problem.flat_pin_gcells`.
+        gcells: (Gcells,).
+        position: (G, 3) x, y, z of a Gcell.
+        parent: (pins,) working array, room for the largest net: the pin in the tree that is
+            nearest to a pin.
+        near: (pins,) working array: how near; negative for a pin in the tree.
+        rank: (pins,) working array: the place of that pair in the order of pairs.
+        queue: (pins,) working array: pins in the order in which the tree reaches them.
+        out: (K, 3) where the tasks go.
+    """
+    row = 0
+    for net in range(len(first) - 1):
+        base, pins = first[net], first[net + 1] - first[net]
+        for pin in range(pins):
+            near[pin] = 1 << 62
+        latest = 0
+        for _ in range(pins - 1):
+            near[latest] = -1
+            closest = -1
+            for pin in range(pins):
+                if near[pin] < 0:
+                    continue
+                distance = 0
+                for axis in range(AXES):
+                    distance += abs(
+                        position[gcells[base + pin], axis] - position[gcells[base + latest], axis]
+                    )
+                pair = pin * pins + latest if pin < latest else latest * pins + pin
+                if distance < near[pin] or (distance == near[pin] and pair < rank[pin]):
+                    parent[pin], near[pin], rank[pin] = latest, distance, pair
+                if (
+                    closest < 0
+                    or near[pin] < near[closest]
+                    or (near[pin] == near[closest] and rank[pin] < rank[closest])
+                ):
+                    closest = pin
+            latest = closest
+        # Breadth first; of a pin's branches those to later pins come before those to earlier ones.
+        queue[0], size = 0, 1
+        parent[0] = -1
+        for place in range(pins - 1):
+            start = queue[place]
+            for k in range(pins):
+                pin = (start + k) % pins
+                if parent[pin] == start:
+                    queue[size] = pin
+                    size += 1
+                    out[row, 0] = net
+                    out[row, 1] = gcells[base + start]
+                    out[row, 2] = gcells[base + pin]
+                    row += 1

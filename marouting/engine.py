@@ -22,6 +22,7 @@ The state lives in plain arrays with the problem as the first axis (M problems, 
 the compiled functions below are the only code that changes it.
 """
 
+import copy
 import enum
 import functools
 from collections.abc import Callable, Sequence
@@ -239,7 +240,7 @@ def settle_agent(world: World, play: Play, m: int, n: int) -> None:
     if agent.status != Status.ACTIVE or agent.ending == Ending.NONE:
         return
     if agent.task + 1 < world.first[m, n + 1]:
-        begin_task(world, play, m, n, agent.task + 1)
+        begin_task(world, play, m, n, wide(agent.task + 1))
         return
     tasks = world.first[m, n + 1] - world.first[m, n]
     agent.status = Status.TERMINATED if agent.joined == tasks else Status.TRUNCATED
@@ -273,10 +274,11 @@ def _reset(world: World, play: Play, which: Any) -> None:
         # Loops instead of slices: they compile in a tenth of the time.
         for edge in range(world.capacity.shape[1]):
             play.remaining[m, edge] = world.capacity[m, edge]
-        for n in range(world.order.shape[1]):
-            for byte in range(play.used.shape[2]):
-                play.used[m, n, byte] = 0
         game = play.games[m]
+        if game.steps != 0:
+            for n in range(world.order.shape[1]):
+                for byte in range(play.used.shape[2]):
+                    play.used[m, n, byte] = 0
         game.turn = game.active = game.joined = game.steps = 0
         game.overflow = game.wirelength = 0
         for n in range(world.order.shape[1]):
@@ -286,63 +288,92 @@ def _reset(world: World, play: Play, which: Any) -> None:
             if world.first[m, n] < world.first[m, n + 1]:
                 agent.status = Status.ACTIVE
                 game.active += 1
-                begin_task(world, play, m, n, world.first[m, n])
+                begin_task(world, play, m, n, wide(world.first[m, n]))
             else:
                 agent.status = Status.ABSENT
         game.agent = world.order[m, 0]
 
 
 @compiled
+def move_player(world: World, play: Play, m: int, move: int) -> None:
+    """In one problem, the agent whose turn it is moves, unless it is told not to."""
+    n = wide(play.games[m].agent)
+    if n == NOBODY:
+        return
+    if move == NOBODY:
+        wait(play, m, n)
+    else:
+        move_agent(world, play, m, n, move)
+
+
+@compiled
+def settle_player(world: World, play: Play, m: int) -> None:
+    """After the move of :func:`move_player`: the next task starts, and the turn passes."""
+    n = wide(play.games[m].agent)
+    if n != NOBODY:
+        settle_agent(world, play, m, n)
+        pass_turn(world, play, m)
+
+
+@compiled
+def move_everyone(world: World, play: Play, m: int, moves: Any) -> None:
+    """In one problem, all agents move once by ``moves`` (M, N), in turn order.
+
+    If the order is sequential, the one whose turn it is moves alone.
+    """
+    playing = play.games[m].agent
+    for k in range(world.order.shape[1]):
+        n = wide(world.order[m, k])
+        if n == NOBODY:
+            break
+        if (
+            play.agents[m, n].status == Status.ACTIVE
+            and moves[m, n] != NOBODY
+            and (n == playing or not world.sequential)
+        ):
+            move_agent(world, play, m, n, wide(moves[m, n]))
+        else:
+            wait(play, m, n)
+
+
+@compiled
+def settle_everyone(world: World, play: Play, m: int) -> None:
+    """After the moves of :func:`move_everyone`: next tasks start, and the turn passes."""
+    for n in range(world.order.shape[1]):
+        settle_agent(world, play, m, n)
+    playing = wide(play.games[m].agent)
+    if playing != NOBODY and (
+        world.sequential or play.agents[m, playing].status != Status.ACTIVE
+    ):
+        pass_turn(world, play, m)
+
+
+@compiled
 def move_turn(world: World, play: Play, moves: Any) -> None:
     """Moves (M,): in every problem the agent whose turn it is moves."""
     for m in range(len(moves)):
-        n = wide(play.games[m].agent)
-        if n != NOBODY and moves[m] != NOBODY:
-            move_agent(world, play, m, n, wide(moves[m]))
-        elif n != NOBODY:
-            wait(play, m, n)
+        move_player(world, play, m, wide(moves[m]))
 
 
 @compiled
 def settle_turn(world: World, play: Play) -> None:
     """After the moves of :func:`move_turn`: next tasks start, and the turn passes."""
     for m in range(len(play.games)):
-        n = wide(play.games[m].agent)
-        if n != NOBODY:
-            settle_agent(world, play, m, n)
-            pass_turn(world, play, m)
+        settle_player(world, play, m)
 
 
 @compiled
 def move_all(world: World, play: Play, moves: Any) -> None:
-    """Moves (M, N): all agents move once, in turn order; one alone if the order is sequential."""
+    """Moves (M, N): all agents of all problems move once, see :func:`move_everyone`."""
     for m in range(len(moves)):
-        playing = play.games[m].agent
-        for k in range(world.order.shape[1]):
-            n = wide(world.order[m, k])
-            if n == NOBODY:
-                break
-            agent = play.agents[m, n]
-            if (
-                agent.status == Status.ACTIVE
-                and moves[m, n] != NOBODY
-                and (n == playing or not world.sequential)
-            ):
-                move_agent(world, play, m, n, wide(moves[m, n]))
-            else:
-                wait(play, m, n)
+        move_everyone(world, play, m, moves)
 
 
 @compiled
 def settle_all(world: World, play: Play) -> None:
     """After the moves of :func:`move_all`: next tasks start, and the turn passes."""
     for m in range(len(play.games)):
-        for n in range(world.order.shape[1]):
-            settle_agent(world, play, m, n)
-        if play.games[m].agent != NOBODY and (
-            world.sequential or play.agents[m, play.games[m].agent].status != Status.ACTIVE
-        ):
-            pass_turn(world, play, m)
+        settle_everyone(world, play, m)
 
 
 @compiled
@@ -388,6 +419,25 @@ def _play_turn(world: World, play: Play, move: int, mask: Any) -> tuple[int, int
     following = wide(play.games[m].agent)
     write_mask(world, play, m, following if status == Status.ACTIVE else n, mask, 0)
     return following, status
+
+
+@compiled
+def _uses(used: Any, nets: Any, net: Any, edge: Any) -> int:
+    """Lists the net and the edge of every use, as far as there is room; returns how many."""
+    size = 0
+    for n in range(used.shape[0]):
+        for byte in range(used.shape[1]):
+            bits = wide(used[n, byte])
+            bit = 0
+            while bits != 0:
+                if bits & 1:
+                    if size < len(net):
+                        net[size] = nets[n]
+                        edge[size] = 8 * byte + bit
+                    size += 1
+                bits >>= 1
+                bit += 1
+    return size
 
 
 def bound(kernel: Any, *examples: Any) -> Callable[..., Any]:
@@ -456,13 +506,8 @@ class Engine:
         if any(problem.grid != problems[0].grid for problem in problems):
             shapes = sorted({problem.grid for problem in problems})
             raise InputError(f"problems: expected one grid shape, found {shapes}")
-        for name, value, choices in (
-            ("turn_order", turn_order, TurnOrder),
-            ("net_order", net_order, NetOrder),
-            ("overflow", overflow, Overflow),
-        ):
-            if value not in get_args(choices):
-                raise InputError(f"{name}: expected one of {get_args(choices)}, found {value!r}")
+        _check_choice("turn_order", turn_order, TurnOrder)
+        _check_choice("overflow", overflow, Overflow)
         width, height, _ = problems[0].grid
         if max_steps is None:
             max_steps = max(50, 2 * (width + height))
@@ -471,7 +516,7 @@ class Engine:
         self.problems = tuple(problems)
         self.grid = Grid.of(problems[0].grid)
         self.turn_order: TurnOrder = turn_order
-        self.world, self.nets = _world(
+        self.world, self.nets = world_of(
             self.problems,
             self.grid,
             net_order,
@@ -482,14 +527,11 @@ class Engine:
         m, n = self.nets.shape
         self.play = Play(
             remaining=np.empty((m, self.grid.edges), np.int32),
-            used=np.empty((m, n, (self.grid.edges + 7) // 8), np.uint8),
+            # Zeros that nobody has touched yet take no memory, and _reset leaves them alone.
+            used=np.zeros((m, n, (self.grid.edges + 7) // 8), np.uint8),
             agents=np.zeros((m, n), AGENT),
             games=np.zeros(m, GAME),
         )
-        rows, columns = np.indices((m, n), np.int32)
-        columns[self.nets == NOBODY] = NOBODY
-        self._all = rows.ravel(), columns.ravel()
-        self._problems = np.arange(m, dtype=np.int32)
         self.reset()
 
     @property
@@ -523,6 +565,27 @@ class Engine:
         if which.shape != self.games.shape or which.dtype != np.bool_:
             raise ValueError(f"which: expected {len(self.problems)} booleans, found {which}")
         _reset(self.world, self.play, which)
+
+    def part(self, which: NDArray[np.integer]) -> "Engine":
+        """An engine of some of the problems, which goes on from how they stand.
+
+        Args:
+            which: their indices.
+        """
+        part = copy.copy(self)
+        for cached in ("_turn", "_problems", "_all"):
+            vars(part).pop(cached, None)
+        part.problems = tuple(self.problems[m] for m in which)
+        part.nets = self.nets[which]
+        world = self.world
+        part.world = world._replace(
+            capacity=world.capacity[which],
+            demand=world.demand[which],
+            first=world.first[which],
+            order=world.order[which],
+        )
+        part.play = Play(*(array[which] for array in self.play))
+        return part
 
     def move(self, moves: NDArray[np.integer]) -> None:
         """The first half of a step: agents move, tasks end.
@@ -578,6 +641,16 @@ class Engine:
         if not (moves.min() >= NOBODY and moves.max() < MOVES):
             raise ValueError(f"moves: expected {list(Move)} or {NOBODY}, found {moves}")
 
+    @functools.cached_property
+    def _problems(self) -> NDArray[np.int32]:
+        return np.arange(len(self.problems), dtype=np.int32)
+
+    @functools.cached_property
+    def _all(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        _, n = self.nets.shape
+        agents = np.where(self.nets == NOBODY, NOBODY, np.arange(n, dtype=np.int32))
+        return np.repeat(self._problems, n), agents.ravel()
+
     def pairs(self, everyone: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Indices (problem, agent) of all M·N agents, or of the M agents whose turn it is.
 
@@ -623,16 +696,19 @@ class Engine:
             used: (N, ceil(E / 8)) uint8 copy of ``play.used[m]`` from earlier; None: the present.
         """
         used = self.play.used[m] if used is None else used
-        problem = self.problems[m]
-        edges = [np.empty(0, np.int64)] * len(problem.nets)
-        for n, net in enumerate(self.nets[m]):
-            if net != NOBODY:
-                bits = np.unpackbits(used[n], bitorder="little")
-                edges[net] = np.flatnonzero(bits).astype(np.int64)
-        return Solution(problem, tuple(edges))
+        nothing = np.empty(0, np.int64)
+        net, edge = np.empty((2, _uses(used, self.nets[m], nothing, nothing)), np.int64)
+        _uses(used, self.nets[m], net, edge)
+        return Solution.of_uses(self.problems[m], net, edge)
 
 
-def _world(
+def _check_choice(name: str, value: object, choices: Any) -> None:
+    """Raises InputError for an option that is none of the choices of its Literal type."""
+    if value not in get_args(choices):
+        raise InputError(f"{name}: expected one of {get_args(choices)}, found {value!r}")
+
+
+def world_of(
     problems: tuple[Problem, ...],
     grid: Grid,
     net_order: NetOrder,
@@ -641,37 +717,39 @@ def _world(
     overflow: bool,
     max_steps: int,
 ) -> tuple[World, NDArray[np.int32]]:
-    """The constant arrays of a batch, and (M, N) the net of every agent (NOBODY where absent)."""
-    tasks = [two_pin_tasks(problem) for problem in problems]
-    nets = [np.unique(table[:, 0]) for table in tasks]
-    for index, routable in enumerate(nets):
-        if not len(routable):
-            raise InputError(f"problem {index}: expected a net with pins in two Gcells or more")
-    size = max(len(routable) for routable in nets)
-    shape = (len(problems), size)
-    agent_net = np.full(shape, NOBODY, np.int32)
-    first = np.zeros((shape[0], size + 1), np.int32)
-    order = np.full(shape, NOBODY, np.int32)
+    """The constant arrays of a batch, and (M, N) the net of every agent (NOBODY where absent).
+
+    The arguments are those of :class:`Engine`, whose checks of grid and steps have been made.
+
+    Raises:
+        InputError: a problem that cannot be played, or no such order.
+    """
+    _check_choice("net_order", net_order, NetOrder)
+    pins = [problem.flat_pin_gcells for problem in problems]
+    counts = [np.count_nonzero(first[1:] - first[:-1] > 1) for first, _ in pins]
+    for m, count in enumerate(counts):
+        if not count:
+            raise InputError(f"problem {m}: expected a net with pins in two Gcells or more")
+    shape = len(problems), max(counts)
+    agent_net, order = np.full((2, *shape), NOBODY, np.int32)
+    first = np.zeros((shape[0], shape[1] + 1), np.int32)
     demand = np.zeros((*shape, grid.shape[2]), np.int32)
-    done = 0
-    for m, (problem, table, routable) in enumerate(zip(problems, tasks, nets, strict=True)):
-        count = len(routable)
-        agent_net[m, :count] = routable
-        edges = np.searchsorted(table[:, 0], np.append(routable, len(problem.nets)))
-        first[m] = done + np.pad(edges, (0, size - count), mode="edge")
-        done += len(table)
-        order[m, :count] = _turns(problem, routable, net_order)
-        demand[m, :count] = problem.demand[routable]
-        most = int(demand[m].max(axis=1).sum(dtype=np.int64))
+    size = np.empty(shape[1], np.int32)
+    for m, (problem, count) in enumerate(zip(problems, counts, strict=True)):
+        first[m, 0] = first[m - 1, -1]  # 0 for the first problem
+        most = _agents(
+            *pins[m], grid.position, problem.demand, agent_net[m], first[m], demand[m], size
+        )
         if overflow and most > UNLIMITED:
             raise InputError(f"problem {m}: expected demands that add up to at most {UNLIMITED}")
+        order[m, :count] = _turns(size[:count], net_order)
     world = World(
         neighbour=grid.neighbour,
         edge=grid.edge,
         position=grid.position,
         capacity=np.stack([problem.capacity for problem in problems]),
         demand=demand,
-        tasks=np.ascontiguousarray(np.concatenate(tasks)[:, 1:]),
+        tasks=np.concatenate([two_pin_tasks(problem)[:, 1:] for problem in problems]),
         first=first,
         order=order,
         sequential=sequential,
@@ -681,14 +759,64 @@ def _world(
     return world, agent_net
 
 
-def _turns(
-    problem: Problem, routable: NDArray[np.integer], net_order: NetOrder
-) -> NDArray[np.int64]:
-    """The agents (places in ``routable``) in turn order."""
+@compiled
+def _agents(
+    pins: Any,
+    gcells: Any,
+    position: Any,
+    net_demand: Any,
+    nets: Any,
+    first: Any,
+    demand: Any,
+    half_perimeter: Any,
+) -> int:
+    """The agents of a problem: the nets with pins in two Gcells or more.
+
+    Args:
+        pins: (nets + 1,) and
+        gcells: (Gcells,), see :attr:`marouting.problem.Problem.flat_pin_gcells`.
+        position: (G, 3).
+        net_demand: (nets, Z).
+        nets: (N,) filled with the net of every agent, as far as there are any.
+        first: (N + 1,) filled as in :class:`World`; the first entry is there.
+        demand: (N, Z) filled as in :class:`World`.
+        half_perimeter: (N,) filled with width and height of the box around every agent's pins.
+
+    Returns:
+        The demand on an edge that every agent uses, in its most demanding layer at most.
+    """
+    n = most = 0
+    for net in range(len(pins) - 1):
+        if pins[net + 1] - pins[net] < 2:
+            continue
+        nets[n] = net
+        first[n + 1] = first[n] + pins[net + 1] - pins[net] - 1
+        half_perimeter[n] = 0
+        for axis in range(VIA_AXIS):
+            least = largest = position[gcells[pins[net]], axis]
+            for pin in range(pins[net] + 1, pins[net + 1]):
+                at = position[gcells[pin], axis]
+                if at < least:
+                    least = at
+                elif at > largest:
+                    largest = at
+            half_perimeter[n] += largest - least
+        worst = wide(0)
+        for layer in range(demand.shape[1]):
+            demand[n, layer] = net_demand[net, layer]
+            if demand[n, layer] > worst:
+                worst = wide(demand[n, layer])
+        most += worst
+        n += 1
+    for absent in range(n, len(nets)):
+        first[absent + 1] = first[n]
+    return most
+
+
+def _turns(half_perimeter: NDArray[np.int32], net_order: NetOrder) -> NDArray[np.int64]:
+    """Agents in turn order, given (N,) the half-perimeters of their nets."""
     if net_order == "file":
-        return np.arange(len(routable))
-    position = problem.topology.position
-    size = np.array(
-        [np.ptp(position[problem.pin_gcells[net]][:, :2], axis=0).sum() for net in routable]
-    )
-    return np.argsort(-size if net_order == "half_perimeter" else size, kind="stable")
+        return np.arange(len(half_perimeter))
+    if net_order == "half_perimeter":
+        half_perimeter = -half_perimeter
+    return np.argsort(half_perimeter, kind="stable")

@@ -13,7 +13,17 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from marouting.engine import NOBODY, Engine, Play, Status, World, bound, compiled
+from marouting.engine import (
+    NOBODY,
+    Engine,
+    Play,
+    Status,
+    World,
+    bound,
+    compiled,
+    inlined,
+    wide,
+)
 from marouting.errors import InputError
 from marouting.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid
 from marouting.problem import Problem
@@ -101,21 +111,20 @@ class PaperObservation:
         return functools.partial(code, world, play, shown)
 
 
-@compiled
-def _paper(
-    world: World, play: Play, via_capacity: float, problems: Any, agents: Any, out: Any
+@inlined
+def write_paper(
+    world: World, play: Play, via_capacity: float, m: int, n: int, out: Any, row: int
 ) -> None:
-    for i in range(len(problems)):
-        m, n = problems[i], agents[i]
-        if n == NOBODY:
-            for f in range(out.shape[1]):
-                out[i, f] = 0
-            continue
+    """Fills a row of ``out`` (K, 12) with what agent n of problem m sees; zeros for NOBODY."""
+    if n == NOBODY:
+        for f in range(out.shape[1]):
+            out[row, f] = 0
+    else:
         agent = play.agents[m, n]
         for axis in range(AXES):
             at = world.position[agent.cell, axis]
-            out[i, axis] = at
-            out[i, AXES + axis] = world.position[agent.target, axis] - at
+            out[row, axis] = at
+            out[row, AXES + axis] = world.position[agent.target, axis] - at
         for move in range(MOVES):
             edge = world.edge[agent.cell, move]
             if edge == OFF_GRID:
@@ -124,7 +133,15 @@ def _paper(
                 shown = via_capacity
             else:
                 shown = np.float64(play.remaining[m, edge])
-            out[i, 2 * AXES + move] = shown
+            out[row, 2 * AXES + move] = shown
+
+
+@compiled
+def _paper(
+    world: World, play: Play, via_capacity: float, problems: Any, agents: Any, out: Any
+) -> None:
+    for i in range(len(problems)):
+        write_paper(world, play, via_capacity, wide(problems[i]), wide(agents[i]), out, i)
 
 
 def writer(observation: Observation, engine: Engine) -> Write:

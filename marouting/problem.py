@@ -11,9 +11,10 @@ import itertools
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
@@ -235,13 +236,11 @@ class Problem:
     @functools.cached_property
     def capacity(self) -> NDArray[np.int32]:
         """(E,) capacity of every edge: UNLIMITED for a via, 0 for an edge off the grid."""
-        capacity = np.empty((self.topology.gcells, AXES), np.int32)
-        capacity.reshape(-1, self.grid[2], AXES)[:, :, 0] = self.horizontal_capacity
-        capacity.reshape(-1, self.grid[2], AXES)[:, :, 1] = self.vertical_capacity
-        capacity[:, VIA_AXIS] = UNLIMITED
-        edges = capacity.reshape(-1)
+        vias = (UNLIMITED,) * self.grid[2]
+        layers = np.array((self.horizontal_capacity, self.vertical_capacity, vias), np.int32).T
+        exists = self.topology.exists.reshape(-1, *layers.shape)
+        edges: NDArray[np.int32] = (exists * layers).reshape(-1)
         edges[self._adjusted_edges] = [adjustment.capacity for adjustment in self.adjustments]
-        edges[~self.topology.exists] = 0
         edges.setflags(write=False)
         return edges
 
@@ -255,14 +254,26 @@ class Problem:
         return demand
 
     @functools.cached_property
+    def flat_pin_gcells(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(nets + 1,) and (Gcells,): :attr:`pin_gcells` of all nets, one after the other.
+
+        Those of net i are ``gcell[first[i] : first[i + 1]]``.
+        """
+        net, pins = self._pins
+        first, gcell = np.zeros(len(self.nets) + 1, np.int64), np.empty_like(pins)
+        # Gcells that hold pins, not all there are: a file may only promise a large grid.
+        held, number = np.unique(pins, return_inverse=True)
+        latest = np.zeros(len(held), np.int64)
+        gcell = gcell[: _distinct(net, pins, number, latest, first, gcell)]
+        for table in (first, gcell):
+            table.setflags(write=False)
+        return first, gcell
+
+    @functools.cached_property
     def pin_gcells(self) -> tuple[NDArray[np.int64], ...]:
         """For each net the numbers of the Gcells with its pins, each once, in pin order."""
-        net, gcell = self._pins
-        _, first = np.unique(net * (MAX_GCELLS + 1) + gcell, return_index=True)
-        first.sort()
-        gcell = gcell[first]
-        gcell.setflags(write=False)
-        return tuple(np.split(gcell, np.searchsorted(net[first], np.arange(1, len(self.nets)))))
+        first, gcell = self.flat_pin_gcells
+        return tuple(gcell[a:b] for a, b in itertools.pairwise(first.tolist()))
 
     @staticmethod
     def read(path: str | os.PathLike[str]) -> "Problem":
@@ -276,6 +287,28 @@ class Problem:
         from marouting import ispd
 
         ispd.write_problem(self, path)
+
+
+@njit(cache=True, _nrt=False)  # type: ignore[call-overload]
+def _distinct(net: Any, gcell: Any, number: Any, latest: Any, first: Any, out: Any) -> int:
+    """Writes the Gcells of every net, each once, to ``out``; returns how many they are.
+
+    Args:
+        net: (pins,) the net of every pin, ascending.
+        gcell: (pins,) its Gcell.
+        number: (pins,) the Gcell's place among those that hold pins.
+        latest: zeros for these, to work with: one more than the net last seen in the Gcell.
+        first: (nets + 1,) zeros, filled as :attr:`Problem.flat_pin_gcells` has it.
+        out: (pins,).
+    """
+    size = 0
+    for pin in range(len(net)):
+        if latest[number[pin]] != net[pin] + 1:
+            latest[number[pin]] = net[pin] + 1
+            out[size] = gcell[pin]
+            size += 1
+        first[net[pin] + 1] = size
+    return size
 
 
 def check_grid(grid: tuple[int, int, int]) -> None:

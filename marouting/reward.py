@@ -51,7 +51,7 @@ class PaperReward:
     overflow_price: float = 0.0
 
     @functools.cached_property
-    def _table(self) -> NDArray[np.float32]:
+    def table(self) -> NDArray[np.float32]:
         """(4, 3) reward by Crossing and Ending."""
         table = np.full((len(Crossing), len(Ending)), self.step, np.float32)
         table[Crossing.OWN] = self.own_edge
@@ -61,7 +61,7 @@ class PaperReward:
 
     def __call__(self, agents: Any) -> Any:
         """Rewards of the agents' last moves; see :class:`Reward`."""
-        reward = self._table[agents["crossing"], agents["ending"]]
+        reward = self.table[agents["crossing"], agents["ending"]]
         if self.overflow_price:
             reward = reward - np.float32(self.overflow_price) * agents["overflow"]
         return reward

@@ -15,18 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.engine import (
+    AGENT,
+    GAME,
     NOBODY,
+    Crossing,
     Engine,
     NetOrder,
     Play,
     Status,
     World,
+    begin_task,
     compiled,
     has_room,
+    inlined,
     move_agent,
-    pass_turn,
-    settle_agent,
     wide,
+    world_of,
 )
 from marouting.grid import MOVES, OFF_GRID, Grid
 from marouting.problem import Problem
@@ -36,71 +40,68 @@ STEP_COST = 1
 FULL_COST = 1000
 """Cost of a step, and of one across an edge without remaining capacity (paper, section 3.3)."""
 
-_FOUND_BITS = 27  # 6 · MAX_GCELLS entries fit; f < 1000 · MAX_GCELLS takes 35 bits more
+_WALL_COST = FULL_COST - STEP_COST
+"""What an edge without remaining capacity adds to the cost of a way, at least."""
+
+_LEVELS = 1 << (FULL_COST + 1 + _WALL_COST).bit_length()
+"""Heads of the open list. Both heuristics are consistent: along a step, f = g + h does not fall, and
+it grows by the step's cost, one step and one wall at most. So far apart are the f of any two
+entries at most."""
+
+_MASK = _LEVELS - 1
+_NONE = -1
+_UNKNOWN = -1  # cost of a way
+
+_EDGES_A_TASK = 8  # room to begin with for the edges of the routes; it is doubled as they grow
+
+
+NODE = np.dtype(
+    [
+        ("stamp", np.int64),  # the search that found the Gcell; negative once it is opened
+        ("cost", np.int64),  # cheapest way found to the Gcell, where stamp is the search's
+        ("came", np.int8),  # the move that the cheapest way ends with
+    ],
+    align=True,
+)
+"""A Gcell in a search."""
 
 
 class Scratch(NamedTuple):
     """Working arrays of a search, reused from one to the next without clearing."""
 
-    cost: NDArray[np.int64]  # (G,) cheapest way found to a Gcell, where stamp is the search's
-    came: NDArray[np.int8]  # (G,) the move that the cheapest way ends with
-    stamp: NDArray[np.int64]  # (G,) the search that found the Gcell
-    key: NDArray[np.int64]  # (6 G,) heap: f, then the last found first
-    cell: NDArray[np.int32]  # (6 G,) heap: Gcell
+    nodes: NDArray[Any]  # (G,) NODE
+    head: NDArray[np.int32]  # (_LEVELS,) entry found last of those with an f; _NONE: there is none
+    below: NDArray[np.int32]  # (6 G,) the entry with the same f found before an entry
+    cell: NDArray[np.int32]  # (6 G,) the Gcell of an entry
     path: NDArray[np.int8]  # (G,) the moves of the path
+    depth: NDArray[np.int64]  # (G,) walls between a Gcell and the target, see _INSIDE
+    ring: NDArray[np.int32]  # (G,) Gcells around the target
     search: NDArray[np.int64]  # (1,) searches so far
+    walls: NDArray[np.int64]  # (3,) see the constants below
+
+
+_INSIDE = 0  # the depth of Gcells behind no wall; what is less stems from an earlier search
+_KNOWN = 1  # walls that are known
+_NEXT = 2  # how many Gcells a search opens before it looks for more
 
 
 def scratch(grid: Grid) -> Scratch:
     """Working arrays for one grid shape."""
     g = grid.gcells
     return Scratch(
-        cost=np.empty(g, np.int64),
-        came=np.empty(g, np.int8),
-        stamp=np.zeros(g, np.int64),
-        key=np.empty(MOVES * g + 1, np.int64),
-        cell=np.empty(MOVES * g + 1, np.int32),
+        nodes=np.zeros(g, NODE),
+        head=np.empty(_LEVELS, np.int32),
+        below=np.empty(MOVES * g, np.int32),
+        cell=np.empty(MOVES * g, np.int32),
         path=np.empty(g, np.int8),
+        depth=np.zeros(g, np.int64),
+        ring=np.empty(g, np.int32),
         search=np.zeros(1, np.int64),
+        walls=np.zeros(3, np.int64),
     )
 
 
-@compiled
-def _push(s: Scratch, size: int, key: int, cell: int) -> None:
-    """Puts an entry into the binary heap of ``size`` entries."""
-    at = size
-    while at > 0:
-        above = (at - 1) >> 1
-        if s.key[above] <= key:
-            break
-        s.key[at] = s.key[above]
-        s.cell[at] = s.cell[above]
-        at = above
-    s.key[at] = key
-    s.cell[at] = cell
-
-
-@compiled
-def _pop(s: Scratch, size: int) -> int:
-    """Takes the first entry's Gcell from the heap of ``size`` entries."""
-    first = s.cell[0]
-    key, cell = s.key[size - 1], s.cell[size - 1]
-    at, below = 0, 1
-    while below < size - 1:
-        if below + 1 < size - 1 and s.key[below + 1] < s.key[below]:
-            below += 1
-        if s.key[below] >= key:
-            break
-        s.key[at] = s.key[below]
-        s.cell[at] = s.cell[below]
-        at = below
-        below = 2 * at + 1
-    s.key[at] = key
-    s.cell[at] = cell
-    return first
-
-
-@compiled
+@inlined
 def _distance(position: Any, a: int, b: int) -> int:
     """Manhattan distance of two Gcells over x, y and layer."""
     return (
@@ -108,6 +109,145 @@ def _distance(position: Any, a: int, b: int) -> int:
         + abs(position[a, 1] - position[b, 1])
         + abs(position[a, 2] - position[b, 2])
     )
+
+
+@compiled
+def _look_around(
+    world: World, play: Play, s: Scratch, m: int, n: int, source: int, target: int, budget: int
+) -> int:
+    """Finds walls around the target: edges without capacity that no way gets around.
+
+    Floods the Gcells that the target can be reached from for nothing but steps, then those behind
+    one wall, and so on, until the source is reached or the budget is used up.
+
+    Returns:
+        The walls that every way crosses from where has not been flooded.
+    """
+    s.walls[_INSIDE] += len(s.depth) + 1
+    inside = s.walls[_INSIDE]
+    s.depth[target] = inside
+    s.ring[0] = target
+    first = last = at = walls = 0  # the Gcells behind as many walls begin with the first
+    size = 1
+    flooding = True  # as far as there is room; otherwise looking behind the next wall
+    while True:
+        if at == (size if flooding else last):
+            if flooding:
+                walls += 1
+                last = size
+            else:
+                first = last
+            at = first
+            flooding = not flooding
+            continue
+        if flooding and size > budget:
+            return walls
+        cell = wide(s.ring[at])
+        at += 1
+        for move in range(MOVES):
+            beside = wide(world.neighbour[cell, move])
+            if beside == OFF_GRID or s.depth[beside] >= inside:
+                continue
+            if flooding and not has_room(world, play, m, n, cell, move):
+                continue
+            if beside == source:
+                return walls
+            s.depth[beside] = inside + walls
+            s.ring[size] = beside
+            size += 1
+
+
+@compiled
+def _search(
+    world: World,
+    play: Play,
+    s: Scratch,
+    m: int,
+    n: int,
+    source: int,
+    target: int,
+    distance: int,
+    most: int,
+) -> int:
+    """One A* search from source to target.
+
+    A target that is walled in makes plain A* open the whole grid, in the vain hope of a way around
+    that is cheaper than a full edge. So where a search takes long it looks for walls around the
+    target. Those that it knows of are part of the heuristic as long as the cost of a cheapest way
+    is not known. Once it is, plain A* finds the way, without the Gcells from which the walls make
+    every way cost more: none of them, and nothing found from there, is on a cheapest way.
+
+    Args:
+        world: the game.
+        play: how it stands.
+        s: working arrays; ``s.walls`` tells what is known of walls.
+        m: the problem.
+        n: the agent.
+        source: the Gcell to start from.
+        target: the Gcell to reach.
+        distance: of these two.
+        most: what a cheapest way costs, or _UNKNOWN.
+
+    Returns:
+        What a cheapest way costs, or _UNKNOWN if more walls came to light.
+    """
+    s.search[0] += 1
+    found = s.search[0]
+    walls = s.walls[_KNOWN]
+    for level in range(_LEVELS):
+        s.head[level] = _NONE
+    s.nodes[source].cost = 0
+    f = distance
+    if most == _UNKNOWN:
+        f += _WALL_COST * walls  # the source lies behind all walls that are known
+    entries = opened = 0
+    cell = source
+    while cell != target:
+        s.nodes[cell].stamp = -found  # the heuristic is consistent: this cost is final
+        opened += 1
+        if opened == s.walls[_NEXT] and most == _UNKNOWN:
+            s.walls[_NEXT] *= 4
+            s.walls[_KNOWN] = _look_around(world, play, s, m, n, source, target, opened // 4)
+            if s.walls[_KNOWN] > walls:
+                return _UNKNOWN
+        so_far, left = s.nodes[cell].cost, _distance(world.position, cell, target)
+        for move in range(MOVES):
+            beside = wide(world.neighbour[cell, move])
+            if beside == OFF_GRID:
+                continue
+            node = s.nodes[beside]
+            if node.stamp == -found:
+                continue
+            cost = so_far + (
+                STEP_COST if has_room(world, play, m, n, cell, move) else FULL_COST
+            )
+            if node.stamp == found and node.cost <= cost:
+                continue
+            # Even moves go up their axis, odd ones down.
+            ahead = world.position[target, move >> 1] - world.position[cell, move >> 1]
+            nearer = ahead < 0 if move & 1 else ahead > 0
+            level = cost + left + (-1 if nearer else 1)
+            if walls > 0:
+                depth = s.depth[beside] - s.walls[_INSIDE]
+                least = level + _WALL_COST * (depth if 0 <= depth < walls else walls)
+                if most == _UNKNOWN:
+                    level = least
+                elif least > most:
+                    continue
+            node.stamp = found
+            node.cost = cost
+            node.came = move
+            s.cell[entries] = beside
+            s.below[entries] = s.head[level & _MASK]
+            s.head[level & _MASK] = entries
+            entries += 1
+        while s.nodes[cell].stamp != found:
+            while s.head[f & _MASK] == _NONE:
+                f += 1
+            entry = s.head[f & _MASK]
+            s.head[f & _MASK] = s.below[entry]
+            cell = wide(s.cell[entry])
+    return s.nodes[target].cost
 
 
 @compiled
@@ -119,61 +259,80 @@ def shortest_path(
     Returns:
         The number of moves, which lie in ``s.path``; 0 if source and target are one Gcell.
     """
-    s.search[0] += 1
-    found = s.search[0]  # the stamp of a Gcell with a way to it; negative once it is opened
-    s.stamp[source] = found
-    s.cost[source] = 0
-    s.key[0] = 0
-    s.cell[0] = source
-    size = 1
-    latest = (1 << _FOUND_BITS) - 1
-    while size > 0:
-        cell = _pop(s, size)
-        size -= 1
-        if cell == target:
+    s.walls[_KNOWN] = 0
+    distance = _distance(world.position, source, target)
+    s.walls[_NEXT] = 16 * (distance + 8)
+    most = wide(_UNKNOWN)
+    while True:
+        cost = _search(world, play, s, m, n, source, target, distance, most)
+        if most != _UNKNOWN or (cost != _UNKNOWN and s.walls[_KNOWN] == 0):
             break
-        if s.stamp[cell] == -found:
-            continue
-        s.stamp[cell] = -found  # the heuristic is consistent: this cost is final
-        for move in range(MOVES):
-            if world.edge[cell, move] == OFF_GRID:
-                continue
-            beside = world.neighbour[cell, move]
-            cost = s.cost[cell] + (
-                STEP_COST if has_room(world, play, m, n, cell, move) else FULL_COST
-            )
-            if s.stamp[beside] == -found or (s.stamp[beside] == found and s.cost[beside] <= cost):
-                continue
-            s.stamp[beside] = found
-            s.cost[beside] = cost
-            s.came[beside] = move
-            latest -= 1
-            f = cost + _distance(world.position, beside, target)
-            _push(s, size, (f << _FOUND_BITS) | latest, beside)
-            size += 1
-    length = 0
-    cell = target
+        most = cost
+    length, cell = 0, target
     while cell != source:
-        s.path[length] = s.came[cell]
+        came = s.nodes[cell].came
+        s.path[length] = came
         length += 1
-        cell = world.neighbour[cell, s.came[cell] ^ 1]  # the opposite move
+        cell = wide(world.neighbour[cell, came ^ 1])  # the opposite move
     for i in range(length // 2):
         s.path[i], s.path[length - 1 - i] = s.path[length - 1 - i], s.path[i]
     return length
 
 
 @compiled
-def _route(world: World, play: Play, s: Scratch) -> None:
-    """All agents of all problems, one after the other in turn order, along cheapest paths."""
-    for m in range(len(play.games)):
-        while play.games[m].agent != NOBODY:
-            n = wide(play.games[m].agent)
-            agent = play.agents[m, n]
-            length = shortest_path(world, play, s, m, n, agent.cell, agent.target)
+def _route(
+    world: World,
+    play: Play,
+    s: Scratch,
+    demand: Any,
+    nets: Any,
+    turn: int,
+    uses: Any,
+    size: int,
+) -> tuple[int, int]:
+    """Routes a problem's nets, one after the other in turn order, along cheapest paths.
+
+    A net that is routed takes part in the game only by the capacity that is gone. So the game is
+    one of a single agent, which is every net in turn: memory does not grow by a map of the grid
+    for every net.
+
+    Args:
+        world: the problem, with the demand of a single agent, which is filled in.
+        play: the game of the single agent.
+        s: working arrays.
+        demand: (N, Z) demand of every net that is an agent.
+        nets: (N,) which nets these are.
+        turn: place in the turn order to go on from.
+        uses: where net · E + edge goes for every net and edge that it uses. Routing stops where
+            there might not be room for another net.
+        size: how many there are already.
+
+    Returns:
+        Place in the turn order of the next net to route, and how many uses there are.
+    """
+    m = n = wide(0)
+    agent = play.agents[m, n]
+    edges = world.capacity.shape[1]
+    while turn < len(nets) and size + edges <= len(uses):
+        member = wide(world.order[m, turn])
+        net = wide(nets[member])
+        turn += 1
+        for layer in range(demand.shape[1]):
+            world.demand[m, n, layer] = demand[member, layer]
+        before = size
+        for task in range(wide(world.first[m, member]), wide(world.first[m, member + 1])):
+            begin_task(world, play, m, n, task)
+            length = shortest_path(world, play, s, m, n, wide(agent.cell), wide(agent.target))
             for i in range(length):
+                edge = wide(world.edge[agent.cell, s.path[i]])
                 move_agent(world, play, m, n, wide(s.path[i]))
-            settle_agent(world, play, m, n)
-            pass_turn(world, play, m)
+                if agent.crossing == Crossing.NEW:
+                    uses[size] = net * edges + edge
+                    size += 1
+        for i in range(before, size):
+            edge = uses[i] - net * edges
+            play.used[m, n, edge >> 3] = 0
+    return turn, size
 
 
 @compiled
@@ -185,7 +344,7 @@ def _first_moves(
         out[i] = NOBODY
         if n != NOBODY and play.agents[m, n].status == Status.ACTIVE:
             agent = play.agents[m, n]
-            shortest_path(world, play, s, m, n, agent.cell, agent.target)
+            shortest_path(world, play, s, m, n, wide(agent.cell), wide(agent.target))
             out[i] = s.path[0]
 
 
@@ -221,14 +380,31 @@ def sequential_astar(problem: Problem, net_order: NetOrder = "half_perimeter") -
     Returns:
         A solution with every net joined, overflow where A* preferred it to no way at all.
     """
-    if all(len(gcells) < 2 for gcells in problem.pin_gcells):
-        return Solution(problem, tuple(np.empty(0, np.int64) for _ in problem.nets))
-    engine = Engine(
-        [problem],
-        turn_order="sequential",
-        net_order=net_order,
-        overflow="allowed",
-        max_steps=Grid.of(problem.grid).gcells,  # as long as a path without a loop can be
-    )
-    _route(engine.world, engine.play, scratch(engine.grid))
-    return engine.solution()
+    grid = problem.topology
+    _, gcells = problem.flat_pin_gcells
+    tasks = len(gcells) - len(problem.nets)
+    uses, size, turn = np.empty(_EDGES_A_TASK * tasks + grid.edges, np.int64), 0, 0
+    if tasks:
+        world, (nets,) = world_of(
+            (problem,),
+            grid,
+            net_order,
+            sequential=True,
+            overflow=True,
+            max_steps=grid.gcells,  # as long as a path without a loop can be
+        )
+        (demand,) = world.demand
+        world = world._replace(demand=np.empty((1, 1, grid.shape[2]), np.int32))
+        play = Play(
+            remaining=world.capacity.copy(),
+            used=np.zeros((1, 1, (grid.edges + 7) // 8), np.uint8),
+            agents=np.zeros((1, 1), AGENT),
+            games=np.zeros(1, GAME),
+        )
+        working = scratch(grid)
+        while True:
+            turn, size = _route(world, play, working, demand, nets, turn, uses, size)
+            if turn == len(nets):
+                break
+            uses = np.concatenate((uses, np.empty_like(uses)))
+    return Solution.of_uses(problem, *np.divmod(np.sort(uses[:size]), grid.edges))

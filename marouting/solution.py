@@ -1,7 +1,9 @@
 """A solution of a global routing problem, and its quality judged from the routes alone."""
 
 import functools
+import itertools
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,61 +16,82 @@ from marouting.grid import AXES, VIA_AXIS
 from marouting.problem import Problem
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Solution:
     """The edges that every net uses.
 
+    Args:
+        problem: what is routed.
+        edges: for each net an array of the numbers of its edges (:mod:`marouting.grid`), in any
+            order and with any repetitions.
+
     Attributes:
         problem: what is routed.
-        edges: for each net an int64 array of the numbers of its edges (:mod:`marouting.grid`).
-            Any order and repetitions may be given; what is kept is sorted, each edge once, and
-            read-only.
+        uses: (uses,) int64 twice: every net that uses an edge, and the edge; ordered by net, then
+            edge, each pair once, read-only.
 
     Raises:
         InputError: not one array a net, or an edge that the grid has not.
     """
 
     problem: Problem
-    edges: tuple[NDArray[np.int64], ...]
+    uses: tuple[NDArray[np.int64], NDArray[np.int64]]
 
-    def __post_init__(self) -> None:
-        nets = len(self.problem.nets)
-        if len(self.edges) != nets:
-            raise InputError(
-                f"solution: expected the edges of {nets} nets, found {len(self.edges)}"
-            )
-        given = [np.asarray(edges, np.int64).reshape(-1) for edges in self.edges]
-        net = np.repeat(np.arange(nets), [len(edges) for edges in given])
+    def __init__(self, problem: Problem, edges: Sequence[NDArray[np.integer]]) -> None:
+        nets = len(problem.nets)
+        if len(edges) != nets:
+            raise InputError(f"solution: expected the edges of {nets} nets, found {len(edges)}")
+        given = [np.asarray(own, np.int64).reshape(-1) for own in edges]
+        net = np.repeat(np.arange(nets), [len(own) for own in given])
         edge = np.concatenate(given)
         # Worked out for the given edges only: the grid's tables would cost memory for all of them.
         near, axis = np.divmod(edge, AXES)
-        limit = np.array(self.problem.grid)
+        limit = np.array(problem.grid)
         position = np.stack(np.unravel_index(near.clip(0, limit.prod() - 1), limit), axis=1)
         missing = (near < 0) | (near >= limit.prod())
         missing |= position[np.arange(len(edge)), axis] + 1 >= limit[axis]
         if missing.any():
             row = missing.argmax()
             raise InputError(
-                f"solution, net {self.problem.nets[net[row]].name}: "
+                f"solution, net {problem.nets[net[row]].name}: "
                 f"expected edges of the grid, found {edge[row]}"
             )
         size = AXES * limit.prod()
-        net, edge = np.divmod(np.unique(net * size + edge), size)
-        edge.setflags(write=False)
-        split = tuple(np.split(edge, np.searchsorted(net, np.arange(1, nets))))
-        object.__setattr__(self, "edges", split)
+        self._keep(problem, *np.divmod(np.unique(net * size + edge), size))
+
+    def _keep(self, problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]) -> None:
+        for column in (net, edge):
+            column.setflags(write=False)
+        object.__setattr__(self, "problem", problem)
+        object.__setattr__(self, "uses", (net, edge))
+
+    @classmethod
+    def of_uses(
+        cls, problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]
+    ) -> "Solution":
+        """A solution from what is known to be right: nothing is looked at, nothing copied.
+
+        Args:
+            problem: what is routed.
+            net: (uses,) every net that uses an edge.
+            edge: (uses,) the edge; edges of the grid, ordered by net, then edge, each pair once.
+        """
+        solution = object.__new__(cls)
+        solution._keep(problem, net, edge)
+        return solution
 
     def __eq__(self, other: object) -> bool:
         """Whether the other solution routes an equal problem with the same edges."""
         if not isinstance(other, Solution):
             return NotImplemented
-        return self.problem == other.problem and all(map(np.array_equal, self.edges, other.edges))
+        return self.problem == other.problem and all(map(np.array_equal, self.uses, other.uses))
 
     @functools.cached_property
-    def uses(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(uses,) twice: every net that uses an edge, and the edge; ordered by net, then edge."""
-        net = np.repeat(np.arange(len(self.edges)), [len(edges) for edges in self.edges])
-        return net, np.concatenate(self.edges)
+    def edges(self) -> tuple[NDArray[np.int64], ...]:
+        """For each net the numbers of its edges: sorted, each once, read-only."""
+        net, edge = self.uses
+        bounds = np.searchsorted(net, np.arange(len(self.problem.nets) + 1)).tolist()
+        return tuple(edge[a:b] for a, b in itertools.pairwise(bounds))
 
     @functools.cached_property
     def demand(self) -> NDArray[np.int64]:
@@ -175,10 +198,10 @@ def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64],
     """
     net, edge = solution.uses
     near, far = problem.topology.ends(edge)
-    pins = problem.pin_gcells
-    pin_net = np.repeat(np.arange(len(pins)), [len(gcells) for gcells in pins])
+    first, pins = problem.flat_pin_gcells
+    pin_net = np.repeat(np.arange(len(problem.nets)), np.diff(first))
     pairs = np.concatenate((net, net, pin_net)) * problem.topology.gcells
-    pairs += np.concatenate((near, far, *pins))
+    pairs += np.concatenate((near, far, pins))
     vertices, inverse = np.unique(pairs, return_inverse=True)
     index = inverse.astype(np.int32)  # scipy's graph routines refuse others before 1.16
     ends = index[: len(edge)], index[len(edge) : 2 * len(edge)]
