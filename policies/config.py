@@ -3,9 +3,11 @@
 ``configs/paper/default.yaml`` holds every key with a comment. The defaults are the paper's.
 """
 
+import copy
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from marouting.config import EnvOptions, build, one_line, parse_yaml, read_yaml
@@ -28,7 +30,7 @@ class DQNOptions:
         gamma: discount factor.
         learning_rate: Adam's.
         batch_size: transitions a gradient step.
-        buffer_size: transitions that the replay memory of a problem holds.
+        buffer_size: transitions that the replay memory of a network holds.
         burn_in: whose moves fill the memory first, ``astar`` or ``random``.
         burn_in_size: how many of them.
         epsilon: chance of a random move.
@@ -39,6 +41,8 @@ class DQNOptions:
             is its own target.
         masking: whether only moves that cross an edge are chosen and bootstrapped from.
         steps_per_update: moves to each gradient step.
+        shared: whether one network, with one memory, learns all problems; otherwise each has its
+            own.
     """
 
     __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
@@ -57,6 +61,7 @@ class DQNOptions:
     target_period: int = 0
     masking: bool = False
     steps_per_update: int = 1
+    shared: bool = False
 
     def __post_init__(self) -> None:
         check("hidden", all(1 <= units <= 4096 for units in self.hidden), "numbers from 1 to 4096")
@@ -156,17 +161,61 @@ def load_config(path: str | os.PathLike[str] | None, overrides: Sequence[str] = 
     Raises:
         InputError: names the file or key, what was expected and what was found.
     """
-    raw: dict[str, Any] = {} if path is None else read_yaml(path)
-    for override in overrides:
-        key, equals, value = override.partition("=")
+    raw = {} if path is None else read_yaml(path)
+    return build(Config, override(raw, overrides), "" if path is None else os.fspath(path))
+
+
+def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """Plain data with single keys changed.
+
+    Args:
+        raw: plain data, as from YAML.
+        overrides: ``key=value`` as in :func:`load_config`.
+
+    Raises:
+        InputError: an override is none.
+    """
+    changed = copy.deepcopy(dict(raw))
+    for given in overrides:
+        key, equals, value = given.partition("=")
         if not equals or not key:
-            raise InputError(one_line(f"{override}: expected key=value"))
+            raise InputError(one_line(f"{given}: expected key=value"))
         *parts, last = key.split(".")
-        place = raw
+        place = changed
         for part in parts:
             inner = place.setdefault(part, {})
             if not isinstance(inner, dict):
                 inner = place[part] = {}
             place = inner
-        place[last] = parse_yaml(value, override)
-    return build(Config, raw, "" if path is None else os.fspath(path))
+        place[last] = parse_yaml(value, given)
+    return changed
+
+
+def check_same(mine: Mapping[str, Any], kept: Mapping[str, Any], where: Path) -> None:
+    """Raises InputError, naming the key, unless two configurations in plain data are the same.
+
+    Args:
+        mine: what is asked for.
+        kept: what was started with.
+        where: the file that keeps it.
+    """
+    found, expected = _flat(mine), _flat(kept)
+    # A key may be there in one of them only, as those of a problem's files or its generator.
+    for key in dict.fromkeys((*expected, *found)):
+        if expected.get(key) != found.get(key):
+            raise InputError(
+                f"{key}: expected {expected.get(key)!r}, as in {where}, found {found.get(key)!r}"
+            )
+
+
+def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as one, keys joined by dots; sequences as tuples."""
+    flat: dict[str, Any] = {}
+    for key, value in nested.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{key}.")
+        elif isinstance(value, Sequence) and not isinstance(value, str):
+            flat[prefix + key] = tuple(value)
+        else:
+            flat[prefix + key] = value
+    return flat

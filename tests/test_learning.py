@@ -9,11 +9,14 @@ import itertools
 import pkgutil
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numba.core.dispatcher import Dispatcher
 from numpy.typing import NDArray
 from torch import nn
@@ -22,6 +25,7 @@ import marouting
 import policies
 from marouting import (
     EnvOptions,
+    InputError,
     Problem,
     Solution,
     evaluate,
@@ -33,9 +37,12 @@ from marouting.env.single import GlobalRoutingSingle
 from marouting.grid import MOVES
 from marouting.reward import PaperReward
 from policies.config import Config, DQNOptions, TrainOptions
-from policies.learned.dqn import DQN, Backend
-from policies.learned.replay import Replay
-from policies.learned.streams import keys, uniform
+from policies.learned.dqn import DQN, Backend, Rule, backends
+from policies.learned.products import product
+from policies.learned.qnetwork import initial
+from policies.learned.replay import Batch, Replay
+from policies.learned.stack import Lanes
+from policies.learned.streams import keys, uniform, uniforms
 from policies.learned.trainer import Episode, Trainer
 
 FEATURES = 12
@@ -79,6 +86,37 @@ def flat(net: nn.Sequential) -> NDArray[np.float64]:
     return torch.cat(parts).numpy()
 
 
+def memory_of(replay: Replay) -> SimpleNamespace:
+    """The fields of all transitions in a memory, (L, capacity) or (L, capacity, numbers)."""
+    fields = vars(Batch.of(replay.rows, replay.features, replay.masks))
+    return SimpleNamespace(
+        **{
+            name: None
+            if field is None
+            else field.numpy()[..., 0]
+            if field.shape[-1] == 1
+            else field.numpy()
+            for name, field in fields.items()
+        }
+    )
+
+
+def lanes_of(**fields: NDArray[Any]) -> Lanes:
+    """What a step's agents saw, did and got; what is not given is nothing."""
+    problems, lanes = fields["moved"].shape
+    empty = np.zeros((problems, lanes))
+    whole = {name: fields.get(name, empty) for name in Lanes._fields}
+    for name, of in (("over", np.bool_), ("total", float), ("epsilon", float), ("counters", int)):
+        whole[name] = np.zeros(problems, of)
+    whole["keys"] = np.zeros(problems, np.uint64)
+    whole["agents"] = np.zeros((problems, lanes), np.int32)
+    whole["mask"] = whole["arrived_mask"] = fields.get(
+        "arrived_mask", np.ones((problems, lanes, MOVES), np.int8)
+    )
+    whole["values"] = np.zeros((problems, lanes, MOVES), np.float32)
+    return Lanes(**whole)
+
+
 def filled(problems: int, rows: int, masking: bool, seed: int = 0) -> Replay:
     """A memory of random transitions, other ones for every problem."""
     rng = np.random.default_rng(seed)
@@ -87,15 +125,41 @@ def filled(problems: int, rows: int, masking: bool, seed: int = 0) -> Replay:
     mask = rng.integers(2, size=(*shape, MOVES), dtype=np.int8)
     mask[..., 0] |= ~mask.any(axis=2)
     replay.add(
-        np.ones(shape, np.bool_),
-        rng.normal(size=(*shape, FEATURES)).astype(np.float32),
-        rng.integers(MOVES, size=shape, dtype=np.int8),
-        rng.choice(np.array([-1, 10], np.float32), size=shape),
-        rng.normal(size=(*shape, FEATURES)).astype(np.float32),
-        rng.random(shape) < 0.8,
-        mask if masking else None,
+        lanes_of(
+            moved=np.ones(shape, np.bool_),
+            seen=rng.normal(size=(*shape, FEATURES)).astype(np.float32),
+            moves=rng.integers(MOVES, size=shape, dtype=np.int8),
+            reward=rng.choice(np.array([-1, 10], np.float32), size=shape),
+            arrived=rng.normal(size=(*shape, FEATURES)).astype(np.float32),
+            goes_on=rng.random(shape) < 0.8,
+            arrived_mask=mask,
+        )
     )
     return replay
+
+
+def learner_of(backend: Backend, replay: Replay, hidden: Sequence[int] = (8,), **rule: Any) -> DQN:
+    """A learner on a memory; its networks are called a, b, c and so on."""
+    given = {"batch": 8, "gamma": 0.9, "target_period": 2, "learning_rate": 1e-2, **rule}
+    names = "abcdefgh"[: len(replay.stored)]
+    return backends()[backend](
+        replay,
+        hidden,
+        MOVES,
+        seeds=range(5, 5 + len(names)),
+        keys=keys(3, names, "sample"),
+        rule=Rule(**given),
+    )
+
+
+def sample(replay: Replay, size: int, drawn_by: NDArray[np.uint64], counters: Any) -> Batch:
+    """A sample as the learners take it."""
+    return replay.sample(
+        size,
+        torch.from_numpy(drawn_by.view(np.int64)),
+        torch.as_tensor(np.asarray(counters, np.int64)),
+        torch.from_numpy(replay.stored),
+    )
 
 
 @pytest.mark.parametrize(
@@ -118,17 +182,16 @@ def test_gradient_step_is_that_of_autograd_and_adam(
 ) -> None:
     problems, gamma, rate = 3, 0.9, 1e-3
     sizes = (FEATURES, *hidden, MOVES)
-    learner = DQN(
-        sizes,
-        [5, 6, 7],
+    replay = filled(problems, 300, masking)
+    learner = learner_of(
+        backend,
+        replay,
+        hidden,
         gamma=gamma,
         learning_rate=rate,
-        batch_size=batch_size,
+        batch=batch_size,
         target_period=target_period,
-        backend=backend,
     )
-    replay = filled(problems, 300, masking)
-    sampling = keys(3, ["a", "b", "c"], "sample")
     nets = [network(sizes, row) for row in learner.weights]
     targets = [
         network(sizes, row) if target_period else nets[m] for m, row in enumerate(learner.weights)
@@ -136,8 +199,10 @@ def test_gradient_step_is_that_of_autograd_and_adam(
     optimizers = [torch.optim.Adam(net.parameters(), lr=rate) for net in nets]
     assert len({tuple(flat(net)[:4]) for net in nets}) == problems
     for step in range(1, 51):
-        batch = replay.sample(batch_size, sampling, learner.steps.copy(), torch.device("cpu"))
-        loss = learner.learn(replay, sampling, np.ones(problems, np.bool_)).copy()
+        batch = sample(replay, batch_size, learner.keys, learner.steps)
+        before = learner.loss.numpy().copy()
+        learner.learn(np.ones(problems, np.bool_))
+        loss = learner.loss.numpy() - before
         for m, (net, target, optimizer) in enumerate(zip(nets, targets, optimizers, strict=True)):
             with torch.no_grad():
                 following = target(batch.arrived[m].double())
@@ -163,15 +228,12 @@ def test_gradient_step_is_that_of_autograd_and_adam(
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_steps_due_together_are_steps_one_by_one(backend: Backend) -> None:
-    replay, sampling = filled(3, 50, masking=False), keys(0, ["a", "b", "c"], "sample")
-    together, apart = learner_of(backend), learner_of(backend)
-    loss = together.learn(replay, sampling, np.array([3, 0, 1])).copy()
-    summed = np.zeros(3)
+    together, apart = (learner_of(backend, filled(3, 50, masking=False)) for _ in range(2))
+    together.learn(np.array([3, 0, 1]))
     for due in ([1, 0, 1], [1, 0, 0], [1, 0, 0]):
-        summed += apart.learn(replay, sampling, np.array(due))
+        apart.learn(np.array(due))
     assert together.steps.tolist() == [3, 0, 1]
-    assert loss == pytest.approx(summed)
-    assert loss[1] == 0
+    assert together.loss[1] == 0
     for a, b in zip(tensors(together), tensors(apart), strict=True):
         assert np.array_equal(a, b)
 
@@ -190,90 +252,145 @@ def test_compiled_functions_do_not_share_a_place_in_the_cache() -> None:
     assert len(set(places)) == len(places)
 
 
-def learner_of(backend: Backend, problems: int = 3, **options: Any) -> DQN:
-    given = {"gamma": 0.9, "learning_rate": 1e-2, "batch_size": 8, "target_period": 2, **options}
-    return DQN((FEATURES, 8, MOVES), range(problems), backend=backend, **given)
-
-
 def tensors(learner: DQN) -> list[NDArray[Any]]:
-    return [tensor.numpy().copy() for tensor in learner.tensors().values()]
+    """Weights, optimiser states, counts and memories."""
+    return [tensor.numpy().copy() for tensor in learner.state().values()]
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_networks_that_are_not_chosen_stay_as_they_are(backend: Backend) -> None:
-    learner, replay = learner_of(backend), filled(3, 50, masking=False)
-    sampling = keys(0, ["a", "b", "c"], "sample")
+    learner = learner_of(backend, filled(3, 50, masking=False))
     for _ in range(3):
-        learner.learn(replay, sampling, np.ones(3, np.bool_))
-    before = tensors(learner)
+        learner.learn(np.ones(3, np.bool_))
+    before = {name: tensor.clone() for name, tensor in learner.state().items()}
     for _ in range(5):
-        learner.learn(replay, sampling, np.array([True, False, True]))
-    after = tensors(learner)
+        learner.learn(np.array([True, False, True]))
+    after = learner.state()
     assert learner.steps.tolist() == [8, 3, 8]
-    for old, new in zip(before, after, strict=True):
-        assert np.array_equal(old[1], new[1])
-        assert not np.array_equal(old[0], new[0])
-        assert not np.array_equal(old[2], new[2])
+    for name in ("weights", "target", "mean", "square", "loss"):
+        assert torch.equal(before[name][1], after[name][1])
+        assert not torch.equal(before[name][0], after[name][0])
+        assert not torch.equal(before[name][2], after[name][2])
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_network_learns_the_same_whoever_else_is_chosen(backend: Backend) -> None:
-    replay, sampling = filled(3, 50, masking=False), keys(0, ["a", "b", "c"], "sample")
-    together, apart = learner_of(backend), learner_of(backend)
+    together, apart = (learner_of(backend, filled(3, 50, masking=False)) for _ in range(2))
     for _ in range(4):
-        together.learn(replay, sampling, np.ones(3, np.bool_))
+        together.learn(np.ones(3, np.bool_))
     for row in range(3):
         for _ in range(4):
-            apart.learn(replay, sampling, np.arange(3) == row)
+            apart.learn(np.arange(3) == row)
     for a, b in zip(tensors(together), tensors(apart), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-6)
 
 
+@pytest.mark.parametrize("target_period", [0, 2])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_network_learns_the_same_when_others_have_left(
+    backend: Backend, target_period: int
+) -> None:
+    whole, part = (
+        learner_of(backend, filled(4, 50, masking=True), target_period=target_period)
+        for _ in range(2)
+    )
+    stay = np.array([1, 3])
+    for learner in (whole, part):
+        for _ in range(3):
+            learner.learn(np.array([1, 2, 0, 1]))
+    part.keep(stay)
+    for _ in range(5):
+        whole.learn(np.array([0, 1, 0, 2]))
+        part.learn(np.array([1, 2]))
+    for a, b in zip(tensors(whole), tensors(part), strict=True):
+        np.testing.assert_allclose(a[stay], b, atol=1e-6)
+    assert (part.target is part.weights) == (target_period == 0)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_learner_goes_on_from_its_state(backend: Backend) -> None:
+    first = learner_of(backend, filled(3, 50, masking=True))
+    first.learn(np.array([1, 2, 3]))
+    second = learner_of(backend, filled(3, 50, masking=True, seed=1))
+    second.load_state({name: tensor.clone() for name, tensor in first.state().items()})
+    for learner in (first, second):
+        learner.learn(np.array([2, 2, 1]))
+    for a, b in zip(tensors(first), tensors(second), strict=True):
+        assert np.array_equal(a, b)
+
+
 def test_backends_give_the_same_values() -> None:
     seen = np.random.default_rng(0).normal(size=(3, 5, FEATURES)).astype(np.float32)
-    compiled, batched = (learner_of(backend).values(seen) for backend in BACKENDS)
+    memory = filled(3, 1, masking=False)
+    compiled, batched = (learner_of(backend, memory).values(seen) for backend in BACKENDS)
     np.testing.assert_allclose(compiled, batched, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_only_a_joined_task_ends_the_sum_of_rewards(backend: Backend) -> None:
     # One transition, over and over: what the network wants for it is r, or r + γ max Q'.
-    replay = {}
     for goes_on in (False, True):
-        replay[goes_on] = Replay(1, 4, FEATURES, masks=False)
+        memory = Replay(1, 4, FEATURES, masks=False)
         one = np.ones((1, 1), np.bool_)
         here = np.full((1, 1, FEATURES), 0.5, np.float32)
-        move = np.full((1, 1), 2, np.int8)
-        reward = np.full((1, 1), 3, np.float32)
-        replay[goes_on].add(one, here, move, reward, 2 * here, one & goes_on, None)
-    for goes_on, memory in replay.items():
-        learner = learner_of(backend, 1, target_period=1_000_000)
-        bootstrapped = learner.values(np.full((1, 1, FEATURES), 1, np.float32)).max()
+        memory.add(
+            lanes_of(
+                moved=one,
+                seen=here,
+                moves=np.full((1, 1), 2, np.int8),
+                reward=np.full((1, 1), 3, np.float32),
+                arrived=2 * here,
+                goes_on=one & goes_on,
+            )
+        )
+        learner = learner_of(backend, memory, target_period=1_000_000)
+        bootstrapped = learner.values(2 * here).max()
         for _ in range(400):
-            learner.learn(memory, keys(0, ["a"], "sample"), np.ones(1, np.bool_))
-        value = learner.values(np.full((1, 1, FEATURES), 0.5, np.float32))[0, 0, 2]
+            learner.learn(np.ones(1, np.bool_))
+        value = learner.values(here)[0, 0, 2]
         assert value == pytest.approx(3 + (0.9 * bootstrapped if goes_on else 0), abs=0.02)
-        assert abs(0.9 * bootstrapped) > 0.1
+        assert abs(0.9 * bootstrapped) > 0.02
 
 
 @pytest.mark.parametrize(("init", "bound"), [("torch", FEATURES**-0.5), ("uniform", 0.5)])
 def test_initial_weights(init: Any, bound: float) -> None:
-    learner = DQN(
-        (FEATURES, 400, MOVES),
-        [1, 2, 1],
-        gamma=1,
-        learning_rate=1e-4,
-        batch_size=1,
-        target_period=0,
-        init=init,
-    )
-    first = learner.weights[:, : FEATURES * 400].numpy()
-    biases = learner.weights[:, FEATURES * 400 : (FEATURES + 1) * 400].numpy()
+    weights = initial((FEATURES, 400, MOVES), [1, 2, 1], init)
+    first = weights[:, : FEATURES * 400].numpy()
+    biases = weights[:, FEATURES * 400 : (FEATURES + 1) * 400].numpy()
     assert np.abs(first).max() == pytest.approx(bound, rel=0.01)
     assert np.abs(first).mean() == pytest.approx(bound / 2, rel=0.05)
     assert np.abs(biases).max() == (0 if init == "uniform" else pytest.approx(bound, rel=0.05))
     assert np.array_equal(first[0], first[2])
     assert not np.array_equal(first[0], first[1])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    rows=st.integers(1, 37),
+    depth=st.integers(0, 37),
+    columns=st.integers(1, 37),
+    turned=st.booleans(),
+    floor=st.sampled_from([0.0, -np.inf]),
+    seed=st.integers(0, 99),
+)
+def test_products_of_matrices(
+    rows: int, depth: int, columns: int, turned: bool, floor: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    a, b, start = (
+        rng.normal(size=shape).astype(np.float32)
+        for shape in ((rows, depth), (depth, columns), (columns,))
+    )
+    held = np.ascontiguousarray(a.T if turned else a).ravel()
+    strides = (1, rows) if turned else (depth, 1)
+    out = np.full(rows * columns + 1, 7, np.float32)
+    product(
+        np.append(np.float32(9), held), 1, *strides, b.ravel(), 0, start, 0, out,
+        rows, depth, columns, np.float32(floor),
+    )  # fmt: skip
+    expected = np.maximum(a.astype(float) @ b.astype(float) + start, floor)
+    np.testing.assert_allclose(out[:-1].reshape(rows, columns), expected, atol=1e-4)
+    assert out[-1] == 7
 
 
 # --- memory ---------------------------------------------------------------------------------------
@@ -283,13 +400,18 @@ def remember(replay: Replay, numbers: NDArray[np.float32], moved: NDArray[np.boo
     """Stores transitions that carry a number in every field; numbers and moved are (M, K)."""
     wide = np.repeat(numbers[..., None], FEATURES, axis=2)
     odd = numbers.astype(np.int64) % 2 == 1
-    replay.add(moved, wide, (numbers % MOVES).astype(np.int8), numbers, wide + 1, odd, None)
+    moves = (numbers % MOVES).astype(np.int8)
+    replay.add(
+        lanes_of(
+            moved=moved, seen=wide, moves=moves, reward=numbers, arrived=wide + 1, goes_on=odd
+        )
+    )
 
 
 def contents(replay: Replay, m: int) -> list[float]:
     """The numbers in a problem's memory, in order."""
-    size = min(int(replay.stored[m]), replay.memory.reward.shape[1])
-    return sorted(replay.memory.reward[m, :size].tolist())
+    size = min(int(replay.stored[m]), replay.rows.shape[1])
+    return sorted(memory_of(replay).reward[m, :size].tolist())
 
 
 def test_memory_is_a_ring_that_keeps_the_newest() -> None:
@@ -305,7 +427,7 @@ def test_memory_is_a_ring_that_keeps_the_newest() -> None:
             assert contents(replay, m) == stored[m][-10:]
     assert replay.stored.tolist() == [len(stored[0]), len(stored[1])]
     assert replay.stored.min() > 10  # both have wrapped
-    batch = replay.sample(64, keys(0, "ab", "s"), np.zeros(2, np.int64), torch.device("cpu"))
+    batch = sample(replay, 64, keys(0, "ab", "s"), [0, 0])
     number = batch.reward
     assert torch.equal(batch.seen, number.expand(-1, -1, FEATURES))
     assert torch.equal(batch.arrived, number.expand(-1, -1, FEATURES) + 1)
@@ -322,10 +444,8 @@ def test_samples_are_uniform(stored: int) -> None:
     assert there == list(range(max(stored - 25, 0), stored))
     drawn: list[float] = []
     for counter in range(200):
-        sample = replay.sample(
-            50, keys(1, ["a"], "s"), np.array([counter], np.int64), torch.device("cpu")
-        )
-        drawn += sample.reward.flatten().tolist()
+        batch = sample(replay, 50, keys(1, ["a"], "s"), [counter])
+        drawn += batch.reward.flatten().tolist()
     counts = np.array([drawn.count(number) for number in there])
     assert counts.sum() == len(drawn)
     expected = len(drawn) / len(there)
@@ -341,10 +461,8 @@ def test_samples_do_not_depend_on_the_rest_of_the_stack() -> None:
     moved = np.ones((3, 20), np.bool_)
     moved[0, 7:] = False  # the problem before holds less, the one after holds other numbers
     remember(large, np.concatenate((numbers + 100, numbers, numbers + 200)), moved)
-    counter = np.array([9, 4, 2])
-    cpu = torch.device("cpu")
-    alone = small.sample(30, keys(1, ["b"], "s"), counter[1:2], cpu)
-    beside = large.sample(30, keys(1, ["a", "b", "c"], "s"), counter, cpu)
+    alone = sample(small, 30, keys(1, ["b"], "s"), [4])
+    beside = sample(large, 30, keys(1, ["a", "b", "c"], "s"), [9, 4, 2])
     assert torch.equal(alone.reward[0], beside.reward[1])
     assert torch.equal(alone.seen[0], beside.seen[1])
     assert beside.reward[0].min() >= 100
@@ -368,6 +486,18 @@ def test_numbers_are_uniform_and_not_correlated() -> None:
     assert ((counts - expected) ** 2 / expected).sum() < 49 + 6 * 98**0.5
     for a, b in ((numbers[1:], numbers[:-1]), (numbers[:, 1:], numbers[:, :-1])):
         assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 5 / a.size**0.5
+
+
+def test_torch_draws_the_same_numbers() -> None:
+    own = keys(7, ["a", "b"], "x")
+    counters, lanes = [0, 10**9], 300
+    drawn = uniforms(
+        torch.from_numpy(own.view(np.int64)), torch.tensor(counters), torch.arange(lanes)
+    )
+    expected = [
+        [uniform(k, c, i) for i in range(lanes)] for k, c in zip(own, counters, strict=True)
+    ]
+    assert drawn.tolist() == expected
 
 
 def test_keys_differ_by_seed_name_and_purpose() -> None:
@@ -425,7 +555,7 @@ def train(trainer: Trainer) -> list[Episode]:
 
 def bits(trainer: Trainer) -> list[bytes]:
     """All weights and optimiser states."""
-    return [tensor.numpy().tobytes() for tensor in trainer.learner.tensors().values()]
+    return [tensor.numpy().tobytes() for tensor in trainer.learner.state().values()]
 
 
 class Replayed:
@@ -439,9 +569,10 @@ class Replayed:
     """
 
     def __init__(self, trainer: Trainer, burnt: int) -> None:
-        self.memory = trainer.replay.memory
-        self.rows = int(self.memory.stored[0])
-        assert burnt < self.rows <= self.memory.move.shape[1], "the memory must not have wrapped"
+        replay = trainer.learner.replay
+        self.memory = memory_of(replay)
+        self.rows = int(replay.stored[0])
+        assert burnt < self.rows <= replay.rows.shape[1], "the memory must not have wrapped"
         self.at = burnt
         self.masks: list[NDArray[np.int8]] = []  # of every move
         self.failed = 0  # tasks
@@ -541,7 +672,7 @@ def test_memory_and_episodes_are_what_the_environment_shows(options: dict[str, A
     env, problem = config.env, tiny(nets=5)
     trainer = Trainer({"p": problem}, config)
     trainer.burn_in()
-    burnt = int(trainer.replay.stored[0])
+    burnt = int(trainer.learner.replay.stored[0])
     lanes = 5 if config.env.agents == "multi" else 1
     assert 100 <= burnt < 100 + lanes
     episodes = train(trainer)
@@ -552,7 +683,7 @@ def test_memory_and_episodes_are_what_the_environment_shows(options: dict[str, A
     assert replayed.at == replayed.rows
     assert replayed.failed > 0  # among them tasks that ran out of steps
     assert all(episode.overflow == 0 for episode in episodes) == (env.overflow == "forbidden")
-    moves = trainer.replay.memory.move[0, burnt : replayed.rows]
+    moves = memory_of(trainer.learner.replay).move[0, burnt : replayed.rows]
     allowed = np.stack(replayed.masks)[np.arange(len(moves)), moves]
     assert allowed.all() == config.dqn.masking
     assert trainer.updates.tolist() == [len(moves) // config.dqn.steps_per_update]
@@ -578,11 +709,11 @@ def test_memory_and_episodes_are_what_the_environment_shows(options: dict[str, A
 def test_masks_in_memory_are_those_of_where_the_move_arrived() -> None:
     trainer = Trainer({"p": tiny(nets=5)}, small_config(masking=True, epsilon=0.5, max_steps=9))
     trainer.burn_in()
-    burnt = int(trainer.replay.stored[0])
+    burnt = int(trainer.learner.replay.stored[0])
     episode = train(trainer)[0]
     env = GlobalRoutingSingle(trainer.engine.problems[0], max_steps=9)
     env.reset()
-    memory, compared = trainer.replay.memory, 0
+    memory, compared = memory_of(trainer.learner.replay), 0
     for row in range(burnt, burnt + episode.steps):
         seen, *_, info = env.step(int(memory.move[0, row]))
         if np.array_equal(seen, memory.arrived[0, row]):  # the task went on
@@ -606,11 +737,11 @@ def test_moves_are_epsilon_greedy(agents: Any, masking: bool) -> None:
     trainer = Trainer({"p": tiny(nets=5)}, config)
     first = network((FEATURES, 8, MOVES), trainer.learner.weights[0])
     trainer.burn_in()
-    burnt = int(trainer.replay.stored[0])
+    burnt = int(trainer.learner.replay.stored[0])
     episodes = train(trainer)
     replayed = Replayed(trainer, burnt)
     assert trainer.updates.tolist() == [0]
-    memory, rows = trainer.replay.memory, slice(burnt, replayed.rows)
+    memory, rows = memory_of(trainer.learner.replay), slice(burnt, replayed.rows)
     with torch.no_grad():
         values = first(torch.from_numpy(memory.seen[0, rows]).double()).numpy()
     for episode in episodes:
@@ -683,7 +814,7 @@ def test_the_seed_decides_each_kind_of_number(purpose: str) -> None:
         assert [e.loss for e in first] != [e.loss for e in second]
         assert [replace(e, loss=0) for e in first] == [replace(e, loss=0) for e in second]
     else:
-        moves = [trainer.replay.memory.move for trainer in trainers]
+        moves = [memory_of(trainer.learner.replay).move for trainer in trainers]
         assert not np.array_equal(*moves)
 
 
@@ -691,24 +822,24 @@ def test_the_seed_decides_each_kind_of_number(purpose: str) -> None:
 def test_loss_is_the_mean_of_the_gradient_steps_of_an_episode(
     agents: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    trainer = Trainer({"p": tiny(), "q": tiny(1)}, small_config(4, agents=agents))
-    taken = []
-    learn = DQN.learn
+    config = small_config(4, agents=agents, backend="torch")  # the compiled one trains alike
+    trainer = Trainer({"p": tiny(), "q": tiny(1)}, config)
+    kind = type(trainer.learner)
+    learn = kind.learn
+    taken: dict[str, list[tuple[int, float]]] = {name: [] for name in trainer.names}
 
-    def note(self: DQN, *arguments: Any) -> Any:
-        before = self.steps.copy()
-        loss = learn(self, *arguments)
-        taken.append((self.steps - before, loss.copy()))
-        return loss
+    def note(self: DQN, due: NDArray[np.integer]) -> None:
+        steps, loss = self.steps.copy(), self.loss.numpy().copy()
+        learn(self, due)
+        for row, problem in enumerate(trainer.places):
+            change = int(self.steps[row] - steps[row]), float(self.loss[row] - loss[row])
+            taken[trainer.names[problem]].append(change)
 
-    monkeypatch.setattr(DQN, "learn", note)
-    before = [0, 0]
+    monkeypatch.setattr(kind, "learn", note)
     for finished in trainer.run():
         for episode in finished:
-            m = trainer.names.index(episode.problem)
-            own = [(steps[m], loss[m]) for steps, loss in taken[before[m] :] if steps[m]]
-            before[m] = len(taken)
-            steps, losses = np.array(own).T
+            steps, losses = np.array(taken[episode.problem]).T
+            taken[episode.problem].clear()
             assert steps.sum() == episode.steps
             assert episode.loss == pytest.approx(losses.sum() / steps.sum())
 
@@ -738,33 +869,104 @@ def test_a_problem_trains_alone_as_in_a_stack(backend: Backend, agents: Any) -> 
     for mine, theirs in zip(found, expected, strict=True):
         assert mine.loss == pytest.approx(theirs.loss, rel=1e-3)
         assert replace(mine, loss=0) == replace(theirs, loss=0)
-    np.testing.assert_allclose(
-        beside.learner.weights[1].numpy(), alone.learner.weights[0].numpy(), atol=1e-4
-    )
+    np.testing.assert_allclose(beside.weights[1].numpy(), alone.weights[0].numpy(), atol=1e-4)
     assert beside.solutions()["p"] == alone.solutions()["p"]
 
 
-def test_backends_train_alike() -> None:
+@pytest.mark.parametrize("agents", ["single", "multi"])
+@pytest.mark.parametrize("shared", [False, True])
+def test_backends_train_alike(agents: Any, shared: bool) -> None:
+    options = {"epsilon": 0.2, "target_period": 5, "agents": agents, "shared": shared}
+    problems = {"p": tiny(), "q": tiny(1, nets=1)}
     compiled, batched = (
-        Trainer({"p": tiny()}, small_config(4, backend=backend, epsilon=0.2))
-        for backend in BACKENDS
+        Trainer(problems, small_config(4, backend=backend, **options)) for backend in BACKENDS
     )
-    for mine, theirs in zip(train(compiled), train(batched), strict=True):
+    # What ends between two looks at the trainer is in the order of the problems.
+    episodes = [train(trainer) for trainer in (compiled, batched)]
+    for name in problems:
+        mine, theirs = ([episode for episode in e if episode.problem == name] for e in episodes)
+        for a, b in zip(mine, theirs, strict=True):
+            assert a.loss == pytest.approx(b.loss, rel=1e-3)
+            assert replace(a, loss=0) == replace(b, loss=0)
+    np.testing.assert_allclose(compiled.weights.numpy(), batched.weights.numpy(), atol=1e-5)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.parametrize("agents", ["single", "multi"])
+def test_a_gpu_trains_alike(agents: Any) -> None:  # pragma: no cover - none where CI runs
+    problems = {"p": tiny(), "q": tiny(1, nets=1)}
+    config = small_config(6, agents=agents, backend="torch", epsilon=0.2, target_period=5)
+    here = Trainer(problems, config)
+    there = Trainer(problems, replace(config, train=replace(config.train, device="cuda")))
+    for mine, theirs in zip(train(here), train(there), strict=True):
+        assert mine.loss == pytest.approx(theirs.loss, rel=1e-3)
         assert replace(mine, loss=0) == replace(theirs, loss=0)
-    np.testing.assert_allclose(
-        compiled.learner.weights.numpy(), batched.learner.weights.numpy(), atol=1e-5
-    )
+    np.testing.assert_allclose(here.weights.numpy(), there.weights.numpy(), atol=1e-4)
 
 
 def test_one_network_learns_from_all_nets() -> None:
     trainer = Trainer({"p": tiny(nets=4)}, small_config(2, agents="multi"))
     assert trainer.learner.weights.shape[0] == 1
     episodes = train(trainer)
-    burnt = int(trainer.replay.stored[0]) - sum(episode.steps for episode in episodes)
-    first = trainer.replay.memory.seen[0, burnt : burnt + 4]
+    burnt = int(trainer.learner.replay.stored[0]) - sum(episode.steps for episode in episodes)
+    first = memory_of(trainer.learner.replay).seen[0, burnt : burnt + 4]
     env = global_routing_v0.parallel_env(trainer.engine.problems[0])
     seen, _ = env.reset()
     assert np.array_equal(first, np.stack([seen[agent] for agent in env.possible_agents]))
+
+
+@pytest.mark.parametrize("agents", ["single", "multi"])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_one_network_learns_from_all_problems(backend: Backend, agents: Any) -> None:
+    problems = {"p": tiny(nets=4), "q": tiny(1, nets=2), "r": tiny(2, nets=3)}
+    config = small_config(3, agents=agents, backend=backend, shared=True, epsilon=0.3)
+    trainer = Trainer(problems, config)
+    trainer.burn_in()
+    burnt = int(trainer.learner.replay.stored[0])
+    assert 100 <= burnt < 100 + sum(len(problem.nets) for problem in problems.values())
+    episodes = train(trainer)
+    moves = sum(episode.steps for episode in episodes)
+    assert trainer.weights.shape == trainer.learner.weights.shape
+    assert trainer.weights.shape[0] == 1
+    assert trainer.learner.replay.stored.tolist() == [burnt + moves]
+    assert trainer.learner.steps.tolist() == [moves]
+    assert {episode.updates for episode in episodes[-1:]} == {moves}
+    # What each problem's first observation was is in the one memory, in turn.
+    memory = memory_of(trainer.learner.replay)
+    at = burnt
+    for problem in problems.values():
+        env = GlobalRoutingSingle(problem) if agents == "single" else None
+        if env is None:
+            faces = global_routing_v0.parallel_env(problem)
+            seen = list(faces.reset()[0].values())
+        else:
+            seen = [env.reset()[0]]
+        for one in seen:
+            assert np.array_equal(memory.seen[0, at], one)
+            at += 1
+    assert set(trainer.solutions()) == set(problems)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_problem_that_is_done_leaves_the_stack(shared: bool, backend: Backend) -> None:
+    # One net against thirty: it is done long before.
+    problems = {"long": tiny(nets=30), "short": tiny(1, nets=1)}
+    trainer = Trainer(problems, small_config(3, epsilon=0.9, shared=shared, backend=backend))
+    stacks = []
+    for _ in trainer.run():
+        stacks.append([trainer.names[problem] for problem in trainer.places])
+        assert len(trainer.engine.games) == len(trainer.places)
+        assert len(trainer.learner.steps) == (1 if shared else len(trainer.places))
+    assert stacks[0] == ["long", "short"]
+    assert stacks[-2:] == [["long"], ["long"]]
+    assert set(trainer.solutions()) == set(problems)
+
+
+def test_a_shared_memory_holds_the_moves_of_a_step() -> None:
+    config = small_config(agents="multi", shared=True, burn_in_size=4, buffer_size=5)
+    with pytest.raises(InputError, match="buffer_size: expected at least 6"):
+        Trainer({"p": tiny(), "q": tiny(1)}, config)
 
 
 @pytest.mark.parametrize("agents", ["single", "multi"])
@@ -777,9 +979,9 @@ def test_burn_in(agents: Any) -> None:
         trainer = Trainer(problems, config)
         trainer.burn_in()
         lanes = np.array([5, 2]) if agents == "multi" else np.ones(2)
-        assert (trainer.replay.stored >= 600).all()
-        assert (trainer.replay.stored < 600 + lanes).all()
-        rewards = trainer.replay.memory.reward[:, :600]
+        assert (trainer.learner.replay.stored >= 600).all()
+        assert (trainer.learner.replay.stored < 600 + lanes).all()
+        rewards = memory_of(trainer.learner.replay).reward[:, :600]
         assert np.isin(rewards, (-1, REACHED)).all()
         rates[kind] = (rewards == REACHED).mean(axis=1)
         assert (trainer.engine.games["steps"] == 0).all()  # training starts from the start
@@ -798,7 +1000,7 @@ def test_burn_in_with_masking_walks_through_open_edges_only() -> None:
     config = small_config(burn_in="random", burn_in_size=300, masking=True)
     trainer = Trainer({"p": tiny()}, config)
     trainer.burn_in()
-    memory = trainer.replay.memory
+    memory = memory_of(trainer.learner.replay)
     env = GlobalRoutingSingle(tiny(), max_steps=config.env.max_steps)
     over = True
     for row in range(300):
@@ -810,18 +1012,21 @@ def test_burn_in_with_masking_walks_through_open_edges_only() -> None:
         over = terminated or truncated
 
 
-def test_state_goes_into_another_trainer_and_on() -> None:
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("cut", [0.3, 0.8])
+def test_state_goes_into_another_trainer_and_on(shared: bool, cut: float) -> None:
     """A training cut in two by its state is the training in one."""
-    config = small_config(6, epsilon=0.2, target_period=5)
-    problems = {"p": tiny(), "q": tiny(1)}
+    config = small_config(6, epsilon=0.2, target_period=5, shared=shared)
+    problems = {"p": tiny(), "q": tiny(1, nets=1), "r": tiny(2, nets=40)}
     whole = Trainer(problems, config)
     expected = train(whole)
     first = Trainer(problems, config)
     episodes: list[Episode] = []
-    for step, finished in enumerate(first.run()):
+    for finished in first.run():
         episodes += finished
-        if step == 70:
+        if len(episodes) >= cut * len(expected):
             break
+    assert (len(first.places) < 3) == (cut == 0.8)  # one problem has left
     second = Trainer(problems, config)
     state = {
         key: {k: v.clone() for k, v in value.items()} if key in ("learner", "trainer") else value
@@ -831,6 +1036,7 @@ def test_state_goes_into_another_trainer_and_on() -> None:
     assert 0 < len(episodes) < len(expected)
     assert episodes + train(second) == expected
     assert bits(second) == bits(whole)
+    assert torch.equal(second.weights, whole.weights)
     assert second.solutions() == whole.solutions()
 
 

@@ -21,6 +21,7 @@ from marouting import EnvOptions, InputError, Problem, Solution, evaluate, gener
 from marouting.generator import GeneratorOptions
 from policies.cli import status
 from policies.config import Config, DQNOptions, TrainOptions, load_config
+from policies.learned.dqn_compiled import CompiledDQN
 from policies.learned.logs import Logs
 from policies.learned.router import QPolicy
 from policies.learned.run import Run, clear
@@ -264,12 +265,16 @@ def test_a_run_killed_anywhere_goes_on_as_if_not(
 def test_an_interrupt_waits_for_the_end_of_a_step(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ctrl-C in the middle of a step, where moves are made but not learned from, or in burn-in."""
+    """Ctrl-C in the middle of steps, where moves are made and learned from, or in burn-in."""
     whole, folder = tmp_path / "whole", tmp_path / "stopped"
     Run(config_in(whole), progress=False).execute()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    for method, calls in (("burn_in", 1), ("_learn", 30), ("_step", 200), ("_finish", 5)):
-        original: Callable[..., Any] = getattr(Trainer, method)
+    for owner, method, calls in (
+        (Trainer, "burn_in", 1),
+        (CompiledDQN, "play", 2),
+        (Trainer, "_finish", 3),
+    ):
+        original: Callable[..., Any] = getattr(owner, method)
         countdown = calls
 
         def interrupted(self: Any, *arguments: Any, original: Any = original) -> Any:
@@ -279,7 +284,7 @@ def test_an_interrupt_waits_for_the_end_of_a_step(
                 signal.raise_signal(signal.SIGINT)
             return original(self, *arguments)
 
-        monkeypatch.setattr(Trainer, method, interrupted)
+        monkeypatch.setattr(owner, method, interrupted)
         run = Run(config_in(folder), resume=method != "burn_in", progress=False)
         with pytest.raises(KeyboardInterrupt):
             run.execute()
@@ -560,7 +565,7 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "shape": changed(
         lambda state: state["learner"].update(mean=state["learner"]["mean"][:, :-1].clone())
     ),
-    "memory": changed(lambda state: state["trainer"].update({"replay.move": torch.zeros(2, 400)})),
+    "memory": changed(lambda state: state["learner"].update(rows=torch.zeros(2, 400, 32))),
     "missing": changed(lambda state: state["trainer"].pop("play.used")),
     "no tensor": changed(lambda state: state["trainer"].update(episodes=[1, 2])),
     "logged": changed(lambda state: state.update(logged=10**6)),

@@ -10,7 +10,7 @@ import torch
 from marouting import InputError
 from marouting.files import unusable
 
-FORMAT = "marouting-dqn-1"
+FORMAT = "marouting-dqn-2"
 """Marks a checkpoint; the number goes up when its content changes."""
 
 

@@ -1,154 +1,172 @@
-"""Deep Q-learning for M problems at once (paper, Appendix B).
+"""Deep Q-learning for a stack of networks at once (paper, Appendix B).
 
-M independent learners, one a problem, take their gradient steps together: see
-:mod:`policies.learned.qnetwork`. Where the networks live decides how: on a processor one network
-after the other in compiled code (:mod:`policies.learned.kernel`), on other devices as batched
-operations of torch over the whole stack. The weights, and the results up to rounding, are the same.
+L learners take their gradient steps together, each on samples of its own replay memory. The paper
+has one for each problem; with shared parameters there is one for all. Where the networks live
+decides how: on a processor one network after the other in compiled code
+(:mod:`policies.learned.dqn_compiled`), on other devices as batched operations of torch over the
+whole stack (:mod:`policies.learned.dqn_torch`). The weights, and the results up to rounding, are
+the same.
 """
 
-from collections.abc import Sequence
-from typing import Any, Literal
+import abc
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from policies.learned import kernel
-from policies.learned.qnetwork import Initial, Layers, backward, forward, initial
-from policies.learned.replay import Batch, Replay
+from policies.learned.qnetwork import Initial, initial
+from policies.learned.replay import Replay, kept
+from policies.learned.stack import Stack
 
 Backend = Literal["compiled", "torch"]
 
 
-class DQN:
-    """M Q-networks, their target networks and their Adam states.
+class Rule(NamedTuple):
+    """How a gradient step is taken."""
+
+    batch: int  # transitions a sample
+    gamma: float  # discount factor
+    target_period: int  # steps between copies to the target network; 0: there is none
+    learning_rate: float
+    # Adam with the defaults of torch and TensorFlow (Kingma and Ba, 2015).
+    beta1: float = 0.9
+    beta2: float = 0.999
+    tiny: float = 1e-8
+
+
+class DQN(abc.ABC):
+    """L Q-networks, their target networks and their Adam states.
 
     Args:
-        sizes: units of the layers, inputs first and the six moves last.
+        replay: the memories, on the device where the networks are to live.
+        hidden: units of the hidden layers.
+        moves: number of Q values.
         seeds: one for the initial weights of each network.
-        gamma: discount factor.
-        learning_rate: Adam's.
-        batch_size: transitions a gradient step.
-        target_period: gradient steps between copies to the target network; 0 bootstraps from the
+        keys: (L,) uint64 keys of the samples' random numbers; the counter is ``steps``.
+        rule: how a gradient step is taken; without a target network it bootstraps from the
             network itself, as the paper's Appendix B writes.
+        steps_per_update: moves to each gradient step.
         init: how weights start, see :func:`policies.learned.qnetwork.initial`.
-        device: where the networks live.
-        backend: ``compiled`` or ``torch``; None: compiled on the processor.
         threads: threads that share the networks of the backend ``compiled``.
+
+    Attributes:
+        steps: (L,) int64 gradient steps taken.
+        owed: (L,) int64 moves not yet answered by a gradient step.
+        loss: (L,) float64 mean squared Bellman errors before the steps, summed over all of them.
     """
 
     def __init__(
         self,
-        sizes: Sequence[int],
-        seeds: Sequence[int],
+        replay: Replay,
+        hidden: Sequence[int],
+        moves: int,
         *,
-        gamma: float,
-        learning_rate: float,
-        batch_size: int,
-        target_period: int,
+        seeds: Sequence[int],
+        keys: NDArray[np.uint64],
+        rule: Rule,
+        steps_per_update: int = 1,
         init: Initial = "torch",
-        device: torch.device | None = None,
-        backend: Backend | None = None,
         threads: int = 1,
     ) -> None:
-        self.threads = threads
-        self.device = device or torch.device("cpu")
-        self.backend = backend or ("compiled" if self.device.type == "cpu" else "torch")
-        self.sizes = tuple(sizes)
-        self.rule = kernel.Rule(batch_size, gamma, target_period, learning_rate)
-        self.weights = initial(sizes, seeds, init).to(self.device)
-        self.target = self.weights.clone() if target_period else self.weights
+        self.replay = replay
+        self.sizes = (replay.features, *hidden, moves)
+        self.keys, self.rule, self.threads = keys, rule, threads
+        self.steps_per_update = steps_per_update
+        device = replay.rows.device
+        self.weights = initial(self.sizes, seeds, init).to(device)
+        self.target = self.weights.clone() if rule.target_period else self.weights
         self.mean = torch.zeros_like(self.weights)
         self.square = torch.zeros_like(self.weights)
-        self.steps = np.zeros(len(seeds), np.int64)  # gradient steps taken
-        if self.backend == "compiled":
-            self._nets = kernel.Networks(
-                sizes=np.array(sizes, np.int64),
-                weights=self.weights.numpy(),
-                target=self.target.numpy(),
-                mean=self.mean.numpy(),
-                square=self.square.numpy(),
-                steps=self.steps,
-            )
-        else:
-            self._gradient = torch.zeros_like(self.weights)
-            self._layers = Layers.of(self.weights, sizes)
-            self._target_layers = Layers.of(self.target, sizes)
-            self._gradients = Layers.of(self._gradient, sizes)
+        self.loss = torch.zeros(len(seeds), dtype=torch.float64, device=device)
+        self.steps = np.zeros(len(seeds), np.int64)
+        self.owed = np.zeros(len(seeds), np.int64)
+        self._bind()
 
-    def tensors(self) -> dict[str, Tensor]:
-        """What a checkpoint keeps; the tensors themselves."""
-        tensors = {name: getattr(self, name) for name in ("weights", "target", "mean", "square")}
-        return {**tensors, "steps": torch.from_numpy(self.steps)}
+    @abc.abstractmethod
+    def _bind(self) -> None:
+        """Makes what holds on to the tensors: they are others now."""
 
+    @abc.abstractmethod
     def values(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M, K, 6) float32 Q values of observations (M, K, F) float32."""
-        if self.backend == "compiled":
-            out = np.empty((*seen.shape[:2], self.sizes[-1]), np.float32)
-            kernel.values(self._nets.sizes, self._nets.weights, seen, out)
-            return out
-        with torch.no_grad():
-            return forward(self._layers, torch.from_numpy(seen).to(self.device))[-1].cpu().numpy()
+        """(L, K, 6) float32 Q values of observations (L, K, F) float32."""
 
-    def learn(
-        self, replay: Replay, keys: NDArray[np.uint64], due: NDArray[np.integer]
-    ) -> NDArray[np.float64]:
+    @abc.abstractmethod
+    def learn(self, due: NDArray[np.integer]) -> None:
         """Takes gradient steps, each network on samples of its own memory.
 
         Args:
-            replay: the memories.
-            keys: (M,) uint64 keys of the samples' random numbers; the counter is ``steps``.
-            due: (M,) how many steps each network takes.
-
-        Returns:
-            (M,) float64 mean squared Bellman errors before the steps, summed over them.
+            due: (L,) how many steps each network takes.
         """
-        due = due.astype(np.int64)
-        loss = np.zeros(len(due))
-        if self.backend == "compiled":
-            learn = kernel.learn_threaded if self.threads > 1 else kernel.learn
-            learn(self._nets, replay.memory, keys, due, self.rule, loss)
-            return loss
-        while due.any():
-            chosen = due > 0
-            batch = replay.sample(self.rule.batch, keys, self.steps, self.device)
-            loss += np.where(chosen, self._update(batch, chosen).cpu().numpy(), 0)
-            due -= chosen
-        return loss
 
-    @torch.no_grad()
-    def _update(self, batch: Batch, chosen: NDArray[np.bool_]) -> Tensor:
-        """The gradient step in torch; returns (M,) losses."""
-        following = forward(self._target_layers, batch.arrived)[-1]
-        if batch.mask is not None:
-            following.masked_fill_(batch.mask == 0, -torch.inf)
-        best = following.amax(dim=2, keepdim=True)
-        wanted = torch.addcmul(batch.reward, batch.goes_on, best, value=self.rule.gamma)
-        activations = forward(self._layers, batch.seen)
-        error = activations[-1].gather(2, batch.move).sub_(wanted)
-        slope = torch.zeros_like(activations[-1])
-        slope.scatter_(2, batch.move, error * (2 / self.rule.batch))
-        backward(self._layers, activations, slope, self._gradients)
+    def play(self, stack: Stack, steps: int) -> None:
+        """Plays a stack of problems, and takes the gradient steps that their moves ask for.
 
-        # The corrections for the averages' start at 0 go into the rate and into epsilon, row by
-        # row: networks may have taken different numbers of steps.
-        adam = self.rule
-        self.steps += chosen
-        steps = np.maximum(self.steps, 1)
-        second = np.sqrt(1 - adam.beta2**steps)
-        rate = self._column(chosen * adam.learning_rate * second / (1 - adam.beta1**steps))
-        share = self._column(chosen)
-        self.mean.lerp_(self._gradient, (1 - adam.beta1) * share)
-        self.square.lerp_(self._gradient.square(), (1 - adam.beta2) * share)
-        divisor = self.square.sqrt().add_(self._column(adam.tiny * second))
-        self.weights.sub_(self.mean.div(divisor).mul_(rate))
-        if self.rule.target_period:
-            due = chosen & (self.steps % self.rule.target_period == 0)
-            if due.any():
-                self.target.lerp_(self.weights, self._column(due))
-        return error.square_().mean(dim=(1, 2))
+        The problems are shared out among the networks, as many to each. Those of one network make
+        their steps together; it stops, and learns no further, when one of their episodes is over.
 
-    def _column(self, values: NDArray[Any]) -> Tensor:
-        """(M, 1) float32 on the device, to scale rows of (M, P) with."""
-        return torch.from_numpy(values.astype(np.float32).reshape(-1, 1)).to(self.device)
+        Args:
+            stack: the problems; changed.
+            steps: how many each of them makes at most.
+        """
+        lanes, networks = stack.lanes, len(self.steps)
+        for _ in range(steps):
+            stack.look()
+            seen = lanes.seen.reshape(networks, -1, lanes.seen.shape[2])
+            lanes.values[:] = self.values(seen).reshape(lanes.values.shape)
+            stack.pick()
+            stack.move()
+            self.replay.add(lanes)
+            self.owed += lanes.moved.reshape(networks, -1).sum(axis=1)
+            due = self.owed // self.steps_per_update
+            self.owed -= due * self.steps_per_update
+            self.learn(due)
+            if lanes.over.any():
+                return
+
+    def keep(self, which: NDArray[np.integer]) -> None:
+        """Goes on with some of the networks and their memories alone (rows, ascending)."""
+        self.replay.keep(which)
+        own_target = self.target is not self.weights
+        for name in ("weights", "mean", "square", "loss", *(["target"] if own_target else [])):
+            setattr(self, name, kept(getattr(self, name), which))
+        if not own_target:
+            self.target = self.weights
+        self.steps, self.owed, self.keys = self.steps[which], self.owed[which], self.keys[which]
+        self._bind()
+
+    def state(self) -> dict[str, Tensor]:
+        """What a checkpoint keeps, memories included; on the processor the tensors themselves."""
+        names = ("weights", "target", "mean", "square", "loss")
+        return {
+            **{name: getattr(self, name).cpu() for name in names},
+            "steps": torch.from_numpy(self.steps),
+            "owed": torch.from_numpy(self.owed),
+            "rows": self.replay.rows.cpu(),
+            "stored": torch.from_numpy(self.replay.stored),
+        }
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        """Goes back to what :meth:`state` gave, of the same shapes."""
+        for name in ("weights", "target", "mean", "square", "loss"):
+            getattr(self, name).copy_(state[name])
+        self.replay.rows.copy_(state["rows"])
+        self.steps[:] = state["steps"].numpy()
+        self.owed[:] = state["owed"].numpy()
+        self.replay.stored[:] = state["stored"].numpy()
+        self._bind()
+
+
+def backend_for(device: torch.device) -> Backend:
+    """The backend that suits a device."""
+    return "compiled" if device.type == "cpu" else "torch"
+
+
+def backends() -> dict[Backend, type[DQN]]:
+    """The classes of the backends by name."""
+    from policies.learned.dqn_compiled import CompiledDQN
+    from policies.learned.dqn_torch import TorchDQN
+
+    return {"compiled": CompiledDQN, "torch": TorchDQN}

@@ -1,8 +1,8 @@
-"""A gradient step of the DQN compiled for the processor, one network after the other.
+"""The DQN compiled for the processor, one network after the other.
 
-The same arithmetic as the torch operations of :mod:`policies.learned.dqn`, on the same memory. For
-a network of five thousand weights an operation of torch costs more in calling than in computing;
-here a whole step, sampling included, is one call. The products go to BLAS.
+The same arithmetic as :mod:`policies.learned.dqn_torch`, on the same memory. For a network of five
+thousand weights an operation of torch costs more in calling than in computing; here a whole
+gradient step, sampling included, is one call, and its numbers stay in the processor's cache.
 """
 
 from typing import Any, NamedTuple
@@ -11,22 +11,19 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from marouting.engine import Play, World
+from policies.learned.dqn import DQN, Rule
+from policies.learned.products import product
+from policies.learned.replay import GOES_ON, MASK, MOVE, REWARD, pack
+from policies.learned.stack import Lanes, Rules, Stack, look, move, pick
 from policies.learned.streams import uniform
 
 # Division as in NumPy: checking every divisor for zero would keep Adam from being vectorised.
 compiled = njit(cache=True, error_model="numpy")
 
 
-class Memory(NamedTuple):
-    """The stores of :class:`policies.learned.replay.Replay`."""
-
-    seen: NDArray[np.float32]  # (M, C, F)
-    arrived: NDArray[np.float32]  # (M, C, F)
-    move: NDArray[np.int8]  # (M, C)
-    reward: NDArray[np.float32]  # (M, C)
-    goes_on: NDArray[np.float32]  # (M, C)
-    mask: NDArray[np.int8]  # (M, C, 6), or (M, C, 0) without masking
-    stored: NDArray[np.int64]  # (M,)
+ANY = np.float32(-np.inf)
+"""The floor of a product that has none."""
 
 
 class Networks(NamedTuple):
@@ -37,20 +34,8 @@ class Networks(NamedTuple):
     target: NDArray[np.float32]  # (M, P); ``weights`` itself where there is no target network
     mean: NDArray[np.float32]  # (M, P) Adam's mean of the gradients
     square: NDArray[np.float32]  # (M, P) Adam's mean of their squares
+    loss: NDArray[np.float64]  # (M,) summed over the gradient steps taken
     steps: NDArray[np.int64]  # (M,) gradient steps taken
-
-
-class Rule(NamedTuple):
-    """How a gradient step is taken."""
-
-    batch: int  # transitions a sample
-    gamma: float  # discount factor
-    target_period: int  # steps between copies to the target network; 0: there is none
-    learning_rate: float
-    # Adam with the defaults of torch and TensorFlow (Kingma and Ba, 2015).
-    beta1: float = 0.9
-    beta2: float = 0.999
-    tiny: float = 1e-8
 
 
 @compiled
@@ -63,58 +48,82 @@ def _units(sizes: Any) -> int:
 
 
 @compiled
-def _forward(sizes: Any, flat: Any, x: Any, activations: Any) -> Any:
-    """Q (B, moves) of x (B, F); hidden activations go into ``activations`` (units, B) rows."""
-    at, row = 0, 0
+def _forward(sizes: Any, weights: Any, x: Any, batch: int, activations: Any) -> int:
+    """The network for a batch of inputs.
+
+    Args:
+        sizes: see :class:`Networks`.
+        weights: (P,) one network's.
+        x: (batch · F,) the inputs, row after row.
+        batch: how many.
+        activations: filled with what each layer puts out (batch rows each), one after the other.
+
+    Returns:
+        The place of the Q values in ``activations``.
+    """
+    at, place = 0, 0
     last = len(sizes) - 2
-    batch = x.shape[0]
     for i in range(last + 1):
         inputs, outputs = sizes[i], sizes[i + 1]
-        weights = flat[at : at + inputs * outputs].reshape(inputs, outputs)
-        bias = flat[at + inputs * outputs : at + (inputs + 1) * outputs]
-        y = activations[row : row + batch * outputs].reshape(batch, outputs)
-        np.dot(x, weights, y)
-        for b in range(batch):
-            for o in range(outputs):
-                value = y[b, o] + bias[o]
-                y[b, o] = value if i == last or value > 0 else np.float32(0)
+        y = activations[place : place + batch * outputs]
+        bias = at + inputs * outputs
+        floor = np.float32(0) if i < last else ANY
+        product(x, 0, inputs, 1, weights, at, weights, bias, y, batch, inputs, outputs, floor)
+        if i < last:
+            place += batch * outputs
         at += (inputs + 1) * outputs
-        row += batch * outputs
         x = y
-    return x
+    return place
 
 
 @compiled
 def _backward(
-    sizes: Any, flat: Any, x: Any, activations: Any, slope: Any, slopes: Any, gradient: Any
+    sizes: Any,
+    weights: Any,
+    x: Any,
+    batch: int,
+    activations: Any,
+    slopes: Any,
+    turned: Any,
+    zeros: Any,
+    ones: Any,
+    gradient: Any,
 ) -> None:
-    """Fills ``gradient`` (P,) from the slope of the loss at Q (B, moves)."""
-    batch = x.shape[0]
-    layers = len(sizes) - 1
-    at = len(flat)
-    row = batch * _units(sizes)
-    for i in range(layers - 1, -1, -1):
+    """The derivatives of a loss by the weights of a network.
+
+    Args:
+        sizes: see :class:`Networks`.
+        weights: (P,) one network's.
+        x: (batch · F,) the inputs.
+        batch: how many.
+        activations: as :func:`_forward` left them.
+        slopes: like ``activations``: the derivatives by what each layer puts out. Those by the Q
+            values are given, the others filled.
+        turned: scratch for the weights of a layer.
+        zeros: as many as a layer has units.
+        ones: as many as the batch has rows.
+        gradient: (P,) filled.
+    """
+    at = len(weights)
+    place = batch * _units(sizes)
+    for i in range(len(sizes) - 2, -1, -1):
         inputs, outputs = sizes[i], sizes[i + 1]
         at -= (inputs + 1) * outputs
-        row -= batch * outputs
-        before = row - batch * inputs
-        below = x if i == 0 else activations[before:row].reshape(batch, inputs)
-        np.dot(below.T, slope, gradient[at : at + inputs * outputs].reshape(inputs, outputs))
-        bias = gradient[at + inputs * outputs : at + (inputs + 1) * outputs]
-        for o in range(outputs):
-            bias[o] = 0
-        for b in range(batch):
-            for o in range(outputs):
-                bias[o] += slope[b, o]
+        place -= batch * outputs
+        before = place - batch * inputs
+        slope = slopes[place : place + batch * outputs]
+        below = x if i == 0 else activations[before:place]
+        bias = at + inputs * outputs
+        product(below, 0, 1, inputs, slope, 0, zeros, 0, gradient[at:], inputs, batch, outputs, ANY)
+        product(ones, 0, 1, 1, slope, 0, zeros, 0, gradient[bias:], 1, batch, outputs, ANY)
         if i > 0:
-            weights = flat[at : at + inputs * outputs].reshape(inputs, outputs)
-            onward = slopes[before:row].reshape(batch, inputs)
-            np.dot(slope, weights.T, onward)
-            for b in range(batch):
-                for o in range(inputs):
-                    if below[b, o] <= 0:
-                        onward[b, o] = 0
-            slope = onward
+            for o in range(outputs):
+                for j in range(inputs):
+                    turned[o * inputs + j] = weights[at + j * outputs + o]
+            onward = slopes[before:place]
+            product(slope, 0, outputs, 1, turned, 0, zeros, 0, onward, batch, outputs, inputs, ANY)
+            for j in range(batch * inputs):
+                onward[j] = onward[j] if below[j] > 0 else np.float32(0)
 
 
 @compiled
@@ -131,113 +140,260 @@ def _adam(weights: Any, gradient: Any, mean: Any, square: Any, step: int, rule: 
         weights[p] -= rate * mean[p] / (np.sqrt(square[p]) + tiny)
 
 
-@compiled
-def _learn_one(
-    m: int,
-    nets: Networks,
-    memory: Memory,
-    keys: Any,
-    due: Any,
-    rule: Rule,
-    loss: Any,
-) -> None:
-    """The gradient steps of network m, see :func:`learn`."""
-    sizes, weights, target = nets.sizes, nets.weights, nets.target
-    mean, square, steps = nets.mean, nets.square, nets.steps
-    capacity, features = memory.seen.shape[1], memory.seen.shape[2]
-    moves, units, batch = sizes[-1], _units(sizes), rule.batch
-    masked = memory.mask.shape[2] > 0
-    seen = np.empty((batch, features), np.float32)
-    arrived = np.empty((batch, features), np.float32)
-    activations = np.empty(units * batch, np.float32)
-    slopes = np.empty(units * batch, np.float32)
-    slope = np.empty((batch, moves), np.float32)
-    gradient = np.empty(weights.shape[1], np.float32)
-    rows = np.empty(batch, np.int64)
-    wanted = np.empty(batch, np.float32)
-    size = min(memory.stored[m], capacity)
-    loss[m] = 0
-    for _ in range(due[m]):
-        for b in range(batch):
-            row = np.int64(uniform(keys[m], steps[m], b) * size)
-            rows[b] = row
-            for f in range(features):
-                seen[b, f] = memory.seen[m, row, f]
-                arrived[b, f] = memory.arrived[m, row, f]
-        q = _forward(sizes, target[m], arrived, activations)
-        for b in range(batch):
-            best = np.float32(-np.inf)
-            for move in range(moves):
-                if (not masked or memory.mask[m, rows[b], move] != 0) and q[b, move] > best:
-                    best = q[b, move]
-            wanted[b] = memory.reward[m, rows[b]]
-            if memory.goes_on[m, rows[b]] > 0:
-                wanted[b] += np.float32(rule.gamma) * best
-        q = _forward(sizes, weights[m], seen, activations)
-        total = np.float32(0)
-        for b in range(batch):
-            for move in range(moves):
-                slope[b, move] = 0
-            move = memory.move[m, rows[b]]
-            error = q[b, move] - wanted[b]
-            total += error * error
-            slope[b, move] = error * np.float32(2 / batch)
-        loss[m] += total / np.float32(batch)
-        _backward(sizes, weights[m], seen, activations, slope, slopes, gradient)
-        steps[m] += 1
-        _adam(weights[m], gradient, mean[m], square[m], steps[m], rule)
-        if rule.target_period > 0 and steps[m] % rule.target_period == 0:
-            for p in range(weights.shape[1]):
-                target[m, p] = weights[m, p]
+class Scratch(NamedTuple):
+    """Working arrays of a gradient step; B transitions, U units in all layers but the inputs."""
+
+    seen: NDArray[np.float32]  # (B F,)
+    arrived: NDArray[np.float32]  # (B F,)
+    activations: NDArray[np.float32]  # (B U,)
+    slopes: NDArray[np.float32]  # (B U,)
+    turned: NDArray[np.float32]  # (P,) weights of a layer, columns as rows
+    zeros: NDArray[np.float32]  # (U,)
+    ones: NDArray[np.float32]  # (B,)
+    gradient: NDArray[np.float32]  # (P,)
+    taken: NDArray[np.int64]  # (B,) rows of the sample
+    wanted: NDArray[np.float32]  # (B,) what the network should have expected
 
 
 @compiled
-def learn(
-    nets: Networks,
-    memory: Memory,
-    keys: Any,
-    due: Any,
-    rule: Rule,
-    loss: Any,
+def _scratch(nets: Networks, batch: int) -> Scratch:
+    units, features, weights = _units(nets.sizes), nets.sizes[0], nets.weights.shape[1]
+    return Scratch(
+        np.empty(batch * features, np.float32),
+        np.empty(batch * features, np.float32),
+        np.empty(batch * units, np.float32),
+        np.empty(batch * units, np.float32),
+        np.empty(weights, np.float32),
+        np.zeros(units, np.float32),
+        np.ones(batch, np.float32),
+        np.empty(weights, np.float32),
+        np.empty(batch, np.int64),
+        np.empty(batch, np.float32),
+    )
+
+
+@compiled
+def _gradient_step(
+    n: int, nets: Networks, rows: Any, stored: int, masked: bool, key: Any, rule: Rule, s: Scratch
 ) -> None:
-    """The gradient steps that every network is due, each on a sample of its own memory.
+    """A gradient step of network n.
 
     Args:
-        nets: the networks; changed.
-        memory: the replay stores.
-        keys: (M,) uint64 keys of the samples' random numbers.
-        due: (M,) int64, how many steps of each.
-        rule: how a step is taken.
-        loss: (M,) float64, filled with the sum of the steps' losses.
+        n: the network.
+        nets: all of them; changed.
+        rows: (capacity, width) its store, see :mod:`policies.learned.replay`.
+        stored: transitions ever stored there.
+        masked: whether they hold action masks.
+        key: uint64 key of the samples' random numbers.
+        rule: how the step is taken.
+        s: working arrays.
     """
-    for m in range(len(nets.steps)):
-        _learn_one(m, nets, memory, keys, due, rule, loss)
+    sizes, weights, target = nets.sizes, nets.weights[n], nets.target[n]
+    features, moves, batch = sizes[0], sizes[-1], rule.batch
+    rest = 2 * features
+    size = min(stored, len(rows))
+    for b in range(batch):
+        s.taken[b] = np.int64(uniform(key, nets.steps[n], b) * size)
+    for b in range(batch):
+        for f in range(features):
+            s.seen[b * features + f] = rows[s.taken[b], f]
+            s.arrived[b * features + f] = rows[s.taken[b], features + f]
+    at = _forward(sizes, target, s.arrived, batch, s.activations)
+    for b in range(batch):
+        best = np.float32(-np.inf)
+        for action in range(moves):
+            q = s.activations[at + b * moves + action]
+            if (not masked or rows[s.taken[b], rest + MASK + action] != 0) and q > best:
+                best = q
+        s.wanted[b] = rows[s.taken[b], rest + REWARD]
+        if rows[s.taken[b], rest + GOES_ON] > 0:
+            s.wanted[b] += np.float32(rule.gamma) * best
+    at = _forward(sizes, weights, s.seen, batch, s.activations)
+    total = np.float32(0)
+    for j in range(at, at + batch * moves):
+        s.slopes[j] = 0
+    for b in range(batch):
+        chosen = at + b * moves + np.int64(rows[s.taken[b], rest + MOVE])
+        error = s.activations[chosen] - s.wanted[b]
+        total += error * error
+        s.slopes[chosen] = error * np.float32(2 / batch)
+    nets.loss[n] += total / np.float32(batch)
+    _backward(
+        sizes, weights, s.seen, batch, s.activations, s.slopes, s.turned, s.zeros, s.ones,
+        s.gradient,
+    )  # fmt: skip
+    nets.steps[n] += 1
+    _adam(weights, s.gradient, nets.mean[n], nets.square[n], nets.steps[n], rule)
+    if rule.target_period > 0 and nets.steps[n] % rule.target_period == 0:
+        for p in range(len(weights)):
+            target[p] = weights[p]
+
+
+@compiled
+def _learn(
+    nets: Networks, rows: Any, stored: Any, masked: bool, keys: Any, due: Any, rule: Rule
+) -> None:
+    """The gradient steps that every network is due, ``due`` (L,) int64."""
+    scratch = _scratch(nets, rule.batch)
+    for n in range(len(due)):
+        for _ in range(due[n]):
+            _gradient_step(n, nets, rows[n], stored[n], masked, keys[n], rule, scratch)
+
+
+@compiled
+def _q_values(sizes: Any, weights: Any, seen: Any, activations: Any, out: Any) -> None:
+    """Fills ``out`` (…, moves) with the Q values of ``seen`` (…, F) by one network's weights."""
+    batch = seen.size // sizes[0]
+    at = _forward(sizes, weights, seen.reshape(-1), batch, activations)
+    flat = out.reshape(-1)
+    for i in range(len(flat)):
+        flat[i] = activations[at + i]
+
+
+@compiled
+def _values(sizes: Any, weights: Any, seen: Any, out: Any) -> None:
+    """Fills ``out`` (L, K, moves) with the Q values of ``seen`` (L, K, F)."""
+    activations = np.empty(_units(sizes) * seen.shape[1], np.float32)
+    for n in range(len(weights)):
+        _q_values(sizes, weights[n], seen[n], activations, out[n])
+
+
+@compiled
+def _play_one(
+    n: int,
+    steps: int,
+    world: World,
+    play: Play,
+    lanes: Lanes,
+    rules: Rules,
+    nets: Networks,
+    rows: Any,
+    stored: Any,
+    keys: Any,
+    owed: Any,
+    steps_per_update: int,
+    rule: Rule,
+) -> None:
+    """:meth:`policies.learned.dqn.DQN.play` for network n and its problems."""
+    each = len(lanes.over) // len(nets.steps)
+    first, end = n * each, (n + 1) * each
+    agents = lanes.agents.shape[1]
+    activations = np.empty(_units(nets.sizes) * each * agents, np.float32)
+    scratch = _scratch(nets, rule.batch)
+    for _ in range(steps):
+        for m in range(first, end):
+            look(world, play, lanes, rules, m)
+        _q_values(
+            nets.sizes, nets.weights[n], lanes.seen[first:end], activations, lanes.values[first:end]
+        )
+        over = False
+        for m in range(first, end):
+            pick(play, lanes, rules, m)
+            move(world, play, lanes, rules, m)
+            over |= lanes.over[m]
+            for k in range(agents):
+                if lanes.moved[m, k]:
+                    pack(lanes, rules.masked, m, k, rows[n], stored[n] % rows.shape[1])
+                    stored[n] += 1
+                    owed[n] += 1
+        while owed[n] >= steps_per_update:
+            owed[n] -= steps_per_update
+            _gradient_step(n, nets, rows[n], stored[n], rules.masked, keys[n], rule, scratch)
+        if over:
+            return
+
+
+@compiled
+def _play(
+    steps: int,
+    world: World,
+    play: Play,
+    lanes: Lanes,
+    rules: Rules,
+    nets: Networks,
+    rows: Any,
+    stored: Any,
+    keys: Any,
+    owed: Any,
+    steps_per_update: int,
+    rule: Rule,
+) -> None:
+    """One network after the other, each with as many steps as it makes."""
+    for n in range(len(nets.steps)):
+        _play_one(
+            n, steps, world, play, lanes, rules, nets, rows, stored, keys, owed,
+            steps_per_update, rule,
+        )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def learn_threaded(
+def _play_threaded(
+    steps: int,
+    world: World,
+    play: Play,
+    lanes: Lanes,
+    rules: Rules,
     nets: Networks,
-    memory: Memory,
+    rows: Any,
+    stored: Any,
     keys: Any,
-    due: Any,
+    owed: Any,
+    steps_per_update: int,
     rule: Rule,
-    loss: Any,
 ) -> None:
-    """:func:`learn`, with the networks shared out among numba's threads.
+    """:func:`_play`, with the networks shared out among numba's threads.
 
-    Each network is learned by one thread: the results do not depend on how many there are. Numba's
-    cache does not look at options, so this has to be a function of its own.
+    Each network and its problems belong to one thread: the results do not depend on how many there
+    are. Numba's cache does not look at options, so this has to be a function of its own.
     """
-    for m in prange(len(nets.steps)):
-        _learn_one(m, nets, memory, keys, due, rule, loss)
+    for n in prange(len(nets.steps)):
+        _play_one(
+            n, steps, world, play, lanes, rules, nets, rows, stored, keys, owed,
+            steps_per_update, rule,
+        )  # fmt: skip
 
 
-@compiled
-def values(sizes: Any, weights: Any, seen: Any, out: Any) -> None:
-    """Fills ``out`` (M, K, moves) with the Q values of ``seen`` (M, K, F)."""
-    scratch = np.empty(_units(sizes) * seen.shape[1], np.float32)
-    for m in range(len(weights)):
-        q = _forward(sizes, weights[m], seen[m], scratch)
-        for k in range(out.shape[1]):
-            for move in range(out.shape[2]):
-                out[m, k, move] = q[k, move]
+class CompiledDQN(DQN):
+    """:class:`policies.learned.dqn.DQN` on the processor, one network after the other."""
+
+    def _bind(self) -> None:
+        self._nets = Networks(
+            sizes=np.array(self.sizes, np.int64),
+            weights=self.weights.numpy(),
+            target=self.target.numpy(),
+            mean=self.mean.numpy(),
+            square=self.square.numpy(),
+            loss=self.loss.numpy(),
+            steps=self.steps,
+        )
+
+    def values(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(L, K, 6) float32 Q values of observations (L, K, F) float32."""
+        out = np.empty((*seen.shape[:2], self.sizes[-1]), np.float32)
+        _values(self._nets.sizes, self._nets.weights, seen, out)
+        return out
+
+    def learn(self, due: NDArray[np.integer]) -> None:
+        """See :meth:`policies.learned.dqn.DQN.learn`."""
+        replay = self.replay
+        rows = replay.rows.numpy()
+        due = due.astype(np.int64)
+        _learn(self._nets, rows, replay.stored, replay.masks, self.keys, due, self.rule)
+
+    def play(self, stack: Stack, steps: int) -> None:
+        """See :meth:`policies.learned.dqn.DQN.play`; whole steps, one network after the other."""
+        replay, engine = self.replay, stack.engine
+        (_play_threaded if self.threads > 1 else _play)(
+            steps,
+            engine.world,
+            engine.play,
+            stack.lanes,
+            stack.rules,
+            self._nets,
+            replay.rows.numpy(),
+            replay.stored,
+            self.keys,
+            self.owed,
+            self.steps_per_update,
+            self.rule,
+        )

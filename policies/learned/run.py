@@ -21,7 +21,7 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ from marouting import InputError, Solution, evaluate
 from marouting.files import write_text, writing
 from marouting.source import load_problems
 from policies.classical.astar import AStarRouter
-from policies.config import Config, load_config
+from policies.config import Config, check_same, load_config
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.logs import Logs
 from policies.learned.trainer import Episode, Trainer
@@ -115,15 +115,8 @@ class Run:
     def _check_same(self) -> None:
         """A resumed run has the configuration that it started with."""
         kept = load_config(self.folder / CONFIG)
-        mine = _flat(asdict(replace(self.config, out=kept.out)))
-        expected = _flat(asdict(kept))
-        # The keys of a problem are not the same for files and for the generator.
-        for key in (*expected, *(mine.keys() - expected.keys())):
-            value, found = expected.get(key), mine.get(key)
-            if value != found:
-                raise InputError(
-                    f"{key}: expected {value!r}, as in {self.folder / CONFIG}, found {found!r}"
-                )
+        mine = replace(self.config, out=kept.out)
+        check_same(asdict(mine), asdict(kept), self.folder / CONFIG)
 
     def _load(self) -> None:
         path = self.folder / CHECKPOINT
@@ -242,18 +235,3 @@ def _brief(episode: Episode) -> str:
         f"{episode.problem}: joined {episode.joined}/{episode.tasks}, "
         f"WL {episode.wirelength}, reward {episode.reward:.0f}"
     )
-
-
-def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested mappings as one, keys joined by dots; sequences as tuples."""
-    flat: dict[str, Any] = {}
-    for key, value in nested.items():
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{prefix}{key}.")
-        else:
-            flat[prefix + key] = (
-                tuple(value)
-                if isinstance(value, Sequence) and not isinstance(value, str)
-                else value
-            )
-    return flat

@@ -1,133 +1,232 @@
-"""The compiled parts of a training step that are neither game nor network."""
+"""The problems that are trained side by side, and what their agents see, do and get in a step.
 
-from typing import Any
+A step of a problem has three parts, compiled functions of one problem each: its agents *look*, they
+*pick* moves by the values that their network gives what they see, and they *move*. Whoever holds
+the networks calls them: compiled code that goes through whole steps of one problem after the other,
+or torch, which has the values of all problems at once and therefore one part after the other for
+all of them (:meth:`Stack.look` and so on).
+"""
+
+import copy
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from marouting.engine import (
     NOBODY,
     Crossing,
     Ending,
+    Engine,
     Play,
     Status,
     World,
     compiled,
-    move_all,
-    move_turn,
-    settle_all,
-    settle_turn,
+    move_everyone,
+    move_player,
+    settle_everyone,
+    settle_player,
+    wide,
+    write_mask,
 )
 from marouting.grid import MOVES
+from marouting.observation import PaperObservation, write_paper
+from marouting.reward import PaperReward
 from policies.learned.streams import uniform
 
 
-@compiled
-def pick(
-    play: Play,
-    agents: Any,
-    values: Any,
-    mask: Any,
-    masked: bool,
-    epsilon: Any,
-    keys: Any,
-    counters: Any,
-    moves: Any,
-) -> None:
-    """ε-greedy moves of the agents that may move, NOBODY for the others.
+class Lanes(NamedTuple):
+    """What the agents of M problems see, do and get in a step; K of them are asked at a time."""
 
-    Args:
-        play: the games.
-        agents: (M, K) int32 the agents asked, NOBODY for none.
-        values: (M, K, 6) float32 Q values.
-        mask: (M, K, 6) int8 action masks; looked at if ``masked``.
-        masked: whether to pick among the moves that cross an edge only.
-        epsilon: (M,) float64 chance of a random move.
-        keys: (M,) uint64 keys of the random numbers.
-        counters: (M,) int64; one further where an agent may move.
-        moves: (M, K) int8; filled.
-    """
-    for m in range(agents.shape[0]):
-        playing = False
-        for k in range(agents.shape[1]):
-            n = agents[m, k]
-            if n == NOBODY or play.agents[m, n].status != Status.ACTIVE:
-                moves[m, k] = NOBODY
-                continue
-            playing = True
-            # Two draws a lane: whether to explore, and where to.
-            if uniform(keys[m], counters[m], 2 * k) < epsilon[m]:
-                allowed = MOVES
-                if masked:
-                    allowed = 0
-                    for move in range(MOVES):
-                        allowed += mask[m, k, move]
-                left = np.int64(uniform(keys[m], counters[m], 2 * k + 1) * allowed)
+    agents: NDArray[np.int32]  # (M, K) the agents asked, NOBODY for none
+    seen: NDArray[np.float32]  # (M, K, F) what they see before their moves
+    mask: NDArray[np.int8]  # (M, K, 6) the moves that cross an edge; written if `masked`
+    values: NDArray[np.float32]  # (M, K, 6) what their network expects of each move
+    moves: NDArray[np.int8]  # (M, K) their moves, NOBODY for none
+    moved: NDArray[np.bool_]  # (M, K) whether they moved
+    reward: NDArray[np.float32]  # (M, K) what they got for it
+    goes_on: NDArray[np.bool_]  # (M, K) false where the move joined the task
+    arrived: NDArray[np.float32]  # (M, K, F) what they see where the move led, in the same task
+    arrived_mask: NDArray[np.int8]  # (M, K, 6) the mask there; written if `masked`
+    over: NDArray[np.bool_]  # (M,) whether the episode ended with the step
+    total: NDArray[np.float64]  # (M,) sum of the rewards of the episode
+    epsilon: NDArray[np.float64]  # (M,) chance of a random move
+    keys: NDArray[np.uint64]  # (M,) of the random numbers
+    counters: NDArray[np.int64]  # (M,) steps in which somebody was asked
+
+
+class Rules(NamedTuple):
+    """What holds for all problems of a stack."""
+
+    everyone: bool  # whether all agents are asked, or the one whose turn it is
+    masked: bool  # whether to pick among the moves that cross an edge only
+    via_capacity: float  # see PaperObservation
+    rewards: NDArray[np.float32]  # (4, 3) see PaperReward
+    overflow_price: float
+
+
+@compiled
+def look(world: World, play: Play, lanes: Lanes, rules: Rules, m: int) -> None:
+    """The agents asked, and what they see."""
+    if not rules.everyone:
+        lanes.agents[m, 0] = play.games[m].agent
+    for k in range(lanes.agents.shape[1]):
+        n = wide(lanes.agents[m, k])
+        write_paper(world, play, rules.via_capacity, m, n, lanes.seen[m], k)
+        if rules.masked:
+            write_mask(world, play, m, n, lanes.mask[m], k)
+
+
+@compiled
+def pick(play: Play, lanes: Lanes, rules: Rules, m: int) -> None:
+    """ε-greedy moves of the agents that may move."""
+    asked = False
+    for k in range(lanes.agents.shape[1]):
+        n = lanes.agents[m, k]
+        lanes.moves[m, k] = NOBODY
+        if n == NOBODY or play.agents[m, n].status != Status.ACTIVE:
+            continue
+        asked = True
+        # Two draws a lane: whether to explore, and where to.
+        if uniform(lanes.keys[m], lanes.counters[m], 2 * k) < lanes.epsilon[m]:
+            allowed = MOVES
+            if rules.masked:
+                allowed = 0
                 for move in range(MOVES):
-                    if masked and mask[m, k, move] == 0:
-                        continue
-                    if left == 0:
-                        moves[m, k] = move
-                        break
-                    left -= 1
-                continue
-            best = NOBODY
+                    allowed += lanes.mask[m, k, move]
+            left = np.int64(uniform(lanes.keys[m], lanes.counters[m], 2 * k + 1) * allowed)
             for move in range(MOVES):
-                if masked and mask[m, k, move] == 0:
+                if rules.masked and lanes.mask[m, k, move] == 0:
                     continue
-                if best == NOBODY or values[m, k, move] > values[m, k, best]:
-                    best = move
-            moves[m, k] = best
-        counters[m] += playing
+                if left == 0:
+                    lanes.moves[m, k] = move
+                    break
+                left -= 1
+            continue
+        best = NOBODY
+        for move in range(MOVES):
+            if rules.masked and lanes.mask[m, k, move] == 0:
+                continue
+            if best == NOBODY or lanes.values[m, k, move] > lanes.values[m, k, best]:
+                best = move
+        lanes.moves[m, k] = best
+    lanes.counters[m] += asked
 
 
 @compiled
-def advance(
-    world: World,
-    play: Play,
-    everyone: bool,
-    agents: Any,
-    moves: Any,
-    crossing: Any,
-    ending: Any,
-    overflow: Any,
-) -> None:
-    """The first half of a step (:meth:`marouting.Engine.move`), and what it did to each agent.
+def move(world: World, play: Play, lanes: Lanes, rules: Rules, m: int) -> None:
+    """The moves are made, in turn order; what came of them; next tasks start, the turn passes."""
+    if rules.everyone:
+        move_everyone(world, play, m, lanes.moves)
+    else:
+        move_player(world, play, m, wide(lanes.moves[m, 0]))
+    for k in range(lanes.agents.shape[1]):
+        n = wide(lanes.agents[m, k])
+        lanes.moved[m, k] = n != NOBODY and play.agents[m, n].crossing != Crossing.NONE
+        if not lanes.moved[m, k]:
+            continue
+        agent = play.agents[m, n]
+        reward = rules.rewards[agent.crossing, agent.ending]
+        reward -= np.float32(rules.overflow_price) * np.float32(agent.overflow)
+        lanes.reward[m, k] = reward
+        lanes.total[m] += reward
+        lanes.goes_on[m, k] = agent.ending != Ending.JOINED
+        write_paper(world, play, rules.via_capacity, m, n, lanes.arrived[m], k)
+        if rules.masked:
+            write_mask(world, play, m, n, lanes.arrived_mask[m], k)
+    active = play.games[m].active
+    if rules.everyone:
+        settle_everyone(world, play, m)
+    else:
+        settle_player(world, play, m)
+    lanes.over[m] = active > 0 and play.games[m].active == 0
+
+
+@compiled
+def _look_all(world: World, play: Play, lanes: Lanes, rules: Rules) -> None:
+    for m in range(len(lanes.over)):
+        look(world, play, lanes, rules, m)
+
+
+@compiled
+def _pick_all(play: Play, lanes: Lanes, rules: Rules) -> None:
+    for m in range(len(lanes.over)):
+        pick(play, lanes, rules, m)
+
+
+@compiled
+def _move_all(world: World, play: Play, lanes: Lanes, rules: Rules) -> None:
+    for m in range(len(lanes.over)):
+        move(world, play, lanes, rules, m)
+
+
+class Stack:
+    """M problems that are trained side by side.
 
     Args:
-        world: the problems.
-        play: the games; changed.
-        everyone: whether all agents move, or those whose turn it is.
-        agents: (M, K) int32 the agents that ``moves`` are for.
-        moves: (M, K) int8.
-        crossing: (M, K) int8 Crossing; filled, NONE where nobody moved.
-        ending: (M, K) int8 Ending; filled.
-        overflow: (M, K) int32; filled.
+        engine: the game.
+        everyone: whether all agents move in a step, or the one whose turn it is.
+        masked: whether to pick among the moves that cross an edge only.
+        observation: what agents see.
+        reward: what they get.
+        keys: (M,) uint64 keys of the random numbers.
+
+    Attributes:
+        lanes: see :class:`Lanes`.
+        rules: see :class:`Rules`.
     """
-    if everyone:
-        move_all(world, play, moves)
-    else:
-        move_turn(world, play, moves[:, 0])
-    for m in range(agents.shape[0]):
-        for k in range(agents.shape[1]):
-            n = agents[m, k]
-            crossing[m, k] = Crossing.NONE
-            ending[m, k] = Ending.NONE
-            overflow[m, k] = 0
-            if n != NOBODY:
-                agent = play.agents[m, n]
-                crossing[m, k] = agent.crossing
-                ending[m, k] = agent.ending
-                overflow[m, k] = agent.overflow
 
+    def __init__(
+        self,
+        engine: Engine,
+        *,
+        everyone: bool,
+        masked: bool,
+        observation: PaperObservation,
+        reward: PaperReward,
+        keys: NDArray[np.uint64],
+    ) -> None:
+        self.engine = engine
+        (features,) = observation.space(engine.problems, engine.world.overflow).shape
+        problems, agents = engine.nets.shape
+        shape = (problems, agents if everyone else 1)
+        asked = engine.pairs(everyone)[1].reshape(shape)
+        self.rules = Rules(
+            everyone, masked, observation.via_capacity, reward.table, reward.overflow_price
+        )
+        self.lanes = Lanes(
+            agents=asked.copy(),
+            seen=np.zeros((*shape, features), np.float32),
+            mask=np.ones((*shape, MOVES), np.int8),
+            values=np.zeros((*shape, MOVES), np.float32),
+            moves=np.full(shape, NOBODY, np.int8),
+            moved=np.zeros(shape, np.bool_),
+            reward=np.zeros(shape, np.float32),
+            goes_on=np.zeros(shape, np.bool_),
+            arrived=np.zeros((*shape, features), np.float32),
+            arrived_mask=np.ones((*shape, MOVES), np.int8),
+            over=np.zeros(problems, np.bool_),
+            total=np.zeros(problems),
+            epsilon=np.ones(problems),
+            keys=keys.copy(),
+            counters=np.zeros(problems, np.int64),
+        )
 
-@compiled
-def settle(world: World, play: Play, everyone: bool, over: Any) -> None:
-    """The second half of a step; fills (M,) the problems whose episode ended with it."""
-    for m in range(len(over)):
-        over[m] = play.games[m].active > 0
-    if everyone:
-        settle_all(world, play)
-    else:
-        settle_turn(world, play)
-    for m in range(len(over)):
-        over[m] &= play.games[m].active == 0
+    def part(self, which: NDArray[np.integer]) -> "Stack":
+        """A stack of some of the problems, which goes on from how they stand."""
+        part = copy.copy(self)
+        part.engine = self.engine.part(which)
+        part.lanes = Lanes(*(array[which] for array in self.lanes))
+        return part
+
+    def look(self) -> None:
+        """The agents asked, and what they see, of all problems."""
+        _look_all(self.engine.world, self.engine.play, self.lanes, self.rules)
+
+    def pick(self) -> None:
+        """ε-greedy moves of the agents of all problems that may move."""
+        _pick_all(self.engine.play, self.lanes, self.rules)
+
+    def move(self) -> None:
+        """The moves are made in all problems."""
+        _move_all(self.engine.world, self.engine.play, self.lanes, self.rules)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from torch import Tensor
 
 
 def keys(seed: int, names: Sequence[str], purpose: str) -> NDArray[np.uint64]:
@@ -38,3 +39,32 @@ def uniform(key: Any, counter: int, lane: int) -> float:
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     z = z ^ (z >> np.uint64(31))
     return float(z >> np.uint64(11)) * 2.0**-53
+
+
+_STEP, _FIRST, _SECOND = (
+    int(np.uint64(number).astype(np.int64))
+    for number in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+)
+
+
+def uniforms(keys: Tensor, counters: Tensor, lanes: Tensor) -> Tensor:
+    """:func:`uniform` of every key and its counter for all lanes, where the tensors are.
+
+    Args:
+        keys: (L,) int64, the bits of the uint64 keys.
+        counters: (L,) int64.
+        lanes: (B,) int64.
+
+    Returns:
+        (L, B) float64, the same numbers to the bit.
+    """
+    z = keys[:, None] + (counters[:, None] * 65536 + lanes + 1) * _STEP
+    z = (z ^ _shifted(z, 30)) * _FIRST
+    z = (z ^ _shifted(z, 27)) * _SECOND
+    z = z ^ _shifted(z, 31)
+    return _shifted(z, 11).double() * 2.0**-53
+
+
+def _shifted(z: Tensor, bits: int) -> Tensor:
+    """A shift to the right that fills up with zeros: torch's copies the sign."""
+    return (z >> bits) & (1 << (64 - bits)) - 1

@@ -3,30 +3,33 @@
 One loop serves both ways to play. With ``agents: single`` each problem moves the net whose turn
 it is, one transition a step (the paper); with ``agents: multi`` all its nets move at once and one
 network, shared by the nets of a problem, learns from all their transitions. Either way every
-problem has its own network, memory and random numbers, and the stack only saves time.
+problem has its own network, memory and random numbers, and the stack only saves time: a problem
+that has trained its episodes leaves it. With ``shared: true`` there is one network, with one
+memory, for all problems and all nets.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+import copy
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from marouting import InputError, Problem, Solution
 from marouting.config import ORDERS
-from marouting.engine import NOBODY, Crossing, Ending
+from marouting.engine import NOBODY, Engine
 from marouting.grid import MOVES
-from marouting.observation import writer
 from marouting.search import AStar
 from policies.config import Config
-from policies.learned import loop
 from policies.learned.checkpoint import FORMAT
-from policies.learned.dqn import DQN
+from policies.learned.dqn import Rule, backend_for, backends
 from policies.learned.replay import Replay
+from policies.learned.stack import Stack
 from policies.learned.streams import keys
+from policies.threads import use_threads
 
 
 @dataclass(frozen=True)
@@ -62,11 +65,11 @@ class Episode:
     best: bool
 
 
-Moves = Callable[[], NDArray[np.int8]]
-"""Chooses (M, K) moves for the agents asked, in the state that the trainer has looked at."""
+SHARED = ("all",)
+"""The network that all problems share, where there is one, under which its keys are drawn."""
 
-# Plain numbers compare many times quicker than members of an IntEnum.
-_NONE, _JOINED = int(Crossing.NONE), int(Ending.JOINED)
+_STEPS = 200
+"""Steps between two looks at a clock or for an interrupt: a few hundredths of a second each."""
 
 
 class Trainer:
@@ -86,219 +89,164 @@ class Trainer:
     def __init__(self, problems: Mapping[str, Problem], config: Config) -> None:
         self.config = config
         self.names = tuple(problems)
-        torch.set_num_threads(config.train.threads)
-        most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-        numba.set_num_threads(min(config.train.threads, most))
+        use_threads(config.train.threads)
         env, dqn = config.env, config.dqn
-        self.everyone = env.agents == "multi"
-        self.engine = env.engine(list(problems.values()), ORDERS[env.agents])
-        (features,) = env.observation.space(self.engine.problems, env.overflow == "allowed").shape
-        sizes = (features, *dqn.hidden, MOVES)
-        stack, agents = self.engine.nets.shape
-        self.learner = DQN(
-            sizes,
-            keys(config.seed, self.names, "weights").astype(np.int64).tolist(),
-            gamma=dqn.gamma,
-            learning_rate=dqn.learning_rate,
-            batch_size=dqn.batch_size,
-            target_period=dqn.target_period,
+        engine = env.engine(list(problems.values()), ORDERS[env.agents])
+        self._whole = engine  # of all problems, those too that have left the stack
+        self.stack = Stack(
+            engine,
+            everyone=env.agents == "multi",
+            masked=dqn.masking,
+            observation=env.observation,
+            reward=env.reward,
+            keys=keys(config.seed, self.names, "explore"),
+        )
+        count, _, features = self.stack.lanes.seen.shape
+        if dqn.shared and dqn.buffer_size < self.stack.lanes.moves.size:
+            raise InputError(
+                f"buffer_size: expected at least {self.stack.lanes.moves.size}, "
+                "the moves of one step"
+            )
+        networks = SHARED if dqn.shared else self.names
+        device = _device(config.train.device)
+        self.learner = backends()[config.train.backend or backend_for(device)](
+            Replay(len(networks), dqn.buffer_size, features, dqn.masking, device),
+            dqn.hidden,
+            MOVES,
+            seeds=keys(config.seed, networks, "weights").astype(np.int64).tolist(),
+            keys=keys(config.seed, networks, "sample"),
+            rule=Rule(dqn.batch_size, dqn.gamma, dqn.target_period, dqn.learning_rate),
+            steps_per_update=dqn.steps_per_update,
             init=dqn.init,
-            device=_device(config.train.device),
-            backend=config.train.backend,
             threads=config.train.threads,
         )
-        self.replay = Replay(stack, dqn.buffer_size, features, dqn.masking)
-        self.episodes = np.zeros(stack, np.int64)  # episodes finished
-        self.moves_made = np.zeros(stack, np.int64)  # steps of the loop that had a move
-        self.owed = np.zeros(stack, np.int64)  # moves not yet answered by a gradient step
-        self.reward = np.zeros(stack, np.float64)  # of the running episode
-        self.loss = np.zeros((2, stack), np.float64)  # sum and number in the running episode
-        self.score = np.full((stack, 3), np.iinfo(np.int64).max)  # unjoined, overflow, wirelength
-        self.best_episode = np.full(stack, NOBODY, np.int64)
-        self.best_used = self.engine.play.used.copy()
-        self._keys = {p: keys(config.seed, self.names, p) for p in ("explore", "sample", "burn-in")}
-        lanes = agents if self.everyone else 1
-        self._shape = stack, lanes
-        self._seen = np.zeros((stack, lanes, features), np.float32)
-        self._arrived = np.zeros((stack, lanes, features), np.float32)
-        self._mask = np.ones((stack, lanes, MOVES), np.int8)
-        self._arrived_mask = np.ones((stack, lanes, MOVES), np.int8)
-        self._moves = np.empty((stack, lanes), np.int8)
-        # What the moves did: the part of an AGENT record that a reward looks at.
-        self._done: dict[str, NDArray[Any]] = {
-            "crossing": np.empty((stack, lanes), np.int8),
-            "ending": np.empty((stack, lanes), np.int8),
-            "overflow": np.empty((stack, lanes), np.int32),
-        }
-        self._over = np.empty(stack, np.bool_)
-        self._epsilon = np.empty(stack)
-        # The agents asked for moves: all of them, or of each problem the one whose turn it is.
-        rows, everybody = self.engine.pairs(everyone=True)
-        self._rows = rows if self.everyone else np.arange(stack, dtype=np.int32)
-        self._agents = everybody.reshape(stack, -1)[:, :lanes].copy()
-        self._write = writer(env.observation, self.engine)
+        # What stays of each problem.
+        self.episodes = np.zeros(count, np.int64)  # episodes finished
+        self.score = np.full((count, 3), np.iinfo(np.int64).max)  # unjoined, overflow, wirelength
+        self.best_episode = np.full(count, NOBODY, np.int64)
+        self.best_used = engine.play.used.copy()
+        self._weights = self.learner.weights.cpu().clone()  # (networks, P) of those that left
+        # The problems in the stack: those that still have episodes to train, and at the end those
+        # that had the last ones.
+        self.places = np.arange(count)
+        self._before = np.zeros((2, count))  # loss and steps of the network before the episode
+        self._set_epsilon()
 
     @property
-    def updates(self) -> NDArray[np.int64]:
-        """(M,) gradient steps taken for each problem."""
-        return self.learner.steps
+    def engine(self) -> Engine:
+        """The game of the problems in the stack."""
+        return self.stack.engine
+
+    def _keep(self, which: NDArray[np.integer]) -> None:
+        """Goes on with some places of the stack alone (ascending); the others leave it."""
+        if not self.config.dqn.shared:
+            _ = self.weights  # those of the problems that leave are kept
+            self.learner.keep(which)
+        self.stack = self.stack.part(which)
+        self.places, self._before = self.places[which], self._before[:, which]
+
+    @property
+    def weights(self) -> Tensor:
+        """(problems, P) float32, or (1, P) of the shared one: the networks, on the processor."""
+        self._weights[... if self.config.dqn.shared else self.places] = self.learner.weights.cpu()
+        return self._weights
 
     @property
     def running(self) -> NDArray[np.bool_]:
-        """(M,) problems that still have episodes to train."""
-        return self.episodes < self.config.train.episodes
+        """(M,) which problems in the stack still have episodes to train."""
+        return self.episodes[self.places] < self.config.train.episodes
 
-    # --- one step of all problems -------------------------------------------------------------
-
-    def _look(self, seen: NDArray[np.float32], mask: NDArray[np.int8]) -> None:
-        """Observations, and masks where they are used, of the agents asked."""
-        agents = self._agents.reshape(-1)
-        self._write(self._rows, agents, seen.reshape(-1, seen.shape[-1]))
-        if self.config.dqn.masking:
-            self.engine.masks(self._rows, agents, mask.reshape(-1, MOVES))
-
-    def _step(self, choose: Moves) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Moves the agents, stores what happened, starts what comes next.
-
-        Returns:
-            (M, K) which agents moved, and (M,) the problems whose episode is over.
-        """
-        world, play = self.engine.world, self.engine.play
-        if not self.everyone:
-            self._agents[:, 0] = play.games["agent"]
-        self._look(self._seen, self._mask)
-        moves = choose()
-        done = self._done
-        loop.advance(world, play, self.everyone, self._agents, moves, *done.values())
-        reward = self.config.env.reward(done)
-        moved = done["crossing"] != _NONE
-        self._look(self._arrived, self._arrived_mask)
-        self.replay.add(
-            moved,
-            self._seen,
-            moves,
-            reward,
-            self._arrived,
-            done["ending"] != _JOINED,
-            self._arrived_mask if self.config.dqn.masking else None,
-        )
-        self.reward += reward.sum(axis=1)
-        loop.settle(world, play, self.everyone, self._over)
-        return moved, self._over
-
-    def _burn_in_moves(self) -> Moves:
-        """Whose moves fill the memory before training."""
-        if self.config.dqn.burn_in == "astar":
-            astar = AStar(self.engine)
-            return lambda: astar.moves(self._rows, self._agents.reshape(-1)).reshape(self._shape)
-        counters = np.zeros(len(self.names), np.int64)
-        nothing = np.zeros((*self._shape, MOVES), np.float32)
-        always = np.ones(len(self.names))
-        return lambda: self._pick(nothing, always, "burn-in", counters)
+    @property
+    def updates(self) -> NDArray[np.int64]:
+        """(M,) gradient steps taken by the networks of the problems in the stack."""
+        return np.broadcast_to(self.learner.steps, self.places.shape)
 
     def burn_in(self) -> None:
         """Fills the memories with the moves of A* or of random walks, episode after episode."""
-        moves = self._burn_in_moves()
-        filled = np.zeros(len(self.names), np.bool_)
-
-        def choose() -> NDArray[np.int8]:
-            chosen = moves()
-            chosen[filled] = NOBODY
-            return chosen
-
-        while not filled.all():
-            _, over = self._step(choose)
-            filled |= self.replay.stored >= self.config.dqn.burn_in_size
-            if over.any():
-                self.engine.reset(over)
-        self.engine.reset()
-        self.reward[:] = 0
-
-    def _pick(
-        self,
-        values: NDArray[np.float32],
-        epsilon: NDArray[np.float64],
-        purpose: str,
-        counters: NDArray[np.int64],
-    ) -> NDArray[np.int8]:
-        """ε-greedy moves (M, K) of the agents asked; NOBODY for those that may not move."""
-        loop.pick(
-            self.engine.play,
-            self._agents,
-            values,
-            self._mask,
-            self.config.dqn.masking,
-            epsilon,
-            self._keys[purpose],
-            counters,
-            self._moves,
+        stack, engine = copy.copy(self.stack), self.engine
+        count = len(self.places)
+        stack.lanes = lanes = stack.lanes._replace(
+            keys=keys(self.config.seed, self.names, "burn-in"),
+            epsilon=np.ones(count),
+            counters=np.zeros(count, np.int64),
+            total=np.zeros(count),
         )
-        return self._moves
-
-    def _choose(self) -> NDArray[np.int8]:
-        """The learners' own ε-greedy moves."""
-        values = self.learner.values(self._seen)
-        return self._pick(values, self._epsilon, "explore", self.moves_made)
-
-    def _learn(self, moved: NDArray[np.bool_]) -> None:
-        """The gradient steps that the moves just made ask for."""
-        self.owed += moved.sum(axis=1)
-        due = self.owed // self.config.dqn.steps_per_update
-        self.owed -= due * self.config.dqn.steps_per_update
-        self.loss[0] += self.learner.learn(self.replay, self._keys["sample"], due)
-        self.loss[1] += due
+        astar = AStar(engine) if self.config.dqn.burn_in == "astar" else None
+        problem = np.repeat(np.arange(count), lanes.agents.shape[1])
+        filled = np.zeros(count, np.bool_)
+        while not filled.all():
+            stack.look()
+            if astar is None:
+                stack.pick()
+            else:
+                lanes.moves.reshape(-1)[:] = astar.moves(problem, lanes.agents.reshape(-1))
+            lanes.moves[filled] = NOBODY
+            stack.move()
+            self.learner.replay.add(lanes)
+            filled |= self.learner.replay.stored >= self.config.dqn.burn_in_size
+            if lanes.over.any():
+                engine.reset(lanes.over)
+        engine.reset()
 
     def _set_epsilon(self) -> None:
         dqn, episodes = self.config.dqn, self.config.train.episodes
-        self._epsilon[:] = [dqn.epsilon_at(int(e), episodes) for e in self.episodes]
+        self.stack.lanes.epsilon[:] = [
+            dqn.epsilon_at(int(e), episodes) for e in self.episodes[self.places]
+        ]
 
     def run(self) -> Iterator[list[Episode]]:
-        """Trains to the end; after every step, yields the episodes that ended with it.
+        """Trains to the end; after some steps of all problems, yields the episodes that ended.
 
-        Between two steps the trainer is in a state that :meth:`state` can save.
+        Between times the trainer is in a state that :meth:`state` can save.
         """
-        if not self.replay.stored.any():
+        if not self.learner.replay.stored.any():
             self.burn_in()
-        self._set_epsilon()
         while self.running.any():
-            moved, over = self._step(self._choose)
-            self._learn(moved)
+            self.learner.play(self.stack, _STEPS)
+            over = self.stack.lanes.over
             yield self._finish(over) if over.any() else []
 
     def _finish(self, over: NDArray[np.bool_]) -> list[Episode]:
         """Scores the episodes that are over and starts the next ones."""
         finished = []
+        updates, lanes = self.updates, self.stack.lanes
+        losses = np.broadcast_to(self.learner.loss.cpu().numpy(), over.shape)
         for m in np.flatnonzero(over).tolist():
+            problem = int(self.places[m])
             metrics = self.engine.metrics(m)
             score = (metrics.tasks - metrics.joined, metrics.overflow, metrics.wirelength)
-            best = bool(score < tuple(self.score[m].tolist()))
+            best = bool(score < tuple(self.score[problem].tolist()))
             if best:
-                self.score[m] = score
-                self.best_episode[m] = self.episodes[m]
-                self.best_used[m] = self.engine.play.used[m]
+                self.score[problem] = score
+                self.best_episode[problem] = self.episodes[problem]
+                self.best_used[problem] = self.engine.play.used[m]
+            loss, steps = losses[m] - self._before[0, m], updates[m] - self._before[1, m]
             finished.append(
                 Episode(
-                    problem=self.names[m],
-                    episode=int(self.episodes[m]),
-                    reward=float(self.reward[m]),
-                    epsilon=float(self._epsilon[m]),
-                    loss=float(self.loss[0, m] / max(self.loss[1, m], 1)),
-                    updates=int(self.updates[m]),
+                    problem=self.names[problem],
+                    episode=int(self.episodes[problem]),
+                    reward=float(lanes.total[m]),
+                    epsilon=float(lanes.epsilon[m]),
+                    loss=float(loss / max(steps, 1)),
+                    updates=int(updates[m]),
                     best=best,
                     **asdict(metrics),
                 )
             )
-        self.episodes[over] += 1
-        self.reward[over] = 0
-        self.loss[:, over] = 0
-        self.engine.reset(over & self.running)
+        self.episodes[self.places[over]] += 1
+        lanes.total[over] = 0
+        self._before[:, over] = losses[over], updates[over]
+        running = self.running
+        self.engine.reset(over & running)
+        if running.any() and not running.all():
+            self._keep(np.flatnonzero(running))
         self._set_epsilon()
         return finished
 
     def solutions(self) -> dict[str, Solution]:
         """The best episode's routes of every problem that has finished one."""
         return {
-            name: self.engine.solution(m, self.best_used[m])
+            name: self._whole.solution(m, self.best_used[m])
             for m, name in enumerate(self.names)
             if self.best_episode[m] != NOBODY
         }
@@ -306,13 +254,14 @@ class Trainer:
     # --- checkpoints --------------------------------------------------------------------------
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything that changes in training, as arrays to copy from or into."""
-        own = ("episodes", "moves_made", "owed", "reward", "loss", "score", "best_episode")
-        play = self.engine.play
+        """What changes in training but the learner, as arrays to copy from or into."""
+        own = ("episodes", "score", "best_episode", "best_used", "places", "_before")
+        play, lanes = self.engine.play, self.stack.lanes
         return {
             **{name: getattr(self, name) for name in own},
-            "best_used": self.best_used,
-            **{f"replay.{name}": a for name, a in self.replay.memory._asdict().items()},
+            "counters": lanes.counters,
+            "total": lanes.total,
+            "weights": self._weights.numpy(),
             "play.remaining": play.remaining,
             "play.used": play.used,
             # Records have no counterpart in torch: their bytes do.
@@ -330,14 +279,14 @@ class Trainer:
             "sizes": list(self.learner.sizes),
             "masking": self.config.dqn.masking,
             "env": env,
-            "weights": self.learner.weights.cpu(),
+            "weights": self.weights,
         }
 
     def state(self) -> dict[str, Any]:
         """Everything that it takes to go on as if never stopped."""
         return {
             **self.policy(),
-            "learner": {name: t.cpu() for name, t in self.learner.tensors().items()},
+            "learner": self.learner.state(),
             "trainer": {name: torch.from_numpy(a) for name, a in self._arrays().items()},
         }
 
@@ -359,18 +308,22 @@ class Trainer:
             raise InputError(
                 f"{where}: expected layers {self.learner.sizes}, found {state['sizes']}"
             )
+        places = np.asarray(state["trainer"]["places"], np.int64)
+        if not np.array_equal(places, np.intersect1d(self.places, places)) or not len(places):
+            raise InputError(f"{where}: expected places of problems, found {places}")
+        self._keep(np.searchsorted(self.places, places))
+        learner = self.learner.state()
         arrays = {name: torch.from_numpy(array) for name, array in self._arrays().items()}
-        for kept, now in (
-            (state["learner"], self.learner.tensors()),
-            (state["trainer"], arrays),
-        ):
+        for kept, now in ((state["learner"], learner), (state["trainer"], arrays)):
             for name, tensor in now.items():
                 if name not in kept or kept[name].shape != tensor.shape:
                     shape = tuple(kept[name].shape) if name in kept else "nothing"
                     raise InputError(
                         f"{where}: {name}: expected shape {tuple(tensor.shape)}, found {shape}"
                     )
-                tensor.copy_(kept[name])
+        for name, tensor in arrays.items():
+            tensor.copy_(state["trainer"][name])
+        self.learner.load_state(state["learner"])
         self._set_epsilon()
 
 
