@@ -26,7 +26,7 @@ def two_pin_tasks(problem: Problem) -> NDArray[np.int32]:
     """
     first, gcells = problem.flat_pin_gcells
     tasks = np.empty((len(gcells) - len(problem.nets), 3), np.int32)
-    working = np.empty((4, (first[1:] - first[:-1]).max()), np.int64)
+    working = np.empty((4, len(gcells)), np.int64)
     _span(first, gcells, problem.topology.position, *working, tasks)
     return tasks
 
@@ -44,8 +44,8 @@ def _span(
         first: (nets + 1,) as ``gcells``, see :attr:`marouting.problem.Problem.flat_pin_gcells`.
         gcells: (Gcells,).
         position: (G, 3) x, y, z of a Gcell.
-        parent: (pins,) working array, room for the largest net: the pin in the tree that is
-            nearest to a pin.
+        parent: (pins,) working array for a net at a time: the pin in the tree that is nearest to a
+            pin.
         near: (pins,) working array: how near; negative for a pin in the tree.
         rank: (pins,) working array: the place of that pair in the order of pairs.
         queue: (pins,) working array: pins in the order in which the tree reaches them.

@@ -43,12 +43,15 @@ TurnOrder = Literal["sequential", "round_robin"]
 NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
 Overflow = Literal["forbidden", "allowed"]
 
-compiled = njit(cache=True, _nrt=False)  # type: ignore[call-overload]
+compiled = njit(cache=True, nogil=True, _nrt=False)  # type: ignore[call-overload]
 """How the rules are compiled: to disk, and without counting references to arrays. Nothing here
 allocates; counting at every call of a rule would take ten times as long as the rules."""
 
-inlined = njit(cache=True, _nrt=False, inline="always")  # type: ignore[call-overload]
-"""For the small rules inside the loops of others: a call hands over a dozen arrays."""
+inlined = njit(  # type: ignore[call-overload]
+    cache=True, _nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True
+)
+"""For the rules inside the loops of others: a call would hand over a dozen arrays. They have no
+entry from Python, which takes as long to compile as they do."""
 
 NOBODY = -1
 """Whose turn it is when the episode is over; also the action of a net that does not move."""
@@ -115,7 +118,8 @@ class World(NamedTuple):
     """What does not change during an episode."""
 
     neighbour: NDArray[np.int32]  # (G, 6) Gcell that a move leads to, or OFF_GRID
-    edge: NDArray[np.int32]  # (G, 6) edge that a move crosses, or OFF_GRID
+    edge: NDArray[np.int32]  # (G, 6) edge that a move crosses; off the grid E - 1, which is none
+    exits: NDArray[np.uint8]  # (G,) bit per move: it stays on the grid
     position: NDArray[np.int32]  # (G, 3) x, y, z of a Gcell
     capacity: NDArray[np.int32]  # (M, E) capacity of every edge
     demand: NDArray[np.int32]  # (M, N, Z) demand of an agent on an edge of a layer
@@ -147,74 +151,83 @@ def wide(index: Any) -> int:
 
 
 @inlined
-def uses(used: Any, m: int, n: int, edge: int) -> bool:
-    """Whether agent n of problem m uses an edge."""
-    return used[m, n, edge >> 3] >> (edge & 7) & 1 == 1
+def place(index: Any) -> int:
+    """An index that is not negative, as int64.
+
+    Numba lets a negative index count from the end, and looking for one takes as long as the rest
+    of an access.
+    """
+    return np.int64(np.uint32(index))  # type: ignore[return-value]
+
+
+# Without branches as far as can be: what an agent meets is as good as random, and a branch that the
+# processor guesses wrong takes as long as a whole move.
+
+
+@inlined
+def uses(used: Any, m: int, n: int, edge: int) -> int:
+    """1 if agent n of problem m uses an edge, else 0."""
+    return used[m, n, edge >> 3] >> (edge & 7) & 1
 
 
 @inlined
 def demand_of(world: World, m: int, n: int, cell: int, move: int) -> int:
     """What the edge that a move crosses would cost the net: nothing for a via."""
-    if move // 2 == VIA_AXIS:
-        return 0
-    return world.demand[m, n, world.position[cell, 2]]
+    demand = world.demand[m, n, place(world.position[cell, VIA_AXIS])]
+    return demand * (move // 2 != VIA_AXIS)
 
 
 @inlined
-def has_room(world: World, play: Play, m: int, n: int, cell: int, move: int) -> bool:
-    """Whether a move from a Gcell crosses an edge that the net uses or whose demand it can pay."""
-    edge = world.edge[cell, move]
-    if edge == OFF_GRID:
-        return False
-    return play.remaining[m, edge] >= demand_of(world, m, n, cell, move) or uses(
-        play.used, m, n, edge
-    )
+def has_room(world: World, play: Play, m: int, n: int, cell: int, move: int) -> int:
+    """1 if a move from a Gcell crosses an edge that the net uses or whose demand it can pay."""
+    edge = place(world.edge[cell, move])
+    via = move // 2 == VIA_AXIS
+    room = play.remaining[m, edge] >= demand_of(world, m, n, cell, move)
+    return (via | room | uses(play.used, m, n, edge)) & (world.exits[cell] >> move)
 
 
 @inlined
-def may_cross(world: World, play: Play, m: int, n: int, cell: int, move: int) -> bool:
-    """Whether a move from a Gcell crosses its edge (rather than being blocked)."""
-    if world.overflow:
-        return world.edge[cell, move] != OFF_GRID
-    return has_room(world, play, m, n, cell, move)
+def may_cross(world: World, play: Play, m: int, n: int, cell: int, move: int) -> int:
+    """1 if a move from a Gcell crosses its edge, 0 if it is blocked."""
+    anyway = world.overflow & (world.exits[cell] >> move)
+    return has_room(world, play, m, n, cell, move) | anyway
 
 
-@compiled
+@inlined
 def move_agent(world: World, play: Play, m: int, n: int, move: int) -> None:
     """One step of one agent: the edge is crossed or not, the task ends or not."""
     agent = play.agents[m, n]
     game = play.games[m]
+    cell = place(agent.cell)
+    edge = place(world.edge[cell, move])
+    crosses = may_cross(world, play, m, n, cell, move)
+    own = crosses & uses(play.used, m, n, edge)
+    new = crosses ^ own
+    demand = new * demand_of(world, m, n, cell, move)
+    remaining = play.remaining[m, edge]
+    agent.crossing = Crossing.BLOCKED + new + 2 * own  # NEW and OWN are the two that follow
     agent.overflow = 0
-    if not may_cross(world, play, m, n, agent.cell, move):
-        agent.crossing = Crossing.BLOCKED
-    else:
-        edge = world.edge[agent.cell, move]
-        if uses(play.used, m, n, edge):
-            agent.crossing = Crossing.OWN
-        else:
-            agent.crossing = Crossing.NEW
-            demand = demand_of(world, m, n, agent.cell, move)
-            if demand > 0:
-                # Only the part of the demand that the remaining capacity does not cover overflows.
-                agent.overflow = demand - min(max(play.remaining[m, edge], 0), demand)
-                play.remaining[m, edge] -= demand
-                game.overflow += agent.overflow
-            play.used[m, n, edge >> 3] |= np.uint8(1 << (edge & 7))
-            game.wirelength += 1
-        agent.cell = world.neighbour[agent.cell, move]
+    if remaining < demand:
+        # Only the part of the demand that the remaining capacity does not cover overflows.
+        agent.overflow = demand - max(remaining, 0)
+        game.overflow += agent.overflow
+    play.remaining[m, edge] = remaining - demand
+    play.used[m, n, edge >> 3] |= np.uint8(new << (edge & 7))
+    game.wirelength += new
+    ahead = world.neighbour[cell, move]
+    agent.cell = ahead if crosses else agent.cell
     agent.steps += 1
     game.steps += 1
+    agent.ending = Ending.NONE
     if agent.cell == agent.target:
         agent.ending = Ending.JOINED
         agent.joined += 1
         game.joined += 1
     elif agent.steps >= world.max_steps:
         agent.ending = Ending.FAILED
-    else:
-        agent.ending = Ending.NONE
 
 
-@compiled
+@inlined
 def wait(play: Play, m: int, n: int) -> None:
     """No step: what the agent's last move did is forgotten."""
     agent = play.agents[m, n]
@@ -223,7 +236,7 @@ def wait(play: Play, m: int, n: int) -> None:
     agent.ending = Ending.NONE
 
 
-@compiled
+@inlined
 def begin_task(world: World, play: Play, m: int, n: int, task: int) -> None:
     """Puts an agent on the start pin of a task."""
     agent = play.agents[m, n]
@@ -233,11 +246,11 @@ def begin_task(world: World, play: Play, m: int, n: int, task: int) -> None:
     agent.steps = 0
 
 
-@compiled
+@inlined
 def settle_agent(world: World, play: Play, m: int, n: int) -> None:
     """After a move: an agent whose task has ended starts its next one, or is done."""
     agent = play.agents[m, n]
-    if agent.status != Status.ACTIVE or agent.ending == Ending.NONE:
+    if agent.ending == Ending.NONE or agent.status != Status.ACTIVE:
         return
     if agent.task + 1 < world.first[m, n + 1]:
         begin_task(world, play, m, n, wide(agent.task + 1))
@@ -247,7 +260,7 @@ def settle_agent(world: World, play: Play, m: int, n: int) -> None:
     play.games[m].active -= 1
 
 
-@compiled
+@inlined
 def pass_turn(world: World, play: Play, m: int) -> None:
     """The turn goes to the next agent: the same one while it routes, if the order is sequential."""
     game = play.games[m]
@@ -265,36 +278,40 @@ def pass_turn(world: World, play: Play, m: int) -> None:
     game.agent = n
 
 
+@inlined
+def reset_problem(world: World, play: Play, m: int) -> None:
+    """All agents of a problem back to their first pin, all capacity free."""
+    # Loops instead of slices: they compile in a tenth of the time.
+    for edge in range(world.capacity.shape[1]):
+        play.remaining[m, edge] = world.capacity[m, edge]
+    game = play.games[m]
+    if game.steps != 0:
+        for n in range(world.order.shape[1]):
+            for byte in range(play.used.shape[2]):
+                play.used[m, n, byte] = 0
+    game.turn = game.active = game.joined = game.steps = 0
+    game.overflow = game.wirelength = 0
+    for n in range(world.order.shape[1]):
+        agent = play.agents[m, n]
+        agent.joined = 0
+        wait(play, m, n)
+        if world.first[m, n] < world.first[m, n + 1]:
+            agent.status = Status.ACTIVE
+            game.active += 1
+            begin_task(world, play, m, n, wide(world.first[m, n]))
+        else:
+            agent.status = Status.ABSENT
+    game.agent = world.order[m, 0]
+
+
 @compiled
 def _reset(world: World, play: Play, which: Any) -> None:
-    """All agents of the chosen problems back to their first pin, all capacity free."""
     for m in range(len(which)):
-        if not which[m]:
-            continue
-        # Loops instead of slices: they compile in a tenth of the time.
-        for edge in range(world.capacity.shape[1]):
-            play.remaining[m, edge] = world.capacity[m, edge]
-        game = play.games[m]
-        if game.steps != 0:
-            for n in range(world.order.shape[1]):
-                for byte in range(play.used.shape[2]):
-                    play.used[m, n, byte] = 0
-        game.turn = game.active = game.joined = game.steps = 0
-        game.overflow = game.wirelength = 0
-        for n in range(world.order.shape[1]):
-            agent = play.agents[m, n]
-            agent.joined = 0
-            wait(play, m, n)
-            if world.first[m, n] < world.first[m, n + 1]:
-                agent.status = Status.ACTIVE
-                game.active += 1
-                begin_task(world, play, m, n, wide(world.first[m, n]))
-            else:
-                agent.status = Status.ABSENT
-        game.agent = world.order[m, 0]
+        if which[m]:
+            reset_problem(world, play, m)
 
 
-@compiled
+@inlined
 def move_player(world: World, play: Play, m: int, move: int) -> None:
     """In one problem, the agent whose turn it is moves, unless it is told not to."""
     n = wide(play.games[m].agent)
@@ -306,7 +323,7 @@ def move_player(world: World, play: Play, m: int, move: int) -> None:
         move_agent(world, play, m, n, move)
 
 
-@compiled
+@inlined
 def settle_player(world: World, play: Play, m: int) -> None:
     """After the move of :func:`move_player`: the next task starts, and the turn passes."""
     n = wide(play.games[m].agent)
@@ -315,7 +332,7 @@ def settle_player(world: World, play: Play, m: int) -> None:
         pass_turn(world, play, m)
 
 
-@compiled
+@inlined
 def move_everyone(world: World, play: Play, m: int, moves: Any) -> None:
     """In one problem, all agents move once by ``moves`` (M, N), in turn order.
 
@@ -323,28 +340,26 @@ def move_everyone(world: World, play: Play, m: int, moves: Any) -> None:
     """
     playing = play.games[m].agent
     for k in range(world.order.shape[1]):
-        n = wide(world.order[m, k])
-        if n == NOBODY:
+        if world.order[m, k] == NOBODY:
             break
+        n = place(world.order[m, k])
         if (
             play.agents[m, n].status == Status.ACTIVE
             and moves[m, n] != NOBODY
             and (n == playing or not world.sequential)
         ):
-            move_agent(world, play, m, n, wide(moves[m, n]))
+            move_agent(world, play, m, n, place(moves[m, n]))
         else:
             wait(play, m, n)
 
 
-@compiled
+@inlined
 def settle_everyone(world: World, play: Play, m: int) -> None:
     """After the moves of :func:`move_everyone`: next tasks start, and the turn passes."""
     for n in range(world.order.shape[1]):
         settle_agent(world, play, m, n)
     playing = wide(play.games[m].agent)
-    if playing != NOBODY and (
-        world.sequential or play.agents[m, playing].status != Status.ACTIVE
-    ):
+    if playing != NOBODY and (world.sequential or play.agents[m, playing].status != Status.ACTIVE):
         pass_turn(world, play, m)
 
 
@@ -378,35 +393,37 @@ def settle_all(world: World, play: Play) -> None:
 
 @compiled
 def _step_turn(world: World, play: Play, moves: Any) -> None:
-    move_turn(world, play, moves)
-    settle_turn(world, play)
+    for m in range(len(moves)):
+        move_player(world, play, m, wide(moves[m]))
+        settle_player(world, play, m)
 
 
 @compiled
 def _step_all(world: World, play: Play, moves: Any) -> None:
-    move_all(world, play, moves)
-    settle_all(world, play)
+    for m in range(len(moves)):
+        move_everyone(world, play, m, moves)
+        settle_everyone(world, play, m)
 
 
 @inlined
 def write_mask(world: World, play: Play, m: int, n: int, out: Any, row: int) -> None:
     """Fills a row of ``out`` (K, 6) with the moves of an agent that cross an edge; all if none."""
-    some = False
+    free = 0
     if n != NOBODY:
-        cell = play.agents[m, n].cell
+        n = place(n)
+        cell = place(play.agents[m, n].cell)
         for move in range(MOVES):
-            free = may_cross(world, play, m, n, cell, move)
-            out[row, move] = free
-            some |= free
-    if not some:
-        for move in range(MOVES):
-            out[row, move] = 1
+            free |= may_cross(world, play, m, n, cell, move) << move
+    if free == 0:
+        free = (1 << MOVES) - 1
+    for move in range(MOVES):
+        out[row, move] = free >> move & 1
 
 
 @compiled
 def _masks(world: World, play: Play, problems: Any, agents: Any, out: Any) -> None:
     for i in range(len(problems)):
-        write_mask(world, play, wide(problems[i]), wide(agents[i]), out, i)
+        write_mask(world, play, place(problems[i]), wide(agents[i]), out, i)
 
 
 @compiled
@@ -417,7 +434,7 @@ def _play_turn(world: World, play: Play, move: int, mask: Any) -> tuple[int, int
     pass_turn(world, play, m)
     status = play.agents[m, n].status
     following = wide(play.games[m].agent)
-    write_mask(world, play, m, following if status == Status.ACTIVE else n, mask, 0)
+    write_mask(world, play, m, following if status == Status.ACTIVE else n, mask, m)
     return following, status
 
 
@@ -438,6 +455,11 @@ def _uses(used: Any, nets: Any, net: Any, edge: Any) -> int:
                 bits >>= 1
                 bit += 1
     return size
+
+
+Write = Callable[[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]], None]
+"""What fills in something of agents, given (P,) int32 problems, (P, K) int32 agents of each, NOBODY
+for none, and an array of P · K rows to fill; all contiguous."""
 
 
 def bound(kernel: Any, *examples: Any) -> Callable[..., Any]:
@@ -566,16 +588,16 @@ class Engine:
             raise ValueError(f"which: expected {len(self.problems)} booleans, found {which}")
         _reset(self.world, self.play, which)
 
-    def part(self, which: NDArray[np.integer]) -> "Engine":
+    def part(self, which: NDArray[np.integer] | slice) -> "Engine":
         """An engine of some of the problems, which goes on from how they stand.
 
         Args:
-            which: their indices.
+            which: their indices; or a slice of them, and the two engines play one game.
         """
         part = copy.copy(self)
         for cached in ("_turn", "_problems", "_all"):
             vars(part).pop(cached, None)
-        part.problems = tuple(self.problems[m] for m in which)
+        part.problems = tuple(self.problems[m] for m in np.arange(len(self.problems))[which])
         part.nets = self.nets[which]
         world = self.world
         part.world = world._replace(
@@ -598,7 +620,7 @@ class Engine:
         Raises:
             ValueError: a move outside −1…5, or another shape.
         """
-        self._check(moves)
+        self.check(moves)
         (move_turn if moves.ndim == 1 else move_all)(self.world, self.play, moves)
 
     def settle(self, everyone: bool) -> None:
@@ -611,7 +633,7 @@ class Engine:
 
     def step(self, moves: NDArray[np.integer]) -> None:
         """Both halves of a step at once; arguments and errors as of :meth:`move`."""
-        self._check(moves)
+        self.check(moves)
         (_step_turn if moves.ndim == 1 else _step_all)(self.world, self.play, moves)
 
     def play_turn(self, move: int, mask: NDArray[np.int8]) -> tuple[int, int]:
@@ -625,13 +647,16 @@ class Engine:
         Returns:
             The agent whose turn it is now, or NOBODY, and the status of the one that moved.
         """
-        return self._turn(self.world, self.play, move, mask)
+        return self._turn(move, mask)
 
     @functools.cached_property
     def _turn(self) -> Callable[..., Any]:
-        return bound(_play_turn, self.world, self.play, 0, np.empty((1, MOVES), np.int8))
+        world, play = self.world, self.play
+        code = bound(_play_turn, world, play, 0, np.empty((1, MOVES), np.int8))
+        return functools.partial(code, world, play)
 
-    def _check(self, moves: NDArray[np.integer]) -> None:
+    def check(self, moves: NDArray[np.integer]) -> None:
+        """Raises ValueError for moves that :meth:`move` does not take."""
         # The compiled functions index by these without looking.
         if moves.shape not in (self.games.shape, self.agents.shape) or moves.dtype.kind not in "iu":
             raise ValueError(
@@ -731,7 +756,7 @@ def world_of(
         if not count:
             raise InputError(f"problem {m}: expected a net with pins in two Gcells or more")
     shape = len(problems), max(counts)
-    agent_net, order = np.full((2, *shape), NOBODY, np.int32)
+    agent_net, order = np.empty((2, *shape), np.int32)
     first = np.zeros((shape[0], shape[1] + 1), np.int32)
     demand = np.zeros((*shape, grid.shape[2]), np.int32)
     size = np.empty(shape[1], np.int32)
@@ -743,11 +768,13 @@ def world_of(
         if overflow and most > UNLIMITED:
             raise InputError(f"problem {m}: expected demands that add up to at most {UNLIMITED}")
         order[m, :count] = _turns(size[:count], net_order)
+        order[m, count:] = NOBODY
     world = World(
         neighbour=grid.neighbour,
-        edge=grid.edge,
+        edge=np.where(grid.edge == OFF_GRID, np.int32(grid.edges - 1), grid.edge),
+        exits=np.packbits(grid.edge != OFF_GRID, axis=1, bitorder="little")[:, 0],
         position=grid.position,
-        capacity=np.stack([problem.capacity for problem in problems]),
+        capacity=np.array([problem.capacity for problem in problems]),
         demand=demand,
         tasks=np.concatenate([two_pin_tasks(problem)[:, 1:] for problem in problems]),
         first=first,
@@ -777,7 +804,7 @@ def _agents(
         gcells: (Gcells,), see :attr:`marouting.problem.Problem.flat_pin_gcells`.
         position: (G, 3).
         net_demand: (nets, Z).
-        nets: (N,) filled with the net of every agent, as far as there are any.
+        nets: (N,) filled with the net of every agent, NOBODY where there is none.
         first: (N + 1,) filled as in :class:`World`; the first entry is there.
         demand: (N, Z) filled as in :class:`World`.
         half_perimeter: (N,) filled with width and height of the box around every agent's pins.
@@ -809,6 +836,7 @@ def _agents(
         most += worst
         n += 1
     for absent in range(n, len(nets)):
+        nets[absent] = NOBODY
         first[absent + 1] = first[n]
     return most
 

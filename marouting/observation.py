@@ -5,7 +5,7 @@ the place of the paper's.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -19,24 +19,23 @@ from marouting.engine import (
     Play,
     Status,
     World,
+    Write,
     bound,
     compiled,
     inlined,
+    place,
     wide,
 )
 from marouting.errors import InputError
-from marouting.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid
+from marouting.grid import AXES, MOVES, VIA_AXIS, Grid
 from marouting.problem import Problem
-
-Write = Callable[[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]], None]
-"""What fills observations of one engine: indices (problem, agent), and where they go."""
 
 
 class Observation(Protocol):
     """What an agent sees of the game.
 
-    One with a method ``bind(engine)`` that returns a :data:`Write` is asked for that instead of
-    ``write``, wherever it is called over and over with contiguous int32 indices.
+    One with a method ``bind(engine)`` that returns a :data:`marouting.engine.Write` is asked for
+    that instead of ``write``, wherever it is called over and over.
     """
 
     def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
@@ -106,8 +105,9 @@ class PaperObservation:
     def bind(self, engine: Engine) -> Write:
         """A quicker :meth:`write` of one engine, see :func:`marouting.engine.bound`."""
         world, play, shown = engine.world, engine.play, self.via_capacity
-        index, out = np.empty(0, np.int32), np.empty((0, 6 + MOVES), np.float32)
-        code = bound(_paper, world, play, shown, index, index, out)
+        problems, agents = np.empty(0, np.int32), np.empty((0, 0), np.int32)
+        out = np.empty((0, 2 * AXES + MOVES), np.float32)
+        code = bound(_paper_all, world, play, shown, problems, agents, out)
         return functools.partial(code, world, play, shown)
 
 
@@ -120,19 +120,18 @@ def write_paper(
         for f in range(out.shape[1]):
             out[row, f] = 0
     else:
-        agent = play.agents[m, n]
+        agent = play.agents[m, place(n)]
+        cell, target = place(agent.cell), place(agent.target)
         for axis in range(AXES):
-            at = world.position[agent.cell, axis]
-            out[row, axis] = at
-            out[row, AXES + axis] = world.position[agent.target, axis] - at
+            at = world.position[cell, axis]
+            out[row, axis] = np.float32(at)
+            out[row, AXES + axis] = np.float32(np.int32(world.position[target, axis] - at))
         for move in range(MOVES):
-            edge = world.edge[agent.cell, move]
-            if edge == OFF_GRID:
-                shown = 0.0
-            elif move // 2 == VIA_AXIS:
-                shown = via_capacity
-            else:
-                shown = np.float64(play.remaining[m, edge])
+            if move // 2 == VIA_AXIS:
+                exists = world.exits[cell] >> move & 1
+                shown = np.float32(via_capacity) * np.float32(exists)
+            else:  # off the grid an edge without capacity
+                shown = np.float32(play.remaining[m, place(world.edge[cell, move])])
             out[row, 2 * AXES + move] = shown
 
 
@@ -141,13 +140,32 @@ def _paper(
     world: World, play: Play, via_capacity: float, problems: Any, agents: Any, out: Any
 ) -> None:
     for i in range(len(problems)):
-        write_paper(world, play, via_capacity, wide(problems[i]), wide(agents[i]), out, i)
+        write_paper(world, play, via_capacity, place(problems[i]), wide(agents[i]), out, i)
+
+
+@compiled
+def _paper_all(
+    world: World, play: Play, via_capacity: float, problems: Any, agents: Any, out: Any
+) -> None:
+    for i in range(agents.shape[0]):
+        m = place(problems[i])
+        for k in range(agents.shape[1]):
+            n, row = wide(agents[i, k]), i * agents.shape[1] + k
+            write_paper(world, play, via_capacity, m, n, out, row)
 
 
 def writer(observation: Observation, engine: Engine) -> Write:
     """What fills observations of an engine quickest."""
     bind = getattr(observation, "bind", None)
-    return bind(engine) if bind is not None else functools.partial(observation.write, engine)
+    if bind is not None:
+        return bind(engine)
+
+    def write(
+        problems: NDArray[np.int32], agents: NDArray[np.int32], out: NDArray[np.float32]
+    ) -> None:
+        observation.write(engine, np.repeat(problems, agents.shape[1]), agents.ravel(), out)
+
+    return write
 
 
 CHANNELS = AXES + 2
@@ -178,22 +196,44 @@ def most_demand(problem: Problem) -> float:
     return float(problem.demand.max(axis=1).sum(dtype=np.int64))
 
 
-def state(engine: Engine, m: int = 0) -> NDArray[np.float32]:
-    """The global grid of a problem, for critics and mixers that see everything.
+def state(engine: Engine, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    """The global grids of all problems, for critics and mixers that see everything.
+
+    Args:
+        engine: the game.
+        out: what is filled and returned; None: a new array.
 
     Returns:
-        (X, Y, 5 Z) float32, five numbers a layer. For every Gcell: the remaining capacity of its
+        (M, X, Y, 5 Z) float32, five numbers a layer. For every Gcell: the remaining capacity of its
         edges towards +x and +y (0 off the grid), the number of nets that use its via towards +z,
         the number of active agents that stand in it, and the number whose target it is.
     """
-    grid = engine.grid
-    out = np.zeros((grid.gcells, CHANNELS), np.float32)
-    out[:, :VIA_AXIS] = engine.play.remaining[m].reshape(-1, AXES)[:, :VIA_AXIS]
-    out[:, VIA_AXIS] = nets_on_edges(engine, m).reshape(-1, AXES)[:, VIA_AXIS]
-    active = engine.agents[m][engine.agents[m]["status"] == Status.ACTIVE]
-    out[:, AXES] = np.bincount(active["cell"], minlength=grid.gcells)
-    out[:, AXES + 1] = np.bincount(active["target"], minlength=grid.gcells)
-    return out.reshape(grid.shape[0], grid.shape[1], -1)
+    columns, rows, layers = engine.grid.shape
+    if out is None:
+        out = np.empty((len(engine.games), columns, rows, layers * CHANNELS), np.float32)
+    _state(engine.play, out.reshape(len(out), -1, CHANNELS))
+    return out
+
+
+@compiled
+def _state(play: Play, out: Any) -> None:
+    for m in range(out.shape[0]):
+        for cell in range(out.shape[1]):
+            for axis in range(VIA_AXIS):
+                out[m, cell, axis] = play.remaining[m, AXES * cell + axis]
+            for channel in range(VIA_AXIS, CHANNELS):
+                out[m, cell, channel] = 0
+        for n in range(play.used.shape[1]):
+            for byte in range(play.used.shape[2]):
+                edge, bits = 8 * byte, wide(play.used[m, n, byte])
+                while bits != 0:
+                    if bits & 1 and edge % AXES == VIA_AXIS:
+                        out[m, edge // AXES, VIA_AXIS] += 1
+                    edge, bits = edge + 1, bits >> 1
+            agent = play.agents[m, n]
+            if agent.status == Status.ACTIVE:
+                out[m, place(agent.cell), AXES] += 1
+                out[m, place(agent.target), AXES + 1] += 1
 
 
 def nets_on_edges(engine: Engine, m: int = 0) -> NDArray[np.int64]:

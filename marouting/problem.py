@@ -261,10 +261,7 @@ class Problem:
         """
         net, pins = self._pins
         first, gcell = np.zeros(len(self.nets) + 1, np.int64), np.empty_like(pins)
-        # Gcells that hold pins, not all there are: a file may only promise a large grid.
-        held, number = np.unique(pins, return_inverse=True)
-        latest = np.zeros(len(held), np.int64)
-        gcell = gcell[: _distinct(net, pins, number, latest, first, gcell)]
+        gcell = gcell[: _distinct(net, pins, first, gcell)]
         for table in (first, gcell):
             table.setflags(write=False)
         return first, gcell
@@ -290,21 +287,23 @@ class Problem:
 
 
 @njit(cache=True, _nrt=False)  # type: ignore[call-overload]
-def _distinct(net: Any, gcell: Any, number: Any, latest: Any, first: Any, out: Any) -> int:
+def _distinct(net: Any, gcell: Any, first: Any, out: Any) -> int:
     """Writes the Gcells of every net, each once, to ``out``; returns how many they are.
 
     Args:
         net: (pins,) the net of every pin, ascending.
         gcell: (pins,) its Gcell.
-        number: (pins,) the Gcell's place among those that hold pins.
-        latest: zeros for these, to work with: one more than the net last seen in the Gcell.
         first: (nets + 1,) zeros, filled as :attr:`Problem.flat_pin_gcells` has it.
         out: (pins,).
     """
     size = 0
     for pin in range(len(net)):
-        if latest[number[pin]] != net[pin] + 1:
-            latest[number[pin]] = net[pin] + 1
+        # Pin by pin, as the net's spanning tree is made: a table of Gcells would take memory for
+        # all of a grid that a file may only promise.
+        for earlier in range(first[net[pin]], size):
+            if out[earlier] == gcell[pin]:
+                break
+        else:
             out[size] = gcell[pin]
             size += 1
         first[net[pin] + 1] = size

@@ -44,16 +44,14 @@ _WALL_COST = FULL_COST - STEP_COST
 """What an edge without remaining capacity adds to the cost of a way, at least."""
 
 _LEVELS = 1 << (FULL_COST + 1 + _WALL_COST).bit_length()
-"""Heads of the open list. Both heuristics are consistent: along a step, f = g + h does not fall, and
-it grows by the step's cost, one step and one wall at most. So far apart are the f of any two
-entries at most."""
+"""Heads of the open list. The heuristic is consistent: along a step f = g + h does not fall, and it
+grows by the step's cost, a step and a wall at most. No two entries' f are farther apart."""
 
 _MASK = _LEVELS - 1
 _NONE = -1
 _UNKNOWN = -1  # cost of a way
 
 _EDGES_A_TASK = 8  # room to begin with for the edges of the routes; it is doubled as they grow
-
 
 NODE = np.dtype(
     [
@@ -218,9 +216,7 @@ def _search(
             node = s.nodes[beside]
             if node.stamp == -found:
                 continue
-            cost = so_far + (
-                STEP_COST if has_room(world, play, m, n, cell, move) else FULL_COST
-            )
+            cost = so_far + (STEP_COST if has_room(world, play, m, n, cell, move) else FULL_COST)
             if node.stamp == found and node.cost <= cost:
                 continue
             # Even moves go up their axis, odd ones down.
@@ -293,15 +289,15 @@ def _route(
     """Routes a problem's nets, one after the other in turn order, along cheapest paths.
 
     A net that is routed takes part in the game only by the capacity that is gone. So the game is
-    one of a single agent, which is every net in turn: memory does not grow by a map of the grid
-    for every net.
+    one of a single agent, the first, which is every net in turn: memory does not grow by a map of
+    the grid for every net.
 
     Args:
-        world: the problem, with the demand of a single agent, which is filled in.
-        play: the game of the single agent.
+        world: the problem; the demand of the first agent is written over.
+        play: the game, with room for a single agent.
         s: working arrays.
-        demand: (N, Z) demand of every net that is an agent.
-        nets: (N,) which nets these are.
+        demand: (N, Z) the demand of all agents.
+        nets: (N,) the net of every agent.
         turn: place in the turn order to go on from.
         uses: where net · E + edge goes for every net and edge that it uses. Routing stops where
             there might not be room for another net.
@@ -393,18 +389,18 @@ def sequential_astar(problem: Problem, net_order: NetOrder = "half_perimeter") -
             overflow=True,
             max_steps=grid.gcells,  # as long as a path without a loop can be
         )
-        (demand,) = world.demand
-        world = world._replace(demand=np.empty((1, 1, grid.shape[2]), np.int32))
         play = Play(
             remaining=world.capacity.copy(),
             used=np.zeros((1, 1, (grid.edges + 7) // 8), np.uint8),
             agents=np.zeros((1, 1), AGENT),
             games=np.zeros(1, GAME),
         )
-        working = scratch(grid)
+        working, demand = scratch(grid), world.demand[0].copy()
         while True:
             turn, size = _route(world, play, working, demand, nets, turn, uses, size)
             if turn == len(nets):
                 break
             uses = np.concatenate((uses, np.empty_like(uses)))
-    return Solution.of_uses(problem, *np.divmod(np.sort(uses[:size]), grid.edges))
+    uses = uses[:size]
+    uses.sort()
+    return Solution.of_uses(problem, *np.divmod(uses, grid.edges))

@@ -45,6 +45,28 @@ def test_tasks_are_a_minimum_spanning_tree_of_the_pins(problem: Problem) -> None
 
 @settings(deadline=None, max_examples=100)
 @given(any_problem)
+def test_which_tree_and_in_which_order(problem: Problem) -> None:
+    """Of equally distant pairs the first one counts; branches to later pins come first."""
+    for net, tasks in enumerate(tasks_of(problem)):
+        cells = pin_gcells(problem, net)
+        graph = nx.Graph()
+        pairs = list(itertools.combinations(range(len(cells)), 2))
+        for rank, (a, b) in enumerate(pairs):
+            graph.add_edge(a, b, weight=distance(cells[a], cells[b]) * len(pairs) + rank)
+        tree = nx.minimum_spanning_tree(graph)
+        expected, queue, reached = [], [0], {0}
+        for pin in queue:
+            for branch in sorted(
+                set(tree[pin]) - reached if pin in tree else (), key=lambda b: (b < pin, b)
+            ):
+                expected.append((cells[pin], cells[branch]))
+                queue.append(branch)
+                reached.add(branch)
+        assert tasks == expected
+
+
+@settings(deadline=None, max_examples=100)
+@given(any_problem)
 def test_every_task_starts_at_a_pin_already_reached(problem: Problem) -> None:
     for net, tasks in enumerate(tasks_of(problem)):
         reached = set(pin_gcells(problem, net)[:1])

@@ -1,5 +1,6 @@
 """A* against networkx's shortest paths, and the sequential router net by net."""
 
+import heapq
 from dataclasses import replace
 from typing import Any
 
@@ -11,8 +12,19 @@ from hypothesis import strategies as st
 from reference import STEPS, Game, between, contested, distance, gcell_of, random_moves
 from strategies import problems
 
-from marouting import Adjustment, Engine, Net, Pin, Problem, evaluate, generate, sequential_astar
+from marouting import (
+    Adjustment,
+    Engine,
+    InputError,
+    Net,
+    Pin,
+    Problem,
+    evaluate,
+    generate,
+    sequential_astar,
+)
 from marouting.engine import NOBODY, Ending, Status
+from marouting.grid import OFF_GRID
 from marouting.search import AStar, scratch, shortest_path
 
 net_orders = st.sampled_from(["half_perimeter", "half_perimeter_up", "file"])
@@ -50,6 +62,98 @@ def test_path_cost_is_networkx_shortest_path(problem: Problem, seed: int, overfl
         moves, cost = walk(engine, game, n, start, target)
         ends = gcell_of(problem, start), gcell_of(problem, target)
         assert cost == nx.shortest_path_length(game.graph(n), *ends, weight="weight")
+
+
+def plain_path(engine: Engine, n: int, start: int, target: int) -> tuple[list[int], int]:
+    """The moves that the first lines of the module ask for, and how many Gcells it takes."""
+    grid, demand = engine.grid, engine.world.demand[0, n].tolist()
+    remaining = engine.play.remaining[0].tolist()
+    used = np.unpackbits(engine.play.used[0, n], bitorder="little").tolist()
+    neighbour, edges = grid.neighbour.tolist(), grid.edge.tolist()
+    position = grid.position.tolist()
+
+    def left(cell: int) -> int:
+        return sum(abs(a - b) for a, b in zip(position[cell], position[target], strict=True))
+
+    cost, came, opened = {start: 0}, {}, set()
+    heap, found = [(left(start), 0, start)], 0
+    while (cell := heapq.heappop(heap)[2]) != target:
+        if cell in opened:
+            continue
+        opened.add(cell)
+        for move, beside in enumerate(neighbour[cell]):
+            if beside == OFF_GRID:
+                continue
+            edge, need = edges[cell][move], 0 if move >= 4 else demand[position[cell][2]]
+            far = cost[cell] + (1 if used[edge] or remaining[edge] >= need else 1000)
+            if far < cost.get(beside, far + 1):
+                cost[beside], came[beside] = far, (cell, move)
+                found += 1
+                heapq.heappush(heap, (far + left(beside), -found, beside))
+    moves = []
+    while cell != start:
+        cell, move = came[cell]
+        moves.append(move)
+    return moves[::-1], len(opened)
+
+
+@pytest.mark.parametrize(
+    ("grid", "capacity", "nets", "max_pins"),
+    [
+        ((14, 14, 2), 1, 40, 3),
+        ((14, 14, 2), 2, 90, 2),
+        ((10, 10, 3), 1, 60, 2),
+        ((25, 11, 1), 1, 30, 4),
+    ],
+)
+def test_paths_are_those_of_plain_astar(
+    grid: tuple[int, int, int], capacity: int, nets: int, max_pins: int
+) -> None:
+    """Ties and all, whatever is done to open fewer Gcells; on grids too full for all nets."""
+    fewer = 0
+    for seed in range(3):
+        (problem,) = generate(1, grid, nets, max_pins, capacity, reduced_edges=0, seed=seed)
+        engine = Engine([problem], overflow="allowed", max_steps=1000)
+        working = scratch(engine.grid)
+        while (n := int(engine.games[0]["agent"])) != NOBODY:
+            ends = [int(engine.agents[0, n][name]) for name in ("cell", "target")]
+            length = shortest_path(engine.world, engine.play, working, 0, n, *ends)
+            moves, opened = plain_path(engine, n, *ends)
+            assert working.path[:length].tolist() == moves
+            fewer += np.count_nonzero(working.nodes["stamp"] == -working.search[0]) < opened
+            for move in moves:
+                engine.step(np.array([move]))
+        assert engine.solution() == sequential_astar(problem)
+    assert fewer  # there were walls to look behind
+
+
+def test_a_target_without_a_way_in_does_not_cost_the_whole_grid() -> None:
+    """A walled-in pin far from the border of a large grid: few Gcells are opened."""
+    around = [(x, y) for x in (20, 21) for y in (20, 21)]
+    walls = {
+        (min(a, b), max(a, b))
+        for a in around
+        for b in ((a[0] + 1, a[1]), (a[0] - 1, a[1]), (a[0], a[1] + 1), (a[0], a[1] - 1))
+        if b not in around
+    }
+    problem = Problem(
+        grid=(40, 40, 1),
+        vertical_capacity=(1,),
+        horizontal_capacity=(1,),
+        nets=(Net("A", 0, (Pin(15, 15, 1), Pin(20, 20, 1))),),
+        min_width=(1,),
+        min_spacing=(0,),
+        via_spacing=(0,),
+        adjustments=tuple(Adjustment(*a, 1, *b, 1, 0) for a, b in sorted(walls)),
+    )
+    engine, game = Engine([problem]), Game(problem)
+    working = scratch(engine.grid)
+    start, target = (problem.topology.number(*at, 0) for at in ((15, 15), (20, 20)))
+    length = shortest_path(engine.world, engine.play, working, 0, 0, start, target)
+    assert length == 10
+    assert working.path[:length].tolist() == plain_path(engine, 0, start, target)[0]
+    assert walk(engine, game, 0, start, target)[1] == 1009
+    assert np.count_nonzero(working.nodes["stamp"]) < 400  # of 1600, in all searches together
 
 
 @settings(deadline=None, max_examples=40)
@@ -100,6 +204,21 @@ def test_every_net_is_joined_and_the_same_again(problem: Problem, net_order: Any
     routed = sequential_astar(problem, net_order)
     assert evaluate(problem, routed).connected
     assert routed == sequential_astar(replace(problem), net_order)
+
+
+def test_routes_longer_than_expected() -> None:
+    """Room for the edges of routes grows as they do."""
+    layers = (9,)
+    nets = tuple(Net(f"n{i}", i, (Pin(0, i, 1), Pin(299, i, 1))) for i in range(5))
+    problem = Problem((300, 5, 1), layers, layers, nets, layers, layers, layers)
+    routed = sequential_astar(problem)
+    assert [len(edges) for edges in routed.edges] == [299] * 5
+    assert evaluate(problem, routed).connected
+
+
+def test_an_order_that_is_none() -> None:
+    with pytest.raises(InputError, match="net_order: expected one of"):
+        sequential_astar(CORRIDOR, "largest")  # type: ignore[arg-type]
 
 
 def test_nothing_to_route() -> None:

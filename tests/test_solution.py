@@ -127,6 +127,21 @@ def test_edges_are_kept_sorted_once_and_read_only() -> None:
     assert solution == solution_of(ROW, (via(1), x_edge(0, 0)), ())
 
 
+@settings(deadline=None)
+@given(solution=solved_problems())
+def test_uses_say_what_edges_say(solution: Solution) -> None:
+    problem, (net, edge) = solution.problem, solution.uses
+    pairs = [(n, e) for n, edges in enumerate(solution.edges) for e in edges.tolist()]
+    assert list(zip(net.tolist(), edge.tolist(), strict=True)) == pairs == sorted(set(pairs))
+    assert len(solution.edges) == len(problem.nets)
+    again = Solution.of_uses(problem, net.copy(), edge.copy())
+    assert again == solution
+    assert [edges.tolist() for edges in again.edges] == [e.tolist() for e in solution.edges]
+    for column in (*again.uses, *again.edges):
+        assert column.dtype == np.int64
+        assert not column.flags.writeable
+
+
 def test_equal_means_same_problem_and_same_edges() -> None:
     solution = solution_of(ROW, *ROUTES)
     assert solution == solution_of(dataclasses.replace(ROW), *ROUTES)

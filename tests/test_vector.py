@@ -1,11 +1,17 @@
 """BatchEnv against the Parallel face, problem by problem."""
 
+import pickle
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import marouting
-from marouting import global_routing_v0
+from marouting import InputError, global_routing_v0
 from marouting.engine import TurnOrder
+from marouting.observation import PaperObservation
+from marouting.reward import PaperReward
 from marouting.vector import BatchEnv
 
 PROBLEMS = [
@@ -101,3 +107,98 @@ def test_actions_of_another_shape_are_refused() -> None:
         batch.step(np.zeros(3, np.int8))
     with pytest.raises(ValueError, match="moves"):
         batch.step(np.full((3, 6), 6, np.int8))
+
+
+def walk(env: BatchEnv, steps: int = 60) -> list[NDArray[Any]]:
+    """Everything that an environment shows on a random walk, copied."""
+    rng = np.random.default_rng(1)
+    seen, info = env.reset()
+    shown = [seen.copy(), info["action_mask"].copy()]
+    for _ in range(steps):
+        *arrays, info = env.step(rng.integers(-1, 6, (env.num_problems, env.num_agents)))
+        figures = [info["final_info"][name] for name in sorted(info["final_info"])]
+        plain = [info[name] for name in sorted(info) if name != "final_info"]
+        shown += [array.copy() for array in (*arrays, *plain, *figures, env.state())]
+    return shown
+
+
+def same(one: list[NDArray[Any]], other: list[NDArray[Any]]) -> bool:
+    return len(one) == len(other) and all(
+        a.dtype == b.dtype and np.array_equal(a, b) for a, b in zip(one, other, strict=True)
+    )
+
+
+@pytest.mark.parametrize("turn_order", ["round_robin", "sequential"])
+def test_threads_change_nothing(turn_order: TurnOrder) -> None:
+    expected = walk(BatchEnv(PROBLEMS, turn_order=turn_order, max_steps=7))
+    for threads in (2, 3, 8):
+        env = BatchEnv(PROBLEMS, turn_order=turn_order, max_steps=7, threads=threads)
+        assert same(walk(env), expected)
+    with pytest.raises(InputError, match="threads: expected at least 1, found 0"):
+        BatchEnv(PROBLEMS, threads=0)
+
+
+class Plain:
+    """A piece without its compiled form: what anybody may inject."""
+
+    def __init__(self, piece: Any) -> None:
+        self._piece = piece
+
+    def space(self, *arguments: Any) -> Any:
+        return self._piece.space(*arguments)
+
+    def write(self, *arguments: Any) -> None:
+        self._piece.write(*arguments)
+
+    def __call__(self, agents: Any) -> Any:
+        return self._piece(agents)
+
+
+def test_injected_pieces_are_as_good_as_the_compiled_ones() -> None:
+    observation = PaperObservation(via_capacity=3)
+    reward = PaperReward(reached=7, own_edge=-0.25, overflow_price=2)
+    options: dict[str, Any] = {"overflow": "allowed", "max_steps": 9}
+    expected = walk(BatchEnv(PROBLEMS, observation=observation, reward=reward, **options))
+    pieces = {"observation": Plain(observation), "reward": Plain(reward)}
+    for threads in (1, 2):
+        assert same(walk(BatchEnv(PROBLEMS, **pieces, **options, threads=threads)), expected)
+
+
+def test_the_metrics_of_the_last_episode_stay() -> None:
+    env = BatchEnv(PROBLEMS, max_steps=5)
+    _, info = env.reset()
+    rng = np.random.default_rng(3)
+    last = {name: np.zeros(len(PROBLEMS), int) for name in info["final_info"]}
+    ended = np.zeros(len(PROBLEMS), int)
+    for _ in range(120):
+        *_, info = env.step(rng.integers(6, size=(env.num_problems, env.num_agents)))
+        for m in np.flatnonzero(info["over"]):
+            ended[m] += 1
+            for name in last:
+                last[name][m] = info[name][m]
+        for name in last:
+            assert np.array_equal(info["final_info"][name], last[name])
+    assert ended.min() > 1
+    assert last["wirelength"].min() > 0
+
+
+def test_states_are_those_of_the_faces() -> None:
+    env = BatchEnv(PROBLEMS, max_steps=9)
+    env.reset()
+    faces = [global_routing_v0.parallel_env(p, max_steps=9) for p in PROBLEMS]
+    for face in faces:
+        face.reset()
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        actions = rng.integers(6, size=(env.num_problems, env.num_agents))
+        env.step(actions)
+        for m, face in enumerate(faces):
+            face.step({a: actions[m, int(a.removeprefix("net_"))] for a in face.agents})
+            assert np.array_equal(env.state()[m], face.state())
+            assert env.single_state_space.contains(env.state()[m])
+            assert env.single_state_space.shape == face.state_space.shape
+
+
+def test_a_copy_by_pickle_plays_alike() -> None:
+    env = BatchEnv(PROBLEMS, max_steps=7, threads=2)
+    assert same(walk(pickle.loads(pickle.dumps(env))), walk(env))

@@ -6,7 +6,6 @@ import numpy as np
 from gymnasium import Space
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
-from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
 from marouting.config import ORDERS
@@ -17,6 +16,8 @@ from marouting.source import Source
 
 # Plain numbers compare many times quicker than members of an IntEnum.
 _ACTIVE, _TERMINATED = int(Status.ACTIVE), int(Status.TERMINATED)
+
+_MASK = 1, MOVES
 
 
 class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
@@ -84,37 +85,32 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
         Raises:
             ValueError: the action is none of the six moves, or not None for a dead agent.
         """
-        agent = self.agent_selection
+        face, agent = self._face, self.agent_selection
         if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)
             agent = self.agent_selection
-            if agent in self.infos:
-                self._inform(agent, self._face.mask(self._number[agent]))
+            if agent in self.infos:  # others may have taken capacity since its info was made
+                self.infos[agent] = face.info(face.mask(self._number[agent]), over=False)
             return
-        engine = self._face.engine
-        mask = np.empty((1, MOVES), np.int8)
-        following, status = engine.play_turn(checked_move(action), mask)
+        mask = np.empty(_MASK, np.int8)
+        following, status = face.engine.play_turn(checked_move(action), mask)
 
         # Only the mover gets a reward; the last mover's is over.
         if self._rewarded in self.rewards:
             self.rewards[self._rewarded] = 0.0
         self._rewarded = agent
-        reward = float(self._face.rewards(engine.agents[0, self._number[agent]]))
+        reward = face.reward(self._number[agent])
         self.rewards[agent] = self._cumulative_rewards[agent] = reward
         if status == _ACTIVE:
             agent = self.agent_selection = self.possible_agents[following]
+            self.infos[agent] = {"action_mask": mask[0]}
         else:
             self.terminations[agent] = status == _TERMINATED
             self.truncations[agent] = status != _TERMINATED
+            self.infos[agent] = face.info(mask[0], over=True)
             # The agent is selected once more, to be taken off the list, before the next one.
             self._skip_agent_selection = (
                 None if following == NOBODY else self.possible_agents[following]
             )
-        self._inform(agent, mask[0])
         if self.render_mode == "human":
             self.render()
-
-    def _inform(self, agent: str, mask: NDArray[np.int8]) -> None:
-        """Renews the selected agent's info: others may have taken capacity since it was made."""
-        over = self.terminations[agent] or self.truncations[agent]
-        self.infos[agent] = self._face.info(mask, over)

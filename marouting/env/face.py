@@ -1,5 +1,6 @@
 """What the faces of the environment have in common: options in, a game to look at."""
 
+import copy
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
@@ -17,9 +18,10 @@ from marouting.grid import MOVES
 from marouting.observation import Observation, nets_on_edges, state, state_space, writer
 from marouting.problem import MAX_NUMBER, Problem
 from marouting.render import Scene, Window, ansi, rgb_array
-from marouting.reward import Reward
+from marouting.reward import Reward, payer
 from marouting.solution import Solution
 from marouting.source import Source, checked_source, load_problem
+from marouting.vector import Arrays, Board
 
 METADATA: dict[str, Any] = {
     "name": "global_routing_v0",
@@ -70,8 +72,9 @@ class Face:
         self._play(load_problem(source))
         problems, overflow = self.engine.problems, checked.overflow == "allowed"
         self._box = self._observation.space(problems, overflow)
-        self._one = np.zeros(1, np.int32), np.empty(1, np.int32)
-        self._features = self._box.shape
+        self._one = np.zeros(1, np.int32), np.empty((1, 1), np.int32)
+        self._paid = np.empty(1, np.float32)
+        self._row = 1, *self._box.shape
         self.state_space: Box = state_space(problems, overflow)
 
     def _play(self, problem: Problem) -> None:
@@ -79,6 +82,7 @@ class Face:
         self.engine = self._options.engine([problem], self._turn_order)
         self.names = [f"net_{net}" for net in self.engine.nets[0]]
         self._write = writer(self._observation, self.engine)
+        self._pay = payer(self._reward, self.engine)
 
     def restart(self, seed: int | None) -> None:
         """A new episode; a new problem where one is to be drawn for every episode."""
@@ -97,17 +101,16 @@ class Face:
 
     def new_observation_space(self) -> Space[Any]:
         """A space of its own for an agent, so that each can be seeded apart."""
-        box = Box(self._box.low, self._box.high, dtype=np.float32)
+        # The one copied has no random numbers yet. Making a new one takes ten times as long.
+        box = copy.copy(self._box)
         if not self.masked:
             return box
         return Dict({"observation": box, "action_mask": MultiBinary(MOVES)})
 
-    def observations(self) -> NDArray[np.float32]:
-        """(N, F) float32, fresh observations of all agents."""
-        problems, agents = self.engine.pairs(everyone=True)
-        out = np.empty((len(agents), *self._features), np.float32)
-        self._write(problems, agents, out)
-        return out
+    def board(self) -> Board:
+        """The game to be played through arrays."""
+        arrays = Arrays.of(*self.engine.nets.shape, *self._box.shape)
+        return Board(self.engine, self._observation, self._reward, arrays)
 
     def masks(self) -> NDArray[np.int8]:
         """(N, 6) int8, fresh action masks of all agents."""
@@ -116,24 +119,27 @@ class Face:
     def observation(self, agent: int) -> Any:
         """A fresh observation of one agent in the form that the options ask for."""
         problems, agents = self._one
-        agents[0] = agent
-        out = np.empty((1, *self._features), np.float32)
+        agents[0, 0] = agent
+        out = np.empty(self._row, np.float32)
         self._write(problems, agents, out)
         return self.seen(out[0], self.mask(agent)) if self.masked else out[0]
 
     def mask(self, agent: int) -> NDArray[np.int8]:
         """(6,) int8, a fresh action mask of one agent."""
         problems, agents = self._one
-        agents[0] = agent
-        return self.engine.masks(problems, agents)[0]
+        agents[0, 0] = agent
+        return self.engine.masks(problems, agents[0])[0]
 
     def seen(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
         """An observation and its mask in the form that the options ask for."""
         return {"observation": observation, "action_mask": mask} if self.masked else observation
 
-    def rewards(self, agents: Any) -> Any:
-        """Rewards of the last moves of AGENT records."""
-        return self._reward(agents)
+    def reward(self, agent: int) -> float:
+        """The reward of an agent's last move."""
+        problems, agents = self._one
+        agents[0, 0] = agent
+        self._pay(problems, agents, self._paid)
+        return self._paid.item()
 
     def info(self, mask: NDArray[np.int8], over: bool) -> dict[str, Any]:
         """An agent's info: its mask, and the metrics as they stand when its episode is over."""
@@ -152,7 +158,7 @@ class Face:
 
     def state(self) -> NDArray[np.float32]:
         """(X, Y, 5 Z) float32, the global grid; see :func:`marouting.observation.state`."""
-        return state(self.engine)
+        return state(self.engine)[0]
 
     def scene(self) -> Scene:
         """What a picture of the game shows."""
@@ -196,7 +202,7 @@ class Face:
 
 def checked_move(action: Any, name: str = "action") -> int:
     """An action as a move's number; raises ValueError, with its name, for all but 0 to 5."""
-    if action is None or not 0 <= action < MOVES or action != int(action):
+    if action not in range(MOVES):
         raise ValueError(f"{name}: expected 0 to {MOVES - 1}, found {action}")
     return int(action)
 

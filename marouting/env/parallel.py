@@ -14,13 +14,9 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from marouting.config import ORDERS
-from marouting.engine import NOBODY, Status
 from marouting.env.face import METADATA, Face, Looks, checked_move
 from marouting.grid import MOVES
 from marouting.source import Source
-
-# Plain numbers compare many times quicker than members of an IntEnum.
-_ACTIVE, _TERMINATED, _TRUNCATED = map(int, (Status.ACTIVE, Status.TERMINATED, Status.TRUNCATED))
 
 
 class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
@@ -39,6 +35,7 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
         self._face = Face(problem, ORDERS["multi"], options)
+        self._board = self._face.board()
         self.render_mode = self._face.render_mode
         self.state_space = self._face.state_space
         self.possible_agents = list(self._face.names)
@@ -67,22 +64,21 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
         """
         del options
         self._face.restart(seed)
+        if self._board.engine is not self._face.engine:  # another problem
+            self._board = self._face.board()
+        self._board.reset()
         self.agents = list(self.possible_agents)
         self._numbers = np.arange(len(self.agents))  # of the agents in the game
-        self._moves = np.full((1, len(self.agents)), NOBODY, np.int8)
-        return self._look(self._face.engine.agents["status"][0])
+        return self._look()
 
-    def _look(self, status: NDArray[np.int8]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Observations and infos of the agents that are in the game; ``status`` (K,) is theirs."""
-        face = self._face
-        seen: Any = face.observations()[self._numbers]
-        masks = face.masks()[self._numbers]
-        if face.masked:
-            seen = [face.seen(*both) for both in zip(seen, masks, strict=True)]
+    def _look(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Fresh observations and infos of the agents that are in the game."""
+        arrays, numbers, agents = self._board.arrays, self._numbers, self.agents
+        seen: Any = arrays.observation[0].take(numbers, axis=0)
+        masks = arrays.mask[0].take(numbers, axis=0)
         infos = [{"action_mask": mask} for mask in masks]
-        for k in np.flatnonzero(status != _ACTIVE):
-            infos[k] = face.info(masks[k], over=True)
-        agents = self.agents
+        if self._face.masked:
+            seen = [self._face.seen(*both) for both in zip(seen, masks, strict=True)]
         return dict(zip(agents, seen, strict=True)), dict(zip(agents, infos, strict=True))
 
     def step(
@@ -103,26 +99,35 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
             KeyError: an agent's action is missing.
             ValueError: an action is none of the six moves.
         """
-        engine, agents, numbers = self._face.engine, self.agents, self._numbers
-        moves = np.array([actions[agent] for agent in agents])
-        whole = moves.dtype.kind in "iu"
-        if len(moves) and not (whole and 0 <= moves.min() <= moves.max() < MOVES):
-            for agent in agents:
-                checked_move(actions[agent], f"action of {agent}")
-        self._moves[:] = NOBODY
-        self._moves[0, numbers] = moves
-        engine.step(self._moves)
+        arrays, agents, numbers = self._board.arrays, self.agents, self._numbers
+        arrays.moves[0, numbers] = _moves([actions[agent] for agent in agents], agents)
+        self._board.step(restart=False)
 
-        records = engine.agents[0, numbers]
-        status = records["status"]
-        observations, infos = self._look(status)
-        rewards = dict(zip(agents, self._face.rewards(records).tolist(), strict=True))
-        terminated = dict(zip(agents, (status == _TERMINATED).tolist(), strict=True))
-        truncated = dict(zip(agents, (status == _TRUNCATED).tolist(), strict=True))
-        playing = status == _ACTIVE
-        if not playing.all():
-            self._numbers = numbers[playing]
+        observations, infos = self._look()
+        terminated, truncated, active = (
+            flags[0].take(numbers) for flags in (arrays.terminated, arrays.truncated, arrays.active)
+        )
+        ended = dict(zip(agents, terminated.tolist(), strict=True))
+        cut = dict(zip(agents, truncated.tolist(), strict=True))
+        rewards = dict(zip(agents, arrays.reward[0].take(numbers).tolist(), strict=True))
+        if not active.all():
+            metrics = self._face.metrics()
+            for k in np.flatnonzero(~active):
+                infos[agents[k]]["metrics"] = dict(metrics)
+            self._numbers = numbers[active]
             self.agents = [self.possible_agents[n] for n in self._numbers]
         if self.render_mode == "human":
             self.render()
-        return observations, rewards, terminated, truncated, infos
+        return observations, rewards, ended, cut, infos
+
+
+def _moves(actions: list[Any], agents: list[str]) -> NDArray[np.int8]:
+    """Actions as an array; raises ValueError, with the agent's name, for all but 0 to 5."""
+    try:
+        moves = bytes(actions)  # integers from 0 to 255, of whatever type
+    except (TypeError, ValueError):
+        moves = bytes([MOVES])
+    if moves and max(moves) >= MOVES:
+        named = zip(actions, agents, strict=True)
+        moves = bytes([checked_move(action, f"action of {agent}") for action, agent in named])
+    return np.frombuffer(moves, np.int8)

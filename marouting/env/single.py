@@ -73,7 +73,7 @@ class GlobalRoutingSingle(Looks, gymnasium.Env[Any, Any], EzPickle):
         masks = np.empty((1, MOVES), np.int8)
         following, _ = engine.play_turn(checked_move(action), masks)
         mask = masks[0]
-        reward = float(self._face.rewards(engine.agents[0, self._net]))
+        reward = self._face.reward(self._net)
         over = following == NOBODY
         if not over and following != self._net:
             self._net = following

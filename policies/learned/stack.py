@@ -31,7 +31,7 @@ from marouting.engine import (
 )
 from marouting.grid import MOVES
 from marouting.observation import PaperObservation, write_paper
-from marouting.reward import PaperReward
+from marouting.reward import PaperReward, paper_reward
 from policies.learned.streams import uniform
 
 
@@ -126,8 +126,7 @@ def move(world: World, play: Play, lanes: Lanes, rules: Rules, m: int) -> None:
         if not lanes.moved[m, k]:
             continue
         agent = play.agents[m, n]
-        reward = rules.rewards[agent.crossing, agent.ending]
-        reward -= np.float32(rules.overflow_price) * np.float32(agent.overflow)
+        reward = paper_reward(rules.rewards, rules.overflow_price, agent)
         lanes.reward[m, k] = reward
         lanes.total[m] += reward
         lanes.goes_on[m, k] = agent.ending != Ending.JOINED
