@@ -606,7 +606,7 @@ class Engine:
             first=world.first[which],
             order=world.order[which],
         )
-        part.play = Play(*(array[which] for array in self.play))
+        part.play = Play._make(array[which] for array in self.play)
         return part
 
     def move(self, moves: NDArray[np.integer]) -> None:

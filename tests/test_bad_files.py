@@ -227,6 +227,8 @@ def test_a_promise_costs_nothing(tmp_path: Path, old: str, new: str, what: str) 
 
 def test_a_large_grid_costs_nothing_until_its_tables_are_needed(tmp_path: Path) -> None:
     file = tmp_path / "large.gr"
+    file.write_text(GR)
+    assert Problem.read(file).pin_gcells  # what numba takes when it is first used is no matter
     file.write_text(GR.replace("grid 3 2 2", "grid 2048 4096 2"))
     tracemalloc.start()
     try:

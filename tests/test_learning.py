@@ -402,9 +402,7 @@ def remember(replay: Replay, numbers: NDArray[np.float32], moved: NDArray[np.boo
     odd = numbers.astype(np.int64) % 2 == 1
     moves = (numbers % MOVES).astype(np.int8)
     replay.add(
-        lanes_of(
-            moved=moved, seen=wide, moves=moves, reward=numbers, arrived=wide + 1, goes_on=odd
-        )
+        lanes_of(moved=moved, seen=wide, moves=moves, reward=numbers, arrived=wide + 1, goes_on=odd)
     )
 
 
