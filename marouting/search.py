@@ -29,10 +29,11 @@ from marouting.engine import (
     has_room,
     inlined,
     move_agent,
+    place,
     wide,
     world_of,
 )
-from marouting.grid import MOVES, OFF_GRID, Grid
+from marouting.grid import MOVES, Grid
 from marouting.problem import Problem
 from marouting.solution import Solution
 
@@ -140,11 +141,13 @@ def _look_around(
             continue
         if flooding and size > budget:
             return walls
-        cell = wide(s.ring[at])
+        cell = place(s.ring[at])
         at += 1
         for move in range(MOVES):
-            beside = wide(world.neighbour[cell, move])
-            if beside == OFF_GRID or s.depth[beside] >= inside:
+            if not world.exits[cell] >> move & 1:
+                continue
+            beside = place(world.neighbour[cell, move])
+            if s.depth[beside] >= inside:
                 continue
             if flooding and not has_room(world, play, m, n, cell, move):
                 continue
@@ -208,11 +211,12 @@ def _search(
             s.walls[_KNOWN] = _look_around(world, play, s, m, n, source, target, opened // 4)
             if s.walls[_KNOWN] > walls:
                 return _UNKNOWN
+        exits = world.exits[cell]
         so_far, left = s.nodes[cell].cost, _distance(world.position, cell, target)
         for move in range(MOVES):
-            beside = wide(world.neighbour[cell, move])
-            if beside == OFF_GRID:
+            if not exits >> move & 1:
                 continue
+            beside = place(world.neighbour[cell, move])
             node = s.nodes[beside]
             if node.stamp == -found:
                 continue
@@ -240,9 +244,9 @@ def _search(
         while s.nodes[cell].stamp != found:
             while s.head[f & _MASK] == _NONE:
                 f += 1
-            entry = s.head[f & _MASK]
+            entry = place(s.head[f & _MASK])
             s.head[f & _MASK] = s.below[entry]
-            cell = wide(s.cell[entry])
+            cell = place(s.cell[entry])
     return s.nodes[target].cost
 
 

@@ -19,7 +19,8 @@ except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
 from marouting import InputError, Problem, Solution, __version__, evaluate
-from marouting.files import check_writable
+from marouting.files import check_writable, write_text
+from policies.routers import ROUTERS, is_seeded, make_router
 
 if TYPE_CHECKING:
     from policies.base import Router
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from policies.learned.trainer import Episode
 
 GridShape = click.Tuple([int, int, int])
-ROUTERS = ("astar", "random", "dqn")
 
 
 @click.group(no_args_is_help=False, context_settings={"help_option_names": ["-h", "--help"]})
@@ -70,7 +70,7 @@ def generate(out: Path, **options: Any) -> None:
 @click.option("--checkpoint", type=Path, help="A trained policy for the router dqn.")
 @click.option("--config", type=Path, help="What the router dqn trains, without a checkpoint.")
 @click.option(
-    "--seed", type=int, help="For the routers random and dqn.  [default: 0, or as in --config]"
+    "--seed", type=int, help="Where random numbers start.  [default: 0, or as in --config]"
 )
 @click.option("--out", type=Path, help="File for the solution.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -86,11 +86,12 @@ def route(
 ) -> None:
     """Route a problem and judge the solution.
 
-    Without --checkpoint the router dqn trains on the problem, as the paper does; KEY=VALUE changes
-    keys of its configuration (train.episodes=200).
+    KEY=VALUE changes options of the router (net_order=file). Without --checkpoint the router dqn
+    trains on the problem, as the paper does; its options are the keys of its configuration
+    (train.episodes=200).
     """
-    if router != "dqn" and (checkpoint or config or overrides):
-        given = overrides[0] if overrides else f"--{'checkpoint' if checkpoint else 'config'}"
+    if router != "dqn" and (checkpoint or config):
+        given = "--checkpoint" if checkpoint else "--config"
         raise InputError(f"{given}: expected --router dqn with it")
     if checkpoint and (config or overrides):
         raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
@@ -114,18 +115,13 @@ def _router(
     config: Path | None,
     overrides: Sequence[str],
 ) -> "Router":
-    if name == "astar":
-        from policies.classical.astar import AStarRouter
+    from policies.config import load_config, override
 
-        return AStarRouter()
-    if name == "random":
-        from policies.classical.random import RandomRouter
-
-        return RandomRouter(seed or 0)
-    from policies.config import load_config
+    given = [] if seed is None or not is_seeded(name) else [f"seed={seed}"]
+    if name != "dqn":
+        return make_router(name, override({}, [*given, *overrides]), f"--router {name}")
     from policies.learned.router import DQNRouter
 
-    given = [] if seed is None else [f"seed={seed}"]
     settings = load_config(config, [*given, *overrides])
     return DQNRouter(settings, checkpoint, _counter(settings), network=problem)
 
@@ -213,10 +209,30 @@ def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None
 
 
 @cli.command()
+@click.argument("config", type=Path)
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
+    """Compare routers on sets of problems, as CONFIG says; KEY=VALUE changes keys of it.
+
+    Everything goes into the folder of the experiment, the key `out`. One that was stopped, or
+    killed, goes on when the same command is given again.
+    """
+    from policies.experiment import Experiment, load_experiment
+    from policies.table import show_experiment
+
+    summary = Experiment(load_experiment(config, overrides)).execute()
+    if as_json:
+        click.echo(json.dumps(summary))
+    else:
+        show_experiment(summary)
+
+
+@cli.command()
 @click.argument("paths", nargs=-1, required=True, type=Path, metavar="RUN_OR_FILE...")
 @click.option("--out", type=Path, help="Folder for the figures.")
 def plot(paths: tuple[Path, ...], out: Path | None) -> None:
-    """Draw the figures of run folders, of metrics.jsonl, or of .gr and solution files.
+    """Draw the figures of runs, experiments, metrics.jsonl, or of .gr and solution files.
 
     A .gr file is drawn with the solution files that follow it, or with sequential A*'s solution.
     """
@@ -224,6 +240,49 @@ def plot(paths: tuple[Path, ...], out: Path | None) -> None:
 
     for path in draw(paths, out):
         click.echo(path)
+
+
+@cli.command()
+@click.argument("sections", nargs=-1, metavar="[SECTION]...")
+@click.option("--repeats", default=7, show_default=True, help="Of every measurement.")
+@click.option("--threads", default=2, show_default=True, help="Where several threads work.")
+@click.option("--against", type=click.Choice(["jumanji"]), help="Another library to compare with.")
+@click.option("--out", type=Path, help="File for the figures, JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def bench(
+    sections: tuple[str, ...],
+    repeats: int,
+    threads: int,
+    against: str | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Measure speed, as ratios to comparators that run in turns with it.
+
+    Without SECTION everything is measured, which takes several minutes.
+    """
+    from policies.bench import SECTIONS, Bench, Row, run
+    from policies.table import number, show_speed
+
+    if out is not None:
+        check_writable(out)
+    chosen = list(sections or (name for name in SECTIONS if name != "jumanji"))
+    if against is not None and against not in chosen:
+        chosen.append(against)
+
+    def watch(section: str, row: Row | None) -> None:
+        if row is None:
+            click.echo(f"{section} ...", err=True)
+        else:
+            click.echo(f"  {row.name}: {number(row.value)} {row.unit}", err=True)
+
+    report = run(chosen, Bench(repeats, threads), watch)
+    if out is not None:
+        write_text(out, json.dumps(report, indent=1) + "\n")
+    if as_json:
+        click.echo(json.dumps(report))
+    else:
+        show_speed(report)
 
 
 @cli.command()

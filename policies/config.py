@@ -145,7 +145,7 @@ class Config:
         check("seed", 0 <= self.seed < 2**63, "a number from 0")
 
 
-def check(name: str, holds: bool, expected: str) -> None:
+def check(name: str, holds: object, expected: str) -> None:
     """Raises InputError unless a condition holds."""
     if not holds:
         raise InputError(f"{name}: expected {expected}")

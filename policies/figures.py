@@ -724,6 +724,173 @@ def _running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float6
     return np.asarray((total[last] - total[first]) / (last - first), np.float64)
 
 
+# Experiments ------------------------------------------------------------------------------------
+
+_MARKERS = "os^Dv<>"
+
+
+def by_problem(
+    values: Mapping[str, NDArray[np.floating]],
+    order: NDArray[np.integer],
+    quantity: str,
+    order_by: str,
+    title: str = "",
+) -> Figure:
+    """A quantity of every problem, router by router (paper, comparisons of WL and of OF).
+
+    Args:
+        values: (problems,) of each router, NaN where there is none; the paper has A* in blue, the
+            first, and the DQN in red, the second.
+        order: (problems,) the problems from left to right.
+        quantity: what the values are, with its unit.
+        order_by: what the problems rise by in this order.
+        title: the title.
+
+    Returns:
+        One plot, a line a router.
+
+    Raises:
+        InputError: there is no router.
+    """
+    if not values:
+        raise InputError("by problem: expected the values of at least one router")
+    figure = Figure(figsize=(9, 5.5), layout="constrained")
+    axes = figure.subplots()
+    rank = np.arange(1, len(order) + 1)
+    for index, (name, own) in enumerate(values.items()):
+        missing = int(np.isnan(own).sum())
+        axes.plot(
+            rank,
+            np.asarray(own, np.float64)[order],
+            color=_LINES[index % len(_LINES)],
+            linestyle=("-", "--", ":")[index // len(_LINES) % 3],
+            linewidth=1.2,
+            marker=_MARKERS[index % len(_MARKERS)],
+            # Smaller with the routers, so that where they agree all of them can be seen.
+            markersize=max(2.0, 7.0 - 1.2 * index) * min(1.0, (60 / len(order)) ** 0.5),
+            label=f"{name} (without {missing})" if missing else name,
+        )
+    axes.grid(color=_PALE, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.set_xlabel(f"problems, sorted by {order_by} [rank]")
+    axes.set_ylabel(quantity)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_xlim(0, len(order) + 1)
+    axes.set_title(title, fontsize=12)
+    figure.legend(frameon=False, loc="outside lower center", ncols=min(len(values), 4))
+    return figure
+
+
+def decrease_histogram(
+    decreases: Mapping[str, NDArray[np.floating]], baseline: str, title: str = ""
+) -> Figure:
+    """How much less wirelength routers need than A* (paper, decrease in WL).
+
+    Args:
+        decreases: (problems,) A*'s wirelength less the router's, of each router; NaN where there
+            is none.
+        baseline: what A* is called.
+        title: the title.
+
+    Returns:
+        One panel a router, all with the same axes; to the right of the dashed line the router's
+        wirelength is lower.
+
+    Raises:
+        InputError: there is no router, or not one value.
+    """
+    known = {name: values[~np.isnan(values)] for name, values in decreases.items()}
+    together = np.concatenate([np.empty(0), *known.values()])
+    if not together.size:
+        raise InputError("decrease: expected the values of at least one problem")
+    low, high = min(0, np.floor(together.min())), max(0, np.ceil(together.max()))
+    # Bars as wide as a whole number of edges, with 0 in the middle of one.
+    width = int(max(1, -(-(high - low) // 40)))
+    edges = width * (np.arange(low // width - 1, high // width + 3) - 0.5)
+    figure = Figure(figsize=(9, 1.4 + 1.8 * len(known)), layout="constrained")
+    panels = figure.subplots(len(known), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for axes, (name, values) in zip(panels, known.items(), strict=True):
+        axes.hist(values, bins=edges, color=_RED, edgecolor="white", linewidth=0.6)
+        axes.axvline(0, color=_INK, linewidth=1, linestyle="--")
+        axes.set_title(
+            f"{name}: lower on {np.count_nonzero(values > 0)} of {len(values)} problems, "
+            f"equal on {np.count_nonzero(values == 0)}, mean decrease {values.mean():.3g}"
+            if len(values)
+            else f"{name}: no problem",
+            fontsize=10,
+        )
+        axes.set_ylabel("problems [count]")
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True, min_n_ticks=1))
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.tick_params(labelbottom=True)
+    panels[-1].set_xlabel(f"decrease in wirelength = {baseline}'s less the router's [edges]")
+    figure.suptitle(title, fontsize=12)
+    return figure
+
+
+# Speed ------------------------------------------------------------------------------------------
+
+
+def growth(
+    panels: Mapping[str, Mapping[str, NDArray[np.floating]]],
+    amount: str,
+    quantity: str,
+    title: str = "",
+) -> Figure:
+    """How quantities grow with an amount, on logarithmic axes.
+
+    Args:
+        panels: by panel and curve, (2, points) the amounts and the quantities, all positive.
+        amount: what the amounts are, with their unit.
+        quantity: what the quantities are, with their unit.
+        title: the title.
+
+    Returns:
+        The panels side by side with the same axes; a dashed line is as steep as growth in
+        proportion.
+
+    Raises:
+        InputError: there is no panel.
+    """
+    if not panels:
+        raise InputError("growth: expected at least one panel")
+    figure = Figure(figsize=(4.6 * len(panels) + 0.6, 5), layout="constrained")
+    drawn = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, (name, curves) in zip(drawn, panels.items(), strict=True):
+        for index, (label, (amounts, quantities)) in enumerate(curves.items()):
+            axes.loglog(
+                amounts,
+                quantities,
+                color=_LINES[index % len(_LINES)],
+                marker=_MARKERS[index % len(_MARKERS)],
+                markersize=5,
+                linewidth=1.4,
+                label=label,
+            )
+        amounts = np.concatenate([points[0] for points in curves.values()])
+        quantities = np.concatenate([points[1] for points in curves.values()])
+        ends = np.array([amounts.min(), amounts.max()])
+        # Below all curves, through the lowest of all points in proportion.
+        axes.loglog(
+            ends,
+            ends * (quantities / amounts).min() / 2,
+            color=_INK,
+            linewidth=1,
+            linestyle="--",
+            label="in proportion",
+        )
+        axes.grid(color=_PALE, linewidth=0.6)
+        axes.set_axisbelow(True)
+        axes.set_title(name, fontsize=11)
+        axes.set_xlabel(amount)
+        axes.set_ylabel(quantity)
+        axes.tick_params(labelleft=True)
+        axes.legend(frameon=False, loc="upper left", fontsize=9)
+    figure.suptitle(title, fontsize=12)
+    return figure
+
+
 # All of them ------------------------------------------------------------------------------------
 
 

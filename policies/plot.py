@@ -1,4 +1,4 @@
-"""The figures of a run folder, or of problem and solution files."""
+"""The figures of a run, of an experiment, or of problem and solution files."""
 
 import json
 import os
@@ -7,10 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib.figure import Figure
+
 from marouting import InputError, Problem, Solution
 from marouting.files import unusable
 from policies import figures
 from policies.classical.astar import AStarRouter
+from policies.experiment import RESULTS, read_results
+from policies.statistics import baseline, by_router, by_set, joined_wirelength, overflow
 
 
 def reward_figures(metrics: Path, folder: Path) -> list[Path]:
@@ -53,13 +58,60 @@ def run_figures(run: Path, folder: Path | None = None) -> list[Path]:
     return written
 
 
+def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Path]:
+    """Writes the figures of an experiment's sets, as a rule into its ``figures/``.
+
+    Returns:
+        For each set, and of several for ``all``: ``SET_wirelength.png`` and ``SET_overflow.png``,
+        problem by problem, and where A* is one of several routers ``SET_decrease.png``.
+
+    Raises:
+        InputError: there are no results, or the folder cannot be written to.
+    """
+    folder = experiment / "figures" if folder is None else folder
+    written: list[Path] = []
+
+    def write(figure: Figure, name: str) -> None:
+        figures.save(figure, folder / f"{name}.png")
+        written.append(folder / f"{name}.png")
+
+    for name, rows in by_set(read_results(experiment)).items():
+        astar = baseline(rows)
+        # A* first: it has the paper's colour then.
+        routers = dict(sorted(by_router(rows).items(), key=lambda router: router[0] != astar))
+        lengths = {router: joined_wirelength(own) for router, own in routers.items()}
+        sort_by = astar or next(iter(routers))
+        order = np.argsort(lengths[sort_by], kind="stable")
+        title = f"{name}: {len(order)} problems"
+        by = f"{sort_by}'s wirelength"
+        # What joins nothing has no figures to look at.
+        shown = {router: values for router, values in lengths.items() if not np.isnan(values).all()}
+        if not shown:
+            continue
+        for quantity, unit, values in (
+            ("wirelength", "edges", shown),
+            ("overflow", "tracks", {router: overflow(routers[router]) for router in shown}),
+        ):
+            figure = figures.by_problem(values, order, f"{quantity} [{unit}]", by, title)
+            write(figure, f"{name}_{quantity}")
+        decreases = {
+            router: lengths[astar] - values
+            for router, values in shown.items()
+            if astar is not None and router != astar
+        }
+        if astar is not None and decreases:
+            write(figures.decrease_histogram(decreases, astar, title), f"{name}_decrease")
+    return written
+
+
 def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> list[Path]:
     """Draws what it is given.
 
     Args:
-        paths: run folders; ``metrics.jsonl`` files; ``.gr`` files, each drawn with the solution
-            files that follow it, or with sequential A*'s solution where none follows.
-        out: folder for the figures; None: ``figures`` in a run folder, beside a file otherwise.
+        paths: folders of runs and experiments; ``metrics.jsonl`` files; ``.gr`` files, each drawn
+            with the solution files that follow it, or with sequential A*'s solution where none
+            follows.
+        out: folder for the figures; None: ``figures`` in a folder, beside a file otherwise.
 
     Returns:
         The pictures written.
@@ -71,11 +123,17 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
     groups: list[tuple[Path, list[Path]]] = []
     for path in map(Path, paths):
         if path.is_dir():
-            if not (path / "config.yaml").exists():
-                raise InputError(f"{path}: expected a run folder, with a config.yaml in it")
-            written += run_figures(path, out)
+            if (path / RESULTS).exists():
+                written += experiment_figures(path, out)
+            elif (path / "config.yaml").exists():
+                written += run_figures(path, out)
+            else:
+                raise InputError(
+                    f"{path}: expected a run folder, with a config.yaml in it, or an "
+                    f"experiment's, with {RESULTS}"
+                )
         elif not path.exists():
-            raise InputError(f"{path}: expected a run folder or a file, found nothing")
+            raise InputError(f"{path}: expected a folder or a file, found nothing")
         elif path.suffix == ".jsonl":
             written += reward_figures(path, out or path.parent / "figures")
         elif path.suffix == ".gr":

@@ -209,10 +209,10 @@ def test_every_net_is_joined_and_the_same_again(problem: Problem, net_order: Any
 def test_routes_longer_than_expected() -> None:
     """Room for the edges of routes grows as they do."""
     layers = (9,)
-    nets = tuple(Net(f"n{i}", i, (Pin(0, i, 1), Pin(299, i, 1))) for i in range(5))
-    problem = Problem((300, 5, 1), layers, layers, nets, layers, layers, layers)
+    nets = tuple(Net(f"n{i}", i, (Pin(0, 0, 1), Pin(299, 0, 1))) for i in range(20))
+    problem = Problem((300, 1, 1), layers, layers, nets, layers, layers, layers)
     routed = sequential_astar(problem)
-    assert [len(edges) for edges in routed.edges] == [299] * 5
+    assert [edges.tolist() for edges in routed.edges] == [list(range(0, 3 * 299, 3))] * 20
     assert evaluate(problem, routed).connected
 
 

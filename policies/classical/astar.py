@@ -1,6 +1,7 @@
 """The paper's benchmark: nets one after the other along A* paths."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from marouting import Problem, Solution, sequential_astar
 from marouting.engine import NetOrder
@@ -14,8 +15,10 @@ class AStarRouter:
         net_order: which nets come first; the authors' code starts with the largest bounding box.
     """
 
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    name: ClassVar[str] = "astar"
     net_order: NetOrder = "half_perimeter"
-    name: str = "astar"
 
     def route(self, problem: Problem) -> Solution:
         """A solution with every net joined, with overflow where there is no other way."""

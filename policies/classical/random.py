@@ -1,10 +1,11 @@
 """Random walks: what a router has to beat."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from marouting import Engine, Problem, Solution
+from marouting import Engine, InputError, Problem, Solution
 from marouting.engine import NOBODY
 
 
@@ -33,9 +34,15 @@ class RandomRouter:
         max_steps: steps after which a task fails; None as in :class:`marouting.Engine`.
     """
 
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    name: ClassVar[str] = "random"
     seed: int = 0
     max_steps: int | None = None
-    name: str = "random"
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InputError(f"seed: expected a number from 0, found {self.seed}")
 
     def route(self, problem: Problem) -> Solution:
         """A solution in which few nets are joined, without overflow."""

@@ -1,0 +1,185 @@
+"""Cheapest trees that join the pins of a net on the grid, by dynamic programming.
+
+A cheapest tree that joins some pins and one Gcell more either splits at that Gcell into two trees
+that share the pins, or reaches it along a cheapest path from where it does (Dreyfus and Wagner,
+"The Steiner problem in graphs", Networks 1, 1971). Time and memory double with every pin, and the
+splits triple.
+
+Costs are whole numbers, one for each edge of a grid or of a rectangle cut out of it, as an array
+(X, Y, Z, 3) in the order of edge numbers (:mod:`marouting.grid`).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.engine import compiled, wide
+from marouting.grid import AXES, VIA_AXIS, Move
+
+NEVER = 1 << 60
+"""The cost of an edge that must not be used, and of what cannot be joined; the costs of all other
+edges have to add up to less."""
+
+_PIN = -1
+_SPLIT = len(Move)
+"""What a table of ways holds: the move that ends the way to a Gcell, _PIN where a way begins, or
+_SPLIT and more, which says where a tree splits into that set of pins and the others."""
+
+_EAST, _WEST, _NORTH, _SOUTH, _UP, _DOWN = map(int, Move)
+
+
+@compiled
+def _shorter(cost: Any, way: Any, price: Any, here: int, there: int, edge: int, move: int) -> bool:
+    """Takes the way to ``here`` from the Gcell beside it if that is cheaper."""
+    over = cost[there] + price[edge]
+    if over >= cost[here]:
+        return False
+    cost[here] = over
+    way[here] = move
+    return True
+
+
+@compiled
+def _spread(cost: Any, way: Any, price: Any, columns: int, rows: int, layers: int) -> None:
+    """Lowers costs (G,) along cheapest paths, in sweeps over the grid until nothing changes.
+
+    One sweep follows a path as far as it keeps to two of the four directions, vias included;
+    cheapest paths turn back rarely, so a few do. (Zhao, "A fast sweeping method for Eikonal
+    equations", Mathematics of Computation 74, 2005.)
+    """
+    changed = True
+    while changed:
+        changed = False
+        for sweep in range(4):
+            east, north = sweep < 2, sweep % 2 == 0
+            along_x, move_x = (-rows * layers, _EAST) if east else (rows * layers, _WEST)
+            along_y, move_y = (-layers, _NORTH) if north else (layers, _SOUTH)
+            for i in range(columns):
+                for j in range(rows):
+                    x = i if east else columns - 1 - i
+                    y = j if north else rows - 1 - j
+                    lowest = (x * rows + y) * layers
+                    for here in range(lowest, lowest + layers):
+                        if i > 0:
+                            there = here + along_x
+                            edge = AXES * min(here, there)
+                            changed |= _shorter(cost, way, price, here, there, edge, move_x)
+                        if j > 0:
+                            there = here + along_y
+                            edge = AXES * min(here, there) + 1
+                            changed |= _shorter(cost, way, price, here, there, edge, move_y)
+                    for here in range(lowest + 1, lowest + layers):
+                        edge = AXES * (here - 1) + VIA_AXIS
+                        changed |= _shorter(cost, way, price, here, here - 1, edge, _UP)
+                    for here in range(lowest + layers - 2, lowest - 1, -1):
+                        edge = AXES * here + VIA_AXIS
+                        changed |= _shorter(cost, way, price, here, here + 1, edge, _DOWN)
+
+
+@compiled
+def _join(price: Any, pins: Any, columns: int, rows: int, layers: int, cost: Any, way: Any) -> None:
+    """Fills the tables (2^pins, G): row S holds the trees that join the pins in the bits of S."""
+    gcells = cost.shape[1]
+    for pin_set in range(1, cost.shape[0]):
+        for cell in range(gcells):
+            cost[pin_set, cell] = NEVER
+            way[pin_set, cell] = _PIN
+        rest = pin_set & (pin_set - 1)
+        if rest == 0:
+            for pin in range(len(pins)):
+                if pin_set == 1 << pin:
+                    cost[pin_set, pins[pin]] = 0
+        part = rest
+        while part > 0:  # every set but the empty one of the pins beside the first
+            for cell in range(gcells):
+                split = cost[part, cell] + cost[pin_set ^ part, cell]
+                if split < cost[pin_set, cell]:
+                    cost[pin_set, cell] = split
+                    way[pin_set, cell] = _SPLIT + part
+            part = (part - 1) & rest
+        _spread(cost[pin_set], way[pin_set], price, columns, rows, layers)
+
+
+@compiled
+def _walk(way: Any, pin_set: int, cell: int, strides: Any, stack: Any, out: Any) -> int:
+    """Writes the edges of the tree that joins a set of pins and a Gcell; returns how many."""
+    stack[0, 0], stack[0, 1] = pin_set, cell
+    size, edges = 1, 0
+    while size > 0:
+        size -= 1
+        pin_set, cell = wide(stack[size, 0]), wide(stack[size, 1])
+        while 0 <= way[pin_set, cell] < _SPLIT:
+            axis, backward = divmod(wide(way[pin_set, cell]), 2)
+            there = cell + (strides[axis] if backward else -strides[axis])
+            out[edges] = AXES * min(cell, there) + axis
+            edges += 1
+            cell = there
+        if way[pin_set, cell] >= _SPLIT:
+            part = way[pin_set, cell] - _SPLIT
+            stack[size, 0], stack[size, 1] = part, cell
+            stack[size + 1, 0], stack[size + 1, 1] = pin_set ^ part, cell
+            size += 2
+    return edges
+
+
+@compiled
+def _cross(price: Any, cost: Any, strides: Any, out: Any) -> None:
+    """Writes for every edge what the cheapest tree costs that joins all pins and crosses it."""
+    everything = cost.shape[0] - 1
+    for edge in range(len(price)):
+        out[edge] = NEVER
+        if price[edge] < NEVER:
+            near = edge // AXES
+            far = near + strides[edge % AXES]
+            # Without the edge the tree falls apart, and either part has pins.
+            for part in range(1, everything):
+                through = cost[part, near] + price[edge] + cost[everything ^ part, far]
+                out[edge] = min(out[edge], through)
+
+
+def _tables(
+    price: NDArray[np.int64], pins: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
+    """Costs and ways (2^pins, G) of the trees that join any of the pins, and the grid's strides."""
+    columns, rows, layers, _ = price.shape
+    shape = (1 << len(pins), columns * rows * layers)
+    cost, way = np.empty(shape, np.int64), np.empty(shape, np.int32)
+    _join(price.reshape(-1), pins, columns, rows, layers, cost, way)
+    return cost, way, np.array((rows * layers, layers, 1))
+
+
+def cheapest_tree(
+    price: NDArray[np.int64], pins: NDArray[np.int64]
+) -> tuple[int, NDArray[np.int64]]:
+    """The cheapest tree that joins two or more pins.
+
+    Args:
+        price: (X, Y, Z, 3) cost of every edge from 0; NEVER for one that must not be used, off
+            the grid among them.
+        pins: (k,) their Gcells, all different, by their numbers in the grid of ``price``.
+
+    Returns:
+        What it costs, and the numbers of its edges in the grid of ``price``; NEVER and none if
+        the pins cannot be joined.
+    """
+    cost, way, strides = _tables(price, pins[:-1])
+    found = int(cost[-1, pins[-1]])
+    if found >= NEVER:
+        return NEVER, np.empty(0, np.int64)
+    # Ways of no cost may meet: then the parts of a tree share edges.
+    edges = np.empty(cost.size, np.int64)
+    stack = np.empty((2 * len(pins), 2), np.int64)
+    count = _walk(way, len(cost) - 1, int(pins[-1]), strides, stack, edges)
+    return found, np.unique(edges[:count])
+
+
+def cost_across(price: NDArray[np.int64], pins: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(X, Y, Z, 3) for every edge the cost of the cheapest tree that joins the pins and uses it.
+
+    Arguments as of :func:`cheapest_tree`; NEVER where there is none.
+    """
+    cost, _, strides = _tables(price, pins)
+    across = np.empty(price.size, np.int64)
+    _cross(price.reshape(-1), cost, strides, across)
+    return across.reshape(price.shape)

@@ -1,0 +1,784 @@
+"""Experiments: problem sets × routers × seeds, compared in tables and figures.
+
+What the folder of an experiment holds:
+
+===============================  ===============================================================
+config.yaml                      the whole configuration, defaults included
+problems/SET/NAME.gr             what is routed
+rows/SET/ROUTER[.seedN]/*.json   the rows of what is done, part by part
+runs/SET/ROUTER[.seedN]/*/       the run folders of trainings (:mod:`policies.learned.run`)
+solutions/SET/NAME.ROUTER[.seedN].solution
+results.json, results.csv        all rows
+summary.json                     what they say (:mod:`policies.statistics`)
+figures/                         the paper's figures
+===============================  ===============================================================
+
+The work is cut into parts that know nothing of one another, and processes take one after the
+other. A part is done when its rows are there, so an experiment that was stopped, however, goes on
+when it is started again. Solutions do not depend on the number of processes, nor on the stops.
+"""
+
+import contextlib
+import csv
+import io
+import json
+import multiprocessing
+import os
+import re
+import signal
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from marouting import InputError, Problem, Solution, evaluate, generate
+from marouting.config import build, read_yaml
+from marouting.files import unusable, write_text
+from marouting.source import load_problems
+from policies.base import Router
+from policies.config import Config, check, check_same, load_config, override
+from policies.routers import ROUTERS, is_seeded, make_router, schema, unknown
+from policies.statistics import ALL, Row, add_gaps, by_set, summarise
+
+CONFIG, RESULTS, SUMMARY = "config.yaml", "results.json", "summary.json"
+
+PUBLISHED = "published"
+"""The router of an entry whose rows are not routed but read from a file."""
+
+COLUMNS = {
+    "set": str,
+    "problem": str,
+    "router": str,
+    "kind": str,
+    "seed": int | None,
+    "overflow": int,
+    "max_overflow": int | None,
+    "wirelength": int,
+    "vias": int | None,
+    "connected": bool | None,
+    "joined": int | None,
+    "tasks": int | None,
+    "proven": bool | None,
+    "seconds": float | int | None,
+    "gap": float | int | None,
+}
+"""What a row holds: ``router`` is the name of the entry, ``kind`` what routes. ``proven``: whether
+the solution is known to be optimal; ``gap``: to such a one, in %. None where there is nothing to
+say: only overflow and wirelength are published."""
+
+THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+# --- what an experiment is told -------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentConfig:
+    """An experiment, as a YAML file holds it; ``configs/yardstick.yaml`` explains the keys.
+
+    Attributes:
+        out: the folder of the experiment; it may hold the same experiment, which then goes on.
+        seeds: one run of each router that draws random numbers for every seed.
+        jobs: processes at work; None: one a core.
+        reference: the name of a router that all others are compared with, besides A*.
+        problems: problem sources by the set's name (as ``env.problem`` of a training); or a
+            folder, whose ``.gr`` files are a set and whose folders with such files are one each.
+        routers: options by the name that tables call the router, with the keys ``router``, a name
+            of :data:`policies.routers.ROUTERS` or ``published``, and ``only``, the sets that it
+            is for; all the others are the router's own. For ``dqn`` see :class:`Training`, for
+            ``published`` :class:`Published`. What is left out is filled in.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    out: str = "runs/experiment"
+    seeds: tuple[int, ...] = (0,)
+    jobs: int | None = None
+    reference: str | None = None
+    problems: Any = None
+    routers: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check("seeds", len(self.seeds) > 0, "at least one")
+        check("seeds", all(0 <= seed < 2**63 for seed in self.seeds), "numbers from 0")
+        check("seeds", len(set(self.seeds)) == len(self.seeds), "every seed once")
+        check("jobs", self.jobs is None or 1 <= self.jobs <= 1024, "a number from 1 to 1024")
+        check("problems", isinstance(self.problems, str | dict), "a folder or sets by their name")
+        check("problems", len(self.problems) > 0, "at least one set")
+        check("routers", len(self.routers) > 0, "at least one")
+        for name in self.problems if isinstance(self.problems, dict) else ():
+            _check_set(name)
+        for name in self.routers:  # in files a dot and the seed follow
+            named = re.fullmatch(r"\w[\w-]*", name)
+            check(f"routers.{name}", named, "a name of letters, digits, _ and -")
+        if self.reference is not None and self.reference not in self.routers:
+            raise unknown("reference", self.reference, tuple(self.routers))
+        plain = {entry.name: entry.plain for entry in self.entries}
+        object.__setattr__(self, "routers", plain)
+
+    @property
+    def entries(self) -> tuple["Entry", ...]:
+        """The routers; raises InputError for one that is none."""
+        return tuple(Entry.of(name, raw) for name, raw in self.routers.items())
+
+
+def _check_set(name: str) -> None:
+    """Raises InputError unless files can carry the name of a set."""
+    check(f"problems.{name}", re.fullmatch(r"\w[\w.-]*", name), "a name of letters, digits, _ - .")
+    check(f"problems.{name}", name != ALL, "another name: that is what all sets are called")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """The options of an entry of the router ``dqn``: what to train, or a trained policy.
+
+    Attributes:
+        config: a training's configuration that the other keys change.
+        stack: problems that one process trains side by side: more save time up to about ten. The
+            problems of a set are shared out to this many; with ``dqn.shared`` they are one stack.
+        env: keys of the game, as in a training's configuration; ``problem`` is the experiment's.
+        dqn: keys of the learner.
+        train: keys of the run. ``figures`` and ``tensorboard`` are off unless they stand here.
+        checkpoint: a trained policy, which walks; then nothing else stands here.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    config: str | None = None
+    stack: int = 10
+    env: dict[str, Any] = field(default_factory=dict)
+    dqn: dict[str, Any] = field(default_factory=dict)
+    train: dict[str, Any] = field(default_factory=dict)
+    checkpoint: str | None = None
+
+    def __post_init__(self) -> None:
+        check("stack", self.stack >= 1, "a number from 1")
+        check("env.problem", "problem" not in self.env, "none: the experiment has its sets")
+        told = self.config or self.env or self.dqn or self.train
+        check("checkpoint", not (self.checkpoint and told), "nothing to train beside it")
+
+    def resolved(self, where: str) -> dict[str, Any]:
+        """The same with every key of the training; raises InputError for one that there is not."""
+        if self.checkpoint:
+            return {"checkpoint": self.checkpoint}
+        raw = {} if self.config is None else read_yaml(self.config)
+        quiet = {"train": {"figures": False, "tensorboard": False}}
+        told = {"env": self.env, "dqn": self.dqn, "train": self.train}
+        plain = asdict(build(Config, _merged(_merged(raw, quiet), told), where))
+        del plain["env"]["problem"]
+        return {"stack": self.stack, **{part: plain[part] for part in ("env", "dqn", "train")}}
+
+
+def _merged(raw: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain data in which ``more`` goes before ``raw``, key by key."""
+    merged = dict(raw)
+    for key, value in more.items():
+        inner = merged.get(key)
+        if isinstance(inner, Mapping) and isinstance(value, Mapping):
+            value = _merged(inner, value)
+        merged[key] = value
+    return merged
+
+
+@dataclass(frozen=True, kw_only=True)
+class Published:
+    """The options of an entry ``published``: results of others, not judged here.
+
+    Attributes:
+        file: a CSV file with the columns ``set`` and ``problem``, and a row for every problem.
+        overflow: the column of the overflow.
+        wirelength: the column of the wirelength.
+        optimal: whether these are proven optima, which gaps are taken to.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    file: str
+    overflow: str = "overflow"
+    wirelength: str = "wirelength"
+    optimal: bool = False
+
+    def read(self) -> dict[tuple[str, str], tuple[int, int]]:
+        """Overflow and wirelength by set and problem; raises InputError naming file and line."""
+        found: dict[tuple[str, str], tuple[int, int]] = {}
+        try:
+            with Path(self.file).open(encoding="utf-8", newline="") as lines:
+                reader = csv.DictReader(lines)
+                for column in ("set", "problem", self.overflow, self.wirelength):
+                    if column not in (reader.fieldnames or ()):
+                        raise InputError(f"{self.file}:1: expected a column {column}")
+                for line in reader:
+                    where = f"{self.file}:{reader.line_num}"
+                    key = line["set"], line["problem"]
+                    if key in found:
+                        raise InputError(f"{where}: expected {'/'.join(key)} once")
+                    try:
+                        found[key] = int(line[self.overflow]), int(line[self.wirelength])
+                    except (TypeError, ValueError):
+                        raise InputError(f"{where}: expected whole numbers") from None
+        except OSError as error:
+            raise unusable(self.file, "cannot be read", error) from None
+        except (UnicodeDecodeError, csv.Error):
+            raise InputError(f"{self.file}: expected CSV in UTF-8") from None
+        return found
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A router of an experiment.
+
+    Attributes:
+        name: what tables call it.
+        router: what it is.
+        only: the sets that it is for; None: all.
+        options: all other options, in plain data, defaults included.
+    """
+
+    name: str
+    router: str
+    only: tuple[str, ...] | None
+    options: Mapping[str, Any]
+
+    @property
+    def trains(self) -> bool:
+        """Whether it is a DQN that is trained on the problems."""
+        return self.router == "dqn" and "checkpoint" not in self.options
+
+    @property
+    def seeded(self) -> bool:
+        """Whether it is run for every seed."""
+        if self.router in ("dqn", PUBLISHED):
+            return self.trains
+        return is_seeded(self.router)
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The entry as a configuration holds it."""
+        return {"router": self.router, "only": self.only, **self.options}
+
+    @staticmethod
+    def of(name: str, raw: Mapping[str, Any]) -> "Entry":
+        """An entry of a configuration; raises InputError if it is none."""
+        where = f"routers.{name}"
+        options = dict(raw)
+        router, only = options.pop("router", None), options.pop("only", None)
+        if router not in (*ROUTERS, PUBLISHED):
+            raise unknown(f"{where}: router", str(router), (*ROUTERS, PUBLISHED))
+        if only is not None and not (
+            isinstance(only, list | tuple) and all(isinstance(name, str) for name in only)
+        ):
+            raise InputError(f"{where}: only: expected a list of sets, found {only!r}")
+        if router == "dqn":
+            options = build(Training, options, where).resolved(where)
+        elif router == PUBLISHED:
+            options = asdict(build(Published, options, where))
+        else:
+            if "seed" in options and is_seeded(router):
+                raise InputError(f"{where}: seed: expected none: the experiment has its seeds")
+            options = asdict(build(schema(router), options, where))
+            options.pop("seed", None)
+        return Entry(name, router, None if only is None else tuple(only), options)
+
+
+def load_experiment(
+    path: str | os.PathLike[str], overrides: Sequence[str] = ()
+) -> ExperimentConfig:
+    """Reads the configuration of an experiment and changes single keys of it.
+
+    Args:
+        path: a YAML file.
+        overrides: as of :func:`policies.config.load_config`.
+
+    Raises:
+        InputError: names the file or key, what was expected and what was found.
+    """
+    return build(ExperimentConfig, override(read_yaml(path), overrides), os.fspath(path))
+
+
+def load_sets(problems: str | Mapping[str, Any]) -> dict[str, dict[str, Problem]]:
+    """The sets of an experiment: problems by name, by the set's name; raises InputError."""
+    if isinstance(problems, Mapping):
+        sets = {}
+        for name, source in problems.items():
+            try:
+                sets[name] = load_problems(source)
+            except InputError as error:
+                raise InputError(f"problems.{name}: {error}") from None
+        return sets
+    folder = Path(problems)
+    folders = [folder, *sorted(path for path in folder.glob("*") if path.is_dir())]
+    paths = {path.resolve().name: path for path in folders if any(path.glob("*.gr"))}
+    if not paths:
+        raise InputError(f"problems: {folder}: expected .gr files in this folder or those in it")
+    for name in paths:
+        _check_set(name)
+    return {name: load_problems(str(path)) for name, path in paths.items()}
+
+
+# --- a part of the work, in a process of its own --------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some problems of a set that one router routes, with one seed.
+
+    Attributes:
+        folder: of the experiment.
+        set: the set's name.
+        entry: the router.
+        seed: the seed; None for a router that draws no random numbers.
+        name: what the part is called among those of the same router, set and seed.
+        problems: names of the problems.
+    """
+
+    folder: Path
+    set: str
+    entry: Entry
+    seed: int | None
+    name: str
+    problems: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        """The router's name with the seed, as files carry it."""
+        return self.entry.name if self.seed is None else f"{self.entry.name}.seed{self.seed}"
+
+    @property
+    def rows(self) -> Path:
+        """The file with the rows: there when the part is done."""
+        return self.folder / "rows" / self.set / self.label / f"{self.name}.json"
+
+    @property
+    def run(self) -> Path:
+        """The run folder of a training."""
+        return self.folder / "runs" / self.set / self.label / self.name
+
+    def problem(self, name: str) -> Path:
+        """The file of a problem."""
+        return self.folder / "problems" / self.set / f"{name}.gr"
+
+    def solution(self, name: str) -> Path:
+        """The file for the solution of a problem."""
+        return self.folder / "solutions" / self.set / f"{name}.{self.label}.solution"
+
+    def work(self) -> None:
+        """Routes the problems; writes the solutions, and then the rows."""
+        try:
+            if self.entry.router == PUBLISHED:
+                rows = self.quote()
+            elif self.entry.trains:
+                rows = self._train()
+            else:
+                rows = [self._route(name) for name in self.problems]
+        except InputError as error:
+            raise InputError(f"{self.set}, {self.label}: {error}") from None
+        about = {"set": self.set, "router": self.entry.name, "kind": self.entry.router}
+        full = [{**dict.fromkeys(COLUMNS), **row, **about, "seed": self.seed} for row in rows]
+        write_text(self.rows, json.dumps(full, indent=1) + "\n")
+
+    def quote(self) -> list[Row]:
+        """The rows of a published router; raises InputError if one is missing."""
+        published = Published(**self.entry.options)
+        found = published.read()
+        rows = []
+        for name in self.problems:
+            if (self.set, name) not in found:
+                raise InputError(f"{published.file}: expected a row for {self.set},{name}")
+            overflow, wirelength = found[self.set, name]
+            figures = {"overflow": overflow, "wirelength": wirelength}
+            rows.append({"problem": name, **figures, "proven": published.optimal})
+        return rows
+
+    def _route(self, name: str) -> Row:
+        problem = Problem.read(self.problem(name))
+        router = self._router(name)
+        self._warm_up(router)
+        started = time.perf_counter()
+        solution, proven = _solve(router, problem)
+        seconds = time.perf_counter() - started
+        solution.write(self.solution(name))
+        figures = asdict(evaluate(problem, solution))
+        del figures["disconnected"]
+        return {"problem": name, **figures, "proven": proven, "seconds": round(seconds, 6)}
+
+    def _router(self, problem: str) -> Router:
+        if self.entry.router == "dqn":
+            from policies.learned.router import DQNRouter
+
+            return DQNRouter(checkpoint=self.entry.options["checkpoint"], network=problem)
+        seed = {} if self.seed is None else {"seed": self.seed}
+        return make_router(self.entry.router, {**self.entry.options, **seed})
+
+    def _warm_up(self, router: Router) -> None:
+        """Routes a small problem once a process: compiling is no part of a router's time."""
+        if self.entry.name not in _warm:
+            router.route(generate(1, (4, 4, 2), nets=6, capacity=1, reduced_edges=0)[0])
+            _warm.add(self.entry.name)
+
+    def _train(self) -> list[Row]:
+        from policies.learned import run as folders
+
+        kept = self.run / folders.CONFIG
+        if not (self.run / folders.POLICY).exists():
+            config = load_config(kept) if kept.exists() else self._training()
+            # The folder may have another name than when it was started.
+            config = replace(config, out=str(self.run))
+            folders.Run(config, resume=kept.exists(), progress=False).execute()
+        # The memories of what is done are no use to anybody, and large.
+        (self.run / folders.CHECKPOINT).unlink(missing_ok=True)
+        named = _read_rows(self.run / folders.RESULT, {"router": str, "problem": str})
+        rows = [row for row in named if row["router"] == "dqn"]
+        for row in rows:
+            name = row["problem"]
+            problem = Problem.read(self.problem(name))
+            solution = Solution.read(self.run / "solutions" / f"{name}.dqn.solution", problem)
+            solution.write(self.solution(name))
+        return rows
+
+    def _training(self) -> Config:
+        parts = {key: dict(self.entry.options[key]) for key in ("env", "dqn", "train")}
+        parts["env"]["problem"] = [str(self.problem(name)) for name in self.problems]
+        return build(Config, {"seed": self.seed, **parts})
+
+
+_warm: set[str] = set()
+"""The routers that this process has used."""
+
+
+def _solve(router: Router, problem: Problem) -> tuple[Solution, bool | None]:
+    """A solution, and whether it is proven to be optimal; None for routers that prove nothing."""
+    if router.name != "optimal":
+        return router.route(problem), None
+    from policies.classical.optimal import OptimalRouter
+
+    assert isinstance(router, OptimalRouter)
+    found = router.solve(problem)
+    return found.solution, found.status == "optimal"
+
+
+def _read_rows(path: Path, columns: Mapping[str, Any] = COLUMNS) -> list[Row]:
+    """The rows in a file, with these columns at least; raises InputError if it holds none."""
+    try:
+        rows = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise unusable(path, "cannot be read", error) from None
+    except (ValueError, RecursionError):
+        rows = None
+    if not isinstance(rows, list) or not all(
+        isinstance(row, dict)
+        and all(name in row and isinstance(row[name], kind) for name, kind in columns.items())
+        for row in rows
+    ):
+        raise InputError(f"{path}: expected rows in JSON, with {', '.join(columns)}")
+    return rows
+
+
+def read_results(folder: Path) -> list[Row]:
+    """The rows of an experiment that is done; raises InputError."""
+    return _read_rows(folder / RESULTS)
+
+
+# --- processes ------------------------------------------------------------------------------------
+
+
+def _begin(lifeline: Connection) -> None:
+    """What a process does first: it will end with the one that started it."""
+    # Ctrl-C goes to all processes of a terminal; only the first one answers it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
+
+
+def _end_with(lifeline: Connection) -> None:
+    """Waits until the other end is closed, by will or with its process, and ends this one."""
+    with contextlib.suppress(EOFError, OSError):
+        lifeline.recv_bytes()
+    os._exit(1)
+
+
+@contextlib.contextmanager
+def _starting(threads: int) -> Iterator[None]:
+    """While processes are started: how many threads each takes, and no Ctrl-C in its imports."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, str(threads)))
+    block = getattr(signal, "pthread_sigmask", None)
+    mask = block(signal.SIG_BLOCK, {signal.SIGINT}) if block else None
+    try:
+        yield
+    finally:
+        if block:
+            block(signal.SIG_SETMASK, mask)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def cores() -> int:
+    """The cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def work_on(parts: Sequence[Part], jobs: int, threads: int) -> Iterator[list[Part]]:
+    """Works on parts in processes of their own.
+
+    Args:
+        parts: the work.
+        jobs: processes at once, at most.
+        threads: that each process may take.
+
+    Yields:
+        About every second the parts that have been done since.
+
+    Raises:
+        InputError: of a part, or a process was killed. What the others were at is lost up to
+            their last checkpoints then, and so it is when the iteration ends early.
+    """
+    context = multiprocessing.get_context("spawn")
+    lifeline, mine = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(min(jobs, len(parts)), context, _begin, (lifeline,))
+    try:
+        with _starting(threads):
+            running = {pool.submit(part.work): part for part in parts}
+        while running:
+            done, _ = wait(running, timeout=1, return_when=FIRST_COMPLETED)
+            for future in done:
+                future.result()
+            yield [running.pop(future) for future in done]
+    except BrokenProcessPool:
+        raise InputError(
+            "a process at work was killed, perhaps for want of memory: expected fewer jobs, or "
+            "smaller ones; the same command goes on from here"
+        ) from None
+    finally:
+        mine.close()
+        pool.shutdown(cancel_futures=True)
+        lifeline.close()
+
+
+class _Lines:
+    """Counts the lines of a growing file without reading any twice."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._read = self._count = 0
+
+    def count(self) -> int:
+        """How many there are by now; 0 as long as there is no file."""
+        try:
+            if self._path.stat().st_size < self._read:  # cut off by a training that goes on
+                self._read = self._count = 0
+            with self._path.open("rb") as lines:
+                lines.seek(self._read)
+                new = lines.read()
+        except OSError:
+            return self._count
+        self._read += len(new)
+        self._count += new.count(b"\n")
+        return self._count
+
+
+# --- the whole ------------------------------------------------------------------------------------
+
+
+class Experiment:
+    """An experiment in its folder, new or to go on with.
+
+    Its processes import the main module: a script that runs one needs the usual
+    ``if __name__ == "__main__":``.
+
+    Args:
+        config: what to do, as :func:`load_experiment` gives it.
+        progress: whether to show a progress bar on standard error.
+
+    Raises:
+        InputError: the configuration, a problem or the folder cannot be used, or the folder holds
+            something else.
+    """
+
+    def __init__(self, config: ExperimentConfig, *, progress: bool = True) -> None:
+        self.config = config
+        self.folder = Path(config.out)
+        self._progress = progress
+        self.entries = config.entries
+        kept = self.folder / CONFIG
+        started = kept.exists()
+        if started:
+            self._check_same(kept)
+        sets = self._kept_sets() if started else load_sets(config.problems)
+        # In an order that does not depend on where they come from.
+        self.sets = {name: dict(sorted(sets[name].items())) for name in sets}
+        for entry in self.entries:
+            for name in entry.only or ():
+                if name not in self.sets:
+                    raise unknown(f"routers.{entry.name}.only", name, tuple(self.sets))
+        if not started:
+            self._start(kept)
+
+    def _check_same(self, kept: Path) -> None:
+        if "routers" not in read_yaml(kept):
+            raise InputError(f"{self.folder}: holds a training: expected another out=")
+        # Neither changes what the rows hold.
+        before = replace(load_experiment(kept), out=self.config.out, jobs=self.config.jobs)
+        check_same(asdict(self.config), asdict(before), kept)
+
+    def _kept_sets(self) -> dict[str, dict[str, Problem]]:
+        """The sets in the folder, in the order of the configuration."""
+        folder = self.folder / "problems"
+        names = sorted(path.name for path in folder.iterdir() if path.is_dir())
+        if isinstance(self.config.problems, Mapping):
+            names = list(self.config.problems)
+        return {name: load_problems(str(folder / name)) for name in names}
+
+    def _start(self, kept: Path) -> None:
+        """Writes the problems, and then the configuration."""
+        if (self.folder / "rows").exists():
+            raise InputError(f"{self.folder}: holds rows without {CONFIG}: expected another out=")
+        known = {f"{name}/{problem}.gr" for name, own in self.sets.items() for problem in own}
+        for path in (self.folder / "problems").glob("*/*.gr"):
+            if f"{path.parent.name}/{path.name}" not in known:
+                raise InputError(f"{path}: expected no problems but the experiment's")
+        for part in self.parts:
+            if part.entry.router == PUBLISHED:
+                part.quote()  # complains now, not after hours
+        for name, problems in self.sets.items():
+            for problem in problems:
+                problems[problem].write(self.folder / "problems" / name / f"{problem}.gr")
+        plain = json.loads(json.dumps(asdict(self.config)))
+        write_text(kept, yaml.safe_dump(plain, sort_keys=False))
+
+    @cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """All the work, what takes longest first: so no process waits long for the last one."""
+        parts = [
+            Part(self.folder, name, entry, seed, share, problems)
+            for entry in sorted(self.entries, key=lambda entry: _SLOW.get(entry.router, 0))
+            for name, own in self.sets.items()
+            if entry.only is None or name in entry.only
+            for seed in (self.config.seeds if entry.seeded else (None,))
+            for share, problems in _shares(entry, own).items()
+        ]
+        return tuple(parts)
+
+    def execute(self) -> dict[str, Any]:
+        """Does what is left to do and writes the results; returns what ``summary.json`` holds."""
+        left = [part for part in self.parts if not part.rows.exists()]
+        if left:
+            self._work(left)
+        rows = self._rows()
+        reference = self.config.reference
+        sets = {name: summarise(own, reference) for name, own in by_set(rows).items()}
+        summary = {"reference": reference, "sets": sets}
+        write_text(self.folder / RESULTS, json.dumps(rows, indent=1) + "\n")
+        write_text(self.folder / "results.csv", _csv(rows))
+        write_text(self.folder / SUMMARY, json.dumps(summary, indent=1) + "\n")
+        from policies.plot import experiment_figures
+
+        experiment_figures(self.folder)
+        return summary
+
+    def _work(self, left: Sequence[Part]) -> None:
+        """Works on parts and shows how many of all problems are done."""
+        trainings = {
+            part.run: (_Lines(part.run / "metrics.jsonl"), part.entry.options["train"])
+            for part in left
+            if part.entry.trains
+        }
+        threads = max((train["threads"] for _, train in trainings.values()), default=1)
+        total = sum(len(part.problems) for part in self.parts)
+        done = total - sum(len(part.problems) for part in left)
+        with self._bar() as bar:
+            task = bar.add_task(str(self.folder), total=total, completed=done)
+            for parts in work_on(left, self.config.jobs or cores(), threads):
+                for part in parts:
+                    trainings.pop(part.run, None)
+                    done += len(part.problems)
+                # A line is an episode of one problem.
+                begun = sum(
+                    lines.count() / train["episodes"] for lines, train in trainings.values()
+                )
+                bar.update(task, completed=done + begun)
+
+    def _bar(self) -> Progress:
+        return Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("problems"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            disable=not self._progress,
+        )
+
+    def _rows(self) -> list[Row]:
+        """All rows, by set, problem, router and seed in the order of the configuration."""
+        rows = {}
+        for part in self.parts:
+            for row in _read_rows(part.rows):
+                rows[part.set, row["problem"], part.entry.name, part.seed] = row
+        ordered = [
+            rows[name, problem, entry.name, seed]
+            for name, own in self.sets.items()
+            for problem in own
+            for entry in self.entries
+            if entry.only is None or name in entry.only
+            for seed in (self.config.seeds if entry.seeded else (None,))
+        ]
+        add_gaps(ordered)
+        return ordered
+
+
+_SLOW = {"dqn": -2, "optimal": -1}
+"""Routers that take longest, and the order that puts them first."""
+
+
+def _shares(entry: Entry, problems: Mapping[str, Problem]) -> dict[str, tuple[str, ...]]:
+    """The problems of a set in the parts that one process does at a time, by the part's name."""
+    if entry.router == PUBLISHED:
+        return {"all": tuple(problems)}
+    if not entry.trains:
+        return {name: (name,) for name in problems}
+    grids: dict[tuple[int, int, int], list[str]] = {}
+    for name, problem in problems.items():
+        grids.setdefault(problem.grid, []).append(name)  # a stack has one grid shape
+    size = entry.options["stack"]
+    if entry.options["dqn"]["shared"]:
+        if len(grids) > 1:
+            raise InputError(
+                f"routers.{entry.name}.dqn.shared: expected a set of one grid shape, "
+                f"found {sorted(grids)}"
+            )
+        size = len(problems)
+    stacks = [
+        tuple(names[i : i + size]) for names in grids.values() for i in range(0, len(names), size)
+    ]
+    return {f"stack_{i:03d}": stack for i, stack in enumerate(stacks)}
+
+
+def _csv(rows: Sequence[Row]) -> str:
+    """Rows as CSV; empty where there is nothing to say."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,258 @@
+"""What the rows of an experiment say: gaps, wins, means and their intervals.
+
+A row (:class:`policies.experiment.Experiment`) is one router on one problem with one seed.
+Everything is first worked out for each row, then averaged over a problem's seeds, and then summed
+or averaged over the problems: intervals are over problems, spreads over seeds.
+"""
+
+import itertools
+import math
+import warnings
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
+
+Row = dict[str, Any]
+
+CONFIDENCE = 0.95
+"""Of all intervals."""
+
+ALL = "all"
+"""What all sets together are called; no set is."""
+
+_Problems = Mapping[tuple[str, str], Sequence[Row]]
+"""The rows of one router: for each set and problem one a seed."""
+
+
+def rank(row: Mapping[str, Any]) -> tuple[int, int, int]:
+    """What solutions are compared by, lower being better: open connections, overflow, wirelength.
+
+    Published rows say nothing of open connections; they count as joined.
+    """
+    open_connections = 0 if row["joined"] is None else row["tasks"] - row["joined"]
+    return open_connections, row["overflow"], row["wirelength"]
+
+
+def add_gaps(rows: Sequence[Row]) -> None:
+    """Fills ``gap`` of every row: its wirelength above the proven optimum's, in %.
+
+    None where no row of the problem is proven, or where the solution has open connections or
+    overflow that the optimum has not: then less wirelength is no merit.
+    """
+    optimum: dict[tuple[str, str], Row] = {}
+    for row in rows:
+        if row["proven"]:
+            optimum.setdefault((row["set"], row["problem"]), row)
+    for row in rows:
+        best = optimum.get((row["set"], row["problem"]))
+        comparable = best is not None and rank(row)[:2] == rank(best)[:2]
+        row["gap"] = (
+            100 * (row["wirelength"] / best["wirelength"] - 1) if best and comparable else None
+        )
+
+
+def mean_interval(values: NDArray[np.float64]) -> dict[str, float | None]:
+    """The mean of (n,) values and its 95 % interval by Student's t.
+
+    Returns:
+        ``mean``, ``low`` and ``high``; None for what so few values do not say.
+    """
+    count = len(values)
+    mean = float(values.mean()) if count else None
+    if mean is None or count < 2:
+        return {"mean": mean, "low": None, "high": None}
+    half = float(stdtrit(count - 1, (1 + CONFIDENCE) / 2) * values.std(ddof=1) / math.sqrt(count))
+    return {"mean": mean, "low": mean - half, "high": mean + half}
+
+
+def share_interval(share: float, count: int) -> tuple[float, float]:
+    """The 95 % interval of a share of ``count`` problems by Wilson's score (1927)."""
+    z = float(ndtri((1 + CONFIDENCE) / 2))
+    centre = (share + z * z / (2 * count)) / (1 + z * z / count)
+    half = z * math.sqrt(share * (1 - share) / count + (z / (2 * count)) ** 2) / (1 + z * z / count)
+    return max(centre - half, 0.0), min(centre + half, 1.0)
+
+
+def by_router(rows: Sequence[Row]) -> dict[str, dict[tuple[str, str], list[Row]]]:
+    """The rows of every router, for each set and problem one a seed, in the order they come."""
+    grouped: dict[str, dict[tuple[str, str], list[Row]]] = defaultdict(lambda: defaultdict(list))
+    for row in rows:
+        grouped[row["router"]][row["set"], row["problem"]].append(row)
+    return {name: dict(problems) for name, problems in grouped.items()}
+
+
+def by_set(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """The rows of every set; of several sets also ``all``, of the routers that are for all."""
+    grouped: dict[str, list[Row]] = defaultdict(list)
+    for row in rows:
+        grouped[row["set"]].append(row)
+    sets = dict(grouped)
+    routers = by_router(rows).items()
+    everywhere = {name for name, own in routers if {key[0] for key in own} == sets.keys()}
+    if len(sets) > 1 and everywhere:
+        sets[ALL] = [row for row in rows if row["router"] in everywhere]
+    return sets
+
+
+def baseline(rows: Sequence[Row]) -> str | None:
+    """The router that counts as A*: the first of kind ``astar``."""
+    return next((row["router"] for row in rows if row["kind"] == "astar"), None)
+
+
+def joined_wirelength(problems: _Problems) -> NDArray[np.float64]:
+    """(problems,) wirelength, averaged over the seeds; NaN where connections stayed open."""
+
+    def value(row: Row) -> float | None:
+        return None if rank(row)[0] else row["wirelength"]
+
+    return _over_seeds(_values(problems, value))
+
+
+def overflow(problems: _Problems) -> NDArray[np.float64]:
+    """(problems,) overflow, averaged over the seeds."""
+    return _over_seeds(_values(problems, lambda row: row["overflow"]))
+
+
+def _values(problems: _Problems, value: Callable[[Row], float | None]) -> NDArray[np.float64]:
+    """(problems, seeds) a value of every row; NaN for None."""
+    return np.array([[value(row) for row in rows] for rows in problems.values()], np.float64)
+
+
+def _against(
+    problems: _Problems, others: _Problems, value: Callable[[Row, Row], float]
+) -> NDArray[np.float64]:
+    """(problems, seeds) a value of every row and the other router's, seed by seed."""
+
+    def pairs(rows: Sequence[Row], other: Sequence[Row]) -> list[tuple[Row, Row]]:
+        # A router without seeds has one row, which all seeds of the other stand against.
+        count = max(len(rows), len(other))
+        cycles = itertools.cycle(rows), itertools.cycle(other)
+        return list(itertools.islice(zip(*cycles, strict=False), count))
+
+    return np.array(
+        [[value(*pair) for pair in pairs(rows, others[key])] for key, rows in problems.items()],
+        np.float64,
+    )
+
+
+def _over_seeds(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(problems,) the means over the seeds, of those that are there."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of nothing but NaN
+        return np.asarray(np.nanmean(values, axis=1), np.float64)
+
+
+def summarise(rows: Sequence[Row], reference: str | None = None) -> list[dict[str, Any]]:
+    """One summary a router, in the order of the rows.
+
+    Args:
+        rows: of one set of problems, or of several taken as one; every router on all problems.
+        reference: a router to compare all others with, besides A*.
+
+    Returns:
+        For each router:
+
+        ``router``, ``kind``, ``problems`` and ``seeds`` (how many);
+        ``overflow`` in all; ``zero_overflow``, the problems with none and every connection made;
+        ``open`` connections in all;
+        ``wirelength``: ``mean``, ``low`` and ``high`` (95 % by Student's t over the problems);
+        ``gap``: the same of the gap to the optimum in %, and ``problems``, on how many it is known;
+        ``lower_wirelength``: ``percent`` of the problems with less wirelength than A* and no more
+        open connections (the paper's "DRL win"), ``low`` and ``high`` (95 % by Wilson's score);
+        ``astar`` and ``reference``: ``wins``, ``ties`` and ``losses`` by :func:`rank`;
+        ``seconds``: the median over the problems;
+        ``spread``: standard deviations over the seeds of the figures of the set; None for one seed.
+
+        None stands for what there is not. With several seeds counts need not be whole.
+    """
+    grouped = by_router(rows)
+    astar = baseline(rows)
+    return [
+        _summary(
+            name,
+            problems,
+            None if astar in (None, name) else grouped[astar],
+            None if reference == name else grouped.get(reference or ""),
+        )
+        for name, problems in grouped.items()
+    ]
+
+
+def _summary(
+    name: str, problems: _Problems, astar: _Problems | None, reference: _Problems | None
+) -> dict[str, Any]:
+    first = next(iter(problems.values()))
+    overflow = _values(problems, lambda row: row["overflow"])
+    wirelength = _values(problems, lambda row: row["wirelength"])
+    clean = _values(problems, lambda row: rank(row)[:2] == (0, 0))
+    gap = _values(problems, lambda row: row["gap"])
+    lower = None if astar is None else _against(problems, astar, _is_lower)
+    gaps = _over_seeds(gap)
+    gaps = gaps[~np.isnan(gaps)]
+    seconds = _over_seeds(_values(problems, lambda row: row["seconds"]))
+    return {
+        "router": name,
+        "kind": first[0]["kind"],
+        "problems": len(problems),
+        "seeds": len(first),
+        "overflow": _total(overflow),
+        "zero_overflow": _total(clean),
+        "open": _total(_values(problems, lambda row: rank(row)[0])),
+        "wirelength": mean_interval(_over_seeds(wirelength)),
+        "gap": {**mean_interval(gaps), "problems": len(gaps)} if len(gaps) else None,
+        "lower_wirelength": None if lower is None else _share(lower),
+        "astar": None if astar is None else _record(problems, astar),
+        "reference": None if reference is None else _record(problems, reference),
+        "seconds": None if np.isnan(seconds).any() else float(np.median(seconds)),
+        "spread": None
+        if len(first) == 1
+        else {
+            "overflow": _spread(overflow.sum(axis=0)),
+            "zero_overflow": _spread(clean.sum(axis=0)),
+            "wirelength": _spread(wirelength.mean(axis=0)),
+            "gap": _spread(_over_seeds(gap.T)),
+            "lower_wirelength": None if lower is None else _spread(100 * lower.mean(axis=0)),
+        },
+    }
+
+
+def _is_lower(row: Row, other: Row) -> float:
+    """Whether a row has less wirelength than another and no more open connections."""
+    return rank(row)[0] <= rank(other)[0] and row["wirelength"] < other["wirelength"]
+
+
+def _record(problems: _Problems, others: _Problems) -> dict[str, float]:
+    """Wins, ties and losses against another router."""
+
+    def sign(row: Row, other: Row) -> int:
+        return (rank(row) > rank(other)) - (rank(row) < rank(other))
+
+    signs = _against(problems, others, sign)
+    return {
+        "wins": _total(signs < 0),
+        "ties": _total(signs == 0),
+        "losses": _total(signs > 0),
+    }
+
+
+def _share(holds: NDArray[np.float64]) -> dict[str, float]:
+    """The percentage of problems (problems, seeds) for which something holds."""
+    share = float(_over_seeds(holds).mean())
+    low, high = share_interval(share, len(holds))
+    return {"percent": 100 * share, "low": 100 * low, "high": 100 * high}
+
+
+def _total(values: NDArray[np.floating | np.bool_]) -> float:
+    """The sum over (problems, seeds) of the means over the seeds; an int where it is whole."""
+    total = float(_over_seeds(values.astype(np.float64)).sum())
+    return round(total) if math.isclose(total, round(total), abs_tol=1e-9) else total
+
+
+def _spread(of_seeds: NDArray[Any]) -> float | None:
+    """The standard deviation over (seeds,) figures; None where a seed has none."""
+    spread = float(np.std(of_seeds, ddof=1))
+    return None if math.isnan(spread) else spread

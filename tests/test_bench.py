@@ -1,0 +1,81 @@
+"""The speed command: what it measures is there and adds up; how fast it is, no test asks."""
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from policies import cli
+from policies.bench import SECTIONS, Bench, operations, rate
+
+
+def test_rates_are_taken_in_turns() -> None:
+    calls: list[str] = []
+
+    def work(name: str, done: float) -> float:
+        calls.append(name)
+        return done
+
+    bench = Bench(repeats=3)
+    row = bench.versus("a", "things/s", lambda: work("a", 4), "b", lambda: work("b", 2))
+    assert calls == ["a", "b"] * 4  # the first time is not kept
+    assert row.against is not None
+    assert row.ratio == pytest.approx(row.value / row.against)
+    assert row.best >= row.value > 0
+    assert rate(lambda: 0.0) == 0
+
+
+def test_operations_of_a_gradient_step() -> None:
+    # One layer of 3 by 5: forward twice, and its derivative by weights, two operations each.
+    assert operations((3, 5), 7) == 2 * 7 * 3 * 15
+    # A second layer of 5 by 2 adds its derivative by the inputs.
+    assert operations((3, 5, 2), 7) == 2 * 7 * (3 * 15 + 4 * 10)
+
+
+def test_the_command_prints_and_stores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "speed.json"
+    assert cli.status(["bench", "search", "--repeats", "1", "--out", str(file), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads(file.read_text())
+    assert printed["machine"]["numba"]
+    (row, *_) = printed["rows"]
+    assert row["section"] == "search"
+    assert row["unit"] == "problems/s"
+    assert row["ratio"] == pytest.approx(row["value"] / row["against"])
+    assert cli.status(["bench", "search", "--repeats", "1"]) == 0
+    assert "sequential A*" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["everything"], "everything: expected one of start"),
+        (["search", "--repeats", "0"], "repeats"),
+        (["search", "--threads", "0"], "threads"),
+        (["search", "--out", "/dev/null/x.json"], "/dev/null/x.json"),
+        pytest.param(
+            ["jumanji"],
+            "expected the package jumanji",
+            marks=pytest.mark.skipif(find_spec("jumanji") is not None, reason="it is installed"),
+        ),
+    ],
+)
+def test_what_cannot_be_measured(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.status(["bench", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert message in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("section", [name for name in SECTIONS if name != "jumanji"])
+def test_every_section_measures(section: str) -> None:
+    rows = list(SECTIONS[section](Bench(repeats=1)))
+    assert rows
+    for row in rows:
+        assert row.value > 0
+        assert row.best > 0

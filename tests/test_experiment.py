@@ -1,0 +1,940 @@
+"""Experiments: what they find, that they go on after any stop, and what their figures say."""
+
+import csv
+import itertools
+import json
+import math
+import multiprocessing
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from marouting import InputError, Problem, Solution, evaluate, generate
+from policies import experiment, figures, plot
+from policies.classical.astar import AStarRouter
+from policies.classical.random import RandomRouter
+from policies.cli import status
+from policies.config import load_config
+from policies.experiment import COLUMNS, Experiment, load_experiment, load_sets, work_on
+from policies.learned.router import QPolicy
+from policies.learned.trainer import Trainer
+from policies.routers import ROUTERS, is_seeded, make_router
+from policies.statistics import (
+    add_gaps,
+    by_router,
+    by_set,
+    joined_wirelength,
+    mean_interval,
+    rank,
+    share_interval,
+    summarise,
+)
+
+ROOT = Path(__file__).resolve().parents[1]
+PNG = b"\x89PNG\r\n\x1a\n"
+SMALL = {"count": 3, "grid": [4, 4, 2], "nets": 3, "capacity": 2, "seed": 1}
+OTHER = {"count": 2, "grid": [5, 4, 2], "nets": 4, "capacity": 2, "seed": 2}
+DQN: dict[str, Any] = {
+    "router": "dqn",
+    "stack": 2,
+    "env": {"max_steps": 12},
+    "dqn": {"burn_in_size": 100, "buffer_size": 500, "hidden": [8], "epsilon": 0.3},
+    "train": {"episodes": 5},
+}
+"""A training that takes a moment."""
+
+OPTIMA = {("small", 0): 20, ("small", 1): 19, ("small", 2): 18, ("other", 0): 30, ("other", 1): 29}
+"""What the tests take for published optima, of wirelength; overflow 0."""
+
+
+def write_config(path: Path, **keys: Any) -> Path:
+    """A configuration of A* on three small problems, but for some keys."""
+    config = {
+        "out": str(path.parent / "out"),
+        "jobs": 2,
+        "problems": {"small": SMALL},
+        "routers": {"astar": {"router": "astar"}},
+    }
+    path.write_text(yaml.safe_dump({**config, **keys}, sort_keys=False))
+    return path
+
+
+def everything(folder: Path, **keys: Any) -> Path:
+    """A configuration with all kinds of routers but those that take long to compile."""
+    published = folder / "published.csv"
+    lines = [f"{name},problem_{i:03d},0,{length}\n" for (name, i), length in OPTIMA.items()]
+    published.write_text("set,problem,over,length\n" + "".join(lines))
+    quoted = {"router": "published", "file": str(published), "overflow": "over"}
+    routers = {
+        "random": {"router": "random", "max_steps": 9},
+        "astar": {"router": "astar"},
+        "up": {"router": "astar", "net_order": "half_perimeter_up", "only": ["small"]},
+        "dqn": DQN,
+        "best": {**quoted, "wirelength": "length", "optimal": True},
+    }
+    sets = {"small": SMALL, "other": OTHER}
+    config = {"seeds": [0, 4], "reference": "random", "problems": sets, "routers": routers}
+    return write_config(folder / "all.yaml", **{**config, **keys})
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a whole experiment, made with two processes."""
+    config = load_experiment(everything(tmp_path_factory.mktemp("experiment")))
+    Experiment(config, progress=False).execute()
+    return Path(config.out)
+
+
+def results(folder: Path) -> list[dict[str, Any]]:
+    """The rows without the times, which differ."""
+    rows: list[dict[str, Any]] = json.loads((folder / "results.json").read_text())
+    for row in rows:
+        seconds = row.pop("seconds")
+        assert (seconds is None) == (row["kind"] == "published")
+        assert seconds is None or seconds > 0
+    return rows
+
+
+def outcome(folder: Path) -> dict[str, Any]:
+    """What has to be the same however an experiment came to its end."""
+    solutions = sorted((folder / "solutions").rglob("*.solution"))
+    logs = sorted((folder / "runs").rglob("metrics.jsonl"))
+    return {
+        "rows": results(folder),
+        **{str(p.relative_to(folder)): p.read_bytes() for p in (*solutions, *logs)},
+    }
+
+
+def untimed(sets: dict[str, Any]) -> dict[str, Any]:
+    """Summaries without the times."""
+    return {
+        name: [{key: value for key, value in row.items() if key != "seconds"} for row in rows]
+        for name, rows in sets.items()
+    }
+
+
+@pytest.fixture
+def _undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests that look at no picture: they take a second each."""
+    monkeypatch.setattr(figures, "save", lambda _figure, _path: None)
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs a command that is refused, and gives the one line that says why."""
+
+    def run(*arguments: str | Path) -> str:
+        assert status([str(argument) for argument in arguments]) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        *_, line = err.splitlines()
+        assert line.startswith("marouting: ")
+        assert "Traceback" not in err
+        return line
+
+    return run
+
+
+# --- what an experiment finds ---------------------------------------------------------------------
+
+
+def test_rows_are_those_of_the_solutions(finished: Path) -> None:
+    rows = results(finished)
+    sizes = {"small": 3, "other": 2}
+    routers = [("random", 0), ("random", 4), ("astar", None), ("up", None), ("dqn", 0), ("dqn", 4)]
+    assert [(row["set"], row["problem"], row["router"], row["seed"]) for row in rows] == [
+        (name, f"problem_{i:03d}", router, seed)
+        for name, size in sizes.items()
+        for i in range(size)
+        for router, seed in [*routers, ("best", None)]
+        if router != "up" or name == "small"
+    ]
+    for row in rows:
+        if row["kind"] == "published":
+            continue
+        problem = Problem.read(finished / "problems" / row["set"] / f"{row['problem']}.gr")
+        seed = "" if row["seed"] is None else f".seed{row['seed']}"
+        file = f"{row['problem']}.{row['router']}{seed}.solution"
+        solution = Solution.read(finished / "solutions" / row["set"] / file, problem)
+        judged = asdict(evaluate(problem, solution))
+        del judged["disconnected"]
+        assert {name: row[name] for name in judged} == judged
+        if row["router"] == "random":
+            assert solution == RandomRouter(row["seed"], max_steps=9).route(problem)
+        elif row["kind"] == "astar":
+            order = "half_perimeter_up" if row["router"] == "up" else "half_perimeter"
+            assert solution == AStarRouter(net_order=order).route(problem)
+    problems = [
+        Problem.read(finished / "problems" / "small" / f"problem_{i:03d}.gr") for i in range(3)
+    ]
+    assert problems == generate(3, grid=(4, 4, 2), nets=3, capacity=2, seed=1)
+
+
+def test_a_network_learns_the_same_in_any_stack(finished: Path) -> None:
+    folder = finished / "runs" / "small" / "dqn.seed4"
+    assert sorted(path.name for path in folder.iterdir()) == ["stack_000", "stack_001"]
+    names = [f"problem_{i:03d}" for i in range(3)]
+    files = [finished / "problems" / "small" / f"{name}.gr" for name in names]
+    config = load_config(folder / "stack_000" / "config.yaml")
+    assert (config.seed, config.train.figures, config.env.max_steps) == (4, False, 12)
+    assert config.env.problem == tuple(map(str, files[:2]))
+    together = Trainer({path.stem: Problem.read(path) for path in files}, config)
+    for _ in together.run():
+        pass
+    for name, solution in together.solutions().items():
+        path = finished / "solutions" / "small" / f"{name}.dqn.seed4.solution"
+        assert Solution.read(path, solution.problem) == solution
+
+
+def test_published_rows_are_quoted(finished: Path) -> None:
+    quoted = [row for row in results(finished) if row["router"] == "best"]
+    assert {(row["set"], int(row["problem"][-3:])): row["wirelength"] for row in quoted} == OPTIMA
+    empty = ("seed", "max_overflow", "vias", "connected", "joined", "tasks")
+    for row in quoted:
+        assert (row["kind"], row["proven"], row["overflow"], row["gap"]) == (
+            "published",
+            True,
+            0,
+            0,
+        )
+        assert all(row[name] is None for name in empty)
+    assert not list((finished / "solutions").rglob("*best*"))
+
+
+def test_gaps_are_to_the_optimum(finished: Path) -> None:
+    seen = set()
+    for row in results(finished):
+        best = OPTIMA[row["set"], int(row["problem"][-3:])]
+        whole = row["kind"] == "published" or row["joined"] == row["tasks"]
+        known = whole and row["overflow"] == 0
+        seen.add(known)
+        assert row["gap"] == (
+            pytest.approx(100 * (row["wirelength"] - best) / best) if known else None
+        )
+    assert seen == {True, False}
+
+
+def test_results_are_written_in_both_forms(finished: Path) -> None:
+    rows = json.loads((finished / "results.json").read_text())
+    assert all(list(row) == list(COLUMNS) for row in rows)
+    with (finished / "results.csv").open(newline="") as file:
+        written = list(csv.DictReader(file))
+    expected = [
+        {name: "" if value is None else str(value) for name, value in row.items()} for row in rows
+    ]
+    assert written == expected
+
+
+def test_summary_is_that_of_the_rows(finished: Path) -> None:
+    rows = json.loads((finished / "results.json").read_text())
+    summary = json.loads((finished / "summary.json").read_text())
+    assert summary["reference"] == "random"
+    assert list(summary["sets"]) == ["small", "other", "all"]
+    for name, own in by_set(rows).items():
+        assert summary["sets"][name] == json.loads(json.dumps(summarise(own, "random")))
+    of_all = summary["sets"]["all"]
+    assert [row["router"] for row in of_all] == ["random", "astar", "dqn", "best"]
+    assert {row["problems"] for row in of_all} == {5}
+    small = {row["router"]: row for row in summary["sets"]["small"]}
+    assert small["astar"]["astar"] is None
+    assert small["random"]["reference"] is None
+    assert sum(small["up"]["astar"].values()) == 3
+    assert small["dqn"]["seeds"] == 2
+    assert set(small["dqn"]["spread"]) >= {"overflow", "wirelength", "lower_wirelength"}
+    assert small["astar"]["spread"] is None
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_one_process_finds_the_same_as_two(finished: Path, tmp_path: Path) -> None:
+    config = load_experiment(everything(tmp_path), ["jobs=1"])
+    summary = Experiment(config, progress=False).execute()
+    assert outcome(tmp_path / "out") == outcome(finished)
+    kept = json.loads((finished / "summary.json").read_text())
+    assert untimed(json.loads(json.dumps(summary["sets"]))) == untimed(kept["sets"])
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_a_trained_policy_can_take_part(finished: Path, tmp_path: Path) -> None:
+    """Of several networks in a file each problem is walked by its own; nothing is trained."""
+    trained = finished / "runs" / "small" / "dqn.seed0" / "stack_000"
+    problems = [str(trained / "problems")]
+    routers = {"walk": {"router": "dqn", "checkpoint": str(trained / "policy.pt")}}
+    config = write_config(tmp_path / "c.yaml", problems={"two": problems}, routers=routers)
+    summary = Experiment(load_experiment(config, ["seeds=[0, 1]"]), progress=False).execute()
+    assert [row["seeds"] for row in summary["sets"]["two"]] == [1]
+    for path in sorted((trained / "problems").iterdir()):
+        problem = Problem.read(path)
+        walked = QPolicy.load(trained / "policy.pt", path.stem).route(problem)
+        file = tmp_path / "out" / "solutions" / "two" / f"{path.stem}.walk.solution"
+        assert Solution.read(file, problem) == walked
+
+
+# --- going on -------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_nothing_is_done_twice(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(finished, folder)
+    (folder / "results.json").unlink()
+    config = load_experiment(folder / "config.yaml", [f"out={folder}", "jobs=1"])
+    with monkeypatch.context() as patch:
+        patch.setattr(experiment, "work_on", None)
+        Experiment(config, progress=False).execute()
+    assert outcome(folder) == outcome(finished)
+    # And when some of it is missing, that is done, and no more.
+    lost = ["small/astar/problem_001.json", "small/dqn.seed0/stack_000.json"]
+    before = {path: path.stat().st_mtime_ns for path in (folder / "rows").rglob("*.json")}
+    for name in lost:
+        (folder / "rows" / name).unlink()
+    Experiment(config, progress=False).execute()
+    assert outcome(folder) == outcome(finished)
+    after = {path: path.stat().st_mtime_ns for path in (folder / "rows").rglob("*.json")}
+    changed = {
+        str(path.relative_to(folder / "rows")) for path in after if after[path] != before[path]
+    }
+    assert changed == set(lost)
+
+
+def test_problems_are_those_it_started_with(tmp_path: Path) -> None:
+    """Even if they were random ones, or their files are gone."""
+    config = write_config(tmp_path / "c.yaml", problems={"any": {**SMALL, "seed": None}})
+    Experiment(load_experiment(config), progress=False)
+    kept = {path.name: path.read_text() for path in (tmp_path / "out/problems/any").iterdir()}
+    again = Experiment(load_experiment(config), progress=False)
+    assert again.sets["any"] == {
+        f"problem_{i:03d}": Problem.read(tmp_path / f"out/problems/any/problem_{i:03d}.gr")
+        for i in range(3)
+    }
+    assert kept == {
+        path.name: path.read_text() for path in (tmp_path / "out/problems/any").iterdir()
+    }
+
+
+LONG = {
+    **DQN,
+    "env": {},
+    "stack": 1,
+    "train": {"episodes": 10**6, "checkpoint_seconds": 0},
+}
+
+
+def test_processes_end_with_the_experiment(tmp_path: Path) -> None:
+    config = write_config(tmp_path / "c.yaml", routers={"dqn": LONG})
+    whole = Experiment(load_experiment(config), progress=False)
+    others = set(multiprocessing.active_children())
+    work = work_on(whole.parts, 2, 1)
+    assert next(work) == []
+    assert len(set(multiprocessing.active_children()) - others) == 2
+    work.close()
+    assert not set(multiprocessing.active_children()) - others
+    work = work_on(whole.parts, 1, 1)
+    next(work)
+    for process in set(multiprocessing.active_children()) - others:
+        process.kill()
+    with pytest.raises(InputError, match="a process at work was killed"):
+        next(work)
+    assert not set(multiprocessing.active_children()) - others
+
+
+def test_threads_of_the_processes_are_set_for_them_alone(tmp_path: Path) -> None:
+    before = dict(os.environ)
+    experiment_of = Experiment(load_experiment(write_config(tmp_path / "c.yaml")), progress=False)
+    assert sum(map(len, work_on(experiment_of.parts, 1, 3))) == 3
+    assert dict(os.environ) == before
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
+
+
+def alive(group: int) -> bool:
+    """Whether a process of a group still runs."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
+def test_an_experiment_stopped_anywhere_goes_on_as_if_not(
+    sent: signal.Signals, tmp_path: Path
+) -> None:
+    training = {**DQN, "train": {"episodes": 150, "checkpoint_seconds": 0.2}}
+    routers = {"astar": {"router": "astar"}, "random": {"router": "random"}, "dqn": training}
+    keys = {"routers": routers, "seeds": [0, 1]}
+    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
+    for folder in (whole, stopped):
+        folder.mkdir()
+        write_config(folder / "c.yaml", **keys)
+    Experiment(load_experiment(whole / "c.yaml"), progress=False).execute()
+    command = [sys.executable, "-m", "policies.cli", "experiment", str(stopped / "c.yaml")]
+    runs = stopped / "out"
+    for stop in itertools.count(1):
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+        )
+        deadline = time.monotonic() + 120
+
+        def begun() -> int:
+            logs = sum(len(path.read_bytes()) for path in runs.glob("runs/*/*/*/metrics.jsonl"))
+            return logs + 1000 * len(list(runs.glob("rows/*/*/*.json")))
+
+        last = begun()
+        while begun() <= last + 500 and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.05)
+        if process.poll() is not None or stop == 4:
+            break
+        # To the first process alone: the others have to notice.
+        process.send_signal(sent)
+        _, errors = process.communicate(timeout=30)
+        assert process.returncode == (130 if sent == signal.SIGINT else -signal.SIGKILL)
+        assert b"Traceback" not in errors
+        while alive(process.pid) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert not alive(process.pid)
+    process.communicate(timeout=120)
+    assert process.returncode == 0
+    assert stop > 2
+    assert outcome(stopped / "out") == outcome(whole / "out")
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+SET = {"small": SMALL}
+ASTAR = {"a": {"router": "astar"}}
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "unknown key": ({"router": ASTAR}, "router: unknown key; did you mean routers?"),
+    "no routers": ({"routers": {}}, "routers: expected at least one"),
+    "no router": ({"routers": {"a": {}}}, "routers.a: router: unknown name 'None'"),
+    "unknown router": ({"routers": {"a": {"router": "astr"}}}, "did you mean astar?"),
+    "unknown option": ({"routers": {"a": {"router": "astar", "order": 1}}}, "order: unknown key"),
+    "wrong option": (
+        {"routers": {"a": {"router": "random", "max_steps": "x"}}},
+        "routers.a: max_steps: ",
+    ),
+    "seed of a router": ({"routers": {"a": {"router": "random", "seed": 1}}}, "a: seed: expected"),
+    "router's name": ({"routers": {"a.b": {"router": "astar"}}}, "routers.a.b: expected a name"),
+    "set's name": ({"problems": {"a/b": SMALL}}, "problems.a/b: expected a name"),
+    "set called all": ({"problems": {"all": SMALL}}, "problems.all: expected another name"),
+    "unknown reference": ({"reference": "astar"}, "reference: unknown name 'astar'"),
+    "only a text": ({"routers": {"a": {"router": "astar", "only": "small"}}}, "only: expected"),
+    "only elsewhere": (
+        {"routers": {"a": {"router": "astar", "only": ["smal"]}}},
+        "routers.a.only: unknown name 'smal'; did you mean small?",
+    ),
+    "no problems": ({"problems": {}}, "problems: expected at least one set"),
+    "problems a number": ({"problems": 3}, "problems: expected a folder or sets"),
+    "wrong problems": ({"problems": {"s": {"nets": 0}}}, "problems.s: "),
+    "no such folder": ({"problems": "nowhere"}, "problems: nowhere: expected .gr files"),
+    "no such file": ({"problems": {"s": "nowhere.gr"}}, "problems.s: nowhere.gr: "),
+    "no seeds": ({"seeds": []}, "seeds: expected at least one"),
+    "seeds twice": ({"seeds": [1, 1]}, "seeds: expected every seed once"),
+    "negative seed": ({"seeds": [-1]}, "seeds: expected numbers from 0"),
+    "no jobs": ({"jobs": 0}, "jobs: expected a number from 1"),
+    "unknown key of a training": (
+        {"routers": {"d": {"router": "dqn", "dqn": {"gama": 1}}}},
+        "routers.d: dqn.gama: unknown key; did you mean gamma?",
+    ),
+    "problem of a training": (
+        {"routers": {"d": {"router": "dqn", "env": {"problem": "p.gr"}}}},
+        "env.problem: expected none",
+    ),
+    "no such training": (
+        {"routers": {"d": {"router": "dqn", "config": "nowhere.yaml"}}},
+        "nowhere.yaml: cannot be read",
+    ),
+    "checkpoint and training": (
+        {"routers": {"d": {"router": "dqn", "checkpoint": "c.pt", "dqn": {"gamma": 1.0}}}},
+        "checkpoint: expected nothing to train",
+    ),
+    "empty stack": ({"routers": {"d": {"router": "dqn", "stack": 0}}}, "stack: expected"),
+    "shared by two grids": (
+        {
+            "problems": {"s": ["4.gr", "5.gr"]},
+            "routers": {"d": {"router": "dqn", "dqn": {"shared": True}}},
+        },
+        "routers.d.dqn.shared: expected a set of one grid shape",
+    ),
+    "no such publication": (
+        {"routers": {"p": {"router": "published", "file": "nowhere.csv"}}},
+        "nowhere.csv: cannot be read",
+    ),
+}
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder but for two problems of different grids."""
+    monkeypatch.chdir(tmp_path)
+    generate(1, grid=(4, 4, 2), nets=3)[0].write("4.gr")
+    generate(1, grid=(5, 4, 2), nets=3)[0].write("5.gr")
+    return tmp_path
+
+
+@pytest.mark.parametrize(("keys", "said"), REFUSED.values(), ids=REFUSED)
+def test_bad_configurations(
+    keys: dict[str, Any], said: str, here: Path, refused: Callable[..., str]
+) -> None:
+    config = write_config(here / "c.yaml", **{"routers": ASTAR, **keys})
+    assert said in refused("experiment", config)
+    assert not (here / "out" / "config.yaml").exists()
+    assert not (here / "out" / "rows").exists()
+
+
+def test_a_name_stands_once(here: Path, refused: Callable[..., str]) -> None:
+    text = "routers:\n  a: {router: astar}\n  a: {router: random}\nproblems: {s: {nets: 3}}\n"
+    (here / "c.yaml").write_text(text)
+    assert "c.yaml:3: expected YAML: the key a stands twice" in refused("experiment", "c.yaml")
+
+
+PUBLICATIONS: dict[str, tuple[str, str]] = {
+    "empty": ("", "p.csv:1: expected a column set"),
+    "a column less": ("set,problem,overflow\n", "p.csv:1: expected a column wirelength"),
+    "a row less": (
+        "set,problem,overflow,wirelength\nsmall,problem_000,0,9\n",
+        "p.csv: expected a row for small,problem_001",
+    ),
+    "no number": (
+        "set,problem,overflow,wirelength\nsmall,problem_000,0,x\n",
+        "p.csv:2: expected whole numbers",
+    ),
+    "half a row": ("set,problem,overflow,wirelength\nsmall\n", "p.csv:2: expected whole numbers"),
+    "a row twice": (
+        "set,problem,overflow,wirelength\n" + 2 * "small,problem_000,0,9\n",
+        "p.csv:3: expected small/problem_000 once",
+    ),
+    "no text": ("\udcff", "p.csv: expected CSV in UTF-8"),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), PUBLICATIONS.values(), ids=PUBLICATIONS)
+def test_bad_publications(text: str, said: str, here: Path, refused: Callable[..., str]) -> None:
+    (here / "p.csv").write_bytes(text.encode("utf-8", "surrogateescape"))
+    routers = {"p": {"router": "published", "file": "p.csv"}}
+    assert said in refused("experiment", write_config(here / "c.yaml", routers=routers))
+
+
+CHANGED: dict[str, tuple[str, str]] = {
+    "seeds": ("seeds=[1]", "seeds: expected (0, 4), as in"),
+    "option": ("routers.dqn.dqn.gamma=0.5", "routers.dqn.dqn.gamma: expected 1.0"),
+    "problems": ("problems.small.nets=4", "problems.small.nets: expected 3"),
+    "another router": ("routers.more={router: astar}", "routers.more.router: expected None"),
+    "reference": ("reference=astar", "reference: expected 'random'"),
+}
+
+
+@pytest.mark.parametrize(("change", "said"), CHANGED.values(), ids=CHANGED)
+def test_an_experiment_goes_on_as_it_started(
+    change: str, said: str, finished: Path, refused: Callable[..., str]
+) -> None:
+    before = (finished / "results.json").read_bytes()
+    assert said in refused("experiment", finished / "config.yaml", change)
+    assert (finished / "results.json").read_bytes() == before
+
+
+def test_folders_that_hold_something_else(
+    finished: Path, here: Path, refused: Callable[..., str]
+) -> None:
+    config = write_config(here / "c.yaml")
+    (here / "rows").mkdir()
+    assert "holds rows without config.yaml" in refused("experiment", config, f"out={here}")
+    run = finished / "runs" / "small" / "dqn.seed0" / "stack_000"
+    assert "holds a training" in refused("experiment", config, f"out={run}")
+    (here / "a" / "problems" / "small").mkdir(parents=True)
+    shutil.copy("4.gr", here / "a" / "problems" / "small" / "4.gr")
+    assert "4.gr: expected no problems but" in refused("experiment", config, f"out={here / 'a'}")
+
+
+def test_rows_that_are_none(finished: Path, here: Path, refused: Callable[..., str]) -> None:
+    shutil.copytree(finished, here / "copy")
+    damaged = here / "copy" / "rows" / "small" / "astar" / "problem_000.json"
+    for text in ("", "{}", "[1]", "[{}]", '[{"set": "small"}]'):
+        damaged.write_text(text)
+        line = refused("experiment", here / "copy" / "config.yaml", f"out={here / 'copy'}")
+        assert f"{damaged}: expected rows in JSON" in line
+        (here / "copy" / "results.json").write_text(text)
+        assert "results.json: expected rows in JSON" in refused("plot", here / "copy")
+
+
+def test_an_error_at_work_is_one_line(here: Path, refused: Callable[..., str]) -> None:
+    routers = {"walk": {"router": "random", "max_steps": 0}, **ASTAR}
+    config = write_config(here / "c.yaml", routers=routers)
+    assert "small, walk.seed0: max_steps: expected 1 to" in refused("experiment", config)
+    assert not (here / "out" / "results.json").exists()
+
+
+# --- the command line, the figures ----------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_the_command_prints_a_table_or_one_object(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status(["experiment", str(finished / "config.yaml")]) == 0
+    text = capsys.readouterr().out
+    summary = json.loads((finished / "summary.json").read_text())
+    for name, size in (("small", 3), ("other", 2), ("all", 5)):
+        assert f"{name}: {size} problems" in text
+        for row in summary["sets"][name]:
+            cells = [f"{row['overflow']:.6g}", f"{row['wirelength']['mean']:.1f}"]
+            lines = [line for line in text.splitlines() if line.split()[:1] == [row["router"]]]
+            assert any(set(cells) <= set(line.split()) for line in lines)
+    assert status(["experiment", str(finished / "config.yaml"), "--json"]) == 0
+    out, _ = capsys.readouterr()
+    assert json.loads(out) == summary
+
+
+def test_plot_draws_an_experiment(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kinds = ("wirelength", "overflow", "decrease")
+    names = {f"{name}_{kind}.png" for name in ("small", "other", "all") for kind in kinds}
+    assert {path.name for path in (finished / "figures").iterdir()} == names
+    assert status(["plot", str(finished), "--out", str(tmp_path / "f")]) == 0
+    written = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    assert {path.name for path in written} == names
+    assert set(written) == set((tmp_path / "f").iterdir())
+    assert all(path.read_bytes().startswith(PNG) for path in written)
+
+
+def test_figures_show_the_rows(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: dict[str, Any] = {}
+    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.update({path.stem: figure}))
+    plot.experiment_figures(finished, tmp_path)
+    rows = [row for row in results(finished) if row["set"] == "small"]
+
+    def means(router: str, quantity: str) -> list[float]:
+        """By problem; NaN where connections are open."""
+        found = []
+        for problem in sorted({row["problem"] for row in rows}):
+            own = [row for row in rows if (row["router"], row["problem"]) == (router, problem)]
+            whole = [row[quantity] for row in own if row["joined"] == row["tasks"]]
+            if quantity == "overflow":
+                whole = [row[quantity] for row in own]
+            found.append(sum(whole) / len(whole) if whole else math.nan)
+        return found
+
+    astar = means("astar", "wirelength")
+    order = np.argsort(astar, kind="stable")
+    for quantity in ("wirelength", "overflow"):
+        (axes,) = drawn[f"small_{quantity}"].axes
+        lines = {line.get_label().split(" (")[0]: line for line in axes.get_lines()}
+        assert next(iter(lines)) == "astar"
+        assert quantity in axes.get_ylabel()
+        for name, line in lines.items():
+            expected = np.array(means(name, quantity))[order]
+            np.testing.assert_array_equal(line.get_xdata(), [1, 2, 3])
+            np.testing.assert_allclose(line.get_ydata(), expected)
+    panels = drawn["small_decrease"].axes
+    assert len(panels) == len(lines) - 1
+    for axes in panels:
+        name = axes.get_title().split(":")[0]
+        decrease = np.array(astar) - means(name, "wirelength")
+        assert sum(bar.get_height() for bar in axes.patches) == np.count_nonzero(
+            ~np.isnan(decrease)
+        )
+        assert f"lower on {np.count_nonzero(decrease > 0)} of" in axes.get_title()
+
+
+def test_decreases_fall_into_their_bars() -> None:
+    decreases = {
+        "a": np.array([0.0, 0.0, 3.0, -2.0, math.nan]),
+        "b": np.array([0.0, 1.0, 1.0, 1.0, 1.0]),
+    }
+    figure = figures.decrease_histogram(decreases, "astar", "title")
+    for axes, expected in zip(figure.axes, ({0: 2, 3: 1, -2: 1}, {0: 1, 1: 4}), strict=True):
+        shown = {
+            round(bar.get_x() + bar.get_width() / 2): int(bar.get_height())
+            for bar in axes.patches
+            if bar.get_height()
+        }
+        assert shown == expected
+    assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()
+    assert figure.axes[0].get_ylim() == figure.axes[1].get_ylim()
+    assert "lower on 1 of 4 problems, equal on 2, mean decrease 0.25" in figure.axes[0].get_title()
+    with pytest.raises(InputError, match="at least one"):
+        figures.decrease_histogram({"a": np.array([math.nan])}, "astar")
+    with pytest.raises(InputError, match="at least one"):
+        figures.by_problem({}, np.arange(2), "wirelength", "astar")
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.integers(-500, 500), min_size=1, max_size=30))
+def test_every_decrease_is_in_a_bar(values: list[int]) -> None:
+    figure = figures.decrease_histogram({"a": np.array(values, np.float64)}, "astar")
+    (axes,) = figure.axes
+    for value in values:
+        inside = [
+            bar for bar in axes.patches if bar.get_x() <= value < bar.get_x() + bar.get_width()
+        ]
+        assert len(inside) == 1
+        assert inside[0].get_height() >= 1
+        # A bar never mixes gains with losses, unless it is that of small ones around 0.
+        low, high = inside[0].get_x(), inside[0].get_x() + inside[0].get_width()
+        assert not low < 0 < high or math.isclose(low, -high)
+    assert sum(bar.get_height() for bar in axes.patches) == len(values)
+
+
+# --- sets and routers by name ---------------------------------------------------------------------
+
+
+def test_a_folder_of_folders_is_a_set_each(here: Path) -> None:
+    for name in ("a", "b"):
+        for problem, count in (("x", 1), ("y", 2)):
+            generate(1, grid=(4, 4, 2), nets=count)[0].write(
+                here / "all_of" / name / f"{problem}.gr"
+            )
+    (here / "all_of" / "empty").mkdir()
+    sets = load_sets("all_of")
+    assert {name: list(problems) for name, problems in sets.items()} == {
+        "a": ["x", "y"],
+        "b": ["x", "y"],
+    }
+    assert sets["b"]["y"] == Problem.read("all_of/b/y.gr")
+    shutil.copy("4.gr", "all_of/z.gr")
+    assert list(load_sets("all_of")) == ["all_of", "a", "b"]
+    config = load_experiment(write_config(here / "c.yaml"), ["problems=all_of", "out=o"])
+    assert list(Experiment(config).sets) == ["all_of", "a", "b"]
+    assert set(Experiment(config).sets) == {"all_of", "a", "b"}  # the same as when it goes on
+
+
+def test_mixed_grids_are_trained_apart(here: Path) -> None:
+    shutil.copy("4.gr", "6.gr")
+    config = write_config(
+        here / "c.yaml", problems={"s": ["4.gr", "5.gr", "6.gr"]}, routers={"dqn": DQN}
+    )
+    parts = Experiment(load_experiment(config)).parts
+    assert [part.problems for part in parts] == [("4", "6"), ("5",)]
+
+
+def test_a_training_is_that_of_its_file_but_for_what_stands_here(here: Path) -> None:
+    (here / "t.yaml").write_text(
+        "seed: 5\nout: elsewhere\nenv: {max_steps: 9, reward: {step: -2.0}, problem: p.gr}\n"
+        "dqn: {gamma: 0.5}\ntrain: {figures: true, tensorboard: true, episodes: 7}\n"
+    )
+    entry = {"router": "dqn", "config": "t.yaml", "dqn": {"masking": True}}
+    entry["env"] = {"reward": {"own_edge": 0.0}}
+    config = load_experiment(write_config(here / "c.yaml", routers={"dqn": entry}))
+    told = config.routers["dqn"]
+    assert told["env"]["max_steps"] == 9
+    assert told["env"]["reward"] == {
+        "reached": 100.0, "step": -2.0, "own_edge": 0.0, "overflow_price": 0.0
+    }  # fmt: skip
+    assert "problem" not in told["env"]
+    assert (told["dqn"]["gamma"], told["dqn"]["masking"]) == (0.5, True)
+    assert (told["train"]["episodes"], told["train"]["figures"]) == (7, False)
+    assert told["stack"] == 10
+
+
+def test_routers_are_made_from_plain_options() -> None:
+    assert make_router("astar", {"net_order": "file"}) == AStarRouter(net_order="file")
+    assert make_router("random", {"seed": 3}) == RandomRouter(3)
+    with pytest.raises(
+        InputError, match=r"^there: net_ordr: unknown key; did you mean net_order\?"
+    ):
+        make_router("astar", {"net_ordr": "file"}, "there")
+    with pytest.raises(InputError, match="did you mean pathfinder"):
+        make_router("pathfindr", {})
+    for name in ROUTERS:
+        assert make_router(name, {}).name == name
+    assert [name for name in ROUTERS if is_seeded(name)] == ["random", "pathfinder", "dqn"]
+
+
+def test_route_takes_options_of_any_router(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    problem = generate(1, nets=40, seed=3)[0]
+    problem.write(here / "p.gr")
+    assert status(["route", "p.gr", "net_order=half_perimeter_up", "--out", "s", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["router"] == "astar"
+    expected = AStarRouter(net_order="half_perimeter_up").route(problem)
+    assert expected != AStarRouter().route(problem)
+    assert Solution.read("s", problem) == expected
+
+
+# --- statistics -----------------------------------------------------------------------------------
+
+
+def row(router: str, problem: int, wirelength: int, **more: Any) -> dict[str, Any]:
+    """A row of a set with four connections a problem."""
+    base = dict.fromkeys(COLUMNS)
+    figures = {"overflow": 0, "wirelength": wirelength, "joined": 4, "tasks": 4, "seconds": 1.0}
+    return {
+        **base,
+        "set": "s",
+        "problem": f"p{problem}",
+        "router": router,
+        **figures,
+        "kind": router,
+        **more,
+    }
+
+
+@pytest.fixture
+def worked() -> list[dict[str, Any]]:
+    """Three problems worked out by hand: A*, an optimum, a learner with two seeds."""
+    rows = [
+        row("astar", 0, 100, seconds=0.5),
+        row("astar", 1, 90, overflow=2, seconds=0.1),
+        row("astar", 2, 80, seconds=0.2),
+        row("best", 0, 100, proven=True),
+        row("best", 1, 95, proven=True),
+        row("best", 2, 75, proven=True),
+        row("dqn", 0, 102, seed=0), row("dqn", 0, 98, seed=1, joined=3),
+        row("dqn", 1, 95, seed=0), row("dqn", 1, 89, seed=1, overflow=1),
+        row("dqn", 2, 78, seed=0), row("dqn", 2, 80, seed=1),
+    ]  # fmt: skip
+    add_gaps(rows)
+    return rows
+
+
+def test_rows_by_hand(worked: list[dict[str, Any]]) -> None:
+    gaps = [r["gap"] for r in worked]
+    expected = [0, None, 100 / 15, 0, 0, 0, 2, None, 0, None, 4, 100 / 15]
+    assert [None if g is None else round(g, 9) for g in gaps] == [
+        None if g is None else round(g, 9) for g in expected
+    ]
+    assert rank(worked[1]) == (0, 2, 90)
+    assert rank(worked[7]) == (1, 0, 98)
+    assert rank(row("p", 0, 7, joined=None, tasks=None)) == (0, 0, 7)
+
+
+def test_summary_by_hand(worked: list[dict[str, Any]]) -> None:
+    astar, best, dqn = summarise(worked, "best")
+    assert [r["router"] for r in (astar, best, dqn)] == ["astar", "best", "dqn"]
+    assert (astar["problems"], astar["seeds"], dqn["seeds"]) == (3, 1, 2)
+    assert (astar["overflow"], best["overflow"], dqn["overflow"]) == (2, 0, 0.5)
+    # Without overflow and open connections: of the six rows of the learner four.
+    assert (astar["zero_overflow"], best["zero_overflow"], dqn["zero_overflow"]) == (2, 3, 2)
+    assert (astar["open"], dqn["open"]) == (0, 0.5)
+    assert astar["seconds"] == 0.2
+    assert astar["wirelength"]["mean"] == 90
+    # The problems' means are 100, 92, 79: mean 271 / 3, t of 2 degrees of freedom 4.3027.
+    half = 4.302653 * math.sqrt(
+        ((100 - 271 / 3) ** 2 + (92 - 271 / 3) ** 2 + (79 - 271 / 3) ** 2) / 6
+    )
+    assert dqn["wirelength"] == {
+        "mean": pytest.approx(271 / 3),
+        "low": pytest.approx(271 / 3 - half),
+        "high": pytest.approx(271 / 3 + half),
+    }
+    # 2, 0 and the mean of 4 and 6.67, where they are known.
+    assert dqn["gap"]["mean"] == pytest.approx((2 + 0 + 16 / 3) / 3)
+    assert (dqn["gap"]["problems"], astar["gap"]["problems"]) == (3, 2)
+    # Less than A*: 102 no, 98 with an open connection no; 95 no, 89 yes; 78 yes, 80 no.
+    assert dqn["lower_wirelength"]["percent"] == pytest.approx(100 * (0 + 0.5 + 0.5) / 3)
+    assert best["lower_wirelength"]["percent"] == pytest.approx(100 / 3)
+    # By open connections, overflow, wirelength: loss, loss; win, win; win, tie.
+    assert dqn["astar"] == {"wins": 1.5, "ties": 0.5, "losses": 1}
+    assert best["astar"] == {"wins": 2, "ties": 1, "losses": 0}
+    assert dqn["reference"] == {"wins": 0, "ties": 0.5, "losses": 2.5}
+    assert astar["reference"] == {"wins": 0, "ties": 1, "losses": 2}
+    assert best["reference"] is None
+    assert astar["astar"] is astar["lower_wirelength"] is astar["spread"] is None
+    # Over the seeds: wirelength 275 / 3 and 89, overflow 0 and 1, two values half of √2 apart.
+    spread = dqn["spread"]
+    assert spread["wirelength"] == pytest.approx((275 / 3 - 89) / math.sqrt(2))
+    assert spread["overflow"] == pytest.approx(1 / math.sqrt(2))
+    assert spread["zero_overflow"] == pytest.approx(2 / math.sqrt(2))
+    assert spread["lower_wirelength"] == pytest.approx(0)
+    assert spread["gap"] == pytest.approx((100 / 15 - 2) / math.sqrt(2))
+
+
+def test_a_reference_with_seeds_meets_every_seed(worked: list[dict[str, Any]]) -> None:
+    astar, _, dqn = summarise(worked, "dqn")
+    assert astar["reference"] == {"wins": 1, "ties": 0.5, "losses": 1.5}
+    assert dqn["reference"] is None
+    _, _, without = summarise(worked, None)
+    assert without["reference"] is None
+    (alone,) = summarise([r for r in worked if r["router"] == "dqn"], "best")
+    assert alone["astar"] is alone["lower_wirelength"] is alone["reference"] is None
+
+
+def test_what_nobody_joins_has_no_wirelength(worked: list[dict[str, Any]]) -> None:
+    lengths = {name: joined_wirelength(own) for name, own in by_router(worked).items()}
+    np.testing.assert_array_equal(lengths["dqn"], [102, 92, 79])
+    for own in worked:
+        own["joined"] = 0
+    assert np.isnan(joined_wirelength(by_router(worked)["astar"])).all()
+
+
+def test_sets_are_taken_together_for_routers_that_are_for_all(
+    worked: list[dict[str, Any]],
+) -> None:
+    assert list(by_set(worked)) == ["s"]
+    both = [*worked, row("astar", 0, 50, set="t")]
+    sets = by_set(both)
+    assert list(sets) == ["s", "t", "all"]
+    assert sets["all"] == [r for r in both if r["router"] == "astar"]
+    (summary,) = summarise(sets["all"])
+    assert (summary["problems"], summary["wirelength"]["mean"]) == (4, 80)
+    assert list(by_set([*worked, row("z", 0, 5, set="t")])) == ["s", "t"]
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=40))
+def test_mean_interval_is_that_of_the_t_test(values: list[float]) -> None:
+    found = mean_interval(np.array(values))
+    if np.ptp(values) < 1e-6:
+        return
+    low, high = stats.ttest_1samp(values, 0).confidence_interval(0.95)
+    scale = 1e-9 * max(map(abs, values))
+    assert found["mean"] == pytest.approx(np.mean(values), abs=scale)
+    assert found["low"] == pytest.approx(low, abs=scale)
+    assert found["high"] == pytest.approx(high, abs=scale)
+
+
+def test_mean_interval_of_few() -> None:
+    assert mean_interval(np.array([])) == {"mean": None, "low": None, "high": None}
+    assert mean_interval(np.array([3.0])) == {"mean": 3.0, "low": None, "high": None}
+
+
+@given(st.integers(1, 200).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_share_interval_is_wilsons(of: tuple[int, int]) -> None:
+    hits, count = of
+    expected = stats.binomtest(hits, count).proportion_ci(method="wilson")
+    assert share_interval(hits / count, count) == pytest.approx((expected.low, expected.high))
+
+
+# --- the yardstick --------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_yardstick_runs_as_it_stands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = str(ROOT / "configs" / "yardstick.yaml")
+    small = "problems.generated={count: 3, grid: [6, 6, 2], nets: 12, capacity: 2}"
+    assert status(["experiment", config, f"out={tmp_path / 'y'}", small, "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    found = {row["router"]: row for row in summary["sets"]["generated"]}
+    assert list(found) == ["astar", "pathfinder", "optimal", "random"]
+    assert found["optimal"]["gap"] == {"mean": 0, "low": 0, "high": 0, "problems": 3}
+    for name in ("astar", "pathfinder", "random"):
+        assert found[name]["reference"]["wins"] == 0
+        assert found[name]["gap"] is None or found[name]["gap"]["low"] >= 0 or name == "astar"
+    assert found["optimal"]["astar"]["losses"] == 0
+    assert found["random"]["open"] > 0
+    proven = [row["proven"] for row in results(tmp_path / "y") if row["kind"] == "optimal"]
+    assert proven == [True] * 3
+    cut = ["routers.optimal.time_limit=0", f"out={tmp_path / 'z'}", small, "--json"]
+    assert status(["experiment", config, *cut]) == 0
+    cut_short = results(tmp_path / "z")
+    for row in cut_short:
+        if row["kind"] == "optimal" and not row["proven"]:
+            assert not any(r["gap"] for r in cut_short if r["problem"] == row["problem"])
