@@ -595,7 +595,7 @@ class Engine:
             which: their indices; or a slice of them, and the two engines play one game.
         """
         part = copy.copy(self)
-        for cached in ("_turn", "_problems", "_all"):
+        for cached in ("play_turn", "_problems", "_all"):
             vars(part).pop(cached, None)
         part.problems = tuple(self.problems[m] for m in np.arange(len(self.problems))[which])
         part.nets = self.nets[which]
@@ -636,21 +636,18 @@ class Engine:
         self.check(moves)
         (_step_turn if moves.ndim == 1 else _step_all)(self.world, self.play, moves)
 
-    def play_turn(self, move: int, mask: NDArray[np.int8]) -> tuple[int, int]:
+    @functools.cached_property
+    def play_turn(self) -> Callable[[int, NDArray[np.int8]], tuple[int, int]]:
         """:meth:`step` for the only problem of an engine, without checks or arrays: quick.
 
-        Args:
-            move: 0 to 5, for the agent whose turn it is; there has to be one.
-            mask: (1, 6) int8, contiguous; filled with the mask of the agent to look at next: the
-                one whose turn it is now, or the one that moved if it is done.
+        Called with
 
-        Returns:
-            The agent whose turn it is now, or NOBODY, and the status of the one that moved.
+        * a move, 0 to 5, for the agent whose turn it is; there has to be one;
+        * a mask, (1, 6) int8, contiguous; filled with the mask of the agent to look at next: the
+          one whose turn it is now, or the one that moved if it is done.
+
+        It returns the agent whose turn it is now, or NOBODY, and the status of the one that moved.
         """
-        return self._turn(move, mask)
-
-    @functools.cached_property
-    def _turn(self) -> Callable[..., Any]:
         world, play = self.world, self.play
         code = bound(_play_turn, world, play, 0, np.empty((1, MOVES), np.int8))
         return functools.partial(code, world, play)

@@ -110,7 +110,7 @@ def _distance(position: Any, a: int, b: int) -> int:
     )
 
 
-@compiled
+@inlined
 def _look_around(
     world: World, play: Play, s: Scratch, m: int, n: int, source: int, target: int, budget: int
 ) -> int:
@@ -158,7 +158,7 @@ def _look_around(
             size += 1
 
 
-@compiled
+@inlined
 def _search(
     world: World,
     play: Play,

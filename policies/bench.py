@@ -540,7 +540,7 @@ def _fresh(problem: Problem) -> Problem:
 
 def search(bench: Bench) -> Iterator[Row]:
     """Sequential A*, from a problem to its solution."""
-    problems = generate(20)
+    problems = generate(100)
     # Problems of which nothing has been worked out yet, for every repeat and the first time.
     stock = [[_fresh(problem) for problem in problems] for _ in range(bench.repeats + 1)]
 

@@ -68,7 +68,9 @@ def generate(out: Path, **options: Any) -> None:
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
 @click.option("--router", type=click.Choice(ROUTERS), default="astar", show_default=True)
 @click.option("--checkpoint", type=Path, help="A trained policy for the router dqn.")
-@click.option("--config", type=Path, help="What the router dqn trains, without a checkpoint.")
+@click.option(
+    "--config", type=Path, help="A file of the router's options; for dqn, of what it trains."
+)
 @click.option(
     "--seed", type=int, help="Where random numbers start.  [default: 0, or as in --config]"
 )
@@ -90,9 +92,8 @@ def route(
     trains on the problem, as the paper does; its options are the keys of its configuration
     (train.episodes=200).
     """
-    if router != "dqn" and (checkpoint or config):
-        given = "--checkpoint" if checkpoint else "--config"
-        raise InputError(f"{given}: expected --router dqn with it")
+    if router != "dqn" and checkpoint:
+        raise InputError("--checkpoint: expected --router dqn with it")
     if checkpoint and (config or overrides):
         raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
     loaded = Problem.read(problem)
@@ -115,11 +116,14 @@ def _router(
     config: Path | None,
     overrides: Sequence[str],
 ) -> "Router":
+    from marouting.config import read_yaml
     from policies.config import load_config, override
 
     given = [] if seed is None or not is_seeded(name) else [f"seed={seed}"]
     if name != "dqn":
-        return make_router(name, override({}, [*given, *overrides]), f"--router {name}")
+        options = {} if config is None else read_yaml(config)
+        where = f"--router {name}" if config is None else str(config)
+        return make_router(name, override(options, [*given, *overrides]), where)
     from policies.learned.router import DQNRouter
 
     settings = load_config(config, [*given, *overrides])

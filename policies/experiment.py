@@ -13,27 +13,20 @@ summary.json                     what they say (:mod:`policies.statistics`)
 figures/                         the paper's figures
 ===============================  ===============================================================
 
-The work is cut into parts that know nothing of one another, and processes take one after the
-other. A part is done when its rows are there, so an experiment that was stopped, however, goes on
+The work is cut into parts that know nothing of one another; processes take one after the other. A
+part is done when its rows are there, so an experiment that was stopped, however, goes on
 when it is started again. Solutions do not depend on the number of processes, nor on the stops.
 """
 
-import contextlib
 import csv
 import io
 import json
-import multiprocessing
 import os
 import re
-import signal
-import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +47,7 @@ from marouting.files import unusable, write_text
 from marouting.source import load_problems
 from policies.base import Router
 from policies.config import Config, check, check_same, load_config, override
+from policies.processes import cores, work_on
 from policies.routers import ROUTERS, is_seeded, make_router, schema, unknown
 from policies.statistics import ALL, Row, add_gaps, by_set, summarise
 
@@ -82,8 +76,6 @@ COLUMNS = {
 """What a row holds: ``router`` is the name of the entry, ``kind`` what routes. ``proven``: whether
 the solution is known to be optimal; ``gap``: to such a one, in %. None where there is nothing to
 say: only overflow and wirelength are published."""
-
-THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 # --- what an experiment is told -------------------------------------------------------------------
@@ -151,8 +143,8 @@ class Training:
 
     Attributes:
         config: a training's configuration that the other keys change.
-        stack: problems that one process trains side by side: more save time up to about ten. The
-            problems of a set are shared out to this many; with ``dqn.shared`` they are one stack.
+        stack: problems that one process trains side by side. More than one save time on a GPU, not
+            on a processor. With ``dqn.shared`` it is all of a set.
         env: keys of the game, as in a training's configuration; ``problem`` is the experiment's.
         dqn: keys of the learner.
         train: keys of the run. ``figures`` and ``tensorboard`` are off unless they stand here.
@@ -162,7 +154,7 @@ class Training:
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     config: str | None = None
-    stack: int = 10
+    stack: int = 1
     env: dict[str, Any] = field(default_factory=dict)
     dqn: dict[str, Any] = field(default_factory=dict)
     train: dict[str, Any] = field(default_factory=dict)
@@ -344,15 +336,13 @@ class Part:
         set: the set's name.
         entry: the router.
         seed: the seed; None for a router that draws no random numbers.
-        name: what the part is called among those of the same router, set and seed.
-        problems: names of the problems.
+        problems: names of the problems; the first is that of the part.
     """
 
     folder: Path
     set: str
     entry: Entry
     seed: int | None
-    name: str
     problems: tuple[str, ...]
 
     @property
@@ -363,12 +353,12 @@ class Part:
     @property
     def rows(self) -> Path:
         """The file with the rows: there when the part is done."""
-        return self.folder / "rows" / self.set / self.label / f"{self.name}.json"
+        return self.folder / "rows" / self.set / self.label / f"{self.problems[0]}.json"
 
     @property
     def run(self) -> Path:
         """The run folder of a training."""
-        return self.folder / "runs" / self.set / self.label / self.name
+        return self.folder / "runs" / self.set / self.label / self.problems[0]
 
     def problem(self, name: str) -> Path:
         """The file of a problem."""
@@ -495,108 +485,6 @@ def read_results(folder: Path) -> list[Row]:
     return _read_rows(folder / RESULTS)
 
 
-# --- processes ------------------------------------------------------------------------------------
-
-
-def _begin(lifeline: Connection) -> None:
-    """What a process does first: it will end with the one that started it."""
-    # Ctrl-C goes to all processes of a terminal; only the first one answers it.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
-
-
-def _end_with(lifeline: Connection) -> None:
-    """Waits until the other end is closed, by will or with its process, and ends this one."""
-    with contextlib.suppress(EOFError, OSError):
-        lifeline.recv_bytes()
-    os._exit(1)
-
-
-@contextlib.contextmanager
-def _starting(threads: int) -> Iterator[None]:
-    """While processes are started: how many threads each takes, and no Ctrl-C in its imports."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, str(threads)))
-    block = getattr(signal, "pthread_sigmask", None)
-    mask = block(signal.SIG_BLOCK, {signal.SIGINT}) if block else None
-    try:
-        yield
-    finally:
-        if block:
-            block(signal.SIG_SETMASK, mask)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def cores() -> int:
-    """The cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def work_on(parts: Sequence[Part], jobs: int, threads: int) -> Iterator[list[Part]]:
-    """Works on parts in processes of their own.
-
-    Args:
-        parts: the work.
-        jobs: processes at once, at most.
-        threads: that each process may take.
-
-    Yields:
-        About every second the parts that have been done since.
-
-    Raises:
-        InputError: of a part, or a process was killed. What the others were at is lost up to
-            their last checkpoints then, and so it is when the iteration ends early.
-    """
-    context = multiprocessing.get_context("spawn")
-    lifeline, mine = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(min(jobs, len(parts)), context, _begin, (lifeline,))
-    try:
-        with _starting(threads):
-            running = {pool.submit(part.work): part for part in parts}
-        while running:
-            done, _ = wait(running, timeout=1, return_when=FIRST_COMPLETED)
-            for future in done:
-                future.result()
-            yield [running.pop(future) for future in done]
-    except BrokenProcessPool:
-        raise InputError(
-            "a process at work was killed, perhaps for want of memory: expected fewer jobs, or "
-            "smaller ones; the same command goes on from here"
-        ) from None
-    finally:
-        mine.close()
-        pool.shutdown(cancel_futures=True)
-        lifeline.close()
-
-
-class _Lines:
-    """Counts the lines of a growing file without reading any twice."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._read = self._count = 0
-
-    def count(self) -> int:
-        """How many there are by now; 0 as long as there is no file."""
-        try:
-            if self._path.stat().st_size < self._read:  # cut off by a training that goes on
-                self._read = self._count = 0
-            with self._path.open("rb") as lines:
-                lines.seek(self._read)
-                new = lines.read()
-        except OSError:
-            return self._count
-        self._read += len(new)
-        self._count += new.count(b"\n")
-        return self._count
-
-
 # --- the whole ------------------------------------------------------------------------------------
 
 
@@ -669,15 +557,14 @@ class Experiment:
     @cached_property
     def parts(self) -> tuple[Part, ...]:
         """All the work, what takes longest first: so no process waits long for the last one."""
-        parts = [
-            Part(self.folder, name, entry, seed, share, problems)
+        return tuple(
+            Part(self.folder, name, entry, seed, share)
             for entry in sorted(self.entries, key=lambda entry: _SLOW.get(entry.router, 0))
             for name, own in self.sets.items()
             if entry.only is None or name in entry.only
             for seed in (self.config.seeds if entry.seeded else (None,))
-            for share, problems in _shares(entry, own).items()
-        ]
-        return tuple(parts)
+            for share in _shares(entry, own)
+        )
 
     def execute(self) -> dict[str, Any]:
         """Does what is left to do and writes the results; returns what ``summary.json`` holds."""
@@ -734,7 +621,10 @@ class Experiment:
         """All rows, by set, problem, router and seed in the order of the configuration."""
         rows = {}
         for part in self.parts:
-            for row in _read_rows(part.rows):
+            found = _read_rows(part.rows)
+            if [row["problem"] for row in found] != list(part.problems):
+                raise InputError(f"{part.rows}: expected rows of {', '.join(part.problems)}")
+            for row in found:
                 rows[part.set, row["problem"], part.entry.name, part.seed] = row
         ordered = [
             rows[name, problem, entry.name, seed]
@@ -748,16 +638,38 @@ class Experiment:
         return ordered
 
 
+class _Lines:
+    """Counts the lines of a growing file without reading any twice."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._read = self._count = 0
+
+    def count(self) -> int:
+        """How many there are by now; 0 as long as there is no file."""
+        try:
+            if self._path.stat().st_size < self._read:  # cut off by a training that goes on
+                self._read = self._count = 0
+            with self._path.open("rb") as lines:
+                lines.seek(self._read)
+                new = lines.read()
+        except OSError:
+            return self._count
+        self._read += len(new)
+        self._count += new.count(b"\n")
+        return self._count
+
+
 _SLOW = {"dqn": -2, "optimal": -1}
 """Routers that take longest, and the order that puts them first."""
 
 
-def _shares(entry: Entry, problems: Mapping[str, Problem]) -> dict[str, tuple[str, ...]]:
-    """The problems of a set in the parts that one process does at a time, by the part's name."""
+def _shares(entry: Entry, problems: Mapping[str, Problem]) -> list[tuple[str, ...]]:
+    """The problems of a set, cut into what one process does at a time."""
     if entry.router == PUBLISHED:
-        return {"all": tuple(problems)}
+        return [tuple(problems)]
     if not entry.trains:
-        return {name: (name,) for name in problems}
+        return [(name,) for name in problems]
     grids: dict[tuple[int, int, int], list[str]] = {}
     for name, problem in problems.items():
         grids.setdefault(problem.grid, []).append(name)  # a stack has one grid shape
@@ -769,10 +681,9 @@ def _shares(entry: Entry, problems: Mapping[str, Problem]) -> dict[str, tuple[st
                 f"found {sorted(grids)}"
             )
         size = len(problems)
-    stacks = [
+    return [
         tuple(names[i : i + size]) for names in grids.values() for i in range(0, len(names), size)
     ]
-    return {f"stack_{i:03d}": stack for i, stack in enumerate(stacks)}
 
 
 def _csv(rows: Sequence[Row]) -> str:

@@ -17,7 +17,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 
 from marouting import InputError
@@ -79,7 +78,7 @@ class Connector:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
-            self.close()
+            self._process.communicate()
             self._errors.seek(0)
             last = (self._errors.read().strip().splitlines() or ["it ended without a word"])[-1]
             raise InputError(f"--against jumanji: expected it to run, found {last}")
@@ -88,31 +87,13 @@ class Connector:
     def close(self) -> None:
         """Ends the process."""
         self._process.communicate()
+        self._errors.close()
 
     def __enter__(self) -> "Connector":
         return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-
-def rates(batch: int, repeats: int = 7) -> list[float]:
-    """Agent-steps a second of Connector-v3 on one core.
-
-    Args:
-        batch: games side by side.
-        repeats: how many rates, after a first one that is not kept.
-
-    Raises:
-        InputError: jumanji is not installed, or does not run.
-    """
-    found = []
-    with one_core(), Connector(batch) as connector:
-        for _ in range(repeats + 1):
-            started = time.perf_counter()
-            done = connector()
-            found.append(done / (time.perf_counter() - started))
-    return found[1:]
 
 
 def serve(batch: int) -> None:

@@ -22,6 +22,8 @@ from hypothesis import strategies as st
 
 import marouting
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
+from marouting.config import build
+from policies import routers
 from policies.cli import status
 from policies.config import Config, DQNOptions, TrainOptions, load_config
 from policies.experiment import ExperimentConfig, load_experiment
@@ -407,7 +409,7 @@ USAGE: dict[str, tuple[list[str], str]] = {
     "generate without out": (["generate"], "--out"),
     "half a grid": (["generate", "--out", "g", "--grid", "4", "4"], "--grid"),
     "checkpoint without dqn": (["route", "p.gr", "--checkpoint", "c.pt"], "--checkpoint"),
-    "config without dqn": (["route", "p.gr", "--config", "small.yaml"], "--config"),
+    "config of another router": (["route", "p.gr", "--config", "small.yaml"], "small.yaml: "),
     "option of another router": (["route", "p.gr", "train.episodes=1"], "train: unknown key"),
     "checkpoint and override": (
         ["route", "p.gr", "--router", "dqn", "--checkpoint", "c.pt", "seed=1"],
@@ -868,7 +870,11 @@ def test_shipped_configurations_are_valid() -> None:
     paths = sorted((ROOT / "configs").rglob("*.yaml"))
     assert paths
     for path in paths:
-        if "routers" in yaml.safe_load(path.read_text(encoding="utf-8")):
+        raw = yaml.safe_load(path.read_text(encoding="utf-8"))
+        if path.stem in routers.ROUTERS:
+            defaults = routers.schema(path.stem)()
+            assert build(type(defaults), raw) == defaults
+        elif "routers" in raw:
             assert isinstance(load_experiment(path), ExperimentConfig)
         else:
             assert isinstance(load_config(path), Config)

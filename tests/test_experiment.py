@@ -29,9 +29,10 @@ from policies.classical.astar import AStarRouter
 from policies.classical.random import RandomRouter
 from policies.cli import status
 from policies.config import load_config
-from policies.experiment import COLUMNS, Experiment, load_experiment, load_sets, work_on
+from policies.experiment import COLUMNS, Experiment, load_experiment, load_sets
 from policies.learned.router import QPolicy
 from policies.learned.trainer import Trainer
+from policies.processes import work_on
 from policies.routers import ROUTERS, is_seeded, make_router
 from policies.statistics import (
     add_gaps,
@@ -186,10 +187,10 @@ def test_rows_are_those_of_the_solutions(finished: Path) -> None:
 
 def test_a_network_learns_the_same_in_any_stack(finished: Path) -> None:
     folder = finished / "runs" / "small" / "dqn.seed4"
-    assert sorted(path.name for path in folder.iterdir()) == ["stack_000", "stack_001"]
+    assert sorted(path.name for path in folder.iterdir()) == ["problem_000", "problem_002"]
     names = [f"problem_{i:03d}" for i in range(3)]
     files = [finished / "problems" / "small" / f"{name}.gr" for name in names]
-    config = load_config(folder / "stack_000" / "config.yaml")
+    config = load_config(folder / "problem_000" / "config.yaml")
     assert (config.seed, config.train.figures, config.env.max_steps) == (4, False, 12)
     assert config.env.problem == tuple(map(str, files[:2]))
     together = Trainer({path.stem: Problem.read(path) for path in files}, config)
@@ -270,7 +271,7 @@ def test_one_process_finds_the_same_as_two(finished: Path, tmp_path: Path) -> No
 @pytest.mark.usefixtures("_undrawn")
 def test_a_trained_policy_can_take_part(finished: Path, tmp_path: Path) -> None:
     """Of several networks in a file each problem is walked by its own; nothing is trained."""
-    trained = finished / "runs" / "small" / "dqn.seed0" / "stack_000"
+    trained = finished / "runs" / "small" / "dqn.seed0" / "problem_000"
     problems = [str(trained / "problems")]
     routers = {"walk": {"router": "dqn", "checkpoint": str(trained / "policy.pt")}}
     config = write_config(tmp_path / "c.yaml", problems={"two": problems}, routers=routers)
@@ -299,7 +300,7 @@ def test_nothing_is_done_twice(
         Experiment(config, progress=False).execute()
     assert outcome(folder) == outcome(finished)
     # And when some of it is missing, that is done, and no more.
-    lost = ["small/astar/problem_001.json", "small/dqn.seed0/stack_000.json"]
+    lost = ["small/astar/problem_001.json", "small/dqn.seed0/problem_000.json"]
     before = {path: path.stat().st_mtime_ns for path in (folder / "rows").rglob("*.json")}
     for name in lost:
         (folder / "rows" / name).unlink()
@@ -554,7 +555,7 @@ def test_folders_that_hold_something_else(
     config = write_config(here / "c.yaml")
     (here / "rows").mkdir()
     assert "holds rows without config.yaml" in refused("experiment", config, f"out={here}")
-    run = finished / "runs" / "small" / "dqn.seed0" / "stack_000"
+    run = finished / "runs" / "small" / "dqn.seed0" / "problem_000"
     assert "holds a training" in refused("experiment", config, f"out={run}")
     (here / "a" / "problems" / "small").mkdir(parents=True)
     shutil.copy("4.gr", here / "a" / "problems" / "small" / "4.gr")
@@ -741,7 +742,7 @@ def test_a_training_is_that_of_its_file_but_for_what_stands_here(here: Path) -> 
     assert "problem" not in told["env"]
     assert (told["dqn"]["gamma"], told["dqn"]["masking"]) == (0.5, True)
     assert (told["train"]["episodes"], told["train"]["figures"]) == (7, False)
-    assert told["stack"] == 10
+    assert told["stack"] == 1
 
 
 def test_routers_are_made_from_plain_options() -> None:

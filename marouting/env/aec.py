@@ -10,7 +10,7 @@ from pettingzoo import AECEnv
 
 from marouting.config import ORDERS
 from marouting.engine import NOBODY, Status
-from marouting.env.face import METADATA, Face, Looks, checked_move
+from marouting.env.face import INT8, METADATA, Face, Looks, checked_move
 from marouting.grid import MOVES
 from marouting.source import Source
 
@@ -92,7 +92,7 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
             if agent in self.infos:  # others may have taken capacity since its info was made
                 self.infos[agent] = face.info(face.mask(self._number[agent]), over=False)
             return
-        mask = np.empty(_MASK, np.int8)
+        mask = np.empty(_MASK, INT8)
         following, status = face.engine.play_turn(checked_move(action), mask)
 
         # Only the mover gets a reward; the last mover's is over.

@@ -30,6 +30,11 @@ METADATA: dict[str, Any] = {
     "is_parallelizable": True,
 }
 
+# As types of arrays to be made: NumPy looks these up no more.
+FLOAT32, INT8 = np.dtype(np.float32), np.dtype(np.int8)
+
+_MOVES = range(MOVES)
+
 
 class Face:
     """A game of one problem with its observation, reward, masks, state and pictures.
@@ -120,7 +125,7 @@ class Face:
         """A fresh observation of one agent in the form that the options ask for."""
         problems, agents = self._one
         agents[0, 0] = agent
-        out = np.empty(self._row, np.float32)
+        out = np.empty(self._row, FLOAT32)
         self._write(problems, agents, out)
         return self.seen(out[0], self.mask(agent)) if self.masked else out[0]
 
@@ -202,7 +207,7 @@ class Face:
 
 def checked_move(action: Any, name: str = "action") -> int:
     """An action as a move's number; raises ValueError, with its name, for all but 0 to 5."""
-    if action not in range(MOVES):
+    if action not in _MOVES:
         raise ValueError(f"{name}: expected 0 to {MOVES - 1}, found {action}")
     return int(action)
 

@@ -49,8 +49,8 @@ _NO_LIMIT = 1 << 31  # no edge costs as much
 _MOST_OVERFLOW = 1000  # units of overflow that cost more than one less; costs fit into 32 bits
 _EXACT_LABELS = 1 << 17  # the largest search for a cheapest tree: box · 2^(pins - 1)
 _FIRST_BOX = 4096  # Gcells of the largest box that there is room for to begin with
-_WORK = 1 << 20  # labels opened, about a fifth of a second, between looks at the clock
-_CHUNK = 64  # passes between two looks at the clock, at most
+_WORK = 1 << 18  # labels opened, some 50 ms, between looks at the clock
+_CHUNK = 64  # passes between looks at the clock, at most
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ class PathfinderOptions:
     growth: float = 1.1
     history: float = 0.3
     decay: float = 0.8
-    stuck: int = 5
+    stuck: int = 10
     least_gain: float = 0.0005
     again: float = 0.1
     patience: int = 10

@@ -9,6 +9,7 @@ Costs are whole numbers, one for each edge of a grid or of a rectangle cut out o
 (X, Y, Z, 3) in the order of edge numbers (:mod:`marouting.grid`).
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ _SPLIT = len(Move)
 """What a table of ways holds: the move that ends the way to a Gcell, _PIN where a way begins, or
 _SPLIT and more, which says where a tree splits into that set of pins and the others."""
 
-_EAST, _WEST, _NORTH, _SOUTH, _UP, _DOWN = map(int, Move)
+_EAST, _WEST, _NORTH, _SOUTH, _UP, _DOWN = map(int, Move)  # members are slow to compile
 
 
 @compiled
@@ -124,29 +125,40 @@ def _walk(way: Any, pin_set: int, cell: int, strides: Any, stack: Any, out: Any)
 
 
 @compiled
-def _cross(price: Any, cost: Any, strides: Any, out: Any) -> None:
-    """Writes for every edge what the cheapest tree costs that joins all pins and crosses it."""
+def _cross(price: Any, cost: Any, strides: Any, least: Any, split: Any) -> None:
+    """Writes what the cheapest tree across every edge costs, and the pins on its near side."""
     everything = cost.shape[0] - 1
     for edge in range(len(price)):
-        out[edge] = NEVER
+        least[edge] = NEVER
         if price[edge] < NEVER:
             near = edge // AXES
             far = near + strides[edge % AXES]
             # Without the edge the tree falls apart, and either part has pins.
             for part in range(1, everything):
-                through = cost[part, near] + price[edge] + cost[everything ^ part, far]
-                out[edge] = min(out[edge], through)
+                across = cost[part, near] + price[edge] + cost[everything ^ part, far]
+                if across < least[edge]:
+                    least[edge] = across
+                    split[edge] = part
 
 
-def _tables(
-    price: NDArray[np.int64], pins: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
-    """Costs and ways (2^pins, G) of the trees that join any of the pins, and the grid's strides."""
-    columns, rows, layers, _ = price.shape
-    shape = (1 << len(pins), columns * rows * layers)
-    cost, way = np.empty(shape, np.int64), np.empty(shape, np.int32)
-    _join(price.reshape(-1), pins, columns, rows, layers, cost, way)
-    return cost, way, np.array((rows * layers, layers, 1))
+class _Tables:
+    """The cheapest trees that join any of the pins and one Gcell more."""
+
+    def __init__(self, price: NDArray[np.int64], pins: NDArray[np.int64]) -> None:
+        columns, rows, layers, _ = price.shape
+        shape = (1 << len(pins), columns * rows * layers)
+        self.cost = np.empty(shape, np.int64)
+        self.way = np.empty(shape, np.int32)
+        self.strides = np.array((rows * layers, layers, 1))
+        _join(price.reshape(-1), pins, columns, rows, layers, self.cost, self.way)
+        # Ways of no cost may meet: then the parts of a tree share edges.
+        self._edges = np.empty((2 * len(pins) + 1) * shape[1], np.int64)
+        self._stack = np.empty((len(pins) + 2, 2), np.int64)
+
+    def tree(self, pin_set: int, cell: int) -> NDArray[np.int64]:
+        """The edges of the tree that joins a set of pins and a Gcell; some may repeat."""
+        count = _walk(self.way, pin_set, cell, self.strides, self._stack, self._edges)
+        return self._edges[:count].copy()
 
 
 def cheapest_tree(
@@ -155,31 +167,90 @@ def cheapest_tree(
     """The cheapest tree that joins two or more pins.
 
     Args:
-        price: (X, Y, Z, 3) cost of every edge from 0; NEVER for one that must not be used, off
-            the grid among them.
+        price: (X, Y, Z, 3) cost of every edge from 0; NEVER for one that must not be used, those
+            that lead off the grid among them.
         pins: (k,) their Gcells, all different, by their numbers in the grid of ``price``.
 
     Returns:
-        What it costs, and the numbers of its edges in the grid of ``price``; NEVER and none if
-        the pins cannot be joined.
+        What it costs, and the numbers of its edges in the grid of ``price``, ascending; NEVER and
+        none if the pins cannot be joined.
     """
-    cost, way, strides = _tables(price, pins[:-1])
-    found = int(cost[-1, pins[-1]])
-    if found >= NEVER:
+    tables = _Tables(price, pins[:-1])
+    cost = int(tables.cost[-1, pins[-1]])
+    if cost >= NEVER:
         return NEVER, np.empty(0, np.int64)
-    # Ways of no cost may meet: then the parts of a tree share edges.
-    edges = np.empty(cost.size, np.int64)
-    stack = np.empty((2 * len(pins), 2), np.int64)
-    count = _walk(way, len(cost) - 1, int(pins[-1]), strides, stack, edges)
-    return found, np.unique(edges[:count])
+    return cost, np.unique(tables.tree(len(tables.cost) - 1, int(pins[-1])))
 
 
-def cost_across(price: NDArray[np.int64], pins: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(X, Y, Z, 3) for every edge the cost of the cheapest tree that joins the pins and uses it.
+class Across:
+    """For every edge the cheapest tree that joins the pins and uses that edge.
 
-    Arguments as of :func:`cheapest_tree`; NEVER where there is none.
+    Args:
+        price: as for :func:`cheapest_tree`.
+        pins: likewise.
+
+    Attributes:
+        cost: (edges,) what the tree costs; NEVER where there is none.
     """
-    cost, _, strides = _tables(price, pins)
-    across = np.empty(price.size, np.int64)
-    _cross(price.reshape(-1), cost, strides, across)
-    return across.reshape(price.shape)
+
+    def __init__(self, price: NDArray[np.int64], pins: NDArray[np.int64]) -> None:
+        self._tables = _Tables(price, pins)
+        self.cost = np.empty(price.size, np.int64)
+        self._near = np.empty(price.size, np.int64)
+        _cross(price.reshape(-1), self._tables.cost, self._tables.strides, self.cost, self._near)
+
+    def tree(self, edge: int) -> NDArray[np.int64]:
+        """The edges of the tree across an edge that has one, ascending."""
+        cell, axis = divmod(edge, AXES)
+        near = int(self._near[edge])
+        far = len(self._tables.cost) - 1 - near
+        beyond = cell + int(self._tables.strides[axis])
+        parts = self._tables.tree(near, cell), self._tables.tree(far, beyond), [edge]
+        return np.unique(np.concatenate(parts))
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle cut out of a grid, with all its layers.
+
+    Attributes:
+        grid: the whole grid.
+        low: its first column and row.
+        high: the column and row after its last ones.
+    """
+
+    grid: tuple[int, int, int]
+    low: tuple[int, int]
+    high: tuple[int, int]
+
+    @staticmethod
+    def around(grid: tuple[int, int, int], gcells: NDArray[np.int64], margin: int) -> "Window":
+        """The box around Gcells, larger by a margin on all sides, as far as the grid goes."""
+        x, y, _ = np.unravel_index(gcells, grid)
+        low = max(int(x.min()) - margin, 0), max(int(y.min()) - margin, 0)
+        high = min(int(x.max()) + margin + 1, grid[0]), min(int(y.max()) + margin + 1, grid[1])
+        return Window(grid, low, high)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Columns, rows and layers."""
+        return self.high[0] - self.low[0], self.high[1] - self.low[1], self.grid[2]
+
+    def cut(self, price: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Of the costs of all edges those in the window (X, Y, Z, 3); no edge leads out of it."""
+        part = price[self.low[0] : self.high[0], self.low[1] : self.high[1]].copy()
+        part[-1, :, :, 0] = NEVER
+        part[:, -1, :, 1] = NEVER
+        return part
+
+    def inside(self, gcells: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The numbers within the window of Gcells in it."""
+        x, y, z = np.unravel_index(gcells, self.grid)
+        return np.ravel_multi_index((x - self.low[0], y - self.low[1], z), self.shape)
+
+    def outside(self, edges: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The numbers in the grid of edges (n,) in the window."""
+        gcell, axis = np.divmod(edges, AXES)
+        x, y, z = np.unravel_index(gcell, self.shape)
+        whole = np.ravel_multi_index((x + self.low[0], y + self.low[1], z), self.grid)
+        return AXES * whole + axis

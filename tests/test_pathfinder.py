@@ -1,0 +1,425 @@
+"""Negotiated congestion: by hand, against A*, and against the published optima."""
+
+import csv
+import itertools
+from collections.abc import Iterator
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from reference import contested
+from strategies import problems
+
+from marouting import (
+    Adjustment,
+    InputError,
+    Net,
+    Pin,
+    Problem,
+    Solution,
+    evaluate,
+    generate,
+    sequential_astar,
+)
+from marouting.config import build, read_yaml
+from marouting.steiner import EXACT_PINS, steiner_length
+from policies.base import Router
+from policies.classical.pathfinder import PathfinderOptions, PathfinderRouter, Routed
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data"
+PUBLISHED = DATA / "liao2019"
+IBM01 = DATA / "ispd98" / "ibm01.modified.txt"
+
+
+def router(**options: Any) -> PathfinderRouter:
+    """Without a limit of time, so that the machine has no part in the result."""
+    return PathfinderRouter(PathfinderOptions(**{"seconds": None, **options}))
+
+
+def plane(nets: dict[str, list[tuple[int, int]]], grid: tuple[int, int], **options: Any) -> Problem:
+    """A problem of one layer with edges of capacity 1, each of which has room for one net."""
+    made = tuple(
+        Net(name, i, tuple(Pin(x, y, 1) for x, y in pins))
+        for i, (name, pins) in enumerate(nets.items())
+    )
+    problem = Problem((*grid, 1), (1,), (1,), made, (1,), (0,), (0,))
+    return replace(problem, **options)
+
+
+def figures(problem: Problem, solution: Solution) -> tuple[int, int]:
+    judged = evaluate(problem, solution)
+    assert judged.connected
+    return judged.overflow, judged.wirelength
+
+
+def check_routed(problem: Problem, routed: Routed) -> None:
+    """The solution is the best of the history, and what it says of itself is so."""
+    overflow, wirelength = figures(problem, routed.solution)
+    # A solution made anew looks at its edges: they must be those of the grid, sorted, each once.
+    assert routed.solution == Solution(problem, routed.solution.edges)
+    assert len(routed.history) == routed.iterations
+    if routed.history:
+        best = min((done.overflow, done.wirelength) for done in routed.history)
+        assert best == (overflow, wirelength)
+
+
+# By hand
+
+
+def test_two_nets_want_one_corridor() -> None:
+    """One of them goes round it, whichever comes first."""
+    problem = plane({"small": [(1, 0), (3, 0)], "large": [(0, 0), (4, 0)]}, (5, 2))
+    assert figures(problem, router().route(problem)) == (0, 8)
+
+
+def test_a_longer_net_makes_room() -> None:
+    """Both have two ways of length 4, and one of each leads along the other's shortest."""
+    nets = {"a": [(0, 0), (2, 2)], "b": [(0, 0), (2, 0)], "c": [(2, 0), (2, 2)]}
+    problem = plane(nets, (3, 3))
+    assert figures(problem, router().route(problem)) == (0, 8)
+
+
+def test_what_no_order_of_nets_can_do() -> None:
+    """Sequential A* overflows in every order: someone has to leave a shortest way for others."""
+    nets = {"a": [(2, 1), (1, 2)], "b": [(2, 2), (1, 0)], "c": [(1, 1), (2, 0)]}
+    problem = plane(nets, (3, 3))
+    for order in itertools.permutations(problem.nets):
+        turned = replace(problem, nets=order)
+        assert evaluate(turned, sequential_astar(turned, "file")).overflow > 0
+        assert figures(turned, router().route(turned)) == (0, 9)
+
+
+def test_overflow_where_there_is_no_other_way() -> None:
+    """Three nets through one edge of capacity 1, the only one: two too many."""
+    nets = {name: [(0, 0), (2, 0)] for name in "abc"}
+    problem = plane(nets, (3, 1))
+    assert figures(problem, router().route(problem)) == (4, 6)
+
+
+def test_least_overflow_comes_before_length() -> None:
+    """Along the row below, each of two nets takes two edges more; above there is room for one."""
+    nets = {name: [(0, 1), (3, 1)] for name in "abc"}
+    problem = plane(nets, (4, 3))
+    assert figures(problem, router().route(problem)) == (0, 13)
+
+
+def test_wide_nets_take_more() -> None:
+    """With spacing 1 a width of 2 takes 3 of 5 tracks: beside it there is room for width 1."""
+    nets = {"wide": [(0, 0), (2, 0)], "wider": [(0, 0), (2, 0)], "thin": [(0, 0), (2, 0)]}
+    problem = plane(
+        nets, (3, 2), vertical_capacity=(5,), horizontal_capacity=(5,), min_spacing=(1,)
+    )
+    made = tuple(
+        replace(net, min_width=width) for net, width in zip(problem.nets, (2, 2, 1), strict=True)
+    )
+    problem = replace(problem, nets=made)
+    assert figures(problem, router().route(problem)) == (0, 8)
+
+
+def test_a_net_crosses_its_own_edges_for_nothing() -> None:
+    """Four pins in a comb of capacity 1: the spine is used once."""
+    problem = plane({"comb": [(0, 0), (1, 1), (2, 1), (3, 0)]}, (4, 2))
+    assert figures(problem, router().route(problem)) == (0, 5)
+
+
+def test_layers_of_one_direction() -> None:
+    """Along x in layer 1 and along y in layer 2: a bend takes two vias."""
+    problem = Problem(
+        grid=(4, 3, 2),
+        vertical_capacity=(0, 1),
+        horizontal_capacity=(1, 0),
+        nets=(Net("bend", 0, (Pin(0, 0, 1), Pin(3, 2, 1))),),
+        min_width=(1, 1),
+        min_spacing=(0, 0),
+        via_spacing=(0, 0),
+    )
+    judged = evaluate(problem, router().route(problem))
+    assert (judged.overflow, judged.wirelength, judged.vias) == (0, 7, 2)
+
+
+def test_demand_differs_between_layers() -> None:
+    """In layer 1 a wire takes 4 tracks of 3; in layer 2 it takes 2."""
+    problem = Problem(
+        grid=(3, 1, 2),
+        vertical_capacity=(0, 0),
+        horizontal_capacity=(3, 3),
+        nets=(Net("up", 0, (Pin(0, 0, 1), Pin(2, 0, 1))),),
+        min_width=(3, 1),
+        min_spacing=(1, 1),
+        via_spacing=(0, 0),
+    )
+    judged = evaluate(problem, router().route(problem))
+    assert (judged.overflow, judged.wirelength, judged.vias) == (0, 4, 2)
+
+
+@pytest.mark.parametrize(("via_weight", "vias"), [(0.0, 2), (0.5, 2), (2.0, 0)])
+def test_weight_of_vias(via_weight: float, vias: int) -> None:
+    """A full edge: round it within the layer, two edges more, or over it by two vias."""
+    problem = Problem(
+        grid=(2, 2, 2),
+        vertical_capacity=(1, 1),
+        horizontal_capacity=(1, 1),
+        nets=(Net("over", 0, (Pin(0, 0, 1), Pin(1, 0, 1))),),
+        min_width=(1, 1),
+        min_spacing=(0, 0),
+        via_spacing=(0, 0),
+        adjustments=(Adjustment(0, 0, 1, 1, 0, 1, 0),),
+    )
+    routed = router(via_weight=via_weight).solve(problem)
+    judged = evaluate(problem, routed.solution)
+    assert (judged.overflow, judged.wirelength, judged.vias) == (0, 3, vias)
+    assert routed.history[-1].wirelength == judged.wirelength - judged.vias + via_weight * vias
+
+
+def test_boxes_and_memory_grow() -> None:
+    """A wall that leads far round: to the grid's other end, beyond what there is room for first."""
+    wall = tuple(Adjustment(0, y, 1, 1, y, 1, 0) for y in range(90))
+    problem = plane({"round": [(0, 0), (1, 0)]}, (60, 91), adjustments=wall)
+    assert figures(problem, router().route(problem)) == (0, 181)
+
+
+def test_nothing_to_route() -> None:
+    problem = plane({"dot": [(1, 1)], "twice": [(0, 0), (0, 0)]}, (2, 2))
+    routed = router().solve(problem)
+    assert (figures(problem, routed.solution), routed.iterations) == ((0, 0), 0)
+
+
+# What always holds
+
+
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    st.one_of(problems(), contested(max_nets=10, max_pins=9)),
+    st.fixed_dictionaries(
+        {
+            "seed": st.integers(0, 2**31 - 1),
+            "exact_pins": st.sampled_from([2, 3, 5]),
+            "margin": st.sampled_from([0, 1, 3]),
+            "via_weight": st.sampled_from([0.0, 1.0]),
+            "patience": st.just(2),
+        }
+    ),
+)
+def test_every_net_is_joined_and_the_best_is_kept(
+    problem: Problem, options: dict[str, Any]
+) -> None:
+    routed = router(**options).solve(problem)
+    if options["via_weight"] == 1:
+        check_routed(problem, routed)
+    judged = evaluate(problem, routed.solution)
+    assert judged.connected
+    if routed.history:
+        best = min((done.overflow, done.wirelength) for done in routed.history)
+        weighted = judged.wirelength - judged.vias + options["via_weight"] * judged.vias
+        assert best == (judged.overflow, weighted)
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    st.sampled_from(
+        [
+            {"grid": (8, 8, 2), "nets": 50, "max_pins": 2},
+            {"grid": (8, 8, 2), "nets": 40, "max_pins": 9, "capacity": 9},
+            {"grid": (4, 4, 2), "nets": 12, "max_pins": 8, "capacity": 3},
+            {"grid": (6, 5, 3), "nets": 30, "max_pins": 4, "capacity": 4},
+            {"grid": (5, 5, 1), "nets": 20, "max_pins": 3, "capacity": 3},
+        ]
+    ),
+    st.integers(0, 2**31),
+)
+def test_never_worse_than_sequential_astar(options: dict[str, Any], seed: int) -> None:
+    """On generated problems. It does not follow from how the router works: nothing looks at A*."""
+    [problem] = generate(1, **options, seed=seed)
+    routed = router(patience=3).solve(problem)
+    check_routed(problem, routed)
+    assert figures(problem, routed.solution) <= figures(problem, sequential_astar(problem))
+
+
+@settings(deadline=None, max_examples=30)
+@given(contested(max_nets=1, max_pins=12), st.integers(0, 2**31 - 1))
+def test_nets_with_room_get_steiner_trees(problem: Problem, seed: int) -> None:
+    room = (1000,) * problem.grid[2]
+    problem = replace(problem, vertical_capacity=room, horizontal_capacity=room, adjustments=())
+    routed = router(seed=seed, exact_pins=5).solve(problem)
+    shortest = steiner_length(problem)
+    for net, edges in enumerate(routed.solution.edges):
+        pins = len(problem.pin_gcells[net])
+        if pins <= 5:
+            assert len(edges) == shortest[net]
+        elif pins <= EXACT_PINS:
+            assert shortest[net] <= len(edges) <= 1.05 * shortest[net] + 1
+
+
+def congested() -> Problem:
+    return generate(1, grid=(8, 8, 2), nets=50, max_pins=4, capacity=6, seed=3)[0]
+
+
+def test_same_seed_same_route() -> None:
+    problem = congested()
+    first, again = (router(seed=7, passes=40).solve(problem) for _ in range(2))
+    assert first.solution == again.solution
+    assert first.history == again.history
+    histories = {router(seed=seed, passes=40).solve(problem).history for seed in range(4)}
+    assert len(histories) > 1
+
+
+def test_limit_of_passes() -> None:
+    problem = congested()
+    longer = router(passes=12).solve(problem)
+    for passes in (1, 5):
+        routed = router(passes=passes).solve(problem)
+        assert routed.history == longer.history[:passes]
+        check_routed(problem, routed)
+
+
+def test_limit_of_time_leaves_every_net_joined() -> None:
+    """However little time there is: the first pass is made, and what comes first of the others."""
+    problem = generate(1, nets=80, max_pins=5)[0]  # far too much for its grid
+    routed = router(seconds=0.0).solve(problem)
+    check_routed(problem, routed)
+    full = router(passes=200).solve(problem)
+    assert 1 <= routed.iterations < full.iterations == 200
+    assert routed.history == full.history[: routed.iterations]
+
+
+def test_kinds_of_passes() -> None:
+    problem = congested()
+    routed = router(passes=60).solve(problem)
+    kinds = [done.kind for done in routed.history]
+    assert kinds[0] == "relax"
+    assert set(kinds) == {"relax", "negotiate", "squeeze"}
+    for before, done in itertools.pairwise(routed.history):
+        assert done.routed <= len(problem.nets)
+        if done.kind == "negotiate":
+            assert before.overflow > 0
+        if done.kind == "squeeze":  # never worse
+            assert (done.overflow, done.wirelength) <= (before.overflow, before.wirelength)
+
+
+def test_is_a_router() -> None:
+    made: Router = PathfinderRouter()
+    assert made.name == "pathfinder"
+    problem = congested()
+    assert router(passes=3).route(problem) == router(passes=3).solve(problem).solution
+
+
+# Options
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"via_weight": -1.0}, "via_weight: expected a number from 0 to 1000"),
+        ({"exact_pins": 1}, "exact_pins: expected a number from 2 to 9"),
+        ({"exact_pins": 10}, "exact_pins: expected a number from 2 to 9"),
+        ({"margin": -1}, "margin: expected a number from 0"),
+        ({"present": 0.0}, "present: expected a number above 0"),
+        ({"growth": 0.9}, "growth: expected a number from 1"),
+        ({"history": -0.1}, "history: expected a number from 0"),
+        ({"decay": 1.1}, "decay: expected a number from 0 to 1"),
+        ({"stuck": 0}, "stuck: expected a number from 1"),
+        ({"least_gain": 2.0}, "least_gain: expected a number from 0 to 1"),
+        ({"again": -0.5}, "again: expected a number from 0 to 1"),
+        ({"patience": 0}, "patience: expected a number from 1"),
+        ({"passes": 0}, "passes: expected a number from 1"),
+        ({"seconds": -1.0}, "seconds: expected a number from 0, or null"),
+        ({"seed": -1}, "seed: expected a number from 0"),
+    ],
+)
+def test_options_out_of_range(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        PathfinderOptions(**options)
+    with pytest.raises(InputError, match=message):
+        build(PathfinderOptions, options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"grow": 2.0}, "grow: unknown key; did you mean growth?"),
+        ({"stuck": "often"}, "stuck: expected a valid integer, found 'often'"),
+        ({"decay": float("nan")}, "decay: expected a finite number"),
+    ],
+)
+def test_options_of_wrong_form(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as raised:
+        build(PathfinderOptions, options)
+    assert message in str(raised.value)
+
+
+def test_configuration_has_every_key_with_its_default() -> None:
+    raw = read_yaml(ROOT / "configs" / "pathfinder.yaml")
+    assert list(raw) == [field.name for field in fields(PathfinderOptions)]
+    assert raw == asdict(PathfinderOptions())
+    assert build(PathfinderOptions, raw) == PathfinderOptions()
+
+
+# Published problems
+
+
+def published() -> Iterator[tuple[dict[str, str], Path]]:
+    """The rows of the table of results, and the problems' files."""
+    with (PUBLISHED / "results.csv").open(encoding="utf-8", newline="") as table:
+        for row in csv.DictReader(table):
+            yield row, PUBLISHED / row["set"] / f"{row['problem']}.gr"
+
+
+def gap(row: dict[str, str], path: Path) -> float:
+    """How much longer than the optimum, as a share; the problem is routed without overflow."""
+    problem = Problem.read(path)
+    overflow, wirelength = figures(problem, router().route(problem))
+    assert overflow == int(row["optimal_overflow"])
+    return wirelength / int(row["optimal_wirelength"]) - 1
+
+
+needs_published = pytest.mark.skipif(
+    not PUBLISHED.exists(), reason="needs the published problems in ../shared/data"
+)
+
+
+@needs_published
+def test_published_problems_one_of_each_set() -> None:
+    first = {row["set"]: (row, path) for row, path in published()}
+    gaps = [gap(row, path) for row, path in first.values()]
+    assert len(gaps) == 10
+    assert min(gaps) >= 0  # the optimum is one
+    assert np.mean(gaps) <= 0.001
+
+
+@pytest.mark.slow
+@needs_published
+def test_all_published_problems() -> None:
+    gaps: dict[bool, list[float]] = {True: [], False: []}
+    for row, path in published():
+        gaps[row["max_pins"] == "2"].append(gap(row, path))
+    assert len(gaps[True]) + len(gaps[False]) == 121
+    assert min(*gaps[True], *gaps[False]) >= 0
+    assert np.mean(gaps[True]) <= 0.001
+    assert np.mean(gaps[False]) <= 0.001
+
+
+def ibm01() -> Problem:
+    if not IBM01.exists():
+        pytest.skip("needs ibm01 in ../shared/data")
+    return Problem.read(IBM01)
+
+
+@pytest.mark.slow
+def test_ibm01_is_shorter_than_published() -> None:
+    """BoxRouter 2.0 (Cho et al. 2007) needs 63 611 without overflow, vias left out."""
+    problem = ibm01()
+    judged = evaluate(problem, router(via_weight=0.01, passes=40).route(problem))
+    assert judged.connected
+    assert judged.overflow == 0
+    assert judged.wirelength - judged.vias <= 63_000
+
+
+@pytest.mark.slow
+def test_steiner_trees_of_ibm01_are_as_short_as_published() -> None:
+    """FLUTE's trees have 60 149 in all."""
+    assert 60_000 <= steiner_length(ibm01()).sum() <= 60_149 * 1.001
