@@ -17,6 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast, get_args, g
 import yaml
 from pydantic import ConfigDict, Discriminator, Tag, TypeAdapter, ValidationError
 
+from marouting.decomposition import Decomposition
 from marouting.engine import Engine, NetOrder, Overflow, TurnOrder
 from marouting.errors import InputError
 from marouting.files import unusable
@@ -67,6 +68,8 @@ class GameOptions:
             twice X + Y where that is more.
         overflow: ``forbidden``, a move across a full edge is blocked (the paper), or ``allowed``,
             at ``reward.overflow_price``.
+        decomposition: what tasks a net's pins are cut into, along a tree: ``mst``, a minimum
+            spanning tree (the paper), or ``steiner``, a rectilinear Steiner tree.
         observation: the paper's 12 numbers; see :class:`marouting.observation.PaperObservation`.
         reward: the paper's +100 and −1; see :class:`marouting.reward.PaperReward`.
         mask_in_observation: whether an observation is ``{"observation", "action_mask"}``; the
@@ -81,6 +84,7 @@ class GameOptions:
     net_order: NetOrder = "half_perimeter"
     max_steps: int | None = None
     overflow: Overflow = "forbidden"
+    decomposition: Decomposition = "mst"
     observation: PaperObservation = field(default_factory=PaperObservation)
     reward: PaperReward = field(default_factory=PaperReward)
     mask_in_observation: bool = False
@@ -99,6 +103,7 @@ class GameOptions:
             net_order=self.net_order,
             max_steps=self.max_steps,
             overflow=self.overflow,
+            decomposition=self.decomposition,
         )
 
 

@@ -1,29 +1,41 @@
-"""Multi-pin nets become two-pin tasks along a minimum spanning tree (paper, section 3.3).
+"""Multi-pin nets become two-pin tasks along a tree.
 
-The distance of two pins is the Manhattan distance of their Gcells over x, y and layer. Pins in the
-same Gcell count once; a net whose pins all lie in one Gcell needs no task.
+The tree is a minimum spanning tree (paper, section 3.3) or a rectilinear Steiner tree. The distance
+of two pins is the Manhattan distance of their Gcells over x, y and layer. Pins in the same Gcell
+count once; a net whose pins all lie in one Gcell needs no task.
 """
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from marouting.grid import AXES
+from marouting.kernels import compiled
 from marouting.problem import Problem
+from marouting.steiner import steiner_tasks
+
+Decomposition = Literal["mst", "steiner"]
 
 
-def two_pin_tasks(problem: Problem) -> NDArray[np.int32]:
+def two_pin_tasks(problem: Problem, decomposition: Decomposition = "mst") -> NDArray[np.int32]:
     """Cuts every net into two-pin tasks.
 
-    The tree of a net is walked breadth first from its first pin, so every task starts at a pin
-    that an earlier task of the net has reached. Among trees of equal length the choice depends on
-    the order of the pins alone: the result is the same on every machine.
+    Every task starts at a Gcell that an earlier task of the net has reached, or at its first pin.
+    Among trees of equal length the choice depends on the order of the pins alone: the result is the
+    same on every machine.
+
+    Args:
+        problem: the problem.
+        decomposition: ``mst``, between pins along a minimum spanning tree, walked breadth first
+            from the first pin (the paper); or ``steiner``, between pins and Steiner points, see
+            :func:`marouting.steiner.steiner_tasks`.
 
     Returns:
         (K, 3) int32: net, start Gcell and target Gcell of each task, nets in file order.
     """
+    if decomposition == "steiner":
+        return steiner_tasks(problem)
     first, gcells = problem.flat_pin_gcells
     tasks = np.empty((len(gcells) - len(problem.nets), 3), np.int32)
     working = np.empty((4, len(gcells)), np.int64)
@@ -31,7 +43,7 @@ def two_pin_tasks(problem: Problem) -> NDArray[np.int32]:
     return tasks
 
 
-@njit(cache=True, _nrt=False)  # type: ignore[call-overload]
+@compiled
 def _span(
     first: Any, gcells: Any, position: Any, parent: Any, near: Any, rank: Any, queue: Any, out: Any
 ) -> None:

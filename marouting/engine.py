@@ -30,28 +30,18 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from numba import njit, typeof
 from numpy.typing import NDArray
 
-from marouting.decomposition import two_pin_tasks
+from marouting.decomposition import Decomposition, two_pin_tasks
 from marouting.errors import InputError
 from marouting.grid import MOVES, OFF_GRID, VIA_AXIS, Grid, Move
+from marouting.kernels import bound, compiled, inlined, place, wide
 from marouting.problem import UNLIMITED, Problem
 from marouting.solution import Solution
 
 TurnOrder = Literal["sequential", "round_robin"]
 NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
 Overflow = Literal["forbidden", "allowed"]
-
-compiled = njit(cache=True, nogil=True, _nrt=False)  # type: ignore[call-overload]
-"""How the rules are compiled: to disk, and without counting references to arrays. Nothing here
-allocates; counting at every call of a rule would take ten times as long as the rules."""
-
-inlined = njit(  # type: ignore[call-overload]
-    cache=True, _nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True
-)
-"""For the rules inside the loops of others: a call would hand over a dozen arrays. They have no
-entry from Python, which takes as long to compile as they do."""
 
 NOBODY = -1
 """Whose turn it is when the episode is over; also the action of a net that does not move."""
@@ -138,26 +128,6 @@ class Play(NamedTuple):
     used: NDArray[np.uint8]  # (M, N, ceil(E / 8)) bit e % 8 of byte e // 8: the net uses edge e
     agents: NDArray[Any]  # (M, N) AGENT
     games: NDArray[Any]  # (M,) GAME
-
-
-@inlined
-def wide(index: Any) -> int:
-    """An index out of an array as int64.
-
-    Numba compiles a function anew for every combination of integer types that it is called with;
-    widened where they come out of arrays, all indices have one type.
-    """
-    return np.int64(index)  # type: ignore[return-value]
-
-
-@inlined
-def place(index: Any) -> int:
-    """An index that is not negative, as int64.
-
-    Numba lets a negative index count from the end, and looking for one takes as long as the rest
-    of an access.
-    """
-    return np.int64(np.uint32(index))  # type: ignore[return-value]
 
 
 # Without branches as far as can be: what an agent meets is as good as random, and a branch that the
@@ -462,19 +432,6 @@ Write = Callable[[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]], No
 for none, and an array of P · K rows to fill; all contiguous."""
 
 
-def bound(kernel: Any, *examples: Any) -> Callable[..., Any]:
-    """The machine code of a compiled function, for arguments of the types of the examples.
-
-    Numba looks up the types of all arguments at every call, which for the engine's tuples takes
-    several times as long as a move. What is returned looks up nothing: it has to be called with
-    the types, dimensions and memory layouts of the examples.
-    """
-    signature = tuple(map(typeof, examples))
-    kernel.compile(signature)
-    code: Callable[..., Any] = kernel.overloads[signature].entry_point
-    return code
-
-
 @dataclass(frozen=True)
 class Metrics:
     """An episode in the figures that routes are judged by, apart from any reward.
@@ -508,6 +465,8 @@ class Engine:
         max_steps: steps after which a task fails (the paper's T_max). None: 50 as in the paper,
             or twice X + Y where that is more: 50 steps do not cross a large grid.
         overflow: ``forbidden`` or ``allowed``.
+        decomposition: of nets into tasks, ``mst`` (paper) or ``steiner``, see
+            :func:`marouting.decomposition.two_pin_tasks`.
 
     Raises:
         InputError: no problem, unequal grids, a problem without anything to route, or an option
@@ -522,6 +481,7 @@ class Engine:
         net_order: NetOrder = "half_perimeter",
         max_steps: int | None = None,
         overflow: Overflow = "forbidden",
+        decomposition: Decomposition = "mst",
     ) -> None:
         if not problems:
             raise InputError("problems: expected at least one")
@@ -542,6 +502,7 @@ class Engine:
             self.problems,
             self.grid,
             net_order,
+            decomposition,
             sequential=turn_order == "sequential",
             overflow=overflow == "allowed",
             max_steps=max_steps,
@@ -733,7 +694,8 @@ def _check_choice(name: str, value: object, choices: Any) -> None:
 def world_of(
     problems: tuple[Problem, ...],
     grid: Grid,
-    net_order: NetOrder,
+    net_order: NetOrder | NDArray[np.integer],
+    decomposition: Decomposition,
     *,
     sequential: bool,
     overflow: bool,
@@ -741,12 +703,15 @@ def world_of(
 ) -> tuple[World, NDArray[np.int32]]:
     """The constant arrays of a batch, and (M, N) the net of every agent (NOBODY where absent).
 
-    The arguments are those of :class:`Engine`, whose checks of grid and steps have been made.
+    The arguments are those of :class:`Engine`, whose checks of grid and steps have been made. The
+    order may also be (nets,) numbers: the net with the least comes first.
 
     Raises:
-        InputError: a problem that cannot be played, or no such order.
+        InputError: a problem that cannot be played, or no such order or decomposition.
     """
-    _check_choice("net_order", net_order, NetOrder)
+    if isinstance(net_order, str):
+        _check_choice("net_order", net_order, NetOrder)
+    _check_choice("decomposition", decomposition, Decomposition)
     pins = [problem.flat_pin_gcells for problem in problems]
     counts = [np.count_nonzero(first[1:] - first[:-1] > 1) for first, _ in pins]
     for m, count in enumerate(counts):
@@ -757,14 +722,22 @@ def world_of(
     first = np.zeros((shape[0], shape[1] + 1), np.int32)
     demand = np.zeros((*shape, grid.shape[2]), np.int32)
     size = np.empty(shape[1], np.int32)
+    tasks = [two_pin_tasks(problem, decomposition) for problem in problems]
     for m, (problem, count) in enumerate(zip(problems, counts, strict=True)):
         first[m, 0] = first[m - 1, -1]  # 0 for the first problem
         most = _agents(
-            *pins[m], grid.position, problem.demand, agent_net[m], first[m], demand[m], size
+            *pins[m],
+            tasks[m],
+            grid.position,
+            problem.demand,
+            agent_net[m],
+            first[m],
+            demand[m],
+            size,
         )
         if overflow and most > UNLIMITED:
             raise InputError(f"problem {m}: expected demands that add up to at most {UNLIMITED}")
-        order[m, :count] = _turns(size[:count], net_order)
+        order[m, :count] = _turns(size[:count], agent_net[m, :count], net_order)
         order[m, count:] = NOBODY
     world = World(
         neighbour=grid.neighbour,
@@ -773,7 +746,7 @@ def world_of(
         position=grid.position,
         capacity=np.array([problem.capacity for problem in problems]),
         demand=demand,
-        tasks=np.concatenate([two_pin_tasks(problem)[:, 1:] for problem in problems]),
+        tasks=np.concatenate([table[:, 1:] for table in tasks]),
         first=first,
         order=order,
         sequential=sequential,
@@ -787,6 +760,7 @@ def world_of(
 def _agents(
     pins: Any,
     gcells: Any,
+    tasks: Any,
     position: Any,
     net_demand: Any,
     nets: Any,
@@ -799,6 +773,7 @@ def _agents(
     Args:
         pins: (nets + 1,) and
         gcells: (Gcells,), see :attr:`marouting.problem.Problem.flat_pin_gcells`.
+        tasks: (K, 3), see :func:`marouting.decomposition.two_pin_tasks`.
         position: (G, 3).
         net_demand: (nets, Z).
         nets: (N,) filled with the net of every agent, NOBODY where there is none.
@@ -809,12 +784,15 @@ def _agents(
     Returns:
         The demand on an edge that every agent uses, in its most demanding layer at most.
     """
-    n = most = 0
+    n = most = task = 0
     for net in range(len(pins) - 1):
         if pins[net + 1] - pins[net] < 2:
             continue
         nets[n] = net
-        first[n + 1] = first[n] + pins[net + 1] - pins[net] - 1
+        before = task
+        while task < len(tasks) and tasks[task, 0] == net:
+            task += 1
+        first[n + 1] = first[n] + task - before
         half_perimeter[n] = 0
         for axis in range(VIA_AXIS):
             least = largest = position[gcells[pins[net]], axis]
@@ -838,8 +816,14 @@ def _agents(
     return most
 
 
-def _turns(half_perimeter: NDArray[np.int32], net_order: NetOrder) -> NDArray[np.int64]:
-    """Agents in turn order, given (N,) the half-perimeters of their nets."""
+def _turns(
+    half_perimeter: NDArray[np.int32],
+    nets: NDArray[np.int32],
+    net_order: NetOrder | NDArray[np.integer],
+) -> NDArray[np.int64]:
+    """Agents in turn order, given (N,) the half-perimeters of their nets, and the nets."""
+    if not isinstance(net_order, str):
+        return np.argsort(net_order[nets], kind="stable")
     if net_order == "file":
         return np.arange(len(half_perimeter))
     if net_order == "half_perimeter":

@@ -13,21 +13,10 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from marouting.engine import (
-    NOBODY,
-    Engine,
-    Play,
-    Status,
-    World,
-    Write,
-    bound,
-    compiled,
-    inlined,
-    place,
-    wide,
-)
+from marouting.engine import NOBODY, Engine, Play, Status, World, Write
 from marouting.errors import InputError
 from marouting.grid import AXES, MOVES, VIA_AXIS, Grid
+from marouting.kernels import bound, compiled, inlined, place, wide
 from marouting.problem import Problem
 
 
@@ -103,7 +92,7 @@ class PaperObservation:
         _paper(engine.world, engine.play, self.via_capacity, problems, agents, out)
 
     def bind(self, engine: Engine) -> Write:
-        """A quicker :meth:`write` of one engine, see :func:`marouting.engine.bound`."""
+        """A quicker :meth:`write` of one engine, see :func:`marouting.kernels.bound`."""
         world, play, shown = engine.world, engine.play, self.via_capacity
         problems, agents = np.empty(0, np.int32), np.empty((0, 0), np.int32)
         out = np.empty((0, 2 * AXES + MOVES), np.float32)

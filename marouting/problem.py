@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.grid import AXES, OFF_GRID, VIA_AXIS, Grid
+from marouting.kernels import compiled
 
 UNLIMITED = int(np.iinfo(np.int32).max)
 """The capacity of a via: vias never overflow (paper, section on the problem sets generator)."""
@@ -286,7 +286,7 @@ class Problem:
         ispd.write_problem(self, path)
 
 
-@njit(cache=True, _nrt=False)  # type: ignore[call-overload]
+@compiled
 def _distinct(net: Any, gcell: Any, first: Any, out: Any) -> int:
     """Writes the Gcells of every net, each once, to ``out``; returns how many they are.
 

@@ -11,17 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.engine import (
-    NOBODY,
-    Crossing,
-    Ending,
-    Engine,
-    Write,
-    bound,
-    compiled,
-    inlined,
-    place,
-)
+from marouting.engine import NOBODY, Crossing, Ending, Engine, Write
+from marouting.kernels import bound, compiled, inlined, place
 
 
 class Reward(Protocol):
@@ -82,7 +73,7 @@ class PaperReward:
         return reward
 
     def bind(self, engine: Engine) -> Write:
-        """A quicker way to pay agents of one engine, see :func:`marouting.engine.bound`."""
+        """A quicker way to pay agents of one engine, see :func:`marouting.kernels.bound`."""
         records, table, price = engine.agents, self.table, self.overflow_price
         problems, agents = np.empty(0, np.int32), np.empty((0, 0), np.int32)
         out = np.empty(0, np.float32)

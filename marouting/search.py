@@ -5,15 +5,19 @@ Manhattan distance. An edge that the net already uses costs 1 however full it is
 takes nothing. With that it makes no difference whether a net's demand is taken after each task or
 after the whole net.
 
+A search leads from one Gcell to the nearest of its **goals**: one pin, or with ``target="tree"``
+all Gcells of the net's own tree so far. The heuristic is then the distance to the box around them.
+
 Ties are broken the same way everywhere: of the Gcells with the lowest f = g + h the one found last
 is opened first, and neighbours are found in the order of :class:`marouting.grid.Move`.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.decomposition import Decomposition
 from marouting.engine import (
     AGENT,
     GAME,
@@ -25,17 +29,17 @@ from marouting.engine import (
     Status,
     World,
     begin_task,
-    compiled,
     has_room,
-    inlined,
     move_agent,
-    place,
-    wide,
     world_of,
 )
-from marouting.grid import MOVES, Grid
+from marouting.errors import InputError
+from marouting.grid import AXES, MOVES, Grid
+from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem import Problem
 from marouting.solution import Solution
+
+Target = Literal["pin", "tree"]
 
 STEP_COST = 1
 FULL_COST = 1000
@@ -73,8 +77,13 @@ class Scratch(NamedTuple):
     below: NDArray[np.int32]  # (6 G,) the entry with the same f found before an entry
     cell: NDArray[np.int32]  # (6 G,) the Gcell of an entry
     path: NDArray[np.int8]  # (G,) the moves of the path
-    depth: NDArray[np.int64]  # (G,) walls between a Gcell and the target, see _INSIDE
-    ring: NDArray[np.int32]  # (G,) Gcells around the target
+    depth: NDArray[np.int64]  # (G,) walls between a Gcell and the goals, see _INSIDE
+    ring: NDArray[np.int32]  # (G,) Gcells around the goals
+    goals: NDArray[np.int32]  # (G,) the goals, the first size[0] of them
+    size: NDArray[np.int64]  # (1,)
+    mark: NDArray[np.int64]  # (G,) goal[0] for a goal
+    goal: NDArray[np.int64]  # (1,) sets of goals so far
+    box: NDArray[np.int64]  # (3, 2) lowest and highest x, y, z of a goal
     search: NDArray[np.int64]  # (1,) searches so far
     walls: NDArray[np.int64]  # (3,) see the constants below
 
@@ -95,39 +104,67 @@ def scratch(grid: Grid) -> Scratch:
         path=np.empty(g, np.int8),
         depth=np.zeros(g, np.int64),
         ring=np.empty(g, np.int32),
+        goals=np.empty(g, np.int32),
+        size=np.zeros(1, np.int64),
+        mark=np.zeros(g, np.int64),
+        goal=np.zeros(1, np.int64),
+        box=np.empty((AXES, 2), np.int64),
         search=np.zeros(1, np.int64),
         walls=np.zeros(3, np.int64),
     )
 
 
 @inlined
-def _distance(position: Any, a: int, b: int) -> int:
-    """Manhattan distance of two Gcells over x, y and layer."""
-    return (
-        abs(position[a, 0] - position[b, 0])
-        + abs(position[a, 1] - position[b, 1])
-        + abs(position[a, 2] - position[b, 2])
-    )
+def _distance(position: Any, cell: int, box: Any) -> int:
+    """Manhattan distance of a Gcell from a box (3, 2), over x, y and layer."""
+    distance = wide(0)
+    for axis in range(AXES):
+        at = position[cell, axis]
+        distance += max(box[axis, 0] - at, 0) + max(at - box[axis, 1], 0)
+    return distance
+
+
+@inlined
+def _no_goals(s: Scratch) -> None:
+    """Forgets all goals."""
+    s.goal[0] += 1
+    s.size[0] = 0
+
+
+@inlined
+def _add_goal(world: World, s: Scratch, cell: int) -> None:
+    """Makes a Gcell a goal, unless it is one."""
+    if s.mark[cell] == s.goal[0]:
+        return
+    s.mark[cell] = s.goal[0]
+    s.goals[s.size[0]] = cell
+    for axis in range(AXES):
+        at = wide(world.position[cell, axis])
+        s.box[axis, 0] = at if s.size[0] == 0 else min(s.box[axis, 0], at)
+        s.box[axis, 1] = at if s.size[0] == 0 else max(s.box[axis, 1], at)
+    s.size[0] += 1
 
 
 @inlined
 def _look_around(
-    world: World, play: Play, s: Scratch, m: int, n: int, source: int, target: int, budget: int
+    world: World, play: Play, s: Scratch, m: int, n: int, source: int, budget: int
 ) -> int:
-    """Finds walls around the target: edges without capacity that no way gets around.
+    """Finds walls around the goals: edges without capacity that no way gets around.
 
-    Floods the Gcells that the target can be reached from for nothing but steps, then those behind
-    one wall, and so on, until the source is reached or the budget is used up.
+    Floods the Gcells that a goal can be reached from for nothing but steps, then those behind one
+    wall, and so on, until the source is reached or the budget of more Gcells is used up.
 
     Returns:
         The walls that every way crosses from where has not been flooded.
     """
     s.walls[_INSIDE] += len(s.depth) + 1
     inside = s.walls[_INSIDE]
-    s.depth[target] = inside
-    s.ring[0] = target
     first = last = at = walls = 0  # the Gcells behind as many walls begin with the first
-    size = 1
+    size = s.size[0]
+    budget += size
+    for i in range(size):
+        s.ring[i] = s.goals[i]
+        s.depth[s.goals[i]] = inside
     flooding = True  # as far as there is room; otherwise looking behind the next wall
     while True:
         if at == (size if flooding else last):
@@ -166,15 +203,14 @@ def _search(
     m: int,
     n: int,
     source: int,
-    target: int,
     distance: int,
     most: int,
-) -> int:
-    """One A* search from source to target.
+) -> tuple[int, int]:
+    """One A* search from source to the goals.
 
-    A target that is walled in makes plain A* open the whole grid, in the vain hope of a way around
+    A goal that is walled in makes plain A* open the whole grid, in the vain hope of a way around
     that is cheaper than a full edge. So where a search takes long it looks for walls around the
-    target. Those that it knows of are part of the heuristic as long as the cost of a cheapest way
+    goals. Those that it knows of are part of the heuristic as long as the cost of a cheapest way
     is not known. Once it is, plain A* finds the way, without the Gcells from which the walls make
     every way cost more: none of them, and nothing found from there, is on a cheapest way.
 
@@ -185,12 +221,11 @@ def _search(
         m: the problem.
         n: the agent.
         source: the Gcell to start from.
-        target: the Gcell to reach.
-        distance: of these two.
+        distance: of it from the box around the goals.
         most: what a cheapest way costs, or _UNKNOWN.
 
     Returns:
-        What a cheapest way costs, or _UNKNOWN if more walls came to light.
+        What a cheapest way costs, or _UNKNOWN if more walls came to light; and the goal it ends at.
     """
     s.search[0] += 1
     found = s.search[0]
@@ -202,17 +237,17 @@ def _search(
     if most == _UNKNOWN:
         f += _WALL_COST * walls  # the source lies behind all walls that are known
     entries = opened = 0
-    cell = source
-    while cell != target:
+    cell, goal = source, s.goal[0]
+    while s.mark[cell] != goal:
         s.nodes[cell].stamp = -found  # the heuristic is consistent: this cost is final
         opened += 1
         if opened == s.walls[_NEXT] and most == _UNKNOWN:
             s.walls[_NEXT] *= 4
-            s.walls[_KNOWN] = _look_around(world, play, s, m, n, source, target, opened // 4)
+            s.walls[_KNOWN] = _look_around(world, play, s, m, n, source, opened // 4)
             if s.walls[_KNOWN] > walls:
-                return _UNKNOWN
+                return wide(_UNKNOWN), cell
         exits = world.exits[cell]
-        so_far, left = s.nodes[cell].cost, _distance(world.position, cell, target)
+        so_far, left = s.nodes[cell].cost, _distance(world.position, cell, s.box)
         for move in range(MOVES):
             if not exits >> move & 1:
                 continue
@@ -223,10 +258,15 @@ def _search(
             cost = so_far + (STEP_COST if has_room(world, play, m, n, cell, move) else FULL_COST)
             if node.stamp == found and node.cost <= cost:
                 continue
-            # Even moves go up their axis, odd ones down.
-            ahead = world.position[target, move >> 1] - world.position[cell, move >> 1]
-            nearer = ahead < 0 if move & 1 else ahead > 0
-            level = cost + left + (-1 if nearer else 1)
+            # Even moves go up their axis, odd ones down: nearer outside the box, or farther.
+            at, low, high = (
+                world.position[cell, move >> 1],
+                s.box[move >> 1, 0],
+                s.box[move >> 1, 1],
+            )
+            nearer = at > high if move & 1 else at < low
+            farther = at <= low if move & 1 else at >= high
+            level = cost + left + farther - nearer
             if walls > 0:
                 depth = s.depth[beside] - s.walls[_INSIDE]
                 least = level + _WALL_COST * (depth if 0 <= depth < walls else walls)
@@ -247,28 +287,22 @@ def _search(
             entry = place(s.head[f & _MASK])
             s.head[f & _MASK] = s.below[entry]
             cell = place(s.cell[entry])
-    return s.nodes[target].cost
+    return s.nodes[cell].cost, cell
 
 
 @compiled
-def shortest_path(
-    world: World, play: Play, s: Scratch, m: int, n: int, source: int, target: int
-) -> int:
-    """A cheapest path of agent n in problem m as it stands.
-
-    Returns:
-        The number of moves, which lie in ``s.path``; 0 if source and target are one Gcell.
-    """
+def _path(world: World, play: Play, s: Scratch, m: int, n: int, source: int) -> int:
+    """Finds a cheapest path to the goals, into ``s.path``; returns the number of moves."""
     s.walls[_KNOWN] = 0
-    distance = _distance(world.position, source, target)
+    distance = _distance(world.position, source, s.box)
     s.walls[_NEXT] = 16 * (distance + 8)
     most = wide(_UNKNOWN)
     while True:
-        cost = _search(world, play, s, m, n, source, target, distance, most)
+        cost, cell = _search(world, play, s, m, n, source, distance, most)
         if most != _UNKNOWN or (cost != _UNKNOWN and s.walls[_KNOWN] == 0):
             break
         most = cost
-    length, cell = 0, target
+    length = 0
     while cell != source:
         came = s.nodes[cell].came
         s.path[length] = came
@@ -280,12 +314,27 @@ def shortest_path(
 
 
 @compiled
+def shortest_path(
+    world: World, play: Play, s: Scratch, m: int, n: int, source: int, target: int
+) -> int:
+    """A cheapest path of agent n in problem m as it stands.
+
+    Returns:
+        The number of moves, which lie in ``s.path``; 0 if source and target are one Gcell.
+    """
+    _no_goals(s)
+    _add_goal(world, s, target)
+    return _path(world, play, s, m, n, source)
+
+
+@compiled
 def _route(
     world: World,
     play: Play,
     s: Scratch,
     demand: Any,
     nets: Any,
+    to_tree: bool,
     turn: int,
     uses: Any,
     size: int,
@@ -302,6 +351,7 @@ def _route(
         s: working arrays.
         demand: (N, Z) the demand of all agents.
         nets: (N,) the net of every agent.
+        to_tree: whether a task leads from its target to the nearest Gcell of the net's tree.
         turn: place in the turn order to go on from.
         uses: where net · E + edge goes for every net and edge that it uses. Routing stops where
             there might not be room for another net.
@@ -320,11 +370,21 @@ def _route(
         for layer in range(demand.shape[1]):
             world.demand[m, n, layer] = demand[member, layer]
         before = size
-        for task in range(wide(world.first[m, member]), wide(world.first[m, member + 1])):
+        first = wide(world.first[m, member])
+        for task in range(first, wide(world.first[m, member + 1])):
             begin_task(world, play, m, n, task)
-            length = shortest_path(world, play, s, m, n, wide(agent.cell), wide(agent.target))
+            if task == first or not to_tree:
+                _no_goals(s)
+            if to_tree:
+                _add_goal(world, s, wide(agent.cell))
+                agent.cell = agent.target
+            else:
+                _add_goal(world, s, wide(agent.target))
+            length = _path(world, play, s, m, n, wide(agent.cell))
             for i in range(length):
                 edge = wide(world.edge[agent.cell, s.path[i]])
+                if to_tree:
+                    _add_goal(world, s, wide(agent.cell))
                 move_agent(world, play, m, n, wide(s.path[i]))
                 if agent.crossing == Crossing.NEW:
                     uses[size] = net * edges + edge
@@ -370,25 +430,41 @@ class AStar:
         return out
 
 
-def sequential_astar(problem: Problem, net_order: NetOrder = "half_perimeter") -> Solution:
+def sequential_astar(
+    problem: Problem,
+    net_order: NetOrder | NDArray[np.integer] = "half_perimeter",
+    *,
+    target: Target = "pin",
+    decomposition: Decomposition = "mst",
+) -> Solution:
     """The paper's benchmark router: nets one after the other, each task along a cheapest path.
 
     Args:
         problem: the problem to route.
-        net_order: which nets come first, see :class:`marouting.engine.Engine`.
+        net_order: which nets come first, see :class:`marouting.engine.Engine`; or (nets,) numbers,
+            the net with the least first.
+        target: where a task's path ends: ``pin``, at the task's other pin (the paper); or ``tree``,
+            at the nearest Gcell of what is routed of the net.
+        decomposition: of nets into tasks, see :func:`marouting.decomposition.two_pin_tasks`.
 
     Returns:
         A solution with every net joined, overflow where A* preferred it to no way at all.
+
+    Raises:
+        InputError: no such target or decomposition.
     """
+    if target not in get_args(Target):
+        raise InputError(f"target: expected one of {get_args(Target)}, found {target!r}")
     grid = problem.topology
     _, gcells = problem.flat_pin_gcells
-    tasks = len(gcells) - len(problem.nets)
-    uses, size, turn = np.empty(_EDGES_A_TASK * tasks + grid.edges, np.int64), 0, 0
-    if tasks:
+    joints = len(gcells) - len(problem.nets)
+    uses, size, turn = np.empty(_EDGES_A_TASK * joints + grid.edges, np.int64), 0, 0
+    if joints:
         world, (nets,) = world_of(
             (problem,),
             grid,
             net_order,
+            decomposition,
             sequential=True,
             overflow=True,
             max_steps=grid.gcells,  # as long as a path without a loop can be
@@ -399,9 +475,9 @@ def sequential_astar(problem: Problem, net_order: NetOrder = "half_perimeter") -
             agents=np.zeros((1, 1), AGENT),
             games=np.zeros(1, GAME),
         )
-        working, demand = scratch(grid), world.demand[0].copy()
+        working, demand, to_tree = scratch(grid), world.demand[0].copy(), target == "tree"
         while True:
-            turn, size = _route(world, play, working, demand, nets, turn, uses, size)
+            turn, size = _route(world, play, working, demand, nets, to_tree, turn, uses, size)
             if turn == len(nets):
                 break
             uses = np.concatenate((uses, np.empty_like(uses)))

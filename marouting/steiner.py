@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.engine import compiled, wide
 from marouting.grid import AXES, MOVES
+from marouting.kernels import compiled, wide
 from marouting.problem import Problem
 
 EXACT_PINS = 9

@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
+from marouting.decomposition import Decomposition
 from marouting.engine import (
     GAME,
     NOBODY,
@@ -22,8 +23,6 @@ from marouting.engine import (
     Status,
     TurnOrder,
     World,
-    bound,
-    compiled,
     move_everyone,
     reset_problem,
     settle_everyone,
@@ -31,6 +30,7 @@ from marouting.engine import (
 )
 from marouting.errors import InputError
 from marouting.grid import MOVES
+from marouting.kernels import bound, compiled
 from marouting.observation import Observation, PaperObservation, state, state_space, writer
 from marouting.problem import Problem
 from marouting.reward import PaperReward, Reward, payer
@@ -168,6 +168,7 @@ class BatchEnv(EzPickle):
         net_order: see :class:`marouting.Engine`.
         max_steps: see :class:`marouting.Engine`.
         overflow: see :class:`marouting.Engine`.
+        decomposition: see :class:`marouting.Engine`.
         observation: what an agent sees; None: the paper's.
         reward: what an agent gets; None: the paper's.
         autoreset: whether an episode that is over is followed by the next.
@@ -194,6 +195,7 @@ class BatchEnv(EzPickle):
         net_order: NetOrder = "half_perimeter",
         max_steps: int | None = None,
         overflow: Overflow = "forbidden",
+        decomposition: Decomposition = "mst",
         observation: Observation | None = None,
         reward: Reward | None = None,
         autoreset: bool = True,
@@ -206,6 +208,7 @@ class BatchEnv(EzPickle):
             net_order=net_order,
             max_steps=max_steps,
             overflow=overflow,
+            decomposition=decomposition,
             observation=observation,
             reward=reward,
             autoreset=autoreset,
@@ -219,6 +222,7 @@ class BatchEnv(EzPickle):
             net_order=net_order,
             max_steps=max_steps,
             overflow=overflow,
+            decomposition=decomposition,
         )
         self.autoreset = autoreset
         observation, reward = observation or PaperObservation(), reward or PaperReward()

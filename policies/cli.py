@@ -20,7 +20,7 @@ except ImportError:  # pragma: no cover - the command line needs the extra
 
 from marouting import InputError, Problem, Solution, __version__, evaluate
 from marouting.files import check_writable, write_text
-from policies.routers import ROUTERS, is_seeded, make_router
+from policies.routers import ROUTERS, has_seed, make_router
 
 if TYPE_CHECKING:
     from policies.base import Router
@@ -119,7 +119,7 @@ def _router(
     from marouting.config import read_yaml
     from policies.config import load_config, override
 
-    given = [] if seed is None or not is_seeded(name) else [f"seed={seed}"]
+    given = [] if seed is None or not has_seed(name) else [f"seed={seed}"]
     if name != "dqn":
         options = {} if config is None else read_yaml(config)
         where = f"--router {name}" if config is None else str(config)

@@ -13,8 +13,6 @@ from typing import Any, Literal
 from marouting.config import EnvOptions, build, one_line, parse_yaml, read_yaml
 from marouting.errors import InputError
 
-BurnIn = Literal["astar", "random"]
-
 MOST = 2**31 - 1
 """The largest count: compiled code and arrays take no arbitrary integers."""
 
@@ -31,7 +29,8 @@ class DQNOptions:
         learning_rate: Adam's.
         batch_size: transitions a gradient step.
         buffer_size: transitions that the replay memory of a network holds.
-        burn_in: whose moves fill the memory first, ``astar`` or ``random``.
+        burn_in: whose moves fill the memory first: ``astar``, ``random``, ``pathfinder``,
+            ``optimal``, or a solution file, see :func:`policies.learned.burn_in.guide`.
         burn_in_size: how many of them.
         epsilon: chance of a random move.
         epsilon_final: what ``epsilon`` falls to, linearly, between the episodes
@@ -53,7 +52,7 @@ class DQNOptions:
     learning_rate: float = 1e-4
     batch_size: int = 32
     buffer_size: int = 50_000
-    burn_in: BurnIn = "astar"
+    burn_in: str = "astar"
     burn_in_size: int = 10_000
     epsilon: float = 0.05
     epsilon_final: float | None = None

@@ -48,7 +48,7 @@ from marouting.source import load_problems
 from policies.base import Router
 from policies.config import Config, check, check_same, load_config, override
 from policies.processes import cores, work_on
-from policies.routers import ROUTERS, is_seeded, make_router, schema, unknown
+from policies.routers import ROUTERS, has_seed, is_seeded, make_router, schema, unknown
 from policies.statistics import ALL, Row, add_gaps, by_set, summarise
 
 CONFIG, RESULTS, SUMMARY = "config.yaml", "results.json", "summary.json"
@@ -258,7 +258,7 @@ class Entry:
         """Whether it is run for every seed."""
         if self.router in ("dqn", PUBLISHED):
             return self.trains
-        return is_seeded(self.router)
+        return is_seeded(self.router, self.options)
 
     @property
     def plain(self) -> dict[str, Any]:
@@ -282,7 +282,7 @@ class Entry:
         elif router == PUBLISHED:
             options = asdict(build(Published, options, where))
         else:
-            if "seed" in options and is_seeded(router):
+            if "seed" in options and has_seed(router):
                 raise InputError(f"{where}: seed: expected none: the experiment has its seeds")
             options = asdict(build(schema(router), options, where))
             options.pop("seed", None)

@@ -59,9 +59,17 @@ def schema(name: str) -> type[Any]:
     return found
 
 
-def is_seeded(name: str) -> bool:
-    """Whether a router draws random numbers: then ``seed`` is one of its options."""
+def has_seed(name: str) -> bool:
+    """Whether ``seed`` is one of a router's options."""
     return any(field.name == "seed" for field in fields(schema(name)))
+
+
+def is_seeded(name: str, options: Mapping[str, Any]) -> bool:
+    """Whether a router draws random numbers, with these of its options.
+
+    One that does with some options alone has a property ``seeded``.
+    """
+    return has_seed(name) and getattr(build(schema(name), options), "seeded", True)
 
 
 def make_router(name: str, options: Mapping[str, Any], where: str = "") -> Router:

@@ -6,6 +6,7 @@ edge are a set. Also here: a strategy for problems on which nets get in each oth
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -106,6 +107,7 @@ class Game:
     net_order: str = "half_perimeter"
     max_steps: int = 50
     overflow: str = "forbidden"
+    decomposition: Any = "mst"
     agents: list[Agent] = field(init=False)
     order: list[int] = field(init=False)
     users: dict[Edge, set[int]] = field(init=False)
@@ -116,7 +118,7 @@ class Game:
     def __post_init__(self) -> None:
         problem = self.problem
         tasks: dict[int, list[tuple[Gcell, Gcell]]] = {}
-        for net, start, target in two_pin_tasks(problem).tolist():
+        for net, start, target in two_pin_tasks(problem, self.decomposition).tolist():
             ends = gcell_of(problem, start), gcell_of(problem, target)
             tasks.setdefault(net, []).append(ends)
         self.agents = [Agent(net, tasks[net], tasks[net][0][0]) for net in sorted(tasks)]

@@ -21,6 +21,7 @@ options = st.fixed_dictionaries(
         "turn_order": st.sampled_from(["sequential", "round_robin"]),
         "net_order": st.sampled_from(["half_perimeter", "half_perimeter_up", "file"]),
         "overflow": st.sampled_from(["forbidden", "allowed"]),
+        "decomposition": st.sampled_from(["mst", "steiner"]),
         "max_steps": st.sampled_from([1, 3, 10, 30]),
     }
 )
@@ -438,6 +439,7 @@ def test_views_are_those_of_now() -> None:
         ({"turn_order": "random"}, "turn_order: expected one of"),
         ({"net_order": "largest"}, "net_order: expected one of"),
         ({"overflow": True}, "overflow: expected one of"),
+        ({"decomposition": "tree"}, "decomposition: expected one of"),
         ({"max_steps": 0}, "max_steps: expected 1 to 2147483647, found 0"),
     ],
 )

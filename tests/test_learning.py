@@ -9,6 +9,7 @@ import itertools
 import pkgutil
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -36,6 +37,7 @@ from marouting import (
 from marouting.env.single import GlobalRoutingSingle
 from marouting.grid import MOVES
 from marouting.reward import PaperReward
+from policies.classical.pathfinder import PathfinderRouter
 from policies.config import Config, DQNOptions, TrainOptions
 from policies.learned.dqn import DQN, Backend, Rule, backends
 from policies.learned.products import product
@@ -992,6 +994,38 @@ def test_burn_in(agents: Any) -> None:
         # Whole episodes, and the part of one at the end.
         assert rates["astar"][m] == pytest.approx(len(lengths) / sum(lengths), rel=0.1)
         assert rates["random"][m] < rates["astar"][m] / 3
+
+
+@pytest.mark.parametrize("agents", ["single", "multi"])
+def test_burn_in_can_replay_solutions(agents: Any, tmp_path: Path) -> None:
+    """Those of a router, or the same from files: the memory is the same to the bit."""
+    problems = {f"p{seed}": tiny(seed, capacity=9, nets=5) for seed in range(2)}
+    routed = {name: PathfinderRouter().route(problem) for name, problem in problems.items()}
+    for name, solution in routed.items():
+        solution.write(tmp_path / f"{name}.mine.solution")
+    memories = []
+    for kind in ("pathfinder", str(tmp_path)):
+        config = small_config(burn_in=kind, burn_in_size=300, agents=agents, max_steps=40)
+        trainer = Trainer(problems, config)
+        trainer.burn_in()
+        memories.append(memory_of(trainer.learner.replay))
+        rewards = memories[-1].reward[:, :300]
+        for m, (name, solution) in enumerate(routed.items()):
+            # All tasks are joined, with no more steps than twice their route's edges.
+            assert (rewards[m] == REACHED).mean() > 5 / (2.1 * len(solution.uses[0])), name
+    np.testing.assert_array_equal(memories[0].reward, memories[1].reward)
+    np.testing.assert_array_equal(memories[0].seen, memories[1].seen)
+
+    single = {"p0": problems["p0"]}
+    config = small_config(burn_in=str(tmp_path / "p0.mine.solution"), burn_in_size=50)
+    Trainer(single, config).burn_in()
+    with pytest.raises(InputError, match="expected a folder"):
+        Trainer(problems, config)
+    with pytest.raises(InputError, match=r"expected one of astar, random, .* found 'asrat'"):
+        Trainer(single, small_config(burn_in="asrat"))
+    routed["p0"].write(tmp_path / "p0.other.solution")
+    with pytest.raises(InputError, match=r"expected one file p0.solution or .* found 2"):
+        Trainer(single, small_config(burn_in=str(tmp_path)))
 
 
 def test_burn_in_with_masking_walks_through_open_edges_only() -> None:

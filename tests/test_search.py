@@ -23,9 +23,12 @@ from marouting import (
     generate,
     sequential_astar,
 )
+from marouting.decomposition import two_pin_tasks
 from marouting.engine import NOBODY, Ending, Status
 from marouting.grid import OFF_GRID
 from marouting.search import AStar, scratch, shortest_path
+from marouting.steiner import EXACT_PINS, steiner_length
+from policies.classical.astar import AStarRouter
 
 net_orders = st.sampled_from(["half_perimeter", "half_perimeter_up", "file"])
 seeds = st.integers(0, 2**32)
@@ -347,3 +350,159 @@ def test_ending_of_every_task_is_joined() -> None:
         engine.step(policy.moves(*engine.pairs(everyone=False)))
         assert engine.agents[0, n]["ending"] != Ending.FAILED
     assert engine.metrics().joined == engine.metrics().tasks
+
+
+# --- orders, trees as targets, decompositions -----------------------------------------------------
+
+
+@settings(deadline=None, max_examples=80)
+@given(
+    st.integers(0, 2**32),
+    st.tuples(st.integers(2, 7), st.integers(2, 7), st.integers(1, 3)),
+    st.floats(0, 0.7),
+)
+def test_ways_to_a_tree_are_networkx_shortest(
+    seed: int, grid: tuple[int, int, int], full: float
+) -> None:
+    """Of a net of three pins: after the first task, a cheapest way from the third pin to its path.
+
+    On grids with edges without capacity, so that walls around the tree are met too.
+    """
+    rng = np.random.default_rng(seed)
+    pins = []
+    for x, y, z in rng.integers(grid, size=(3, 3)).tolist():
+        pins.append(Pin(x, y, z + 1))
+    closed = tuple(
+        Adjustment(x, y, z + 1, x + dx, y + dy, z + 1, 0)
+        for x in range(grid[0])
+        for y in range(grid[1])
+        for z in range(grid[2])
+        for dx, dy in ((1, 0), (0, 1))
+        if x + dx < grid[0] and y + dy < grid[1] and rng.random() < full
+    )
+    capacity = (9,) * grid[2]
+    problem = Problem(
+        grid=grid,
+        nets=(Net("a", 0, tuple(pins), 1),),
+        origin=(0, 0),
+        tile=(1, 1),
+        vertical_capacity=capacity,
+        horizontal_capacity=capacity,
+        min_width=(1,) * grid[2],
+        min_spacing=(0,) * grid[2],
+        via_spacing=(0,) * grid[2],
+        adjustments=closed,
+    )
+    tasks = two_pin_tasks(problem)[:, 1:].tolist()
+    if len(tasks) < 2:
+        return
+    graph = Game(problem).graph(0)
+    ends = [[gcell_of(problem, cell) for cell in task] for task in tasks]
+
+    def cost(solution: Any) -> int:
+        found = evaluate(solution.problem, solution)
+        assert found.connected
+        return found.wirelength + 999 * found.overflow
+
+    # The first task alone: the same net without the pin that comes last.
+    (start, middle), (_, last) = tasks
+    two = replace(
+        problem,
+        nets=(Net("a", 0, tuple(pins[i] for i in range(3) if _cell(problem, i) != last), 1),),
+    )
+    if two_pin_tasks(two)[:, 1:].tolist() != [[start, middle]]:
+        return
+    first = sequential_astar(two, target="tree")
+    tree = {ends[0][0]}
+    for cell in zip(*problem.topology.ends(first.uses[1]), strict=True):
+        tree |= {gcell_of(problem, int(c)) for c in cell}
+    way = nx.multi_source_dijkstra(graph, tree, ends[1][1], weight="weight")[0]
+    assert cost(sequential_astar(problem, target="tree")) == cost(first) + way
+
+
+def _cell(problem: Problem, pin: int) -> int:
+    """The Gcell of a pin of the only net."""
+    return int(problem.gcells(np.array([problem.nets[0].pins[pin]]))[0])
+
+
+@settings(deadline=None, max_examples=60)
+@given(problems(), st.sampled_from(["pin", "tree"]), st.sampled_from(["mst", "steiner"]))
+def test_every_net_is_joined_whatever_the_options(
+    problem: Problem, target: Any, decomposition: Any
+) -> None:
+    solution = sequential_astar(problem, target=target, decomposition=decomposition)
+    assert evaluate(problem, solution).connected
+    # Where nobody is in the way, no longer than the tree that the tasks follow, and no shorter
+    # than a shortest one.
+    free = replace(
+        problem,
+        vertical_capacity=(10**6,) * problem.grid[2],
+        horizontal_capacity=(10**6,) * problem.grid[2],
+        adjustments=(),
+    )
+    alone = evaluate(free, sequential_astar(free, target=target, decomposition=decomposition))
+    assert alone.overflow == 0
+    along = two_pin_tasks(free, decomposition)[:, 1:]
+    at = free.topology.position[along]
+    assert alone.wirelength <= np.abs(at[:, 0] - at[:, 1]).sum()
+    if max(map(len, free.pin_gcells)) <= EXACT_PINS:
+        assert alone.wirelength >= steiner_length(free).sum()
+
+
+def test_a_branch_in_the_middle() -> None:
+    """A T: to the pin it is two and four edges; to the tree, whichever way that goes, no more."""
+    pins = (Pin(0, 0, 1), Pin(4, 0, 1), Pin(2, 3, 1))
+    (like,) = generate(1, (5, 5, 1), 1, reduced_edges=0)
+    problem = replace(like, nets=(Net("t", 0, pins, 1),), tile=(1, 1), origin=(0, 0))
+    lengths = {
+        (target, cut): evaluate(
+            problem, sequential_astar(problem, target=target, decomposition=cut)
+        ).wirelength
+        for target in ("pin", "tree")
+        for cut in ("mst", "steiner")
+    }
+    assert lengths["tree", "mst"] == lengths["pin", "steiner"] == lengths["tree", "steiner"] == 7
+    assert lengths["pin", "mst"] in (7, 8, 9)
+
+
+def test_orders_may_be_given_net_by_net() -> None:
+    for seed in range(10):
+        (problem,) = generate(1, nets=40, capacity=4, seed=seed)
+        numbers = np.arange(40)
+        assert sequential_astar(problem, numbers) == sequential_astar(problem, "file")
+        shuffled = np.random.default_rng(seed).permutation(40)
+        renamed = replace(problem, nets=tuple(problem.nets[i] for i in np.argsort(shuffled)))
+        mine, theirs = sequential_astar(problem, shuffled), sequential_astar(renamed, "file")
+        assert [mine.edges[i].tolist() for i in np.argsort(shuffled)] == [
+            edges.tolist() for edges in theirs.edges
+        ]
+
+
+def test_the_best_of_several_orders() -> None:
+    (problem,) = generate(1, nets=50, capacity=4, seed=27)
+
+    def figures(**options: Any) -> tuple[int, int]:
+        found = evaluate(problem, AStarRouter(**options).route(problem))
+        assert found.connected
+        return found.overflow, found.wirelength
+
+    single = figures()
+    few, many = figures(best_of=5), figures(best_of=40)
+    assert many <= few <= single
+    assert many < single
+    drawn = {figures(net_order="random", seed=seed) for seed in range(8)}
+    assert len(drawn) > 1
+    assert figures(net_order="random", seed=3) == figures(net_order="random", seed=3)
+    assert figures(net_order="random", best_of=8) <= min([figures(net_order="random")])
+    assert AStarRouter().seeded is False
+    assert AStarRouter(best_of=2).seeded
+    assert AStarRouter(net_order="random").seeded
+
+
+@pytest.mark.parametrize(
+    "options", [{"target": "net"}, {"decomposition": "star"}, {"net_order": "up"}]
+)
+def test_options_that_there_are_not(options: Any) -> None:
+    (problem,) = generate(1, nets=3)
+    with pytest.raises(InputError, match=f"{next(iter(options))}: expected one of"):
+        sequential_astar(problem, **options)

@@ -12,7 +12,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from marouting.config import GameOptions, build
-from marouting.engine import NOBODY, Status, TurnOrder
+from marouting.engine import NOBODY, Engine, Status, TurnOrder
 from marouting.generator import GeneratorOptions
 from marouting.grid import MOVES
 from marouting.observation import Observation, nets_on_edges, state, state_space, writer
@@ -216,6 +216,11 @@ class Looks:
     """What every face shows besides its interface's own methods."""
 
     _face: Face
+
+    @property
+    def engine(self) -> Engine:
+        """The game, of one problem, to be read: for guides such as A* (:mod:`marouting.search`)."""
+        return self._face.engine
 
     def state(self) -> NDArray[np.float32]:
         """(X, Y, 5 Z) float32, the global grid; see :func:`marouting.observation.state`."""

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import Problem, Solution
-from marouting.engine import compiled, wide
 from marouting.grid import AXES, MOVES, VIA_AXIS
+from marouting.kernels import compiled, wide
 from marouting.steiner import (
     CLOSED,
     Lattice,

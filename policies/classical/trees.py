@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.engine import compiled, wide
 from marouting.grid import AXES, VIA_AXIS, Move
+from marouting.kernels import compiled, wide
 
 NEVER = 1 << 60
 """The cost of an edge that must not be used, and of what cannot be joined; the costs of all other

@@ -21,15 +21,14 @@ from marouting.engine import (
     Play,
     Status,
     World,
-    compiled,
     move_everyone,
     move_player,
     settle_everyone,
     settle_player,
-    wide,
     write_mask,
 )
 from marouting.grid import MOVES
+from marouting.kernels import compiled, wide
 from marouting.observation import PaperObservation, write_paper
 from marouting.reward import PaperReward, paper_reward
 from policies.learned.streams import uniform

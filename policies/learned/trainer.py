@@ -22,8 +22,8 @@ from marouting import InputError, Problem, Solution
 from marouting.config import ORDERS
 from marouting.engine import NOBODY, Engine
 from marouting.grid import MOVES
-from marouting.search import AStar
 from policies.config import Config
+from policies.learned.burn_in import guide, solution_files
 from policies.learned.checkpoint import FORMAT
 from policies.learned.dqn import Rule, backend_for, backends
 from policies.learned.replay import Replay
@@ -88,9 +88,11 @@ class Trainer:
 
     def __init__(self, problems: Mapping[str, Problem], config: Config) -> None:
         self.config = config
+        self.problems = dict(problems)
         self.names = tuple(problems)
         use_threads(config.train.threads)
         env, dqn = config.env, config.dqn
+        _ = solution_files(dqn.burn_in, self.names)  # whether they are there
         engine = env.engine(list(problems.values()), ORDERS[env.agents])
         self._whole = engine  # of all problems, those too that have left the stack
         self.stack = Stack(
@@ -162,7 +164,8 @@ class Trainer:
         return np.broadcast_to(self.learner.steps, self.places.shape)
 
     def burn_in(self) -> None:
-        """Fills the memories with the moves of A* or of random walks, episode after episode."""
+        """Fills the memories with the moves of a guide, episode after episode."""
+        moves = guide(self.config.dqn.burn_in, self.problems, self.engine, self.config.seed)
         stack, engine = copy.copy(self.stack), self.engine
         count = len(self.places)
         stack.lanes = lanes = stack.lanes._replace(
@@ -171,15 +174,14 @@ class Trainer:
             counters=np.zeros(count, np.int64),
             total=np.zeros(count),
         )
-        astar = AStar(engine) if self.config.dqn.burn_in == "astar" else None
         problem = np.repeat(np.arange(count), lanes.agents.shape[1])
         filled = np.zeros(count, np.bool_)
         while not filled.all():
             stack.look()
-            if astar is None:
+            if moves is None:
                 stack.pick()
             else:
-                lanes.moves.reshape(-1)[:] = astar.moves(problem, lanes.agents.reshape(-1))
+                lanes.moves.reshape(-1)[:] = moves.moves(problem, lanes.agents.reshape(-1))
             lanes.moves[filled] = NOBODY
             stack.move()
             self.learner.replay.add(lanes)
