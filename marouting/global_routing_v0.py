@@ -6,7 +6,7 @@ capacity from the edges they cross; the nets have to share it.
 | | |
 |---|---|
 | Import | `from marouting import global_routing_v0` |
-| Agents | `net_0`, `net_1`, … one for every net that spans two Gcells or more |
+| Agents | `net_0`, `net_1`, … every net; one with all pins in one Gcell never takes part |
 | Actions | Discrete(6): EAST +x, WEST −x, NORTH +y, SOUTH −y, UP +z, DOWN −z |
 | Observation | Box(12), float32: x, y, z; dx, dy, dz to the target; remaining capacity by move |
 | Action mask | `info["action_mask"]`, int8 of length 6 |

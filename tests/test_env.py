@@ -117,8 +117,10 @@ def play_side_by_side(
     parallel = global_routing_v0.parallel_env(problem, **options)
     aec.reset(seed=0)
     seen, infos = parallel.reset(seed=0)
-    names = parallel.possible_agents
-    assert aec.possible_agents == names == [f"net_{net}" for net in engine.nets[0]]
+    names = parallel.agents
+    assert aec.agents == names == [f"net_{net}" for net in engine.nets[0]]
+    everyone = [f"net_{net}" for net in range(len(problem.nets))]
+    assert aec.possible_agents == parallel.possible_agents == everyone
 
     while parallel.agents and cycles:
         cycles -= 1
@@ -207,7 +209,7 @@ def test_observations_are_those_of_the_model(
         if game.turn is None:
             break
         for n in game.active():
-            observation = env.observe(env.possible_agents[n])
+            observation = env.observe(f"net_{engine.nets[0, n]}")
             assert observation.dtype == np.float32
             assert observation.tolist() == expected_observation(engine, game, n)
         assert env.infos[env.agent_selection]["action_mask"].tolist() == game.mask(game.turn)
@@ -555,8 +557,16 @@ def test_via_capacity_shown() -> None:
 # Course of an episode ----------------------------------------------------------------------------
 
 
-def test_nets_of_one_gcell_are_no_agents() -> None:
-    assert global_routing_v0.env(ROW).possible_agents == ["net_0", "net_2"]
+def test_nets_of_one_gcell_never_take_part() -> None:
+    for make in (global_routing_v0.env, global_routing_v0.parallel_env):
+        env = make(ROW)
+        assert env.possible_agents == ["net_0", "net_1", "net_2"]
+        env.reset(seed=0)
+        assert env.agents == ["net_0", "net_2"]
+    idle = global_routing_v0.raw_env(ROW)
+    idle.reset()
+    assert not idle.observe("net_1").any()
+    assert idle.observation_space("net_1").contains(idle.observe("net_1"))
 
 
 @pytest.mark.parametrize("turn_order", ["round_robin", "sequential"])

@@ -102,7 +102,7 @@ def test_through_the_face_of_pettingzoo() -> None:
     guide = Replay(engine, [solution])
     for agent in env.agent_iter():
         _, _, terminated, truncated, _ = env.last()
-        number = np.array([env.possible_agents.index(agent)])
+        number = np.array([env.possible_agents.index(agent)])  # no net is left out here
         env.step(None if terminated or truncated else int(guide.moves(np.array([0]), number)[0]))
     assert engine.solution() == solution
 

@@ -39,10 +39,11 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
         self._face = Face(problem, ORDERS["multi"], options)
         self.render_mode = self._face.render_mode
         self.state_space = self._face.state_space
-        self.possible_agents = list(self._face.names)
-        self._number = {agent: n for n, agent in enumerate(self.possible_agents)}
-        self.observation_spaces = {a: self._face.new_observation_space() for a in self._number}
-        self.action_spaces = {a: Discrete(MOVES) for a in self._number}
+        self.possible_agents = list(self._face.everyone)
+        self.observation_spaces = {
+            agent: self._face.new_observation_space() for agent in self.possible_agents
+        }
+        self.action_spaces = {agent: Discrete(MOVES) for agent in self.possible_agents}
 
     def observation_space(self, agent: str) -> Space[Any]:
         """The agent's observation space, the same object every time."""
@@ -62,7 +63,9 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
         del options
         self._face.restart(seed)
         engine = self._face.engine
-        self.agents = list(self.possible_agents)
+        self._number = dict.fromkeys(self.possible_agents, NOBODY)
+        self._number |= {agent: n for n, agent in enumerate(self._face.names)}
+        self.agents = list(self._face.names)
         self.rewards = dict.fromkeys(self.agents, 0.0)
         self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
         self.terminations = dict.fromkeys(self.agents, False)
@@ -73,7 +76,7 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
         }
         self._skip_agent_selection: str | None = None
         self._rewarded = self.agents[0]
-        self.agent_selection = self.possible_agents[engine.games[0]["agent"]]
+        self.agent_selection = self._face.names[engine.games[0]["agent"]]
 
     def observe(self, agent: str) -> Any:
         """The agent's observation as the game stands."""
@@ -102,15 +105,13 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
         reward = face.reward(self._number[agent])
         self.rewards[agent] = self._cumulative_rewards[agent] = reward
         if status == _ACTIVE:
-            agent = self.agent_selection = self.possible_agents[following]
+            agent = self.agent_selection = face.names[following]
             self.infos[agent] = {"action_mask": mask[0]}
         else:
             self.terminations[agent] = status == _TERMINATED
             self.truncations[agent] = status != _TERMINATED
             self.infos[agent] = face.info(mask[0], over=True)
             # The agent is selected once more, to be taken off the list, before the next one.
-            self._skip_agent_selection = (
-                None if following == NOBODY else self.possible_agents[following]
-            )
+            self._skip_agent_selection = None if following == NOBODY else face.names[following]
         if self.render_mode == "human":
             self.render()

@@ -85,7 +85,8 @@ class Face:
     def _play(self, problem: Problem) -> None:
         """Sets up the game of a problem."""
         self.engine = self._options.engine([problem], self._turn_order)
-        self.names = [f"net_{net}" for net in self.engine.nets[0]]
+        self.names = [f"net_{net}" for net in self.engine.nets[0]]  # of the engine's agents
+        self.everyone = [f"net_{net}" for net in range(len(problem.nets))]
         self._write = writer(self._observation, self.engine)
         self._pay = payer(self._reward, self.engine)
 

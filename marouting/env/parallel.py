@@ -38,7 +38,7 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
         self._board = self._face.board()
         self.render_mode = self._face.render_mode
         self.state_space = self._face.state_space
-        self.possible_agents = list(self._face.names)
+        self.possible_agents = list(self._face.everyone)
         self.observation_spaces = {
             agent: self._face.new_observation_space() for agent in self.possible_agents
         }
@@ -67,7 +67,7 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
         if self._board.engine is not self._face.engine:  # another problem
             self._board = self._face.board()
         self._board.reset()
-        self.agents = list(self.possible_agents)
+        self.agents = list(self._face.names)
         self._numbers = np.arange(len(self.agents))  # of the agents in the game
         return self._look()
 
@@ -115,7 +115,7 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
             for k in np.flatnonzero(~active):
                 infos[agents[k]]["metrics"] = dict(metrics)
             self._numbers = numbers[active]
-            self.agents = [self.possible_agents[n] for n in self._numbers]
+            self.agents = [self._face.names[n] for n in self._numbers]
         if self.render_mode == "human":
             self.render()
         return observations, rewards, ended, cut, infos
