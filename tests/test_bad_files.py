@@ -97,7 +97,9 @@ def test_writing_over_a_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "line", "what"),
     [
-        ("grid 3 2 2", "grid 3 2", 1, "columns, rows and layers, found 'grid 3 2'"),
+        ("grid 3 2 2", "grid 3", 1, "columns and rows, found 'grid 3'"),
+        # Two numbers are those of a flat grid, and its capacities one number each.
+        ("grid 3 2 2", "grid 3 2", 2, "'vertical capacity' and a number, found"),
         ("grid 3 2 2", "\n\nnet 3 2 2", 3, "'grid'"),
         ("grid 3 2 2", "grid 3 2 x", 1, "'grid'"),
         ("grid 3 2 2", "grid 3 0 2", 1, "from 1"),
@@ -109,7 +111,9 @@ def test_writing_over_a_folder(tmp_path: Path) -> None:
         ("capacity 0 4", "capacity 0 1_0", 2, "'vertical capacity' and a number"),
         ("capacity 0 4", "capacity 0 ４", 2, "'vertical capacity' and a number"),
         ("capacity 0 4", "capacity", 2, "'vertical capacity' and a number"),
-        ("minimum spacing", "minimum width", 5, "'minimum spacing'"),
+        ("minimum spacing", "maximum spacing", 5, "'minimum spacing' and a number for each layer"),
+        # The wrong word tells the ISPD'98 format, whose nets have no width.
+        ("minimum spacing", "minimum width", 9, "(name, id, number of pins), found 'A 1 2 1'"),
         ("0 0 10 10", "0 0 10 0", 7, "a width and a height from 1"),
         ("0 0 10 10", "0 0 10", 7, "tile width and height"),
         ("0 0 10 10", "0 9999999999 10 10", 7, "origin"),
