@@ -18,7 +18,8 @@ adjustments          a count, then rows     none                  none
 
 ``ispd2008`` is the ``.gr`` file of the ISPD 2008 global routing contest
 (http://www.ispd.cc/contests/08/ispd08rc.html). Adjustments give an edge a capacity of its own:
-``x y layer x y layer capacity`` with columns and rows from 0 and layers from 1.
+``x y layer x y layer capacity`` with columns and rows from 0 and layers from 1. The contest does
+not say that an edge has one at most; its evaluator (``eval2008.pl``) lets the last one count.
 
 ``ispd98`` is what BoxRouter 2.0 (Cho et al., 2007) brings as ``ibm01.modified.txt``: the ISPD'98
 benchmarks with two layers. Its header is that of the contest but for one wrong word, by which it is
