@@ -1,6 +1,37 @@
-"""The text formats of the ISPD 2008 global routing contest: problems (``.gr``) and solutions.
+"""The text formats of the ISPD benchmarks: problems in three formats, and solutions.
 
-Both are read line by line, as what the lines say: a header that promises more than follows costs
+==================== ====================== ===================== ================
+..                   ``ispd2008``           ``ispd98``            ``ispd98-flat``
+==================== ====================== ===================== ================
+grid                 columns, rows, layers  the same              columns, rows
+vertical capacity    one number a layer     the same              one number
+horizontal capacity  one number a layer     the same              one number
+minimum width        one number a layer     the same              none: 1
+minimum spacing      one number a layer     as ``minimum width``  none: 0
+via spacing          one number a layer     the same              none: 0
+origin, tile         four numbers           the same              none: 0 0, 1 1
+num net              their number           the same              the same
+a net                name id pins width     name id pins          name id pins
+a pin                x y layer              x y                   x y
+adjustments          a count, then rows     none                  none
+==================== ====================== ===================== ================
+
+``ispd2008`` is the ``.gr`` file of the ISPD 2008 global routing contest
+(http://www.ispd.cc/contests/08/ispd08rc.html). Adjustments give an edge a capacity of its own:
+``x y layer x y layer capacity`` with columns and rows from 0 and layers from 1. The contest does
+not say that an edge has one at most; its evaluator (``eval2008.pl``) lets the last one count.
+
+``ispd98`` is what BoxRouter 2.0 (Cho et al., 2007) brings as ``ibm01.modified.txt``: the ISPD'98
+benchmarks with two layers. Its header is that of the contest but for one wrong word, by which it is
+recognised: the minimum spacing stands under ``minimum width``, a second time. Pins are in layer 1;
+several pins of a net, or all of them, may lie in one Gcell. A wire takes width 1 + spacing 1, so
+that capacities 24 and 28 are the twelve and fourteen tracks of the flat file.
+
+``ispd98-flat`` is the same benchmarks in the plane, as Labyrinth (Kastner et al., 2000) and
+BoxRouter have them: one layer with both capacities, in tracks. What the file does not say is
+understood as in the reader of NTHU-Route 2.0 (Chang et al., 2008). A grid of two numbers tells it.
+
+All are read line by line, as what the lines say: a header that promises more than follows costs
 no memory. Tokens are separated by any white space, blank lines mean nothing, keywords are written
 in any case. Whatever is wrong raises :class:`~marouting.errors.InputError` with one line that
 names the file and the line. Written files have one form only, so that equal objects give equal
@@ -8,12 +39,14 @@ bytes.
 """
 
 import contextlib
+import itertools
 import os
 import re
 import warnings
 from array import array
 from collections.abc import Iterator
-from typing import BinaryIO
+from dataclasses import dataclass, field
+from typing import Any, BinaryIO, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,17 +63,111 @@ _POINT = rf"\( ?({_NUMBER}) ?, ?({_NUMBER}) ?, ?({_NUMBER}) ?\)"
 _is_number = re.compile(_NUMBER).fullmatch
 _segment = re.compile(f"{_POINT} ?- ?{_POINT}").fullmatch
 
-_LAYER_HEADERS = {
-    "vertical capacity": "vertical_capacity",
-    "horizontal capacity": "horizontal_capacity",
-    "minimum width": "min_width",
-    "minimum spacing": "min_spacing",
-    "via spacing": "via_spacing",
+Format = Literal["ispd2008", "ispd98", "ispd98-flat"]
+"""The formats of problems."""
+
+FORMATS: tuple[Format, ...] = get_args(Format)
+
+
+@dataclass(frozen=True)
+class _Header:
+    """A line of a header: a keyword and numbers.
+
+    Attributes:
+        keyword: one or more words, or none.
+        fields: the fields of the Problem that the numbers are, each as many as the others.
+        what: the numbers, for the messages of errors.
+        count: how many they are; None: one or more, as many as the Problem wants.
+    """
+
+    keyword: str
+    fields: tuple[str, ...]
+    what: str
+    count: int | None = None
+
+    @property
+    def expected(self) -> str:
+        """What the line is, for the messages of errors."""
+        return f"'{self.keyword}' and {self.what}" if self.keyword else self.what
+
+    def numbers(self, tokens: list[str]) -> tuple[int, ...]:
+        """The numbers of a line that is as this one says; none when it is not."""
+        words = self.keyword.split()
+        numbers = tokens[len(words) :]
+        fits = (
+            [token.lower() for token in tokens[: len(words)]] == words
+            and all(map(_is_number, numbers))
+            and self.count in (None, len(numbers))
+        )
+        return tuple(map(int, numbers)) if fits else ()
+
+
+@dataclass(frozen=True)
+class _Form:
+    """What tells one format of problems from the others.
+
+    Attributes:
+        header: its lines, less ``num net``; the first that two formats have not in common tells
+            them apart.
+        net: what the line of a net holds: a Net's name and id, the number of pins, its width.
+        pin: what the line of a pin holds of a Pin.
+        fixed: fields of the Problem that the file cannot say, and what they are.
+    """
+
+    header: tuple[_Header, ...]
+    net: tuple[str, ...] = ("name", "id", "number of pins")
+    pin: tuple[str, ...] = ("x", "y")
+    fixed: dict[str, tuple[int, ...]] = field(default_factory=lambda: {"adjustments": ()})
+
+
+def _by_layer(keyword: str, name: str) -> _Header:
+    return _Header(keyword, (name,), "a number for each layer")
+
+
+_LAYERED = (
+    _Header("grid", ("grid",), "columns, rows and layers", 3),
+    _by_layer("vertical capacity", "vertical_capacity"),
+    _by_layer("horizontal capacity", "horizontal_capacity"),
+    _by_layer("minimum width", "min_width"),
+)
+_PLACED = (
+    _by_layer("via spacing", "via_spacing"),
+    _Header("", ("origin", "tile"), "origin x and y, tile width and height", 4),
+)
+_NUM_NET = _Header("num net", (), "their number", 1)
+_FORMS: dict[Format, _Form] = {
+    "ispd2008": _Form(
+        (*_LAYERED, _by_layer("minimum spacing", "min_spacing"), *_PLACED),
+        ("name", "id", "number of pins", "minimum width"),
+        ("x", "y", "layer"),
+        {},
+    ),
+    "ispd98": _Form((*_LAYERED, _by_layer("minimum width", "min_spacing"), *_PLACED)),
+    "ispd98-flat": _Form(
+        (
+            _Header("grid", ("grid",), "columns and rows", 2),
+            _Header("vertical capacity", ("vertical_capacity",), "a number", 1),
+            _Header("horizontal capacity", ("horizontal_capacity",), "a number", 1),
+        ),
+        fixed={
+            "min_width": (1,),
+            "min_spacing": (0,),
+            "via_spacing": (0,),
+            "origin": (0, 0),
+            "tile": (1, 1),
+            "adjustments": (),
+        },
+    ),
 }
+_WIDTH = 1
+"""The minimum width of a net where a format has none."""
+
+_LAYER = 1
+"""The layer of pins where a format has none, and the only layer of a flat grid."""
 
 
 def read_problem(path: str | os.PathLike[str]) -> Problem:
-    """Reads an ISPD 2008 ``.gr`` file.
+    """Reads a problem in any of the formats; its header tells which.
 
     Args:
         path: the file. The count of adjustments at its end may be missing when there are none.
@@ -49,49 +176,56 @@ def read_problem(path: str | os.PathLike[str]) -> Problem:
         The problem, in the units of the file.
 
     Raises:
-        InputError: the file cannot be read, is not of this format, or contradicts itself.
+        InputError: the file cannot be read, is of none of the formats, or contradicts itself.
     """
     with _reading(path) as lines:
         # The line of every row of every field: what rows may hold is judged by Problem alone.
         where: dict[str, array[int]] = {}
 
-        grid = tuple(lines.keyed("grid", "columns, rows and layers", 3))
-        where["grid"] = array("q", [lines.number])
-        layers: dict[str, tuple[int, ...]] = {}
-        for keyword, field in _LAYER_HEADERS.items():
-            layers[field] = tuple(lines.keyed(keyword, "a number for each layer"))
-            where[field] = array("q", [lines.number])
-        x, y, *tile = lines.keyed("", "origin x and y, tile width and height", 4)
-        where["origin"] = where["tile"] = array("q", [lines.number])
-        nets = _read_nets(lines, where)
-        adjustments = _read_adjustments(lines, where)
+        form, values = _read_header(lines, where)
+        nets = _read_nets(lines, where, form)
+        if "adjustments" not in form.fixed:
+            values["adjustments"] = _read_adjustments(lines, where)
+        elif tokens := lines.next():
+            raise _unexpected(f"the end of the file after {len(nets)} nets", tokens)
         try:
-            return Problem(
-                grid=(grid[0], grid[1], grid[2]),
-                nets=nets,
-                origin=(x, y),
-                tile=(tile[0], tile[1]),
-                adjustments=adjustments,
-                **layers,
-            )
+            return Problem(nets=nets, **values)
         except FieldError as error:
             lines.number = where[error.field][error.row]
             raise
 
 
-def write_problem(problem: Problem, path: str | os.PathLike[str]) -> None:
-    """Writes a problem as ISPD 2008 ``.gr`` text, whole or not at all.
+def write_problem(
+    problem: Problem, path: str | os.PathLike[str], format: Format = "ispd2008"
+) -> None:
+    """Writes a problem as text of a format, whole or not at all.
+
+    What is written is read as a problem equal to this one.
+
+    Args:
+        problem: what is written.
+        path: the file.
+        format: one of FORMATS.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: there is no such format, it cannot hold the problem, or the file cannot be
+            written.
     """
-    rows: list[tuple[object, ...]] = [("grid", *problem.grid)]
-    rows += [(keyword, *getattr(problem, field)) for keyword, field in _LAYER_HEADERS.items()]
-    rows += [(*problem.origin, *problem.tile), ("num net", len(problem.nets))]
+    if format not in FORMATS:
+        raise InputError(f"format: expected one of {', '.join(FORMATS)}, found {format!r}")
+    form = _FORMS[format]
+    if unheld := next(_unheld(problem, form), None):
+        raise InputError(f"{os.fspath(path)}: the format {format} cannot hold it: {unheld}")
+    rows: list[tuple[object, ...]] = []
+    for header in form.header:
+        numbers = itertools.chain.from_iterable(getattr(problem, name) for name in header.fields)
+        rows.append((*header.keyword.split(), *itertools.islice(numbers, header.count)))
+    rows.append((_NUM_NET.keyword, len(problem.nets)))
     for net in problem.nets:
-        rows.append((net.name, net.id, len(net.pins), net.min_width))
-        rows += net.pins
-    rows += [(len(problem.adjustments),), *problem.adjustments]
+        rows.append((net.name, net.id, len(net.pins), net.min_width)[: len(form.net)])
+        rows += [pin[: len(form.pin)] for pin in net.pins]
+    if "adjustments" not in form.fixed:
+        rows += [(len(problem.adjustments),), *problem.adjustments]
     write_text(path, "".join(" ".join(map(str, row)) + "\n" for row in rows))
 
 
@@ -177,19 +311,6 @@ class _Lines:
                 return tokens
         return []
 
-    def keyed(self, keyword: str, what: str, count: int | None = None) -> list[int]:
-        """The numbers of the next line: ``count`` of them, or one or more, after ``keyword``."""
-        tokens = self.next()
-        words = keyword.split()
-        numbers = tokens[len(words) :]
-        if (
-            [token.lower() for token in tokens[: len(words)]] == words
-            and all(map(_is_number, numbers))
-            and (len(numbers) == count if count else numbers)
-        ):
-            return list(map(int, numbers))
-        raise _unexpected(f"'{keyword}' and {what}" if keyword else what, tokens)
-
 
 @contextlib.contextmanager
 def _reading(path: str | os.PathLike[str]) -> Iterator[_Lines]:
@@ -214,9 +335,60 @@ def _unexpected(expected: str, tokens: list[str]) -> InputError:
     return InputError(f"expected {expected}, found {found!r}")
 
 
-def _read_nets(lines: _Lines, where: dict[str, "array[int]"]) -> tuple[Net, ...]:
+def _read_header(
+    lines: _Lines, where: dict[str, "array[int]"]
+) -> tuple[_Form, dict[str, tuple[Any, ...]]]:
+    """Reads the lines before ``num net``; notes those of the fields.
+
+    Returns:
+        The format, and the fields of the Problem that it has in the header or not at all.
+    """
+    forms = list(_FORMS.values())
+    values: dict[str, tuple[Any, ...]] = {}
+    row = 0
+    # After the first row the formats that are left have headers of one length.
+    while row < len(forms[0].header):
+        tokens = lines.next()
+        fitting = [form for form in forms if form.header[row].numbers(tokens)]
+        if not fitting:
+            expected = dict.fromkeys(form.header[row].expected for form in forms)
+            raise _unexpected(", or ".join(expected), tokens)
+        forms = fitting
+        header = forms[0].header[row]
+        numbers = header.numbers(tokens)
+        size = len(numbers) // len(header.fields)
+        for i, name in enumerate(header.fields):
+            values[name] = numbers[i * size : (i + 1) * size]
+            where[name] = array("q", [lines.number])
+        row += 1
+    values["grid"] = (*values["grid"], _LAYER)[:3]
+    return forms[0], values | forms[0].fixed
+
+
+def _unheld(problem: Problem, form: _Form) -> Iterator[str]:
+    """What a format cannot say of a problem: what it would be read as, and what it is."""
+    layers = problem.grid[2]
+    if form.header[0].count == 2 and layers != _LAYER:
+        yield f"expected one layer, found {layers}"
+    if "adjustments" in form.fixed and problem.adjustments:
+        yield f"expected no adjustments, found {len(problem.adjustments)}"
+    for name, value in form.fixed.items():
+        if (found := getattr(problem, name)) != value:
+            yield f"expected {name} {value}, found {found}"
+    for net in problem.nets:
+        if len(form.net) < 4 and net.min_width != _WIDTH:
+            yield f"net {net.name}: expected minimum width {_WIDTH}, found {net.min_width}"
+        for pin in net.pins:
+            if len(form.pin) < 3 and pin.layer != _LAYER:
+                yield f"net {net.name}: expected pins in layer {_LAYER}, found {tuple(pin)}"
+
+
+def _read_nets(lines: _Lines, where: dict[str, "array[int]"], form: _Form) -> tuple[Net, ...]:
     """Reads ``num net`` and the nets; notes the lines of nets and pins."""
-    (count,) = lines.keyed("num net", "their number", 1)
+    tokens = lines.next()
+    if not (numbers := _NUM_NET.numbers(tokens)):
+        raise _unexpected(_NUM_NET.expected, tokens)
+    (count,) = numbers
     if count < 1:
         raise InputError(f"expected at least one net, found {count}")
     where["nets"], where["pins"] = array("q"), array("q")
@@ -225,22 +397,21 @@ def _read_nets(lines: _Lines, where: dict[str, "array[int]"]) -> tuple[Net, ...]
         tokens = lines.next()
         if not tokens:
             raise InputError(f"file ends after {len(nets)} of {count} nets")
-        if len(tokens) != 4 or not all(map(_is_number, tokens[1:])):
-            raise _unexpected(
-                f"net {len(nets) + 1} of {count} (name, id, number of pins, minimum width)", tokens
-            )
-        name, id_, pin_count, width = tokens[0], *map(int, tokens[1:])
+        if len(tokens) != len(form.net) or not all(map(_is_number, tokens[1:])):
+            raise _unexpected(f"net {len(nets) + 1} of {count} ({', '.join(form.net)})", tokens)
+        name, (id_, pin_count, width) = tokens[0], [*map(int, tokens[1:]), _WIDTH][:3]
         where["nets"].append(lines.number)
         pins: list[Pin] = []
         while len(pins) < pin_count:
             tokens = lines.next()
             if not tokens:
                 raise InputError(f"file ends after {len(pins)} of {pin_count} pins of net {name}")
-            if len(tokens) != 3 or not all(map(_is_number, tokens)):
+            if len(tokens) != len(form.pin) or not all(map(_is_number, tokens)):
                 raise _unexpected(
-                    f"pin {len(pins) + 1} of {pin_count} of net {name} (x, y, layer)", tokens
+                    f"pin {len(pins) + 1} of {pin_count} of net {name} ({', '.join(form.pin)})",
+                    tokens,
                 )
-            pins.append(Pin(*map(int, tokens)))
+            pins.append(Pin(*[*map(int, tokens), _LAYER][:3]))
             where["pins"].append(lines.number)
         nets.append(Net(name, id_, tuple(pins), width))
     return tuple(nets)

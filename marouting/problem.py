@@ -1,8 +1,8 @@
 """A global routing problem: the chip's grid, its capacities, and the nets to be joined.
 
 Everything is frozen and in the units of the ISPD 2008 ``.gr`` format (:mod:`marouting.ispd` reads
-and writes it): pins in chip coordinates with layers from 1, capacities and widths in tracks. What
-the routers and the environment need is derived here once, in Gcell and edge numbers
+and writes it, among others): pins in chip coordinates with layers from 1, capacities and widths in
+tracks. What the routers and the environment need is derived here once, in Gcell and edge numbers
 (:mod:`marouting.grid`) with layers from 0.
 """
 
@@ -11,7 +11,7 @@ import itertools
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 from marouting.errors import InputError
 from marouting.grid import AXES, OFF_GRID, VIA_AXIS, Grid
 from marouting.kernels import compiled
+
+if TYPE_CHECKING:
+    from marouting.ispd import Format
 
 UNLIMITED = int(np.iinfo(np.int32).max)
 """The capacity of a via: vias never overflow (paper, section on the problem sets generator)."""
@@ -98,7 +101,8 @@ class Problem:
         via_spacing: Z numbers; read and written, without influence on routing.
         origin: chip coordinates of the lower left corner of Gcell (0, 0).
         tile: width and height of a Gcell in chip coordinates.
-        adjustments: edges whose capacity differs from their layer's.
+        adjustments: edges whose capacity differs from their layer's; of several of one edge the
+            last counts (ISPD 2008 evaluator).
 
     Raises:
         FieldError: a value is out of its range or contradicts another (an InputError).
@@ -210,13 +214,7 @@ class Problem:
         self._refuse_adjustment(
             (capacity < 0) | (capacity > MAX_NUMBER), f"a capacity from 0 to {MAX_NUMBER}"
         )
-        edges: NDArray[np.int64] = AXES * (near @ self.strides) + step[:, 1]
-        _, first, inverse = np.unique(edges, return_index=True, return_inverse=True)
-        self._refuse_adjustment(
-            capacity != capacity[first[inverse]],
-            "the capacity that an earlier adjustment gave the same edge",
-        )
-        return edges
+        return AXES * (near @ self.strides) + step[:, 1]
 
     def _refuse_adjustment(self, refused: NDArray[np.bool_], expected: str) -> None:
         """Raises FieldError for the first adjustment that ``refused`` (adjustments,) marks."""
@@ -240,6 +238,7 @@ class Problem:
         layers = np.array((self.horizontal_capacity, self.vertical_capacity, vias), np.int32).T
         exists = self.topology.exists.reshape(-1, *layers.shape)
         edges: NDArray[np.int32] = (exists * layers).reshape(-1)
+        # Where an edge is repeated numpy leaves the last value, as it has to be.
         edges[self._adjusted_edges] = [adjustment.capacity for adjustment in self.adjustments]
         edges.setflags(write=False)
         return edges
@@ -274,16 +273,32 @@ class Problem:
 
     @staticmethod
     def read(path: str | os.PathLike[str]) -> "Problem":
-        """Reads a ``.gr`` file; raises InputError naming the file and the line."""
+        """Reads a file in any of the ISPD formats (:mod:`marouting.ispd`), told by its header.
+
+        Raises:
+            InputError: names the file, the line, and what was expected.
+        """
         from marouting import ispd
 
         return ispd.read_problem(path)
 
-    def write(self, path: str | os.PathLike[str]) -> None:
-        """Writes the problem as ISPD 2008 ``.gr`` text, whole or not at all."""
+    def write(self, path: str | os.PathLike[str], format: "Format" = "ispd2008") -> None:
+        """Writes the problem as text of an ISPD format (:mod:`marouting.ispd`).
+
+        Whole or not at all, and such that it is read as an equal problem.
+
+        Args:
+            path: the file.
+            format: ``ispd2008`` (a ``.gr`` file, which holds any problem), ``ispd98`` or
+                ``ispd98-flat``.
+
+        Raises:
+            InputError: there is no such format, it cannot hold the problem, or the file cannot be
+                written.
+        """
         from marouting import ispd
 
-        ispd.write_problem(self, path)
+        ispd.write_problem(self, path, format)
 
 
 @compiled

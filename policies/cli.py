@@ -20,6 +20,7 @@ except ImportError:  # pragma: no cover - the command line needs the extra
 
 from marouting import InputError, Problem, Solution, __version__, evaluate
 from marouting.files import check_writable, write_text
+from marouting.ispd import FORMATS, Format
 from policies.routers import ROUTERS, has_seed, make_router
 
 if TYPE_CHECKING:
@@ -61,6 +62,22 @@ def generate(out: Path, **options: Any) -> None:
     for name, problem in problems.items():
         problem.write(out / f"{name}.gr")
     click.echo(f"{len(problems)} problems in {out}")
+
+
+@cli.command()
+@click.argument("problem", type=Path)
+@click.argument("out", type=Path)
+@click.option("--format", type=click.Choice(FORMATS), default="ispd2008", show_default=True)
+def convert(problem: Path, out: Path, format: Format) -> None:
+    """Write a problem to OUT in another format.
+
+    The format of PROBLEM is told by its header. OUT is read as the same problem; a format that
+    cannot hold it is refused.
+    """
+    loaded = Problem.read(problem)
+    loaded.write(out, format)
+    columns, rows, layers = loaded.grid
+    click.echo(f"{columns}x{rows}x{layers}, {len(loaded.nets)} nets in {out}")
 
 
 @cli.command()

@@ -75,7 +75,7 @@ def capacity_of(problem: Problem, edge: Edge) -> int | None:
     """The capacity of an edge; None for a via, which has no end."""
     if is_via(edge):
         return None
-    for x1, y1, layer1, x2, y2, layer2, capacity in problem.adjustments:
+    for x1, y1, layer1, x2, y2, layer2, capacity in reversed(problem.adjustments):
         if between((x1, y1, layer1 - 1), (x2, y2, layer2 - 1)) == edge:
             return capacity
     along_x = edge[0][0] != edge[1][0]

@@ -48,7 +48,7 @@ def problems(draw: st.DrawFn, max_side: int = 5, max_layers: int = 3, max_nets: 
 
 @st.composite
 def _adjustments(draw: st.DrawFn, grid: tuple[int, int, int]) -> tuple[Adjustment, ...]:
-    """Capacities of some edges, either end first; some say the same twice."""
+    """Capacities of some edges, either end first; some of them twice."""
     columns, rows, layers = grid
     edges = [
         ((x, y, z), (x + dx, y + dy, z))
@@ -62,10 +62,9 @@ def _adjustments(draw: st.DrawFn, grid: tuple[int, int, int]) -> tuple[Adjustmen
         return ()
     found = []
     for near, far in draw(st.lists(st.sampled_from(edges), max_size=5, unique=True)):
-        capacity = draw(numbers)
         for flipped in draw(st.lists(st.booleans(), min_size=1, max_size=2)):
             first, second = (far, near) if flipped else (near, far)
-            found.append(Adjustment(*first, *second, capacity))
+            found.append(Adjustment(*first, *second, draw(numbers)))
     return tuple(draw(st.permutations(found)))
 
 

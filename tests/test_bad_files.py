@@ -97,7 +97,9 @@ def test_writing_over_a_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "line", "what"),
     [
-        ("grid 3 2 2", "grid 3 2", 1, "columns, rows and layers, found 'grid 3 2'"),
+        ("grid 3 2 2", "grid 3", 1, "columns and rows, found 'grid 3'"),
+        # Two numbers are those of a flat grid, and its capacities one number each.
+        ("grid 3 2 2", "grid 3 2", 2, "'vertical capacity' and a number, found"),
         ("grid 3 2 2", "\n\nnet 3 2 2", 3, "'grid'"),
         ("grid 3 2 2", "grid 3 2 x", 1, "'grid'"),
         ("grid 3 2 2", "grid 3 0 2", 1, "from 1"),
@@ -109,7 +111,9 @@ def test_writing_over_a_folder(tmp_path: Path) -> None:
         ("capacity 0 4", "capacity 0 1_0", 2, "'vertical capacity' and a number"),
         ("capacity 0 4", "capacity 0 ４", 2, "'vertical capacity' and a number"),
         ("capacity 0 4", "capacity", 2, "'vertical capacity' and a number"),
-        ("minimum spacing", "minimum width", 5, "'minimum spacing'"),
+        ("minimum spacing", "maximum spacing", 5, "'minimum spacing' and a number for each layer"),
+        # The wrong word tells the ISPD'98 format, whose nets have no width.
+        ("minimum spacing", "minimum width", 9, "(name, id, number of pins), found 'A 1 2 1'"),
         ("0 0 10 10", "0 0 10 0", 7, "a width and a height from 1"),
         ("0 0 10 10", "0 0 10", 7, "tile width and height"),
         ("0 0 10 10", "0 9999999999 10 10", 7, "origin"),
@@ -139,7 +143,6 @@ def test_writing_over_a_folder(tmp_path: Path) -> None:
         ("1 0 1 2 0 1 3", "1 0 1 1 0 2 3", 15, "two neighbouring Gcells of one layer"),
         ("1 0 1 2 0 1 3", "0 0 1 2 0 1 3", 15, "two neighbouring Gcells of one layer"),
         ("1 0 1 2 0 1 3", "2 0 1 3 0 1 3", 15, "two neighbouring Gcells of one layer"),
-        ("0 0 2 0 1 2 0", "2 0 1 1 0 1 4", 16, "an earlier adjustment"),
         (GR, GR + "\n\nx", 19, "the end of the file after 2 adjustments, found 'x'"),
     ],
 )
@@ -203,7 +206,7 @@ def test_a_truncated_problem(tmp_path: Path, keep: int) -> None:
         ("grid 3 2 2", "grid 2 2 1000000000", "Gcells in all"),
         ("grid 3 2 2", "grid 1 1 16777216", "expected 16777216 values, one a layer, found 2"),
         # As large as may be: not refused for its size, and yet costs nothing.
-        ("grid 3 2 2", "grid 2048 4096 2", "an earlier adjustment"),
+        ("grid 3 2 2", "grid 2048 4096 2", "a capacity from 0"),
     ],
 )
 def test_a_promise_costs_nothing(tmp_path: Path, old: str, new: str, what: str) -> None:
@@ -211,8 +214,8 @@ def test_a_promise_costs_nothing(tmp_path: Path, old: str, new: str, what: str) 
     text = GR.replace(old, new, 1)
     if what.startswith("after 1 of"):
         text = text.replace("num net 2", "num net 1000000000")
-    if what == "an earlier adjustment":
-        text = text.replace("0 0 2 0 1 2 0", "2 0 1 1 0 1 4")
+    if what == "a capacity from 0":
+        text = text.replace("0 0 2 0 1 2 0", "0 0 2 0 1 2 -1")
     start = time.perf_counter()
     tracemalloc.start()
     try:

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -180,6 +180,33 @@ def test_route_with_a_checkpoint(
         assert Solution.read("a.solution", problem) == walked
         assert shown["wirelength"] == evaluate(problem, walked).wirelength
     assert (here / "a.solution").exists()
+
+
+def test_convert_writes_the_same_problem(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    problem = replace(Problem.read("p.gr"), adjustments=())
+    problem.write("plain.gr")
+    assert "4x4x2, 3 nets" in printed(
+        capsys, "convert", "plain.gr", "deep/p.txt", "--format", "ispd98"
+    )
+    assert Problem.read("deep/p.txt") == problem
+    assert (here / "deep" / "p.txt").read_text().count("minimum width") == 2
+    printed(capsys, "convert", "deep/p.txt", "again.gr")
+    assert Path("again.gr").read_bytes() == Path("plain.gr").read_bytes()
+    # Whatever reads problems reads them all.
+    routed = [
+        only_object(printed(capsys, "route", name, "--json")) for name in ("plain.gr", "deep/p.txt")
+    ]
+    assert len({(row["overflow"], row["wirelength"]) for row in routed}) == 1
+
+
+def test_convert_refuses_what_the_format_cannot_hold(refused: Callable[..., str]) -> None:
+    shown = refused("convert", "p.gr", "out.txt", "--format", "ispd98", out="out.txt")
+    assert shown.startswith("out.txt: the format ispd98 cannot hold it: expected no adjustments")
+    shown = refused("convert", "p.gr", "out.txt", "--format", "ispd98-flat", out="out.txt")
+    assert "expected one layer, found 2" in shown
+    assert "ispd98-flat" in refused("convert", "p.gr", "out.txt", "--format", "ispd99")
+    assert "p.solution:1" in refused("convert", "p.solution", "out.txt")
+    assert "missing.gr" in refused("convert", "missing.gr", "out.txt")
 
 
 @pytest.mark.usefixtures("here")
@@ -491,6 +518,7 @@ def test_output_that_cannot_be_written(
     for command in (
         ["generate", "--grid", "4", "4", "2", "--nets", "2", "--out", target],
         ["route", "p.gr", "--out", target],
+        ["convert", "p.gr", target],
         # Found out before the training, not after it.
         ["route", "p.gr", "--router", "dqn", "train.episodes=1000000", "--out", target],
         ["train", "small.yaml", f"out={target}"],

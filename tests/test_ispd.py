@@ -1,15 +1,18 @@
 """Problems and solutions as ISPD 2008 text: what is written is read, what is read is meant."""
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
+import networkx
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from strategies import problems, solved_problems
 
-from marouting import Adjustment, Net, Pin, Problem, Solution
-from marouting.grid import AXES
+from marouting import Adjustment, Net, Pin, Problem, Solution, evaluate, sequential_astar
+from marouting.grid import AXES, VIA_AXIS
+from policies.classical.pathfinder import PathfinderOptions, PathfinderRouter
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -93,6 +96,17 @@ def test_pins_in_one_gcell_count_once_in_pin_order(tmp_path: Path) -> None:
 def test_the_count_of_adjustments_may_be_missing(tmp_path: Path) -> None:
     assert problem_of(tmp_path, GR).adjustments == ()
     assert problem_of(tmp_path, GR + "0\n") == problem_of(tmp_path, GR)
+
+
+def test_the_last_adjustment_of_an_edge_counts(tmp_path: Path) -> None:
+    """As in the contest's evaluator, which sets the capacity of an edge line by line."""
+    twice = "3\n2 0 1 1 0 1 3\n0 0 2 0 1 2 0\n1 0 1 2 0 1 5\n"
+    problem = problem_of(tmp_path, GR + twice)
+    assert problem.capacity[edge(problem, 1, 0, 1, 0)] == 5
+    assert problem.capacity[edge(problem, 0, 0, 2, 1)] == 0
+    assert len(problem.adjustments) == 3
+    problem.write(tmp_path / "again.gr")
+    assert Problem.read(tmp_path / "again.gr") == problem
 
 
 @settings(deadline=None)
@@ -209,3 +223,169 @@ def test_a_segment_ends_where_the_next_row_begins(tmp_path: Path) -> None:
     assert (tmp_path / "out").read_text() == (
         "A 7 2\n(-5,15,1)-(5,15,1)\n(5,35,1)-(15,35,1)\n!\nB_1 3 0\n!\n"
     )
+
+
+# --- many layers, as in the files of the contest --------------------------------------------------
+
+# Pins in layer 1, which like layer 2 has no room; above, a direction a layer, wires wider at the
+# top. Coordinates count from the corner of the chip, columns and rows of adjustments from 0.
+CONTEST = """\
+grid 6 5 6
+vertical capacity 0 0 0 4 0 8
+horizontal capacity 0 0 4 0 8 0
+minimum width 1 1 1 1 2 2
+minimum spacing 1 1 1 1 2 2
+via spacing 1 1 1 1 2 2
+35 70 35 40
+
+num net 6
+n0 0 2 1
+40 80 1
+240 80 1
+n1 1 3 1
+40 75 1
+239 264 1
+130 180 1
+n2 2 2 3
+41 229 1
+239 71 1
+n3 3 4 1
+36 71 1
+36 269 1
+244 71 1
+244 269 1
+inside 4 2 1
+100 100 1
+101 101 1
+n5 5 2 1
+110 150 1
+180 230 3
+
+7
+1 2 3   2 2 3   0
+2 2 3   3 2 3   0
+3 2 3   2 2 3   0
+2 1 4   2 2 4   2
+2 2 4   2 3 4   0
+0 0 5   1 0 5   4
+0 0 6   0 1 6   0
+"""
+
+ROUTERS: dict[str, Callable[[Problem], Solution]] = {
+    "astar": sequential_astar,
+    "pathfinder": PathfinderRouter(PathfinderOptions(seconds=None, passes=3)).route,
+}
+
+
+def check_contest(problem: Problem, solution: Solution) -> None:
+    """Joined as networkx sees it, no edge over its capacity, none used that has none."""
+    judged = evaluate(problem, solution)
+    assert judged.connected
+    assert (judged.overflow, judged.max_overflow) == (0, 0)
+    assert judged.wirelength == sum(map(len, solution.edges))
+    inside = np.arange(problem.capacity.size) % AXES != VIA_AXIS
+    assert np.all(solution.demand[inside] <= problem.capacity[inside])
+    used = np.concatenate(solution.edges)
+    flat = used[used % AXES != VIA_AXIS]
+    assert len(flat)
+    assert np.all(problem.capacity[flat] > 0)
+    layer, axis = flat // AXES % problem.grid[2], flat % AXES
+    by_axis = np.array((problem.horizontal_capacity, problem.vertical_capacity))
+    assert np.all(by_axis[axis, layer] > 0)
+    for pins, edges in zip(problem.pin_gcells, solution.edges, strict=True):
+        graph = networkx.Graph()
+        graph.add_nodes_from(pins.tolist())
+        near = edges // AXES
+        graph.add_edges_from(
+            zip(near.tolist(), (near + problem.strides[edges % AXES]).tolist(), strict=True)
+        )
+        assert networkx.is_connected(graph)
+
+
+def test_a_file_of_many_layers_is_as_written(tmp_path: Path) -> None:
+    problem = problem_of(tmp_path, CONTEST)
+    number = problem.topology.number
+    assert problem.grid == (6, 5, 6)
+    assert [gcells.tolist() for gcells in problem.pin_gcells] == [
+        [number(0, 0, 0), number(5, 0, 0)],
+        [number(0, 0, 0), number(5, 4, 0), number(2, 2, 0)],
+        [number(0, 3, 0), number(5, 0, 0)],
+        [number(0, 0, 0), number(0, 4, 0), number(5, 0, 0), number(5, 4, 0)],
+        [number(1, 0, 0)],
+        [number(2, 2, 0), number(4, 4, 2)],
+    ]
+    # Width of the net or the layer, and the layer's spacing.
+    assert problem.demand[0].tolist() == [2, 2, 2, 2, 4, 4]
+    assert problem.demand[2].tolist() == [4, 4, 4, 4, 5, 5]
+    for x, y, layer, axis, capacity in (
+        (0, 0, 1, 0, 0),
+        (0, 0, 2, 1, 0),
+        (0, 2, 3, 0, 4),
+        (1, 2, 3, 0, 0),
+        (2, 2, 3, 0, 0),
+        (1, 2, 3, 1, 0),
+        (2, 1, 4, 1, 2),
+        (2, 2, 4, 1, 0),
+        (2, 3, 4, 1, 4),
+        (0, 0, 5, 0, 4),
+        (1, 0, 5, 0, 8),
+        (0, 0, 6, 1, 0),
+        (0, 1, 6, 1, 8),
+    ):
+        assert problem.capacity[edge(problem, x, y, layer, axis)] == capacity
+    problem.write(tmp_path / "again.gr")
+    # Of the white space nothing is kept, of the rest all.
+    assert (tmp_path / "again.gr").read_text().split() == CONTEST.split()
+
+
+@pytest.mark.parametrize("router", ROUTERS.values(), ids=ROUTERS)
+def test_many_layers_are_routed(tmp_path: Path, router: Callable[[Problem], Solution]) -> None:
+    problem = problem_of(tmp_path, CONTEST)
+    solution = router(problem)
+    check_contest(problem, solution)
+    assert len(solution.edges[4]) == 0  # a net inside a Gcell
+    # n0, alone, runs straight in layer 3: five edges and twice two vias.
+    assert len(solution.edges[0]) >= 9
+    solution.write(tmp_path / "out.solution")
+    assert Solution.read(tmp_path / "out.solution", problem) == solution
+
+
+def contest_text(seed: int, side: int, layers: int, pins: list[int]) -> str:
+    """A file as the contest's: layers 1 and 2 without room, a wall in every other one."""
+    rng = np.random.default_rng(seed)
+    room = [0, 0, *(200 if z % 2 else 0 for z in range(2, layers))]
+    other = [0, 0, *(0 if z % 2 else 200 for z in range(2, layers))]
+    rows = [
+        f"grid {side} {side} {layers}",
+        f"vertical capacity {' '.join(map(str, room))}",
+        f"horizontal capacity {' '.join(map(str, other))}",
+        *(f"{what} {'1 ' * layers}" for what in ("minimum width", "minimum spacing")),
+        f"via spacing {'1 ' * layers}",
+        "0 0 35 35",
+        "",
+        f"num net {len(pins)}",
+    ]
+    for net, count in enumerate(pins):
+        rows.append(f"n{net} {net} {count} 1")
+        rows += [f"{x} {y} 1" for x, y in rng.integers(0, 35 * side, (count, 2)).tolist()]
+    middle = side // 2
+    walls = [(middle, y, z, middle + 1, y, z) for z in (3, 5) for y in range(side - 2)]
+    walls += [(x, middle, z, x, middle + 1, z) for z in (4, 6) for x in range(2, side - 2)]
+    rows += [str(len(walls)), *(" ".join(map(str, (*wall, 0))) for wall in walls)]
+    return "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize("router", ROUTERS.values(), ids=ROUTERS)
+def test_nets_of_thousands_of_pins_find_the_gaps(
+    tmp_path: Path, router: Callable[[Problem], Solution]
+) -> None:
+    problem = problem_of(tmp_path, contest_text(1, 30, 6, [3000, 1001, *[2, 3, 5] * 15]))
+    assert [len(net.pins) for net in problem.nets[:2]] == [3000, 1001]
+    solution = router(problem)
+    check_contest(problem, solution)
+    # All cross the wall between columns 15 and 16 where it leaves two rows open.
+    wall = edge(problem, 15, 0, 1, 0), edge(problem, 16, 0, 1, 0)
+    used = np.concatenate(solution.edges)
+    crossing = used[(used >= wall[0]) & (used < wall[1]) & (used % AXES == 0)] // AXES
+    assert set((crossing // problem.strides[1] % problem.grid[1]).tolist()) <= {28, 29}
+    assert len(crossing)
