@@ -95,7 +95,8 @@ class ExperimentConfig:
         routers: options by the name that tables call the router, with the keys ``router``, a name
             of :data:`policies.routers.ROUTERS` or ``published``, and ``only``, the sets that it
             is for; all the others are the router's own. For ``dqn`` see :class:`Training`, for
-            ``published`` :class:`Published`. What is left out is filled in.
+            ``published`` :class:`Published`. What is left out is filled in. None in place of the
+            options leaves a router out: for ``routers.NAME=null`` on the command line.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -105,9 +106,11 @@ class ExperimentConfig:
     jobs: int | None = None
     reference: str | None = None
     problems: Any = None
-    routers: dict[str, dict[str, Any]] = field(default_factory=dict)
+    routers: dict[str, dict[str, Any] | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        kept = {name: raw for name, raw in self.routers.items() if raw is not None}
+        object.__setattr__(self, "routers", kept)
         check("seeds", len(self.seeds) > 0, "at least one")
         check("seeds", all(0 <= seed < 2**63 for seed in self.seeds), "numbers from 0")
         check("seeds", len(set(self.seeds)) == len(self.seeds), "every seed once")
@@ -128,7 +131,7 @@ class ExperimentConfig:
     @property
     def entries(self) -> tuple["Entry", ...]:
         """The routers; raises InputError for one that is none."""
-        return tuple(Entry.of(name, raw) for name, raw in self.routers.items())
+        return tuple(Entry.of(name, raw or {}) for name, raw in self.routers.items())
 
 
 def _check_set(name: str) -> None:

@@ -41,7 +41,7 @@ def test_the_command_prints_and_stores(tmp_path: Path, capsys: pytest.CaptureFix
     assert printed["machine"]["numba"]
     (row, *_) = printed["rows"]
     assert row["section"] == "search"
-    assert row["unit"] == "problems/s"
+    assert row["unit"] == "tasks/s"
     assert row["ratio"] == pytest.approx(row["value"] / row["against"])
     assert cli.status(["bench", "search", "--repeats", "1"]) == 0
     assert "sequential A*" in " ".join(capsys.readouterr().out.split())

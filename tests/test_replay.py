@@ -1,5 +1,6 @@
 """Solutions as games: the moves of a replay lead to the solution's own edges and figures."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from marouting.replay import Replay
 from marouting.search import AStar
 from policies.classical.pathfinder import PathfinderOptions, PathfinderRouter
 
+IBM01 = Path(__file__).resolve().parents[2] / "shared/data/ispd98/ibm01.modified.txt"
 LONG = 10**6  # steps a task: more than any way needs
 
 
@@ -114,3 +116,34 @@ def test_what_cannot_be_replayed() -> None:
         Replay(engine, [solution, solution])
     with pytest.raises(InputError, match="solution 0: expected one of a problem with its nets"):
         Replay(engine, [solution])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not IBM01.exists(), reason="../shared/data/ispd98 is not there")
+def test_ibm01_as_a_game() -> None:
+    """11 507 agents, of which 9 128 have something to route; solutions replayed move by move."""
+    problem = Problem.read(IBM01)
+    env = global_routing_v0.parallel_env(problem, max_steps=2000, overflow="allowed")
+    env.reset(seed=0)
+    assert len(env.possible_agents) == len(problem.nets) == 11_507
+    assert len(env.agents) == sum(len(pins) > 1 for pins in problem.pin_gcells) == 9128
+
+    negotiated = PathfinderRouter(PathfinderOptions(seconds=30)).route(problem)
+    for solution in (sequential_astar(problem), negotiated):
+        env.reset(seed=0)
+        guide = Replay(env.engine, [solution])
+        number = {agent: n for n, agent in enumerate(env.agents)}
+        while env.agents:
+            agents = np.array([number[agent] for agent in env.agents])
+            moves = guide.moves(np.zeros_like(agents), agents)
+            env.step(dict(zip(env.agents, moves.tolist(), strict=True)))
+        figures, metrics = evaluate(problem, solution), env.metrics()
+        assert metrics["joined"] == metrics["tasks"] == figures.tasks
+        if solution is negotiated:
+            assert env.solution() == solution
+            assert (figures.overflow, figures.connected) == (0, True)
+            assert figures.wirelength - figures.vias <= 63_611  # BoxRouter 2.0, without vias
+        # A* may close circles, of which a replay leaves out a side.
+        assert metrics["overflow"] <= figures.overflow
+        assert metrics["wirelength"] <= figures.wirelength
+        assert metrics["wirelength"] >= 0.99 * figures.wirelength

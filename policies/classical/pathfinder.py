@@ -102,7 +102,7 @@ class PathfinderOptions:
     again: float = 0.1
     patience: int = 10
     passes: int = 100_000
-    seconds: float | None = 60.0
+    seconds: float | None = 50.0
     seed: int = 0
 
     def __post_init__(self) -> None:
