@@ -932,7 +932,9 @@ def test_the_yardstick_runs_as_it_stands(
     assert found["optimal"]["gap"] == {"mean": 0, "low": 0, "high": 0, "problems": 3}
     for name in ("astar", "astar-best", "pathfinder", "random"):
         assert found[name]["reference"]["wins"] == 0
-        assert found[name]["gap"] is None or found[name]["gap"]["low"] >= 0 or name.startswith("astar")
+        assert (
+            found[name]["gap"] is None or found[name]["gap"]["low"] >= 0 or name.startswith("astar")
+        )
     assert found["optimal"]["astar"]["losses"] == 0
     assert found["random"]["open"] > 0
     proven = [row["proven"] for row in results(tmp_path / "y") if row["kind"] == "optimal"]
