@@ -22,7 +22,7 @@ from marouting.config import build
 from marouting.grid import AXES, VIA_AXIS, Grid
 from marouting.steiner import steiner_length
 from policies.base import Router, solve
-from policies.classical.optimal import MOST_PINS, Optimum, OptimalRouter
+from policies.classical.optimal import MOST_PINS, OptimalRouter, Optimum
 from policies.classical.trees import NEVER, Across, Window, cheapest_tree
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data" / "liao2019"
@@ -139,7 +139,8 @@ def joined(shape: Shape, edges: NDArray[np.int64], pins: NDArray[np.int64]) -> n
     """The edges as a graph, in which the pins are joined."""
     assert np.array_equal(edges, np.unique(edges))
     assert Grid.of(shape).exists[edges].all()
-    graph: nx.Graph = nx.Graph(zip(*(ends.tolist() for ends in Grid.of(shape).ends(edges))))
+    near, far = Grid.of(shape).ends(edges)
+    graph: nx.Graph = nx.Graph(zip(near.tolist(), far.tolist(), strict=True))
     assert set(pins.tolist()) <= nx.node_connected_component(graph, int(pins[0]))
     return graph
 
@@ -372,6 +373,48 @@ def test_no_combination_of_trees_is_better(problem: Problem) -> None:
         found = proven(problem, OptimalRouter(**options))
         assert (found.bound_overflow, found.bound_wirelength) <= best
         assert (found.overflow, found.wirelength) >= best
+
+
+def crowded(seed: int) -> Problem:
+    """Nets of very different widths on a tiny grid: what prices alone cannot settle."""
+    rng = np.random.default_rng(seed)
+    grid = TINY[rng.integers(3)]
+    capacity = (tuple(rng.integers(1, 6, grid[2]).tolist()) for _ in range(2))
+    nets = [
+        Net(
+            f"n{i}",
+            i,
+            tuple(Pin(x, y, z + 1) for x, y, z in rng.integers(grid, size=(rng.integers(2, 5), 3))),
+            int(rng.integers(1, 5)),
+        )
+        for i in range(3)
+    ]
+    layers = grid[2]
+    return Problem(grid, *capacity, tuple(nets), (1,) * layers, (0,) * layers, (0,) * layers)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_nets_of_any_width_in_each_others_way(seed: int) -> None:
+    problem = crowded(seed)
+    assert optimum_of(problem) == best_of_all(problem)
+
+
+@pytest.mark.parametrize("factor", [1000, 10**6, 10**8])
+@pytest.mark.parametrize("seed", range(6))
+def test_nothing_false_is_proven_with_large_numbers(seed: int, factor: int) -> None:
+    """In these the solver's tolerances are whole tracks."""
+    small = crowded(seed)
+    problem = replace(
+        small,
+        vertical_capacity=tuple(factor * tracks - 1 for tracks in small.vertical_capacity),
+        horizontal_capacity=tuple(factor * tracks for tracks in small.horizontal_capacity),
+        nets=tuple(replace(net, min_width=factor * net.min_width) for net in small.nets),
+    )
+    best = best_of_all(problem)
+    found = proven(problem, OptimalRouter(time_limit=20.0))
+    assert found.status in ("optimal", "solver limit")
+    assert (found.bound_overflow, found.bound_wirelength) <= best
+    assert best <= (found.overflow, found.wirelength)
 
 
 # --- bounds ---------------------------------------------------------------------------------------
