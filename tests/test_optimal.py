@@ -399,7 +399,7 @@ def test_nets_of_any_width_in_each_others_way(seed: int) -> None:
     assert optimum_of(problem) == best_of_all(problem)
 
 
-@pytest.mark.parametrize("factor", [1000, 10**6, 10**8])
+@pytest.mark.parametrize("factor", [1000, 10**6])
 @pytest.mark.parametrize("seed", range(6))
 def test_nothing_false_is_proven_with_large_numbers(seed: int, factor: int) -> None:
     """In these the solver's tolerances are whole tracks."""
@@ -431,7 +431,7 @@ def shortest(problem: Problem) -> int:
     return total
 
 
-@settings(deadline=None, max_examples=20, suppress_health_check=[HealthCheck.too_slow])
+@settings(deadline=None, max_examples=10, suppress_health_check=[HealthCheck.too_slow])
 @given(st.one_of(problems(max_side=4), contested(max_nets=8)))
 def test_bounds_grow_towards_the_optimum(problem: Problem) -> None:
     """From the nets' shortest trees by the relaxation; all solutions lie above."""
