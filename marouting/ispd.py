@@ -321,7 +321,9 @@ def _reading(path: str | os.PathLike[str]) -> Iterator[_Lines]:
             try:
                 yield lines
             except InputError as error:
-                raise InputError(f"{os.fspath(path)}:{max(1, lines.number)}: {error}") from None
+                # Names of nets go into messages before anybody has looked at them.
+                text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(error))
+                raise InputError(f"{os.fspath(path)}:{max(1, lines.number)}: {text}") from None
     except OSError as error:
         raise unusable(path, "cannot be read", error) from None
 

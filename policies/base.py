@@ -1,6 +1,6 @@
 """What routers and policies are."""
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from marouting import Problem, Solution
 
@@ -32,3 +32,37 @@ class Router(Protocol):
     def route(self, problem: Problem) -> Solution:
         """A solution of the problem; nets that could not be joined stay open in it."""
         ...
+
+
+class Routed(Protocol):
+    """A solution, and what its router has to say of it."""
+
+    @property
+    def solution(self) -> Solution:
+        """The solution."""
+        ...
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """Figures by name that no evaluator could tell, fit for JSON.
+
+        ``status`` is among them where something is proven: ``optimal`` if the solution is.
+        """
+        ...
+
+
+@runtime_checkable
+class Reporter(Router, Protocol):
+    """A router that has more to give than a solution."""
+
+    def solve(self, problem: Problem) -> Routed:
+        """The solution of :meth:`route`, and more."""
+        ...
+
+
+def solve(router: Router, problem: Problem) -> tuple[Solution, dict[str, Any]]:
+    """A router's solution, and its report: empty from one that makes none."""
+    if not isinstance(router, Reporter):
+        return router.route(problem), {}
+    routed = router.solve(problem)
+    return routed.solution, routed.report

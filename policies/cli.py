@@ -8,9 +8,10 @@ expected), 130 when interrupted. The heavy libraries are imported by the command
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 try:
@@ -21,6 +22,7 @@ except ImportError:  # pragma: no cover - the command line needs the extra
 from marouting import InputError, Problem, Solution, __version__, evaluate
 from marouting.files import check_writable, write_text
 from marouting.ispd import FORMATS, Format
+from policies.base import solve
 from policies.routers import ROUTERS, has_seed, make_router
 
 if TYPE_CHECKING:
@@ -105,9 +107,9 @@ def route(
 ) -> None:
     """Route a problem and judge the solution.
 
-    KEY=VALUE changes options of the router (net_order=file). Without --checkpoint the router dqn
-    trains on the problem, as the paper does; its options are the keys of its configuration
-    (train.episodes=200).
+    KEY=VALUE changes options of the router (net_order=file; for optimal on a large
+    problem bound=relaxation time_limit=60). Without --checkpoint the router dqn trains on the
+    problem, as the paper does; its options are the keys of its configuration (train.episodes=200).
     """
     if router != "dqn" and checkpoint:
         raise InputError("--checkpoint: expected --router dqn with it")
@@ -118,11 +120,11 @@ def route(
         check_writable(out)
     solver = _router(router, seed, checkpoint, problem.stem, config, overrides)
     started = time.perf_counter()
-    solution = solver.route(loaded)
+    solution, report = solve(solver, loaded)
     seconds = time.perf_counter() - started
     if out is not None:
         solution.write(out)
-    _report(router, loaded, solution, seconds, as_json)
+    _report(router, loaded, solution, seconds, as_json, report)
 
 
 def _router(
@@ -167,9 +169,14 @@ def _counter(config: "Config") -> Any:
 
 
 def _report(
-    router: str | None, problem: Problem, solution: Solution, seconds: float, as_json: bool
+    router: str | None,
+    problem: Problem,
+    solution: Solution,
+    seconds: float,
+    as_json: bool,
+    report: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
-    """Prints the figures of a solution."""
+    """Prints the figures of a solution, and those that its router adds."""
     figures = evaluate(problem, solution)
     fields = {
         "router": router,
@@ -181,17 +188,19 @@ def _report(
         "joined": figures.joined,
         "tasks": figures.tasks,
         "seconds": round(seconds, 6),
+        **report,
     }
     if as_json:
         click.echo(json.dumps(fields))
         return
+    width = max(map(len, fields))
     for name, value in fields.items():
         if value is not None:
-            click.echo(f"{name:>12}  {value}")
+            click.echo(f"{name:>{width}}  {value}")
     if figures.disconnected:
         shown = " ".join(figures.disconnected[:10])
         more = len(figures.disconnected) - 10
-        click.echo(f"{'open nets':>12}  {shown}{f' and {more} more' if more > 0 else ''}")
+        click.echo(f"{'open nets':>{width}}  {shown}{f' and {more} more' if more > 0 else ''}")
 
 
 @cli.command("evaluate")

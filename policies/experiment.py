@@ -45,7 +45,7 @@ from marouting import InputError, Problem, Solution, evaluate, generate
 from marouting.config import build, read_yaml
 from marouting.files import unusable, write_text
 from marouting.source import load_problems
-from policies.base import Router
+from policies.base import Router, solve
 from policies.config import Config, check, check_same, load_config, override
 from policies.processes import cores, work_on
 from policies.routers import ROUTERS, has_seed, is_seeded, make_router, schema, unknown
@@ -404,11 +404,12 @@ class Part:
         router = self._router(name)
         self._warm_up(router)
         started = time.perf_counter()
-        solution, proven = _solve(router, problem)
+        solution, report = solve(router, problem)
         seconds = time.perf_counter() - started
         solution.write(self.solution(name))
         figures = asdict(evaluate(problem, solution))
         del figures["disconnected"]
+        proven = report["status"] == "optimal" if "status" in report else None
         return {"problem": name, **figures, "proven": proven, "seconds": round(seconds, 6)}
 
     def _router(self, problem: str) -> Router:
@@ -453,17 +454,6 @@ class Part:
 
 _warm: set[str] = set()
 """The routers that this process has used."""
-
-
-def _solve(router: Router, problem: Problem) -> tuple[Solution, bool | None]:
-    """A solution, and whether it is proven to be optimal; None for routers that prove nothing."""
-    if router.name != "optimal":
-        return router.route(problem), None
-    from policies.classical.optimal import OptimalRouter
-
-    assert isinstance(router, OptimalRouter)
-    found = router.solve(problem)
-    return found.solution, found.status == "optimal"
 
 
 def _read_rows(path: Path, columns: Mapping[str, Any] = COLUMNS) -> list[Row]:

@@ -24,6 +24,7 @@ import marouting
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
 from marouting.config import build
 from policies import routers
+from policies.classical.optimal import OptimalRouter
 from policies.cli import status
 from policies.config import Config, DQNOptions, TrainOptions, load_config
 from policies.experiment import ExperimentConfig, load_experiment
@@ -114,6 +115,8 @@ def test_generate_writes_what_the_library_generates(
 ROUTERS: dict[str, list[str]] = {
     "astar": [],
     "random": ["--seed", "3"],
+    "pathfinder": ["--seed", "3"],
+    "optimal": [],
     "dqn": ["--seed", "3", *FAST],
 }
 
@@ -145,6 +148,41 @@ def test_route_prints_the_figures_of_the_solution(
         "p.solution",
         "small.yaml",
     ]
+
+
+@pytest.mark.usefixtures("here")
+def test_route_says_what_the_router_reports(capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["route", "p.gr", "--router", "optimal"]
+    shown = only_object(printed(capsys, *command, "--json"))
+    proven = OptimalRouter().solve(Problem.read("p.gr"))
+    assert shown["status"] == "optimal"
+    assert shown["gap"] == 0
+    bound = shown["bound_overflow"], shown["bound_wirelength"]
+    assert bound == (proven.bound_overflow, proven.bound_wirelength)
+    assert bound == (shown["overflow"], shown["wirelength"])
+    assert "bound_wirelength" in printed(capsys, *command)
+    cut = only_object(printed(capsys, *command, "time_limit=0", "bound=relaxation", "--json"))
+    assert set(cut) == set(shown)
+    assert cut["status"] in ("optimal", "time limit")
+    assert (cut["bound_overflow"], cut["bound_wirelength"]) <= bound
+    passes = only_object(printed(capsys, "route", "p.gr", "--router", "pathfinder", "--json"))
+    assert passes["iterations"] >= 1
+    assert "status" not in passes
+
+
+@pytest.mark.usefixtures("here")
+def test_a_gap_that_is_infinite_is_null(capsys: pytest.CaptureFixture[str]) -> None:
+    """Overflow of which nothing is proven yet: JSON has no infinity."""
+    printed(capsys, "generate", "--capacity", "1", "--out", "tight")
+    command = ["route", "tight/problem_000.gr", "--router", "optimal", "time_limit=0"]
+    text = printed(capsys, *command, "--json")
+    assert "Infinity" not in text
+    shown = only_object(text)
+    assert shown["overflow"] > shown["bound_overflow"]
+    assert shown["gap"] is None
+    words = dict(line.split(maxsplit=1) for line in printed(capsys, *command).splitlines())
+    assert words["status"] == "time limit"
+    assert "gap" not in words
 
 
 def test_astar_is_the_default_router(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

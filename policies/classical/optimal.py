@@ -8,7 +8,7 @@ To route a problem is to choose a tree for every net. Three steps meet from eith
    the linear program, which finds better prices, until the two agree: column generation
    (Dantzig and Wolfe, "Decomposition principle for linear programs", Operations Research 8, 1960).
    Prices are rounded to whole numbers, and the bound is worked out in these alone: it holds
-   whatever the solver's tolerances are.
+   whatever the solver's tolerances are. It is that of the linear relaxation of step 3.
 2. **Choice.** An integer program chooses one of the trees found for each net. On most problems its
    solution is as good as the bound: then it is optimal.
 3. **Flows.** Otherwise the edges that matter are found: those for which the bound of all solutions
@@ -16,7 +16,7 @@ To route a problem is to choose a tree for every net. Three steps meet from eith
    each of them is added to the choice; and if that does not do, an integer program over these
    edges decides, with a flow from a net's first pin to each of its other pins (Wong, "A dual
    ascent approach for Steiner tree problems on a directed graph", Mathematical Programming 28,
-   1984).
+   1984). Here alone a proof rests on the solver's own: its bound counts less SLIP.
 
 Overflow is minimised first, by the same steps. The solver is HiGHS, as it comes with scipy.
 """
@@ -24,6 +24,7 @@ Overflow is minimised first, by the same steps. The solver is HiGHS, as it comes
 import math
 import operator
 import time
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -54,12 +55,17 @@ MAX_WORK = 2**36
 """The largest problem accepted, in steps of the search for the cheapest trees of all nets."""
 
 MOST_PINS = 9
-"""Pins of a net that count in a bound for problems of any size."""
+"""Pins of a net that count in a relaxation's bound, so that it takes problems of any size."""
 
 MAX_COLUMNS = 4_000_000
 """The largest integer program of step 3, in variables."""
 
-Status = Literal["optimal", "time limit", "size limit"]
+SLIP = 0.01
+"""By how much the solver's bound of an integer program may be wrong: far more than its tolerances
+come to, little enough to be rounded up."""
+
+Bound = Literal["optimum", "relaxation"]
+Status = Literal["optimal", "relaxation", "time limit", "solver limit"]
 Pair = tuple[int, int]
 
 
@@ -74,7 +80,9 @@ class Optimum:
         bound_overflow: no solution has less overflow.
         bound_wirelength: no solution with that overflow has less wirelength.
         seconds: how long it took.
-        status: ``optimal`` if bound and solution agree; otherwise what ended the search.
+        status: ``optimal`` if bound and solution agree; otherwise what ended the search:
+            ``relaxation``, no more was asked for, ``time limit``, or ``solver limit``, an integer
+            program too large to be solved or with numbers too large for the solver's tolerances.
     """
 
     solution: Solution
@@ -92,6 +100,16 @@ class Optimum:
             return math.inf
         return (self.wirelength - self.bound_wirelength) / max(self.wirelength, 1)
 
+    @property
+    def report(self) -> dict[str, Any]:
+        """What there is to say beside the solution's figures; an infinite gap is None."""
+        return {
+            "bound_overflow": self.bound_overflow,
+            "bound_wirelength": self.bound_wirelength,
+            "gap": self.gap if self.gap < math.inf else None,
+            "status": self.status,
+        }
+
 
 @dataclass(frozen=True)
 class OptimalRouter:
@@ -99,13 +117,18 @@ class OptimalRouter:
 
     Attributes:
         time_limit: seconds after which the best solution so far is taken; None: no limit. With 0
-            it is that of sequential A*, and the bound the sum of the nets' shortest trees.
+            it is that of sequential A*, and the bound the sum of the nets' shortest trees. No step
+            is broken off but the solver's.
+        bound: ``optimum``, what is proven is the optimum; ``relaxation``, only what prices prove,
+            with the best choice of the trees found: for problems too large for more. Nets with more
+            than MOST_PINS pins count in it with so many of them, spread out.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     name: ClassVar[str] = "optimal"
     time_limit: float | None = None
+    bound: Bound = "optimum"
 
     def __post_init__(self) -> None:
         if self.time_limit is not None and not self.time_limit >= 0:
@@ -124,7 +147,7 @@ class OptimalRouter:
         """
         started = time.monotonic()
         limit = math.inf if self.time_limit is None else self.time_limit
-        search = _Search(problem, started + limit)
+        search = _Search(problem, started + limit, self.bound)
         status = search.run()
         solution = search.solution()
         figures = evaluate(problem, solution)
@@ -133,25 +156,6 @@ class OptimalRouter:
             raise RuntimeError(f"claimed {search.best} from {search.lower}, found {figures}")
         seconds = time.monotonic() - started
         return Optimum(solution, *search.best, *search.lower, seconds, status)
-
-
-def relaxation_bound(problem: Problem, time_limit: float | None = None) -> float:
-    """A lower bound of the wirelength of every solution without overflow.
-
-    It is that of step 1 alone, rounded up, also on problems that are too large for the router.
-    Nets with more than MOST_PINS pins count with so many of them, spread out.
-
-    Args:
-        problem: what is routed.
-        time_limit: seconds after which the best bound so far is taken; None: no limit. With 0 it
-            is the sum of the nets' shortest trees.
-
-    Returns:
-        The bound, a whole number; infinite if a net cannot be routed without overflow.
-    """
-    limit = math.inf if time_limit is None else time_limit
-    search = _Search(problem, time.monotonic() + limit, MOST_PINS)
-    return search.relax(_Aim(wirelength=True, overflow=0)) if search.nets else 0
 
 
 class _Aim(NamedTuple):
@@ -195,20 +199,21 @@ class _Search:
     Args:
         problem: what is routed.
         deadline: when time is up, by the monotonic clock.
-        most_pins: a net with more counts with so many of its pins, which takes no more than with
-            all; then there is no best solution, only a bound. None: all pins count.
+        asked: what is to be proven. For a relaxation not all pins of a net count: that takes no
+            more than joining all of them.
     """
 
-    def __init__(self, problem: Problem, deadline: float, most_pins: int | None = None) -> None:
+    def __init__(self, problem: Problem, deadline: float, asked: Bound) -> None:
         grid = problem.topology
         self.problem = problem
         self.deadline = deadline
+        self.asked = asked
         self.nets = [n for n, gcells in enumerate(problem.pin_gcells) if len(gcells) > 1]
         self.pins = [problem.pin_gcells[n] for n in self.nets]
-        if most_pins is None:
+        if asked == "optimum":
             self.check_size()
         else:
-            self.pins = [_spread_out(problem.grid, pins, most_pins) for pins in self.pins]
+            self.pins = [_spread_out(problem.grid, pins, MOST_PINS) for pins in self.pins]
         edges = np.flatnonzero(grid.exists)
         self.wires = edges[edges % AXES != VIA_AXIS]
         self.row = np.full(grid.edges, -1)
@@ -223,56 +228,59 @@ class _Search:
         self.proofs: dict[_Aim, _Proof] = {}
         self.settled: set[_Aim] = set()  # aims that no further prices help
         self.plain: dict[_Aim, list[int]] = {}  # see window()
+        self.chosen: set[_Aim] = set()  # aims that step 2 has been through
+        self.reach: dict[_Aim, int] = defaultdict(int)  # how far beyond the bound step 3 looks
         self.lower: Pair = (0, 0)
         self.best: Pair = (np.iinfo(np.int64).max, 0)
         self.routes: list[NDArray[np.int64]] = []
         astar = sequential_astar(problem).edges
-        routes = [astar[n] for n in self.nets]
-        if most_pins is None:
-            self.take([self.prune(net, route) for net, route in enumerate(routes)])
-        else:
-            for net, route in enumerate(routes):
-                self.add(net, route)
+        self.take([self.prune(net, astar[n]) for net, n in enumerate(self.nets)])
 
     def check_size(self) -> None:
         """Raises InputError if finding the cheapest trees of all nets once would take too long."""
         gcells = self.problem.topology.gcells
-        work = sum((3 ** len(pins) + 32 * 2 ** len(pins)) * gcells for pins in self.pins)
+        pins = [len(pins) for pins in self.pins]
+        work = sum((3**n + 32 * 2**n) * gcells for n in pins)
         if work > MAX_WORK:
             raise InputError(
                 "problem: too large to prove an optimum: expected at most "
-                f"{MAX_WORK:.0e} steps to find the cheapest trees, found {work:.0e} for "
-                f"{len(self.pins)} nets with up to {max(map(len, self.pins))} pins on "
-                f"{gcells} Gcells"
+                f"10^{math.log10(MAX_WORK):.1f} steps to find the cheapest trees once, found "
+                f"10^{math.log10(work):.1f} for {len(pins)} nets with up to {max(pins)} pins on "
+                f"{gcells} Gcells; for a bound ask for bound=relaxation"
             )
 
     def run(self) -> Status:
         """Searches until bound and solution agree or something ends it; says what."""
-        chosen: set[_Aim] = set()
-        reach = 0  # by how much step 3 looks beyond the bound
-        while self.lower < self.best:
-            overflow = self.lower[0]
-            if self.best[0] > overflow and (least := self.relax(OVERFLOW)) > overflow:
-                self.lower = (int(least), 0)
-                continue
-            aim = _Aim(wirelength=True, overflow=overflow)
-            least = self.relax(aim)
-            if least == math.inf:
-                self.lower = (overflow + 1, 0)
-                continue
+        ended: Status | None = None
+        while ended is None and self.lower < self.best:
+            ended = self.advance()
+        return "optimal" if ended is None or self.lower == self.best else ended
+
+    def advance(self) -> Status | None:
+        """Takes the next step, as far as it goes; returns what keeps the search from going on."""
+        overflow = self.lower[0]
+        found = self.best[0] == overflow
+        if not found and (least := self.relax(OVERFLOW)) > overflow:
+            self.lower = (int(least), 0)
+            return None
+        aim = _Aim(wirelength=True, overflow=overflow)
+        least = self.relax(aim)
+        if least == math.inf:  # a net has no way, nor with a little more overflow
+            beyond = self.demand - self.capacity
+            self.lower = (int(beyond[beyond > overflow].min()), 0)
+        else:
             self.lower = max(self.lower, (overflow, int(least)))
-            if self.lower == self.best:
-                break
-            if self.late():
-                return "time limit"
-            if aim not in chosen:
-                chosen.add(aim)
-                self.choose(aim)
-            elif self.decide(aim, self.lower[1] + reach):
-                reach = 2 * reach + 1
-            else:
-                return "size limit"
-        return "optimal"
+        if self.late():
+            return "time limit"
+        if least == math.inf or self.lower >= self.best:
+            return None
+        if aim not in self.chosen:
+            self.chosen.add(aim)
+            self.choose(aim)
+            return None
+        if self.asked == "relaxation":
+            return "relaxation"
+        return self.decide(aim if found else OVERFLOW)
 
     def late(self) -> bool:
         """Whether time is up."""
@@ -309,10 +317,18 @@ class _Search:
             self.best, self.routes = found, list(routes)
 
     def prune(self, net: int, edges: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The shortest tree of a net within a route."""
-        price = np.full(self.problem.topology.edges, NEVER)
-        price[edges] = 1
-        return cheapest_tree(price.reshape(*self.problem.grid, AXES), self.pins[net])[1]
+        """The shortest tree of a net within a route; all of it if not all pins count."""
+        if not self.complete(net):
+            return edges
+        grid, pins = self.problem.grid, self.pins[net]
+        price = np.full((*grid, AXES), NEVER)
+        price.reshape(-1)[edges] = 1
+        window = Window.around(grid, np.concatenate(self.problem.topology.ends(edges)), 0)
+        return window.outside(cheapest_tree(window.cut(price), window.inside(pins))[1])
+
+    def complete(self, net: int) -> bool:
+        """Whether all pins of a net count."""
+        return len(self.pins[net]) == len(self.problem.pin_gcells[self.nets[net]])
 
     def flat(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """The net and the length of every tree, and the edges of all, one tree after the other."""
@@ -358,7 +374,7 @@ class _Search:
                 self.proofs[aim] = _Proof(math.inf, dual, [])
                 return False
             least.append(cost // unit)
-            if len(pins) == len(self.problem.pin_gcells[self.nets[i]]):
+            if self.complete(i):
                 new |= self.add(i, window.outside(tree))
         bound += sum(least)
         if aim not in self.proofs or bound > self.proofs[aim].bound:
@@ -394,10 +410,13 @@ class _Search:
             self.bid(aim, np.zeros(len(self.wires), np.int64))
         while aim not in self.settled and self.bound(aim) < self.reached(aim) and not self.late():
             mixed = self.mix(aim)
-            if mixed is not None:
-                value, dual = mixed
-                if self.bound(aim) >= math.ceil(value - 1e-6) or not self.bid(aim, dual):
-                    self.settled.add(aim)
+            # Nothing is proven by the value of the mixture: it tells when to stop.
+            if (
+                mixed is None
+                or self.bound(aim) >= math.ceil(mixed[0] - 1e-6)
+                or not self.bid(aim, mixed[1])
+            ):
+                self.settled.add(aim)
         return self.bound(aim)
 
     def bound(self, aim: _Aim) -> float:
@@ -412,7 +431,7 @@ class _Search:
         return self.best[1] if self.best[0] <= aim.overflow else math.inf
 
     def mix(self, aim: _Aim) -> tuple[float, NDArray[np.int64]] | None:
-        """The best mixture of trees: its value and the prices (W,); None if time was up first."""
+        """The best mixture of trees: its value and the prices (W,); None if the solver has none."""
         columns = self.choices()
         cost, _, below, limit = self.program(columns, aim, EXCESS if aim.wirelength else 1)
         result = linprog(
@@ -462,66 +481,62 @@ class _Search:
 
     # Step 3: flows
 
-    def decide(self, aim: _Aim, target: int) -> bool:
-        """Finds the best solution of an aim, if it is not longer than the target, or proves more.
+    def decide(self, aim: _Aim) -> Status | None:
+        """Finds the best solution of an aim, if it is little above the bound, or raises the bound.
 
         Returns:
-            Whether the program was small enough to be built.
+            What keeps the search from going on.
         """
-        if self.reached(aim) < math.inf:
-            target = min(target, self.best[1] - 1)
-        edges, everything = self.useful(aim, target)
+        known = self.lower, self.best
+        bound, most = self.lower[aim.wirelength], self.best[aim.wirelength] - 1
+        target = min(bound + self.reach[aim], most)
+        self.reach[aim] = 2 * self.reach[aim] + 1
+        edges = self.useful(aim, target)
         self.choose(aim)
-        if self.lower == self.best:
-            return True
+        if self.late():
+            return "time limit"
+        if self.best[aim.wirelength] == bound:
+            return None
         size = [2 * len(own) * _flows(pins) for own, pins in zip(edges, self.pins, strict=True)]
         if sum(size) > MAX_COLUMNS:
-            return False
-        result = self.solve(self.arcs(edges), aim, None)
+            return "solver limit"
+        result = self.solve(self.arcs(edges), aim, None if aim.wirelength else 1)
         if result.x is not None:
             first = np.cumsum(size) - size
             arcs = [result.x[a : a + 2 * len(own)] for a, own in zip(first, edges, strict=True)]
             used = [(arc.reshape(2, -1) > 0.5).any(axis=0) for arc in arcs]
             self.take([self.prune(net, own[used[net]]) for net, own in enumerate(edges)])
-        proven = math.inf if result.status == 2 else -math.inf
-        if result.status in (0, 1) and result.mip_dual_bound is not None:
-            proven = math.ceil(result.mip_dual_bound - 1e-6)
-        if not everything:
-            proven = min(proven, target + 1)
-        if proven == math.inf:
-            self.lower = (aim.overflow + 1, 0)
-        elif proven > self.lower[1]:
-            self.lower = (aim.overflow, int(proven))
-        return True
+        # Whatever is within the target keeps to the useful edges.
+        least = target + 1 if result.status == 2 else result.mip_dual_bound
+        if least is not None and least - SLIP > bound:
+            proven = math.ceil(min(least, target + 1) - SLIP)
+            self.lower = (aim.overflow, proven) if aim.wirelength else (proven, 0)
+        if result.status == 1:
+            return "time limit"
+        stuck = target == most and known == (self.lower, self.best)
+        return "solver limit" if stuck else None
 
-    def useful(self, aim: _Aim, target: int) -> tuple[list[NDArray[np.int64]], bool]:
-        """The edges that matter to solutions not longer than a target; adds the trees across them.
+    def useful(self, aim: _Aim, target: int) -> list[NDArray[np.int64]]:
+        """The edges of each net that solutions of an aim within a target can use.
 
-        Returns:
-            The edges of each net, and whether these are all that any solution of the aim can use.
+        Those of the first nets alone, if time is up. Where the target is the bound, the cheapest
+        trees across these edges are added.
         """
-        edges, everything = [], True
-        bounds = [(aim, target)] + [(OVERFLOW, aim.overflow)] * (self.best[0] > aim.overflow)
-        prices = [self.price(which, self.proofs[which].dual) for which, _ in bounds]
+        edges = []
+        proof = self.proofs[aim]
+        price, unit = self.price(aim, proof.dual)
         for i, pins in enumerate(self.pins):
-            keep = np.ones(self.problem.topology.edges, np.bool_)
-            for (which, most), (price, unit) in zip(bounds, prices, strict=True):
-                proof = self.proofs[which]
-                slack = most * UNIT - proof.bound
-                window = self.window(which, i, proof.least[i] + slack)
-                across = Across(window.cut(price[self.kind[i]]), window.inside(pins))
-                low = np.flatnonzero(across.cost // unit <= proof.least[i] + slack)
-                inside = np.zeros_like(keep)
-                inside[window.outside(low)] = True
-                keep &= inside
-                if which is aim:
-                    everything &= window.shape == self.problem.grid
-                    everything &= len(low) == np.count_nonzero(across.cost < NEVER)
-                    if target == self.lower[1]:
-                        for edge in low:
-                            self.add(i, self.prune(i, window.outside(across.tree(int(edge)))))
-            edges.append(np.flatnonzero(keep))
-        return edges, everything
+            if self.late():
+                break
+            most = proof.least[i] + target * UNIT - proof.bound
+            window = self.window(aim, i, most)
+            across = Across(window.cut(price[self.kind[i]]), window.inside(pins))
+            low = np.flatnonzero(across.cost // unit <= most)
+            edges.append(window.outside(low))
+            if target == self.lower[aim.wirelength]:
+                for edge in low:
+                    self.add(i, self.prune(i, window.outside(across.tree(int(edge)))))
+        return edges
 
     def arcs(self, useful: Sequence[NDArray[np.int64]]) -> _Columns:
         """A column for either direction of every edge of a net, and for the flows along it.

@@ -152,6 +152,11 @@ class Routed:
     seconds: float
     history: tuple[Pass, ...]
 
+    @property
+    def report(self) -> dict[str, Any]:
+        """What there is to say beside the solution's figures."""
+        return {"iterations": self.iterations}
+
 
 # Why a compiled call comes back.
 _DONE, _LATER, _BOX, _POOL = range(4)

@@ -1,0 +1,545 @@
+"""The proven optimum and its trees: against enumeration, by hand, and against published optima."""
+
+import csv
+import functools
+import itertools
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from reference import contested
+from strategies import problems
+
+from marouting import InputError, Net, Pin, Problem, evaluate, generate, sequential_astar
+from marouting.config import build
+from marouting.grid import AXES, VIA_AXIS, Grid
+from marouting.steiner import steiner_length
+from policies.base import Router, solve
+from policies.classical.optimal import MOST_PINS, OptimalRouter, Optimum
+from policies.classical.trees import NEVER, Across, Window, cheapest_tree
+
+PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data" / "liao2019"
+
+Shape = tuple[int, int, int]
+Costs = NDArray[np.int64]
+
+# With at most 12 edges: few enough to look at every set of them.
+TINY: tuple[Shape, ...] = ((3, 3, 1), (2, 2, 2), (4, 2, 1), (1, 4, 2), (3, 2, 1), (5, 1, 1))
+
+
+# --- enumeration ----------------------------------------------------------------------------------
+
+
+class Sets:
+    """Every set of edges of a tiny grid.
+
+    Attributes:
+        edge: (m,) the edges.
+        member: (2^m, m) which are in a set.
+        part: (2^m, Gcells) the lowest Gcell that a Gcell is joined with.
+        tree: (2^m,) whether the edges make one tree.
+        leaf: (2^m, Gcells) whether one edge of the set ends at the Gcell.
+    """
+
+    def __init__(self, shape: Shape) -> None:
+        grid = Grid.of(shape)
+        self.edge = np.flatnonzero(grid.exists)
+        near, far = grid.ends(self.edge)
+        count = len(self.edge)
+        self.member = (np.arange(2**count)[:, None] >> np.arange(count)) & 1 == 1
+        self.part = np.tile(np.arange(grid.gcells), (2**count, 1))
+        degree = np.zeros_like(self.part)
+        for i in range(count):
+            inside = np.flatnonzero(self.member[:, i])
+            degree[inside, near[i]] += 1
+            degree[inside, far[i]] += 1
+            ends = self.part[inside][:, [near[i], far[i]]]
+            parts = self.part[inside]
+            merged = parts == ends.max(axis=1)[:, None]
+            self.part[inside] = np.where(merged, ends.min(axis=1)[:, None], parts)
+        touched = degree > 0
+        split = np.array([len(set(row[on])) for row, on in zip(self.part, touched, strict=True)])
+        self.tree = (split == 1) & (self.member.sum(axis=1) == touched.sum(axis=1) - 1)
+        self.leaf = degree == 1
+
+    def joins(self, pins: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which sets join the pins."""
+        part = self.part[:, pins]
+        return np.all(part == part[:, :1], axis=1)
+
+    def trees(self, pins: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which sets are trees that join the pins and end nowhere else."""
+        elsewhere = np.setdiff1d(np.arange(self.leaf.shape[1]), pins)
+        return self.tree & self.joins(pins) & ~self.leaf[:, elsewhere].any(axis=1)
+
+    def cost(self, price: Costs) -> NDArray[np.float64]:
+        """What every set costs; infinite with an edge that must not be used."""
+        own = price.reshape(-1)[self.edge].astype(float)
+        own[own >= NEVER] = np.inf
+        return np.where(self.member, own, 0.0).sum(axis=1)
+
+
+@functools.cache
+def sets(shape: Shape) -> Sets:
+    return Sets(shape)
+
+
+def least_cost(shape: Shape, price: Costs, pins: NDArray[np.int64]) -> int:
+    """What the cheapest set of edges that joins the pins costs."""
+    least = sets(shape).cost(price)[sets(shape).joins(pins)].min()
+    return NEVER if np.isinf(least) else int(least)
+
+
+def best_of_all(problem: Problem) -> tuple[int, int]:
+    """Overflow and wirelength of the best of all combinations of trees."""
+    every = sets(problem.grid)
+    wire = every.edge % AXES != VIA_AXIS
+    edge = every.edge[wire]
+    layer = edge // AXES % problem.grid[2]
+    found = {(0,) * len(edge): 0}  # least length by what is taken of the edges
+    for net, pins in enumerate(problem.pin_gcells):
+        if len(pins) == 1:
+            continue
+        trees = every.member[every.trees(pins)]
+        taken = trees[:, wire] * problem.demand[net, layer].astype(np.int64)
+        more: dict[tuple[int, ...], int] = {}
+        for used, length in found.items():
+            for key, own in zip((taken + used).tolist(), trees.sum(axis=1).tolist(), strict=True):
+                total = length + own
+                if total < more.get(tuple(key), total + 1):
+                    more[tuple(key)] = total
+        found = more
+    capacity = problem.capacity[edge].astype(np.int64)
+    used = np.array(list(found)).reshape(len(found), len(edge))
+    overflow = np.maximum(used - capacity, 0).sum(axis=1)
+    return min(zip(overflow.tolist(), found.values(), strict=True))
+
+
+@st.composite
+def priced(draw: st.DrawFn, cheapest: int = 0) -> tuple[Shape, Costs, NDArray[np.int64]]:
+    """A tiny grid, what its edges cost (some must not be used), and pins."""
+    shape = draw(st.sampled_from(TINY))
+    grid = Grid.of(shape)
+    cost = st.one_of(st.integers(cheapest, 4), st.integers(cheapest, 10**9), st.just(NEVER))
+    price = np.full(grid.edges, NEVER)
+    for edge in np.flatnonzero(grid.exists):
+        price[edge] = draw(cost)
+    pins = draw(st.lists(st.integers(0, grid.gcells - 1), min_size=2, max_size=5, unique=True))
+    return shape, price.reshape(*shape, AXES), np.array(pins)
+
+
+def joined(shape: Shape, edges: NDArray[np.int64], pins: NDArray[np.int64]) -> nx.Graph:
+    """The edges as a graph, in which the pins are joined."""
+    assert np.array_equal(edges, np.unique(edges))
+    assert Grid.of(shape).exists[edges].all()
+    near, far = Grid.of(shape).ends(edges)
+    graph: nx.Graph = nx.Graph(zip(near.tolist(), far.tolist(), strict=True))
+    assert set(pins.tolist()) <= nx.node_connected_component(graph, int(pins[0]))
+    return graph
+
+
+# --- trees ----------------------------------------------------------------------------------------
+
+
+@settings(deadline=None)
+@given(priced())
+def test_no_set_of_edges_is_cheaper(case: tuple[Shape, Costs, NDArray[np.int64]]) -> None:
+    shape, price, pins = case
+    cost, edges = cheapest_tree(price, pins)
+    assert cost == least_cost(shape, price, pins)
+    if cost == NEVER:
+        assert len(edges) == 0
+    else:
+        joined(shape, edges, pins)
+        assert price.reshape(-1)[edges].sum() == cost
+
+
+@settings(deadline=None)
+@given(priced(cheapest=1))
+def test_what_costs_something_is_a_tree(case: tuple[Shape, Costs, NDArray[np.int64]]) -> None:
+    shape, price, pins = case
+    cost, edges = cheapest_tree(price, pins)
+    if cost < NEVER:
+        graph = joined(shape, edges, pins)
+        assert nx.is_tree(graph)
+        assert {cell for cell, degree in graph.degree if degree == 1} <= set(pins.tolist())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_two_pins_are_joined_by_a_shortest_path(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shape = (9, 7, 3)
+    grid = Grid.of(shape)
+    price = np.where(grid.exists, rng.integers(0, 50, grid.edges), NEVER)
+    price[rng.random(grid.edges) < 0.3] = NEVER
+    usable = np.flatnonzero(price < NEVER)
+    graph = nx.Graph()
+    graph.add_nodes_from(range(grid.gcells))
+    for edge, near, far in zip(usable, *grid.ends(usable), strict=True):
+        graph.add_edge(int(near), int(far), weight=int(price[edge]))
+    for _ in range(20):
+        pins = rng.choice(grid.gcells, 2, replace=False)
+        cost, edges = cheapest_tree(price.reshape(*shape, AXES), pins)
+        if nx.has_path(graph, *pins):
+            assert cost == nx.dijkstra_path_length(graph, *pins)
+            assert price[edges].sum() == cost
+        else:
+            assert cost == NEVER
+
+
+@settings(deadline=None)
+@given(priced(cheapest=1))
+def test_trees_across_every_edge(case: tuple[Shape, Costs, NDArray[np.int64]]) -> None:
+    shape, price, pins = case
+    every, flat = sets(shape), price.reshape(-1)
+    across = Across(price, pins)
+    assert across.cost.shape == (price.size,)
+    assert (across.cost[flat == NEVER] == NEVER).all()
+    parts = [
+        (pins[list(part)], np.setdiff1d(pins, pins[list(part)]))
+        for size in range(1, len(pins))
+        for part in itertools.combinations(range(len(pins)), size)
+    ]
+    trees, costs = every.trees(pins), every.cost(price)
+    for place, edge in enumerate(every.edge.tolist()):
+        if flat[edge] == NEVER:
+            continue
+        near, far = (int(end[0]) for end in Grid.of(shape).ends(np.array([edge])))
+        expected = min(
+            least_cost(shape, price, np.append(own, near))
+            + int(flat[edge])
+            + least_cost(shape, price, np.append(other, far))
+            for own, other in parts
+        )
+        assert across.cost[edge] == min(expected, NEVER)
+        # That is why it is worked out: no tree that uses the edge is cheaper.
+        assert across.cost[edge] <= costs[trees & every.member[:, place]].min(initial=np.inf)
+        if expected < NEVER:
+            tree = across.tree(edge)
+            joined(shape, tree, pins)
+            assert edge in tree
+            assert flat[tree].sum() <= expected
+
+
+@given(st.data())
+def test_windows(data: st.DataObject) -> None:
+    shape: Shape = data.draw(st.tuples(st.integers(1, 6), st.integers(1, 6), st.integers(1, 3)))
+    grid = Grid.of(shape)
+    cells = st.lists(st.integers(0, grid.gcells - 1), min_size=1, max_size=4, unique=True)
+    pins = np.array(data.draw(cells))
+    margin = data.draw(st.integers(0, 7))
+    window = Window.around(shape, pins, margin)
+    position = grid.position
+    low, high = position[pins, :2].min(axis=0) - margin, position[pins, :2].max(axis=0) + margin
+    within = np.all((position[:, :2] >= low) & (position[:, :2] <= high), axis=1)
+    assert np.prod(window.shape) == np.count_nonzero(within)
+    # The Gcells in it keep their order, and so do its edges; none leads out of it.
+    assert window.inside(np.flatnonzero(within)).tolist() == list(range(np.count_nonzero(within)))
+    price = np.where(grid.exists, np.arange(grid.edges), NEVER)
+    cut = window.cut(price.reshape(*shape, AXES)).reshape(-1)
+    own = np.flatnonzero(cut < NEVER)
+    assert np.array_equal(window.outside(own), cut[own])
+    edges = np.flatnonzero(grid.exists)
+    near, far = grid.ends(edges)
+    assert np.array_equal(window.outside(own), edges[within[near] & within[far]])
+
+
+def test_cutting_leaves_the_costs_alone() -> None:
+    price = np.ones((3, 3, 1, AXES), np.int64)
+    Window((3, 3, 1), (0, 0), (2, 2)).cut(price)
+    assert (price == 1).all()
+
+
+# --- by hand --------------------------------------------------------------------------------------
+
+
+def plane(nets: dict[str, list[tuple[int, int]]], grid: tuple[int, int], **options: Any) -> Problem:
+    """A problem of one layer with edges of capacity 1, each of which has room for one net."""
+    made = tuple(
+        Net(name, i, tuple(Pin(x, y, 1) for x, y in pins))
+        for i, (name, pins) in enumerate(nets.items())
+    )
+    return replace(Problem((*grid, 1), (1,), (1,), made, (1,), (0,), (0,)), **options)
+
+
+def proven(problem: Problem, router: OptimalRouter | None = None) -> Optimum:
+    """What the router says, as far as the evaluator can tell."""
+    optimum = (router or OptimalRouter()).solve(problem)
+    judged = evaluate(problem, optimum.solution)
+    assert judged.connected
+    assert (optimum.overflow, optimum.wirelength) == (judged.overflow, judged.wirelength)
+    best, bound = (
+        (optimum.overflow, optimum.wirelength),
+        (optimum.bound_overflow, optimum.bound_wirelength),
+    )
+    assert bound <= best
+    assert (optimum.status == "optimal") == (bound == best)
+    if optimum.overflow > optimum.bound_overflow:
+        assert optimum.gap == math.inf
+    else:
+        assert optimum.gap * max(best[1], 1) == pytest.approx(best[1] - bound[1])
+    assert optimum.seconds >= 0
+    return optimum
+
+
+def optimum_of(problem: Problem) -> tuple[int, int]:
+    found = proven(problem)
+    assert found.status == "optimal"
+    assert found.gap == 0
+    return found.overflow, found.wirelength
+
+
+def test_least_overflow_comes_before_length() -> None:
+    """Along the row below, each of two nets takes two edges more; above there is room for one."""
+    problem = plane({name: [(0, 1), (3, 1)] for name in "abc"}, (4, 3))
+    assert optimum_of(problem) == (0, 13)
+
+
+def test_overflow_where_there_is_no_other_way() -> None:
+    """Three nets through two edges of capacity 1: two too many in each."""
+    assert optimum_of(plane({name: [(0, 0), (2, 0)] for name in "abc"}, (3, 1))) == (4, 6)
+
+
+def test_nets_of_different_widths() -> None:
+    """With spacing 1 a width of 2 takes 3 of 5 tracks: beside it there is room for width 1."""
+    nets = {"wide": [(0, 0), (2, 0)], "wider": [(0, 0), (2, 0)], "thin": [(0, 0), (2, 0)]}
+    problem = plane(
+        nets, (3, 2), vertical_capacity=(5,), horizontal_capacity=(5,), min_spacing=(1,)
+    )
+    widths = zip(problem.nets, (2, 2, 1), strict=True)
+    made = tuple(replace(net, min_width=width) for net, width in widths)
+    assert optimum_of(replace(problem, nets=made)) == (0, 8)
+
+
+def test_overflow_of_one_wide_net() -> None:
+    """No edge is wide enough; no solution with less overflow than that of its two edges counts."""
+    problem = plane({"wide": [(0, 0), (2, 0)]}, (3, 2))
+    [net] = problem.nets
+    huge = replace(problem, nets=(replace(net, min_width=10**9),))
+    assert optimum_of(huge) == (2 * (10**9 - 1), 2)
+
+
+def test_layers_that_take_vias_only() -> None:
+    """Wires in the third layer alone: every net climbs two vias at either end."""
+    problem = Problem(
+        grid=(3, 2, 3),
+        vertical_capacity=(0, 0, 1),
+        horizontal_capacity=(0, 0, 1),
+        nets=(
+            Net("a", 0, (Pin(0, 0, 1), Pin(2, 0, 1))),
+            Net("b", 1, (Pin(0, 0, 1), Pin(2, 0, 2))),
+        ),
+        min_width=(1, 1, 1),
+        min_spacing=(0, 0, 0),
+        via_spacing=(0, 0, 0),
+    )
+    assert optimum_of(problem) == (0, 2 + 4 + 4 + 3)
+
+
+def test_nets_that_need_no_route() -> None:
+    dot = {"dot": [(1, 1)], "twice": [(0, 0), (0, 0)]}
+    for bound in ("optimum", "relaxation"):
+        found = proven(plane(dot, (2, 2)), OptimalRouter(bound=bound))
+        assert (found.overflow, found.wirelength, found.status) == (0, 0, "optimal")
+    assert optimum_of(plane({**dot, "net": [(0, 0), (0, 1)]}, (2, 2))) == (0, 1)
+
+
+def test_a_net_without_a_way_of_its_own() -> None:
+    """Between the columns there is no capacity: each net overflows once, in any row."""
+    nets = {name: [(0, y), (1, y)] for y, name in enumerate("ab")}
+    assert optimum_of(plane(nets, (2, 2), horizontal_capacity=(0,))) == (2, 2)
+
+
+# --- all combinations of trees --------------------------------------------------------------------
+
+tiny = st.sampled_from(TINY).flatmap(
+    lambda shape: contested(shape, max_nets=3, max_pins=4, max_capacity=3)
+)
+
+
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@given(tiny)
+def test_no_combination_of_trees_is_better(problem: Problem) -> None:
+    best = best_of_all(problem)
+    assert optimum_of(problem) == best
+    for options in ({"time_limit": 0.0}, {"bound": "relaxation"}):
+        found = proven(problem, OptimalRouter(**options))
+        assert (found.bound_overflow, found.bound_wirelength) <= best
+        assert (found.overflow, found.wirelength) >= best
+
+
+def crowded(seed: int) -> Problem:
+    """Nets of very different widths on a tiny grid: what prices alone cannot settle."""
+    rng = np.random.default_rng(seed)
+    grid = TINY[rng.integers(3)]
+    capacity = (tuple(rng.integers(1, 6, grid[2]).tolist()) for _ in range(2))
+    nets = [
+        Net(
+            f"n{i}",
+            i,
+            tuple(Pin(x, y, z + 1) for x, y, z in rng.integers(grid, size=(rng.integers(2, 5), 3))),
+            int(rng.integers(1, 5)),
+        )
+        for i in range(3)
+    ]
+    layers = grid[2]
+    return Problem(grid, *capacity, tuple(nets), (1,) * layers, (0,) * layers, (0,) * layers)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_nets_of_any_width_in_each_others_way(seed: int) -> None:
+    problem = crowded(seed)
+    assert optimum_of(problem) == best_of_all(problem)
+
+
+@pytest.mark.parametrize("factor", [1000, 10**6])
+@pytest.mark.parametrize("seed", range(6))
+def test_nothing_false_is_proven_with_large_numbers(seed: int, factor: int) -> None:
+    """In these the solver's tolerances are whole tracks."""
+    small = crowded(seed)
+    problem = replace(
+        small,
+        vertical_capacity=tuple(factor * tracks - 1 for tracks in small.vertical_capacity),
+        horizontal_capacity=tuple(factor * tracks for tracks in small.horizontal_capacity),
+        nets=tuple(replace(net, min_width=factor * net.min_width) for net in small.nets),
+    )
+    best = best_of_all(problem)
+    found = proven(problem, OptimalRouter(time_limit=20.0))
+    assert found.status in ("optimal", "solver limit")
+    assert (found.bound_overflow, found.bound_wirelength) <= best
+    assert best <= (found.overflow, found.wirelength)
+
+
+# --- bounds ---------------------------------------------------------------------------------------
+
+
+def shortest(problem: Problem) -> int:
+    """The least wirelength if every edge that has room for a net alone had room for all."""
+    total = 0
+    for net, pins in enumerate(problem.pin_gcells):
+        layer = np.arange(problem.topology.edges) // AXES % problem.grid[2]
+        open_to = problem.topology.exists & (problem.demand[net, layer] <= problem.capacity)
+        price = np.where(open_to, 1, NEVER).reshape(*problem.grid, AXES)
+        total += cheapest_tree(price, pins)[0] if len(pins) > 1 else 0
+    return total
+
+
+@settings(deadline=None, max_examples=10, suppress_health_check=[HealthCheck.too_slow])
+@given(st.one_of(problems(max_side=4), contested(max_nets=8)))
+def test_bounds_grow_towards_the_optimum(problem: Problem) -> None:
+    """From the nets' shortest trees by the relaxation; all solutions lie above."""
+    best = optimum_of(problem)
+    first = proven(problem, OptimalRouter(time_limit=0.0))
+    relaxed = proven(problem, OptimalRouter(bound="relaxation"))
+    bounds = [(found.bound_overflow, found.bound_wirelength) for found in (first, relaxed)]
+    assert bounds[0] <= bounds[1] <= best
+    assert (first.overflow, first.wirelength) >= (relaxed.overflow, relaxed.wirelength) >= best
+    astar = evaluate(problem, sequential_astar(problem))
+    assert (first.overflow, first.wirelength) <= (astar.overflow, astar.wirelength)
+    if best[0] == 0:
+        assert bounds[0][1] >= shortest(problem)
+    if relaxed.status != "optimal":
+        assert relaxed.status == "relaxation"
+
+
+@settings(deadline=None, max_examples=10)
+@given(contested(max_nets=4))
+def test_with_room_for_all_the_bound_is_that_of_steiner_trees(problem: Problem) -> None:
+    room = (1000,) * problem.grid[2]
+    problem = replace(problem, vertical_capacity=room, horizontal_capacity=room, adjustments=())
+    found = proven(problem, OptimalRouter(time_limit=0.0))
+    assert (found.bound_overflow, found.bound_wirelength) == (0, steiner_length(problem).sum())
+    assert optimum_of(problem) == (0, steiner_length(problem).sum())
+
+
+def test_time_limit_of_nothing_leaves_a_gap() -> None:
+    problem = generate(1, capacity=1, seed=0)[0]  # far too tight
+    found = proven(problem, OptimalRouter(time_limit=0.0))
+    assert (found.status, found.gap) == ("time limit", math.inf)
+    assert found.report["gap"] is None
+    problem = generate(1, capacity=4, max_pins=5, nets=25, seed=0)[0]
+    found = proven(problem, OptimalRouter(time_limit=0.0))
+    assert found.bound_wirelength < proven(problem).wirelength <= found.wirelength
+
+
+def test_a_relaxation_counts_some_pins_of_large_nets() -> None:
+    """A comb of 40 pins: no bound of all of them, but a valid one, and a solution."""
+    rng = np.random.default_rng(0)
+    pins = tuple(Pin(int(x), int(y), 1) for x, y in rng.integers(0, 12, (40, 2)))
+    problem = plane({"small": [(0, 0), (5, 5)]}, (12, 12))
+    problem = replace(problem, nets=(*problem.nets, Net("large", 9, pins)))
+    with pytest.raises(InputError, match="too large to prove an optimum"):
+        OptimalRouter().route(problem)
+    found = proven(problem, OptimalRouter(bound="relaxation"))
+    assert found.status == "relaxation"
+    spread = [len(cells) for cells in problem.pin_gcells]
+    assert max(spread) > MOST_PINS
+    # MOST_PINS pins far from one another, and the ten edges of the small net.
+    assert 10 + 22 < found.bound_wirelength < found.wirelength
+
+
+# --- the router -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pins", [25, 900])
+def test_too_large_in_one_plain_line(pins: int) -> None:
+    problem = plane({"large": [(i % 40, i // 40) for i in range(pins)]}, (40, 40))
+    with pytest.raises(InputError) as raised:
+        OptimalRouter(time_limit=0.0).solve(problem)
+    message = str(raised.value)
+    assert message.startswith("problem: too large to prove an optimum: expected at most 10^")
+    assert f"1 nets with up to {pins} pins on 1600 Gcells" in message
+    assert message.endswith("bound=relaxation")
+    assert "\n" not in message
+
+
+def test_is_a_router_that_reports() -> None:
+    router: Router = OptimalRouter()
+    assert router.name == "optimal"
+    problem = generate(1, grid=(4, 4, 2), nets=8, max_pins=3, capacity=2, seed=0)[0]
+    found = proven(problem)
+    solution, report = solve(router, problem)
+    assert router.route(problem) == solution == found.solution
+    assert report == {
+        "bound_overflow": found.overflow,
+        "bound_wirelength": found.wirelength,
+        "gap": 0,
+        "status": "optimal",
+    }
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"time_limit": -1.0}, "time_limit: expected seconds from 0, found -1"),
+        ({"time_limit": math.nan}, "time_limit: expected seconds from 0, found nan"),
+        ({"bound": "best"}, "bound: expected 'optimum' or 'relaxation', found 'best'"),
+        ({"bond": "optimum"}, "bond: unknown key; did you mean bound?"),
+    ],
+)
+def test_options(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as raised:
+        build(OptimalRouter, options)
+    assert message in str(raised.value)
+
+
+# --- published problems ---------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not PUBLISHED.exists(), reason="needs the problems in ../shared/data")
+def test_all_published_optima() -> None:
+    with (PUBLISHED / "results.csv").open(encoding="utf-8", newline="") as table:
+        rows = list(csv.DictReader(table))
+    assert len(rows) == 121
+    for row in rows:
+        problem = Problem.read(PUBLISHED / row["set"] / f"{row['problem']}.gr")
+        optimum = int(row["optimal_overflow"]), int(row["optimal_wirelength"])
+        assert optimum_of(problem) == optimum, row
