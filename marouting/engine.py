@@ -324,13 +324,19 @@ def move_everyone(world: World, play: Play, m: int, moves: Any) -> None:
 
 
 @inlined
+def settle_turns(world: World, play: Play, m: int) -> None:
+    """After all agents of a problem have settled: the turn passes where it has to."""
+    playing = wide(play.games[m].agent)
+    if playing != NOBODY and (world.sequential or play.agents[m, playing].status != Status.ACTIVE):
+        pass_turn(world, play, m)
+
+
+@inlined
 def settle_everyone(world: World, play: Play, m: int) -> None:
     """After the moves of :func:`move_everyone`: next tasks start, and the turn passes."""
     for n in range(world.order.shape[1]):
         settle_agent(world, play, m, n)
-    playing = wide(play.games[m].agent)
-    if playing != NOBODY and (world.sequential or play.agents[m, playing].status != Status.ACTIVE):
-        pass_turn(world, play, m)
+    settle_turns(world, play, m)
 
 
 @compiled
@@ -376,14 +382,21 @@ def _step_all(world: World, play: Play, moves: Any) -> None:
 
 
 @inlined
+def free_moves(world: World, play: Play, m: int, n: int) -> int:
+    """The moves of an agent that cross an edge, a bit each."""
+    cell = place(play.agents[m, n].cell)
+    free = wide(0)
+    for move in range(MOVES):
+        free |= wide(may_cross(world, play, m, n, cell, move)) << move
+    return free
+
+
+@inlined
 def write_mask(world: World, play: Play, m: int, n: int, out: Any, row: int) -> None:
     """Fills a row of ``out`` (K, 6) with the moves of an agent that cross an edge; all if none."""
-    free = 0
+    free = wide(0)
     if n != NOBODY:
-        n = place(n)
-        cell = place(play.agents[m, n].cell)
-        for move in range(MOVES):
-            free |= may_cross(world, play, m, n, cell, move) << move
+        free = free_moves(world, play, m, place(n))
     if free == 0:
         free = (1 << MOVES) - 1
     for move in range(MOVES):

@@ -101,6 +101,12 @@ class PaperObservation:
 
 
 @inlined
+def _room(world: World, play: Play, m: int, cell: int, move: int) -> Any:
+    """float32 remaining capacity of the edge that a move inside a layer crosses; 0 for none."""
+    return np.float32(play.remaining[m, place(world.edge[cell, move])])
+
+
+@inlined
 def write_paper(
     world: World, play: Play, via_capacity: float, m: int, n: int, out: Any, row: int
 ) -> None:
@@ -111,17 +117,24 @@ def write_paper(
     else:
         agent = play.agents[m, place(n)]
         cell, target = place(agent.cell), place(agent.target)
-        for axis in range(AXES):
-            at = world.position[cell, axis]
-            out[row, axis] = np.float32(at)
-            out[row, AXES + axis] = np.float32(np.int32(world.position[target, axis] - at))
-        for move in range(MOVES):
-            if move // 2 == VIA_AXIS:
-                exists = world.exits[cell] >> move & 1
-                shown = np.float32(via_capacity) * np.float32(exists)
-            else:  # off the grid an edge without capacity
-                shown = np.float32(play.remaining[m, place(world.edge[cell, move])])
-            out[row, 2 * AXES + move] = shown
+        # All is read before anything is written: where a mask is made beside it, the compiler,
+        # which cannot know that a row of numbers is no part of the game, reads once for both.
+        x, y, z = world.position[cell, 0], world.position[cell, 1], world.position[cell, 2]
+        to_x, to_y, to_z = (
+            world.position[target, 0],
+            world.position[target, 1],
+            world.position[target, 2],
+        )
+        east, west = _room(world, play, m, cell, 0), _room(world, play, m, cell, 1)
+        north, south = _room(world, play, m, cell, 2), _room(world, play, m, cell, 3)
+        exits = world.exits[cell]
+        out[row, 0], out[row, 1], out[row, 2] = np.float32(x), np.float32(y), np.float32(z)
+        out[row, 3] = np.float32(np.int32(to_x - x))
+        out[row, 4] = np.float32(np.int32(to_y - y))
+        out[row, 5] = np.float32(np.int32(to_z - z))
+        out[row, 6], out[row, 7], out[row, 8], out[row, 9] = east, west, north, south
+        out[row, 10] = np.float32(via_capacity) * np.float32(exits >> 4 & 1)
+        out[row, 11] = np.float32(via_capacity) * np.float32(exits >> 5 & 1)
 
 
 @compiled

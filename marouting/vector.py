@@ -23,20 +23,26 @@ from marouting.engine import (
     Status,
     TurnOrder,
     World,
+    Write,
+    free_moves,
     move_everyone,
     reset_problem,
-    settle_everyone,
-    write_mask,
+    settle_agent,
+    settle_turns,
 )
 from marouting.errors import InputError
 from marouting.grid import MOVES
 from marouting.kernels import bound, compiled
-from marouting.observation import Observation, PaperObservation, state, state_space, writer
+from marouting.observation import (
+    Observation,
+    PaperObservation,
+    state,
+    state_space,
+    write_paper,
+    writer,
+)
 from marouting.problem import Problem
-from marouting.reward import PaperReward, Reward, payer
-
-# Plain numbers compare many times quicker than members of an IntEnum.
-_ACTIVE, _TERMINATED, _TRUNCATED = map(int, (Status.ACTIVE, Status.TERMINATED, Status.TRUNCATED))
+from marouting.reward import PaperReward, Reward, paper_reward, payer
 
 _FIGURES = ("overflow", "wirelength", "joined", "steps")
 
@@ -50,7 +56,6 @@ class Arrays(NamedTuple):
     observation: NDArray[np.float32]  # (M, N, F)
     reward: NDArray[np.float32]  # (M, N)
     mask: NDArray[np.int8]  # (M, N, 6)
-    status: NDArray[np.int8]  # (M, N) Status
     terminated: NDArray[np.bool_]  # (M, N)
     truncated: NDArray[np.bool_]  # (M, N)
     active: NDArray[np.bool_]  # (M, N) agents that can move next
@@ -65,8 +70,7 @@ class Arrays(NamedTuple):
             moves=np.full(shape, NOBODY, np.int8),
             observation=np.zeros((*shape, features), np.float32),
             reward=np.zeros(shape, np.float32),
-            mask=np.zeros((*shape, MOVES), np.int8),
-            status=np.zeros(shape, np.int8),
+            mask=np.ones((*shape, MOVES), np.int8),
             terminated=np.zeros(shape, np.bool_),
             truncated=np.zeros(shape, np.bool_),
             active=np.zeros(shape, np.bool_),
@@ -77,6 +81,9 @@ class Arrays(NamedTuple):
 
 class Board:
     """An engine that is played through arrays.
+
+    The paper's observation and reward are written as the agents move, problem by problem; others
+    are asked for theirs afterwards.
 
     Args:
         engine: the game.
@@ -89,14 +96,28 @@ class Board:
         self, engine: Engine, observation: Observation, reward: Reward, arrays: Arrays
     ) -> None:
         self.engine, self.arrays = engine, arrays
-        self._before = engine.world, engine.play, arrays.moves
-        self._after = arrays.mask.reshape(-1, MOVES), arrays.status, arrays.over, arrays.final
+        self._before = engine.world, engine.play
+        looks = observation if type(observation) is PaperObservation else None
+        pays = reward if type(reward) is PaperReward else None
+        plain = pays or PaperReward()
+        self._after = (
+            arrays._replace(mask=arrays.mask.view(np.int16)),
+            plain.table,
+            plain.overflow_price,
+            (looks or PaperObservation()).via_capacity,
+            pays is not None,
+            looks is not None,
+        )
         self._move = bound(_step, *self._before, True, *self._after)
-        self._pay = payer(reward, engine)
-        self._write = writer(observation, engine)
         problems, agents = engine.pairs(everyone=True)
         shape = arrays.moves.shape
         self._everyone = problems.reshape(shape)[:, 0].copy(), agents.reshape(shape)
+        self._others: list[tuple[Write, NDArray[np.float32]]] = []
+        if pays is None:
+            self._others.append((payer(reward, engine), arrays.reward.reshape(-1)))
+        if looks is None:
+            rows = arrays.observation.reshape(arrays.moves.size, -1)
+            self._others.append((writer(observation, engine), rows))
 
     def reset(self) -> None:
         """Starts the episodes of all problems."""
@@ -109,46 +130,78 @@ class Board:
         Args:
             restart: whether a problem whose episode is over starts its next one instead.
         """
-        a = self.arrays
         self._move(*self._before, restart, *self._after)
-        np.equal(a.status, _TERMINATED, out=a.terminated)
-        np.equal(a.status, _TRUNCATED, out=a.truncated)
-        np.equal(a.status, _ACTIVE, out=a.active)
-        self._pay(*self._everyone, a.reward.reshape(-1))
-        self._write(*self._everyone, a.observation.reshape(a.moves.size, -1))
+        for write, out in self._others:
+            write(*self._everyone, out)
+
+
+_MASKS = np.array(
+    [[free >> move & 1 for move in range(MOVES)] for free in range(1 << MOVES)], np.int8
+)
+_MASKS[0] = 1  # see Engine.masks
+_MASKS = _MASKS.view(np.int16)
+"""(64, 3) the masks of all sets of moves that cross an edge, in pairs of bytes: that is quicker."""
 
 
 @compiled
 def _step(
     world: World,
     play: Play,
-    moves: Any,
     restart: bool,
-    mask: Any,
-    status: Any,
-    over: Any,
-    final: Any,
+    arrays: Arrays,
+    prices: Any,
+    overflow_price: float,
+    via_capacity: float,
+    pays: bool,
+    looks: bool,
 ) -> None:
-    for m in range(len(over)):
+    """A step of all problems, or the start of an episode.
+
+    Args:
+        world: the game.
+        play: how it stands.
+        restart: whether a problem whose episode is over starts its next one instead.
+        arrays: what is filled; the mask in pairs of bytes, (M, N, 3) int16.
+        prices: of the paper's reward, see :attr:`marouting.reward.PaperReward.table`.
+        overflow_price: likewise.
+        via_capacity: of the paper's observation.
+        pays: whether the reward is the paper's.
+        looks: whether the observation is.
+    """
+    agents = arrays.moves.shape[1]
+    for m in range(len(arrays.over)):
         game = play.games[m]
-        if restart and over[m]:
+        begins = restart and arrays.over[m]
+        playing = game.active > 0
+        if begins:
             reset_problem(world, play, m)
-            over[m] = False
         else:
-            playing = game.active > 0
-            move_everyone(world, play, m, moves)
-            settle_everyone(world, play, m)
-            over[m] = playing and game.active == 0
-        if over[m]:
-            final[m].overflow = game.overflow
-            final[m].wirelength = game.wirelength
-            final[m].joined = game.joined
-            final[m].steps = game.steps
-        agents = status.shape[1]
+            move_everyone(world, play, m, arrays.moves)
         for n in range(agents):
-            status[m, n] = play.agents[m, n].status
-            present = n if status[m, n] != Status.ABSENT else NOBODY
-            write_mask(world, play, m, present, mask, m * agents + n)
+            # In one loop, and of one agent after the other: all of it is at hand then.
+            if not begins:
+                settle_agent(world, play, m, n)
+            agent = play.agents[m, n]
+            arrays.terminated[m, n] = agent.status == Status.TERMINATED
+            arrays.truncated[m, n] = agent.status == Status.TRUNCATED
+            arrays.active[m, n] = agent.status == Status.ACTIVE
+            if agent.status == Status.ABSENT:
+                continue
+            free = free_moves(world, play, m, n)
+            if pays:
+                arrays.reward[m, n] = paper_reward(prices, overflow_price, agent)
+            if looks:
+                write_paper(world, play, via_capacity, m, n, arrays.observation[m], n)
+            for pair in range(_MASKS.shape[1]):
+                arrays.mask[m, n, pair] = _MASKS[free, pair]
+        if not begins:
+            settle_turns(world, play, m)
+        arrays.over[m] = not begins and playing and game.active == 0
+        if arrays.over[m]:
+            arrays.final[m].overflow = game.overflow
+            arrays.final[m].wirelength = game.wirelength
+            arrays.final[m].joined = game.joined
+            arrays.final[m].steps = game.steps
 
 
 class BatchEnv(EzPickle):

@@ -811,7 +811,8 @@ def decrease_histogram(
     figure = Figure(figsize=(9, 1.4 + 1.8 * len(known)), layout="constrained")
     panels = figure.subplots(len(known), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, (name, values) in zip(panels, known.items(), strict=True):
-        axes.hist(values, bins=edges, color=_RED, edgecolor="white", linewidth=0.6)
+        # No outline: it would hide bars of a single problem.
+        axes.hist(values, bins=edges, color=_RED, rwidth=0.94)
         axes.axvline(0, color=_INK, linewidth=1, linestyle="--")
         axes.set_title(
             f"{name}: lower on {np.count_nonzero(values > 0)} of {len(values)} problems, "
