@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -84,10 +84,12 @@ class Bench:
     Attributes:
         repeats: of every measurement.
         threads: of the measurements with several.
+        details: what rows were worked out from, filled by sections, plain data.
     """
 
     repeats: int = 7
     threads: int = 2
+    details: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check("repeats", self.repeats >= 1, "a number from 1")
@@ -582,6 +584,7 @@ def growth(bench: Bench) -> Iterator[Row]:
     from policies.scaling import measure
 
     found = measure(budget=0.1 * bench.repeats)
+    bench.details["growth"] = found["rows"]
     for family, works in found["exponents"].items():
         for work, exponent in works.items():
             name = f"{work}, {family}: exponent of time over routed edges"
@@ -650,7 +653,7 @@ def run(
         watch: called with the name of a section as it starts, and with every row as it is there.
 
     Returns:
-        The machine and the rows, plain data.
+        The machine, the rows and their details, plain data.
 
     Raises:
         InputError: there is no such section.
@@ -664,4 +667,4 @@ def run(
         for row in SECTIONS[name](bench):
             rows.append({"section": name, **asdict(row)})
             watch(name, row)
-    return {"machine": machine(), "repeats": bench.repeats, "rows": rows}
+    return {"machine": machine(), "repeats": bench.repeats, "rows": rows, **bench.details}

@@ -262,7 +262,7 @@ def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
 @click.argument("paths", nargs=-1, required=True, type=Path, metavar="RUN_OR_FILE...")
 @click.option("--out", type=Path, help="Folder for the figures.")
 def plot(paths: tuple[Path, ...], out: Path | None) -> None:
-    """Draw the figures of runs, experiments, metrics.jsonl, or of .gr and solution files.
+    """Draw the figures of runs, experiments, metrics.jsonl, bench files, or .gr and solution files.
 
     A .gr file is drawn with the solution files that follow it, or with sequential A*'s solution.
     """

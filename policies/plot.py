@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from marouting import InputError, Problem, Solution
 from marouting.files import unusable
-from policies import figures
+from policies import figures, scaling
 from policies.classical.astar import AStarRouter
 from policies.experiment import RESULTS, read_results
 from policies.statistics import baseline, by_router, by_set, joined_wirelength, overflow
@@ -104,13 +104,33 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
     return written
 
 
+def growth_figure(bench: Path, folder: Path) -> Path:
+    """Draws how time grows with the size of problems, as ``marouting bench`` stored it.
+
+    Raises:
+        InputError: the file cannot be read, or holds no such measurement.
+    """
+    try:
+        report = json.loads(bench.read_text(encoding="utf-8"))
+        figure = scaling.draw(report["growth"], f"measured {report['machine']['date']}")
+    except OSError as error:
+        raise unusable(bench, "cannot be read", error) from None
+    except (ValueError, KeyError, TypeError):
+        raise InputError(
+            f"{bench}: expected what marouting bench --out stores, with the section growth"
+        ) from None
+    path = folder / "growth.png"
+    figures.save(figure, path)
+    return path
+
+
 def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> list[Path]:
     """Draws what it is given.
 
     Args:
-        paths: folders of runs and experiments; ``metrics.jsonl`` files; ``.gr`` files, each drawn
-            with the solution files that follow it, or with sequential A*'s solution where none
-            follows.
+        paths: folders of runs and experiments; ``metrics.jsonl`` files; what ``marouting bench``
+            stored; ``.gr`` files, each drawn with the solution files that follow it, or with
+            sequential A*'s solution where none follows.
         out: folder for the figures; None: ``figures`` in a folder, beside a file otherwise.
 
     Returns:
@@ -136,6 +156,8 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
             raise InputError(f"{path}: expected a folder or a file, found nothing")
         elif path.suffix == ".jsonl":
             written += reward_figures(path, out or path.parent / "figures")
+        elif path.suffix == ".json":
+            written.append(growth_figure(path, out or path.parent / "figures"))
         elif path.suffix == ".gr":
             groups.append((path, []))
         elif groups:

@@ -1,6 +1,7 @@
 """The growth of time: what is measured, how exponents are fitted, the figure."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 
 from marouting import InputError, evaluate, sequential_astar
 from policies import scaling
+from policies.plot import plot
 
 WORKS = [scaling.STEP, scaling.ASTAR, scaling.EVALUATE]
 
@@ -118,3 +120,16 @@ def test_sizes_that_no_growth_can_be_told_from(bad: dict[str, Any], expected: st
 def test_no_figure_of_nothing() -> None:
     with pytest.raises(InputError, match="expected at least one panel"):
         scaling.draw([])
+
+
+def test_the_figure_of_a_bench_file(tmp_path: Path) -> None:
+    rows = scaling.measure((2, 4), (2, 6), 4, budget=0.0)["rows"]
+    report = {"machine": {"date": "2026-11-21"}, "growth": rows}
+    (tmp_path / "speed.json").write_text(json.dumps(report))
+    (picture,) = plot([tmp_path / "speed.json"])
+    assert picture == tmp_path / "figures" / "growth.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    for bad in ("{}", "[1]", "growth"):
+        (tmp_path / "bad.json").write_text(bad)
+        with pytest.raises(InputError, match=r"bad\.json: expected what marouting bench"):
+            plot([tmp_path / "bad.json"])
