@@ -14,8 +14,9 @@ figures/                         the paper's figures
 ===============================  ===============================================================
 
 The work is cut into parts that know nothing of one another; processes take one after the other. A
-part is done when its rows are there, so an experiment that was stopped, however, goes on
-when it is started again. Solutions do not depend on the number of processes, nor on the stops.
+part is done when its rows are there, so an experiment that was stopped, however, goes on when it is
+started again. The results are there as soon as a router is done with all its problems, of all
+routers that are. Solutions do not depend on the number of processes, nor on the stops.
 """
 
 import csv
@@ -24,6 +25,7 @@ import json
 import os
 import re
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -549,7 +551,7 @@ class Experiment:
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
-        """All the work, what takes longest first: so no process waits long for the last one."""
+        """All the work, router by router: what takes long comes last."""
         return tuple(
             Part(self.folder, name, entry, seed, share)
             for entry in sorted(self.entries, key=lambda entry: _SLOW.get(entry.router, 0))
@@ -560,12 +562,21 @@ class Experiment:
         )
 
     def execute(self) -> dict[str, Any]:
-        """Does what is left to do and writes the results; returns what ``summary.json`` holds."""
+        """Does what is left to do and writes the results; returns what ``summary.json`` holds.
+
+        Whenever a router is done with all its problems, the results are written of those that are.
+        """
         left = [part for part in self.parts if not part.rows.exists()]
         if left:
             self._work(left)
-        rows = self._rows()
+        return self._write(self.entries)
+
+    def _write(self, entries: Sequence[Entry]) -> dict[str, Any]:
+        """Writes the results of routers that are done; returns what ``summary.json`` holds."""
+        rows = self._rows(entries)
         reference = self.config.reference
+        if reference not in {entry.name for entry in entries}:
+            reference = None
         sets = {name: summarise(own, reference) for name, own in by_set(rows).items()}
         summary = {"reference": reference, "sets": sets}
         write_text(self.folder / RESULTS, json.dumps(rows, indent=1) + "\n")
@@ -586,12 +597,19 @@ class Experiment:
         threads = max((train["threads"] for _, train in trainings.values()), default=1)
         total = sum(len(part.problems) for part in self.parts)
         done = total - sum(len(part.problems) for part in left)
+        missing = Counter(part.entry.name for part in left)
+        written = 0  # routers in the results
         with self._bar() as bar:
             task = bar.add_task(str(self.folder), total=total, completed=done)
             for parts in work_on(left, self.config.jobs or cores(), threads):
                 for part in parts:
                     trainings.pop(part.run, None)
                     done += len(part.problems)
+                missing -= Counter(part.entry.name for part in parts)
+                finished = [entry for entry in self.entries if not missing[entry.name]]
+                if missing and len(finished) > written:
+                    self._write(finished)
+                    written = len(finished)
                 # A line is an episode of one problem.
                 begun = sum(
                     lines.count() / train["episodes"] for lines, train in trainings.values()
@@ -610,10 +628,13 @@ class Experiment:
             disable=not self._progress,
         )
 
-    def _rows(self) -> list[Row]:
-        """All rows, by set, problem, router and seed in the order of the configuration."""
+    def _rows(self, entries: Sequence[Entry]) -> list[Row]:
+        """The rows of routers, by set, problem, router and seed in the configuration's order."""
         rows = {}
+        names = {entry.name for entry in entries}
         for part in self.parts:
+            if part.entry.name not in names:
+                continue
             found = _read_rows(part.rows)
             if [row["problem"] for row in found] != list(part.problems):
                 raise InputError(f"{part.rows}: expected rows of {', '.join(part.problems)}")
@@ -623,7 +644,7 @@ class Experiment:
             rows[name, problem, entry.name, seed]
             for name, own in self.sets.items()
             for problem in own
-            for entry in self.entries
+            for entry in entries
             if entry.only is None or name in entry.only
             for seed in (self.config.seeds if entry.seeded else (None,))
         ]
@@ -653,8 +674,8 @@ class _Lines:
         return self._count
 
 
-_SLOW = {"dqn": -2, "optimal": -1}
-"""Routers that take longest, and the order that puts them first."""
+_SLOW = {"optimal": 1, "dqn": 2}
+"""Routers that take longest, and the order that puts them last."""
 
 
 def _shares(entry: Entry, problems: Mapping[str, Problem]) -> list[tuple[str, ...]]:

@@ -812,7 +812,7 @@ def decrease_histogram(
     panels = figure.subplots(len(known), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, (name, values) in zip(panels, known.items(), strict=True):
         # No outline: it would hide bars of a single problem.
-        axes.hist(values, bins=edges, color=_RED, rwidth=0.94)
+        axes.hist(values, bins=edges, color=_RED)
         axes.axvline(0, color=_INK, linewidth=1, linestyle="--")
         axes.set_title(
             f"{name}: lower on {np.count_nonzero(values > 0)} of {len(values)} problems, "

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -257,6 +257,28 @@ def test_summary_is_that_of_the_rows(finished: Path) -> None:
     assert small["dqn"]["seeds"] == 2
     assert set(small["dqn"]["spread"]) >= {"overflow", "wirelength", "lower_wirelength"}
     assert small["astar"]["spread"] is None
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_results_are_there_of_the_routers_that_are_done(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An experiment that is broken off in its trainings: all others can be read, as in the end."""
+    config = load_experiment(everything(tmp_path, jobs=1))
+
+    def without_trainings(parts: Sequence[Any], jobs: int, threads: int) -> Iterator[list[Any]]:
+        for done in work_on(parts, jobs, threads):
+            if any(part.entry.trains for part in done):
+                raise KeyboardInterrupt
+            yield done
+
+    monkeypatch.setattr("policies.experiment.work_on", without_trainings)
+    with pytest.raises(KeyboardInterrupt):
+        Experiment(config, progress=False).execute()
+    there = results(Path(config.out))
+    assert there == [row for row in results(finished) if row["kind"] != "dqn"]
+    summary = json.loads((Path(config.out) / "summary.json").read_text())
+    assert [row["router"] for row in summary["sets"]["all"]] == ["random", "astar", "best"]
 
 
 @pytest.mark.usefixtures("_undrawn")
