@@ -410,7 +410,12 @@ def test_an_experiment_stopped_anywhere_goes_on_as_if_not(
     runs = stopped / "out"
     for stop in itertools.count(1):
         process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+            # A test run in the background inherits that nobody answers Ctrl-C.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         )
         deadline = time.monotonic() + 120
 

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -262,6 +262,15 @@ def test_a_run_killed_anywhere_goes_on_as_if_not(
     assert outcome(folder) == outcome(whole)
 
 
+@pytest.fixture
+def _answering() -> Iterator[None]:
+    """Ctrl-C answered as in a terminal: a test run in the background inherits that it is not."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_answering")
 def test_an_interrupt_waits_for_the_end_of_a_step(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -296,6 +305,7 @@ def test_an_interrupt_waits_for_the_end_of_a_step(
     assert outcome(folder) == outcome(whole)
 
 
+@pytest.mark.usefixtures("_answering")
 def test_a_second_interrupt_does_not_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def twice(_self: Trainer) -> None:
         signal.raise_signal(signal.SIGINT)
