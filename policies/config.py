@@ -96,6 +96,9 @@ class TrainOptions:
         backend: ``compiled`` (one network after the other, for the processor) or ``torch``
             (batched over the stack); None: the one that suits the device.
         threads: threads that share the networks of a stack (and torch's products).
+        best: which episode's routes are the solution, the earliest of the best: ``routes``, by
+            tasks joined, then overflow, then wirelength; or ``reward``, by tasks joined, then
+            reward (the authors' code).
         checkpoint_seconds: time between checkpoints.
         tensorboard: whether to write TensorBoard's event files beside ``metrics.jsonl``.
         figures: whether to draw the figures at the end.
@@ -107,6 +110,7 @@ class TrainOptions:
     device: str = "cpu"
     backend: Literal["compiled", "torch"] | None = None
     threads: int = 1
+    best: Literal["routes", "reward"] = "routes"
     checkpoint_seconds: float = 60.0
     tensorboard: bool = True
     figures: bool = True

@@ -655,6 +655,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
         "overflow": "allowed",
         "reward": PaperReward(own_edge=0, overflow_price=2.5),
     },
+    "multi, best by reward": {"agents": "multi", "best": "reward"},
     "multi": {"agents": "multi"},
     "multi, a step for three moves": {"agents": "multi", "steps_per_update": 3},
     "multi, overflow": {
@@ -691,8 +692,10 @@ def test_memory_and_episodes_are_what_the_environment_shows(options: dict[str, A
         np.cumsum([episode.steps for episode in episodes]) // config.dqn.steps_per_update
     ).tolist()
 
-    # The best episode: most tasks joined, then overflow, wirelength, the earliest.
-    def rank(episode: Episode) -> tuple[int, int, int, int]:
+    # The best episode: most tasks joined, then overflow, wirelength (or reward), the earliest.
+    def rank(episode: Episode) -> tuple[float, ...]:
+        if config.train.best == "reward":
+            return -episode.joined, -episode.reward, episode.episode
         return -episode.joined, episode.overflow, episode.wirelength, episode.episode
 
     best = min(episodes, key=rank)

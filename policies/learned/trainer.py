@@ -75,8 +75,7 @@ _STEPS = 200
 class Trainer:
     """Trains a DQN on each of M problems of one grid shape.
 
-    The solution of a problem is the best episode's: most tasks joined, then least overflow, then
-    least wirelength, then earliest.
+    The solution of a problem is the best episode's, as ``train.best`` says.
 
     Args:
         problems: the problems by name.
@@ -124,7 +123,7 @@ class Trainer:
         )
         # What stays of each problem.
         self.episodes = np.zeros(count, np.int64)  # episodes finished
-        self.score = np.full((count, 3), np.iinfo(np.int64).max)  # unjoined, overflow, wirelength
+        self.score = np.full((count, 3), np.inf)  # of the best episode: less is better
         self.best_episode = np.full(count, NOBODY, np.int64)
         self.best_used = engine.play.used.copy()
         self._weights = self.learner.weights.cpu().clone()  # (networks, P) of those that left
@@ -216,7 +215,11 @@ class Trainer:
         for m in np.flatnonzero(over).tolist():
             problem = int(self.places[m])
             metrics = self.engine.metrics(m)
-            score = (metrics.tasks - metrics.joined, metrics.overflow, metrics.wirelength)
+            reward = float(lanes.total[m])
+            by: tuple[float, ...] = metrics.overflow, metrics.wirelength
+            if self.config.train.best == "reward":
+                by = -reward, 0.0
+            score = (metrics.tasks - metrics.joined, *by)
             best = bool(score < tuple(self.score[problem].tolist()))
             if best:
                 self.score[problem] = score
@@ -227,7 +230,7 @@ class Trainer:
                 Episode(
                     problem=self.names[problem],
                     episode=int(self.episodes[problem]),
-                    reward=float(lanes.total[m]),
+                    reward=reward,
                     epsilon=float(lanes.epsilon[m]),
                     loss=float(loss / max(steps, 1)),
                     updates=int(updates[m]),
