@@ -27,7 +27,7 @@ UNLIMITED = int(np.iinfo(np.int32).max)
 """The capacity of a via: vias never overflow (paper, section on the problem sets generator)."""
 
 MAX_GCELLS = 2**24
-"""The largest grid accepted, about eight times that of the largest ISPD 2008 problem."""
+"""The largest grid accepted, larger than any of the ISPD 2008 contest."""
 
 MAX_NUMBER = 10**9
 """The largest capacity, width or coordinate accepted; sums of them stay within 64 bits."""
