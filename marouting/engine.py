@@ -381,6 +381,14 @@ def _step_all(world: World, play: Play, moves: Any) -> None:
         settle_everyone(world, play, m)
 
 
+MASKS = np.array(
+    [[free >> move & 1 for move in range(MOVES)] if free else [1] * MOVES for free in range(64)],
+    np.int8,
+)
+"""(64, 6) the action masks of all sets of free moves, a bit each. An agent that is boxed in gets
+all ones, every move being blocked: a mask is never all zero."""
+
+
 @inlined
 def free_moves(world: World, play: Play, m: int, n: int) -> int:
     """The moves of an agent that cross an edge, a bit each."""
@@ -397,10 +405,8 @@ def write_mask(world: World, play: Play, m: int, n: int, out: Any, row: int) -> 
     free = wide(0)
     if n != NOBODY:
         free = free_moves(world, play, m, place(n))
-    if free == 0:
-        free = (1 << MOVES) - 1
     for move in range(MOVES):
-        out[row, move] = free >> move & 1
+        out[row, move] = MASKS[free, move]
 
 
 @compiled
@@ -724,6 +730,8 @@ def world_of(
     """
     if isinstance(net_order, str):
         _check_choice("net_order", net_order, NetOrder)
+    elif any(np.shape(net_order) != (len(problem.nets),) for problem in problems):
+        raise InputError(f"net_order: expected a number a net, found shape {np.shape(net_order)}")
     _check_choice("decomposition", decomposition, Decomposition)
     pins = [problem.flat_pin_gcells for problem in problems]
     counts = [np.count_nonzero(first[1:] - first[:-1] > 1) for first, _ in pins]

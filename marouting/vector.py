@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from marouting.decomposition import Decomposition
 from marouting.engine import (
     GAME,
+    MASKS,
     NOBODY,
     Engine,
     NetOrder,
@@ -135,12 +136,8 @@ class Board:
             write(*self._everyone, out)
 
 
-_MASKS = np.array(
-    [[free >> move & 1 for move in range(MOVES)] for free in range(1 << MOVES)], np.int8
-)
-_MASKS[0] = 1  # see Engine.masks
-_MASKS = _MASKS.view(np.int16)
-"""(64, 3) the masks of all sets of moves that cross an edge, in pairs of bytes: that is quicker."""
+_MASKS = MASKS.view(np.int16)
+"""(64, 3) :data:`marouting.engine.MASKS` in pairs of bytes: that is quicker."""
 
 
 @compiled

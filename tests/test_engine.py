@@ -133,10 +133,13 @@ def test_what_must_hold_in_every_game(problem: Problem, chosen: dict[str, Any], 
 
     records = engine.agents[0]
     for n, net in enumerate(engine.nets[0].tolist()):
-        # Every walk begins at its task's start, a pin: no loose piece of a route.
+        # Every walk begins at its task's start, a pin or a Steiner point: no piece is loose.
         graph = nx.Graph(zip(*engine.grid.ends(solution.edges[net]), strict=True))
-        pins = set(problem.pin_gcells[net].tolist())
-        assert all(pins & part for part in nx.connected_components(graph))
+        first, end = engine.world.first[0, n : n + 2]
+        starts = set(engine.world.tasks[first:end, 0].tolist())
+        if chosen["decomposition"] == "mst":
+            assert starts <= set(problem.pin_gcells[net].tolist())
+        assert all(starts & part for part in nx.connected_components(graph))
         joined = records["joined"][n] == engine.tasks[0, n]
         if records["status"][n] != Status.ACTIVE:
             assert joined == (records["status"][n] == Status.TERMINATED)

@@ -506,3 +506,5 @@ def test_options_that_there_are_not(options: Any) -> None:
     (problem,) = generate(1, nets=3)
     with pytest.raises(InputError, match=f"{next(iter(options))}: expected one of"):
         sequential_astar(problem, **options)
+    with pytest.raises(InputError, match="net_order: expected a number a net"):
+        sequential_astar(problem, np.arange(2))

@@ -68,19 +68,19 @@ def solution_files(burn_in: str, names: Sequence[str]) -> list[Path]:
             f"burn_in: expected one of {', '.join(GUIDES)}, or a solution file or a folder of "
             f"them, found {burn_in!r}"
         )
-    if not path.is_dir() and len(names) > 1:
-        raise InputError(f"burn_in: {path}: expected a folder, with a solution for each problem")
-    return [_file(path, name) for name in names]
-
-
-def _file(path: Path, name: str) -> Path:
-    """The solution file of a problem."""
     if path.is_dir():
-        found = sorted({*path.glob(f"{name}.solution"), *path.glob(f"{name}.*.solution")})
-        if len(found) != 1:
-            raise InputError(
-                f"burn_in: {path}: expected one file {name}.solution or {name}.*.solution, "
-                f"found {len(found)}"
-            )
-        return found[0]
-    return path
+        return [_file(path, name) for name in names]
+    if len(names) > 1:
+        raise InputError(f"burn_in: {path}: expected a folder, with a solution for each problem")
+    return [path]
+
+
+def _file(folder: Path, name: str) -> Path:
+    """The one solution file of a problem in a folder."""
+    found = sorted({*folder.glob(f"{name}.solution"), *folder.glob(f"{name}.*.solution")})
+    if len(found) != 1:
+        raise InputError(
+            f"burn_in: {folder}: expected one file {name}.solution or {name}.*.solution, "
+            f"found {len(found)}"
+        )
+    return found[0]
