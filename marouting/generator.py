@@ -1,12 +1,16 @@
 """Problem sets in the manner of the paper's generator (section "Problem Sets Generator").
 
 Layers alternate: layer 1 has capacity along x, layer 2 along y, and so on. Pins lie in layer 1.
-Some edges are then reduced: the ones most used by the problem's own sequential A* solution.
+Some edges are then reduced: the ones that sequential A*'s solutions use most, of each problem by
+itself or of the whole set.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.problem import (
@@ -26,6 +30,9 @@ TILE = 10
 REDUCTION = 2
 """What an edge's capacity is reduced by unless told: the authors' 5 becomes 3."""
 
+ReducedPer = Literal["problem", "set"]
+"""Whose A* solutions tell which edges are reduced."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class GeneratorOptions:
@@ -40,6 +47,8 @@ class GeneratorOptions:
         reduced_edges: how many of the most used edges get another capacity.
         reduced_capacity: that capacity; None: two less than ``capacity``, 3 where the authors
             have 5.
+        reduced_per: ``problem``: each has its own edges reduced; ``set``: all have the same, the
+            ones most used in all problems together.
         seed: where the random numbers start. In an environment's problem None draws a new
             problem at every reset.
 
@@ -56,6 +65,7 @@ class GeneratorOptions:
     capacity: int = 5
     reduced_edges: int = 3
     reduced_capacity: int | None = None
+    reduced_per: ReducedPer = "problem"
     seed: int | None = 0
 
     def __post_init__(self) -> None:
@@ -69,6 +79,11 @@ class GeneratorOptions:
                 raise InputError(f"{name}: expected at least {least}, found {getattr(self, name)}")
         check_numbers("capacity and reduced_edges", (self.capacity, self.reduced_edges))
         check_numbers("reduced_capacity", [n for n in (self.reduced_capacity,) if n is not None])
+        if self.reduced_per not in get_args(ReducedPer):
+            raise InputError(
+                f"reduced_per: expected one of {', '.join(get_args(ReducedPer))}, "
+                f"found {self.reduced_per!r}"
+            )
         if self.seed is not None and self.seed < 0:
             raise InputError(f"seed: expected a number from 0, found {self.seed}")
 
@@ -83,10 +98,11 @@ def generate(
     seed: int | None = 0,
     *,
     reduced_capacity: int | None = None,
+    reduced_per: ReducedPer = "problem",
 ) -> list[Problem]:
     """Generates problems; the same arguments give the same problems.
 
-    Every net spans at least two Gcells. Problem i is the same whatever the count.
+    Every net spans at least two Gcells. Problem i has the same nets whatever the count.
 
     Args:
         count: number of problems.
@@ -94,10 +110,13 @@ def generate(
         nets: nets a problem.
         max_pins: pins a net, drawn uniformly from 2…max_pins.
         capacity: capacity of an edge along its layer's direction.
-        reduced_edges: how many edges are reduced, the ones that the problem's own sequential A*
-            solution uses most (ties: lowest edge number).
+        reduced_edges: how many edges are reduced, the ones that sequential A* uses most without
+            (ties: lowest edge number).
         seed: where the random numbers start; None for a different set every time.
         reduced_capacity: capacity of the reduced edges; None: two less than ``capacity``.
+        reduced_per: ``problem``: the edges that its own solution uses most; ``set``: those that
+            the solutions of all problems together use most, the same in every problem, as in the
+            authors' published sets (which edges these are depends on ``count``).
 
     Raises:
         InputError: a value is out of its range.
@@ -111,6 +130,7 @@ def generate(
             capacity=capacity,
             reduced_edges=reduced_edges,
             reduced_capacity=reduced_capacity,
+            reduced_per=reduced_per,
             seed=seed,
         )
     )
@@ -119,17 +139,28 @@ def generate(
 def generate_from(options: GeneratorOptions) -> list[Problem]:
     """:func:`generate` with its arguments in one object."""
     streams = np.random.SeedSequence(options.seed).spawn(options.count)
-    return [_generate_one(options, np.random.default_rng(stream)) for stream in streams]
+    problems = [_unreduced(options, np.random.default_rng(stream)) for stream in streams]
+    if not options.reduced_edges:
+        return problems
+    capacity = options.reduced_capacity
+    if capacity is None:
+        capacity = max(options.capacity - REDUCTION, 0)
+    groups = [problems] if options.reduced_per == "set" else [[problem] for problem in problems]
+    reduced = []
+    for group in groups:
+        adjustments = _reduced(group, options.reduced_edges, capacity)
+        reduced += [replace(problem, adjustments=adjustments) for problem in group]
+    return reduced
 
 
-def _generate_one(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
+def _unreduced(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
     layers = np.arange(options.grid[2])
     if options.grid[2] == 1:
         along_x = along_y = np.array([options.capacity])  # a single layer takes both directions
     else:
         along_x = np.where(layers % 2 == 0, options.capacity, 0)
         along_y = np.where(layers % 2 == 1, options.capacity, 0)
-    problem = Problem(
+    return Problem(
         grid=options.grid,
         vertical_capacity=tuple(along_y.tolist()),
         horizontal_capacity=tuple(along_x.tolist()),
@@ -139,23 +170,20 @@ def _generate_one(options: GeneratorOptions, rng: np.random.Generator) -> Proble
         via_spacing=(0,) * options.grid[2],
         tile=(TILE, TILE),
     )
-    if not options.reduced_edges:
-        return problem
-    reduced = options.reduced_capacity
-    if reduced is None:
-        reduced = max(options.capacity - REDUCTION, 0)
-    demand = sequential_astar(problem).demand
+
+
+def _reduced(problems: Sequence[Problem], edges: int, capacity: int) -> tuple[Adjustment, ...]:
+    """The capacity for the edges that the problems' A* solutions use most, all taken together."""
+    problem = problems[0]  # grid and capacities are those of all
+    demand: NDArray[np.int64] = np.sum([sequential_astar(one).demand for one in problems], axis=0)
     # Vias have no capacity to reduce, edges across a layer's direction none left.
     reducible = np.flatnonzero((problem.capacity > 0) & (problem.capacity < UNLIMITED))
-    busiest = np.argsort(-demand[reducible], kind="stable")[: options.reduced_edges]
+    busiest = np.argsort(-demand[reducible], kind="stable")[:edges]
     near, far = problem.topology.ends(reducible[busiest])
     position = problem.topology.position
-    return replace(
-        problem,
-        adjustments=tuple(
-            Adjustment(*_gcell(position[a]), *_gcell(position[b]), reduced)
-            for a, b in zip(near, far, strict=True)
-        ),
+    return tuple(
+        Adjustment(*_gcell(position[a]), *_gcell(position[b]), capacity)
+        for a, b in zip(near, far, strict=True)
     )
 
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 try:
     import click
@@ -21,6 +21,7 @@ except ImportError:  # pragma: no cover - the command line needs the extra
 
 from marouting import InputError, Problem, Solution, __version__, evaluate
 from marouting.files import check_writable, write_text
+from marouting.generator import ReducedPer
 from marouting.ispd import FORMATS, Format
 from policies.base import solve
 from policies.routers import ROUTERS, has_seed, make_router
@@ -52,6 +53,13 @@ def cli() -> None:
 )
 @click.option(
     "--reduced-capacity", type=int, help="Their capacity.  [default: two less than --capacity]"
+)
+@click.option(
+    "--reduced-per",
+    type=click.Choice(get_args(ReducedPer)),
+    default="problem",
+    show_default=True,
+    help="Whose A* solutions tell which are the busiest: each problem's own, or the set's.",
 )
 @click.option("--seed", default=0, show_default=True, help="Where the random numbers start.")
 @click.option("--out", type=Path, required=True, help="Folder for the .gr files.")

@@ -21,6 +21,7 @@ arguments = st.fixed_dictionaries(
         "capacity": st.integers(0, 4),
         "reduced_edges": st.sampled_from([0, 1, 3, 1000]),
         "reduced_capacity": st.none() | st.integers(0, 3),
+        "reduced_per": st.sampled_from(["problem", "set"]),
         "seed": st.integers(0, 10**9),
     }
 )
@@ -103,31 +104,37 @@ def test_what_every_problem_is_like(chosen: dict[str, Any]) -> None:
 
 
 @settings(deadline=None, max_examples=60)
-@given(arguments)
-def test_reduced_edges_are_the_most_used_of_its_own_solution(chosen: dict[str, Any]) -> None:
-    (problem,) = generate(1, **chosen)
-    before = replace(problem, adjustments=())
-    reduced, used = adjusted(problem), traffic(before)
-
+@given(arguments, st.integers(1, 3))
+def test_reduced_edges_are_the_most_used(chosen: dict[str, Any], count: int) -> None:
+    problems = generate(count, **chosen)
     expected = chosen["reduced_capacity"]
     if expected is None:
         expected = max(chosen["capacity"] - 2, 0)
-    assert set(reduced.values()) <= {expected}
-
     # Only an edge along its layer's direction has a capacity to reduce.
     columns, rows, layers = chosen["grid"]
     along_x = (columns - 1) * rows * (1 if layers == 1 else (layers + 1) // 2)
     along_y = columns * (rows - 1) * (1 if layers == 1 else layers // 2)
     reducible = along_x + along_y if chosen["capacity"] else 0
-    assert len(reduced) == len(problem.adjustments) == min(chosen["reduced_edges"], reducible)
 
-    if reduced:
-        # Most used first, ties by the number of the edge.
-        last = min((used.get(edge, 0), -edge_number(problem, edge)) for edge in reduced)
-        for edge, times in used.items():
-            has_capacity = before.capacity[edge_number(problem, edge)] > 0
-            if edge not in reduced and has_capacity:
-                assert (times, -edge_number(problem, edge)) < last
+    before = [replace(problem, adjustments=()) for problem in problems]
+    assert before == generate(count, **{**chosen, "reduced_edges": 0})
+    used = [traffic(problem) for problem in before]
+    if chosen["reduced_per"] == "set":
+        assert len({problem.adjustments for problem in problems}) == 1
+        edges = {edge for own in used for edge in own}
+        used = [{edge: sum(own.get(edge, 0) for own in used) for edge in edges}] * count
+
+    for problem, own in zip(problems, used, strict=True):
+        reduced = adjusted(problem)
+        assert set(reduced.values()) <= {expected}
+        assert len(reduced) == len(problem.adjustments) == min(chosen["reduced_edges"], reducible)
+        if reduced:
+            # Most used first, ties by the number of the edge.
+            last = min((own.get(edge, 0), -edge_number(problem, edge)) for edge in reduced)
+            for edge, times in own.items():
+                has_capacity = before[0].capacity[edge_number(problem, edge)] > 0
+                if edge not in reduced and has_capacity:
+                    assert (times, -edge_number(problem, edge)) < last
 
 
 def test_the_papers_problems() -> None:
@@ -170,6 +177,7 @@ def test_sizes_of_nets_are_uniform() -> None:
         ({"capacity": MAX_NUMBER + 1}, "capacity"),
         ({"reduced_edges": -1}, "reduced_edges: expected a number from 0"),
         ({"reduced_capacity": -1}, "reduced_capacity: expected a number from 0"),
+        ({"reduced_per": "sets"}, "reduced_per: expected one of problem, set, found 'sets'"),
         ({"seed": -1}, "seed: expected a number from 0"),
     ],
 )
