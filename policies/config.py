@@ -3,7 +3,6 @@
 ``configs/paper/default.yaml`` holds every key with a comment. The defaults are the paper's.
 """
 
-import copy
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -178,7 +177,7 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
     Raises:
         InputError: an override is none.
     """
-    changed = copy.deepcopy(dict(raw))
+    changed = dict(raw)
     for given in overrides:
         key, equals, value = given.partition("=")
         if not equals or not key:
@@ -186,10 +185,10 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
         *parts, last = key.split(".")
         place = changed
         for part in parts:
-            inner = place.setdefault(part, {})
-            if not isinstance(inner, dict):
-                inner = place[part] = {}
-            place = inner
+            inner = place.get(part)
+            # A copy: by YAML's anchors a mapping can stand in several places.
+            place[part] = dict(inner) if isinstance(inner, Mapping) else {}
+            place = place[part]
         place[last] = parse_yaml(value, given)
     return changed
 

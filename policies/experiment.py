@@ -51,7 +51,9 @@ from policies.base import Router, solve
 from policies.config import Config, check, check_same, load_config, override
 from policies.processes import cores, work_on
 from policies.routers import ROUTERS, has_seed, is_seeded, make_router, schema, unknown
-from policies.statistics import ALL, Row, add_gaps, by_set, summarise
+from policies.statistics import ALL, Row, add_gaps, baseline, by_set, summarise
+from policies.study import Column, Study
+from policies.utilisation import problem_type
 
 CONFIG, RESULTS, SUMMARY = "config.yaml", "results.json", "summary.json"
 
@@ -99,6 +101,8 @@ class ExperimentConfig:
             is for; all the others are the router's own. For ``dqn`` see :class:`Training`, for
             ``published`` :class:`Published`. What is left out is filled in. None in place of the
             options leaves a router out: for ``routers.NAME=null`` on the command line.
+        studies: composed figures by their name, besides those of every set. Columns of routers that
+            are left out, or not done, are left out.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -109,8 +113,15 @@ class ExperimentConfig:
     reference: str | None = None
     problems: Any = None
     routers: dict[str, dict[str, Any] | None] = field(default_factory=dict)
+    studies: dict[str, Study] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name, study in self.studies.items():
+            check(f"studies.{name}", _is_name(name), "a name of letters, digits, _ and -")
+            for title, column in study.columns.items():
+                if column.router not in self.routers:
+                    key = f"studies.{name}.columns.{title}.router"
+                    raise unknown(key, column.router, tuple(self.routers))
         kept = {name: raw for name, raw in self.routers.items() if raw is not None}
         object.__setattr__(self, "routers", kept)
         check("seeds", len(self.seeds) > 0, "at least one")
@@ -123,10 +134,15 @@ class ExperimentConfig:
         for name in self.problems if isinstance(self.problems, dict) else ():
             _check_set(name)
         for name in self.routers:  # in files a dot and the seed follow
-            named = re.fullmatch(r"\w[\w-]*", name)
-            check(f"routers.{name}", named, "a name of letters, digits, _ and -")
+            check(f"routers.{name}", _is_name(name), "a name of letters, digits, _ and -")
         if self.reference is not None and self.reference not in self.routers:
             raise unknown("reference", self.reference, tuple(self.routers))
+        studies = {}
+        for name, study in self.studies.items():
+            columns = {k: column for k, column in study.columns.items() if column.router in kept}
+            if columns:
+                studies[name] = replace(study, columns=columns)
+        object.__setattr__(self, "studies", studies)
         plain = {entry.name: entry.plain for entry in self.entries}
         object.__setattr__(self, "routers", plain)
 
@@ -134,6 +150,10 @@ class ExperimentConfig:
     def entries(self) -> tuple["Entry", ...]:
         """The routers; raises InputError for one that is none."""
         return tuple(Entry.of(name, raw or {}) for name, raw in self.routers.items())
+
+
+def _is_name(name: str) -> bool:
+    return re.fullmatch(r"\w[\w-]*", name) is not None
 
 
 def _check_set(name: str) -> None:
@@ -332,6 +352,21 @@ def load_sets(problems: str | Mapping[str, Any]) -> dict[str, dict[str, Problem]
 # --- a part of the work, in a process of its own --------------------------------------------------
 
 
+def label(router: str, seed: int | None) -> str:
+    """A router's name with the seed, as files carry it."""
+    return router if seed is None else f"{router}.seed{seed}"
+
+
+def problem_file(folder: Path, set: str, problem: str) -> Path:
+    """Where an experiment keeps a problem."""
+    return folder / "problems" / set / f"{problem}.gr"
+
+
+def solution_file(folder: Path, set: str, problem: str, router: str, seed: int | None) -> Path:
+    """Where an experiment keeps a solution."""
+    return folder / "solutions" / set / f"{problem}.{label(router, seed)}.solution"
+
+
 @dataclass(frozen=True)
 class Part:
     """Some problems of a set that one router routes, with one seed.
@@ -353,7 +388,7 @@ class Part:
     @property
     def label(self) -> str:
         """The router's name with the seed, as files carry it."""
-        return self.entry.name if self.seed is None else f"{self.entry.name}.seed{self.seed}"
+        return label(self.entry.name, self.seed)
 
     @property
     def rows(self) -> Path:
@@ -367,11 +402,11 @@ class Part:
 
     def problem(self, name: str) -> Path:
         """The file of a problem."""
-        return self.folder / "problems" / self.set / f"{name}.gr"
+        return problem_file(self.folder, self.set, name)
 
     def solution(self, name: str) -> Path:
         """The file for the solution of a problem."""
-        return self.folder / "solutions" / self.set / f"{name}.{self.label}.solution"
+        return solution_file(self.folder, self.set, name, self.entry.name, self.seed)
 
     def work(self) -> None:
         """Routes the problems; writes the solutions, and then the rows."""
@@ -514,15 +549,35 @@ class Experiment:
             for name in entry.only or ():
                 if name not in self.sets:
                     raise unknown(f"routers.{entry.name}.only", name, tuple(self.sets))
+        # As far as it goes that can be told before there are results.
+        for name, study in config.studies.items():
+            for title, column in study.columns.items():
+                self._check_column(f"studies.{name}.columns.{title}", study, column)
         if not started:
             self._start(kept)
+        elif load_experiment(kept).studies != config.studies:
+            self._write_config(kept)
 
     def _check_same(self, kept: Path) -> None:
         if "routers" not in read_yaml(kept):
             raise InputError(f"{self.folder}: holds a training: expected another out=")
-        # Neither changes what the rows hold.
-        before = replace(load_experiment(kept), out=self.config.out, jobs=self.config.jobs)
-        check_same(asdict(self.config), asdict(before), kept)
+        # None of these changes what the rows hold.
+        same = {name: getattr(self.config, name) for name in ("out", "jobs", "studies")}
+        check_same(asdict(self.config), asdict(replace(load_experiment(kept), **same)), kept)
+
+    def _check_column(self, key: str, study: Study, column: Column) -> None:
+        entry = next(entry for entry in self.entries if entry.name == column.router)
+        sets = tuple(name for name in self.sets if entry.only is None or name in entry.only)
+        if column.set is None:
+            check(f"{key}.set", len(sets) == 1, f"one of {', '.join(sets)}")
+        elif column.set not in sets:
+            raise unknown(f"{key}.set", column.set, sets)
+        of = column.set or sets[0]
+        if column.problem is not None and column.problem not in self.sets[of]:
+            raise unknown(f"{key}.problem", column.problem, tuple(self.sets[of]))
+        against = [e for e in self.entries if e.router == "astar" and (not e.only or of in e.only)]
+        check(key, against, f"a router of the kind astar that is for {of}")
+        check(f"{key}.router", entry.trains or "reward" not in study.panels, "one that is trained")
 
     def _kept_sets(self) -> dict[str, dict[str, Problem]]:
         """The sets in the folder, in the order of the configuration."""
@@ -546,6 +601,9 @@ class Experiment:
         for name, problems in self.sets.items():
             for problem in problems:
                 problems[problem].write(self.folder / "problems" / name / f"{problem}.gr")
+        self._write_config(kept)
+
+    def _write_config(self, kept: Path) -> None:
         plain = json.loads(json.dumps(asdict(self.config)))
         write_text(kept, yaml.safe_dump(plain, sort_keys=False))
 
@@ -578,7 +636,7 @@ class Experiment:
         if reference not in {entry.name for entry in entries}:
             reference = None
         sets = {name: summarise(own, reference) for name, own in by_set(rows).items()}
-        summary = {"reference": reference, "sets": sets}
+        summary = {"reference": reference, "types": self._types(rows), "sets": sets}
         write_text(self.folder / RESULTS, json.dumps(rows, indent=1) + "\n")
         write_text(self.folder / "results.csv", _csv(rows))
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=1) + "\n")
@@ -586,6 +644,20 @@ class Experiment:
 
         experiment_figures(self.folder)
         return summary
+
+    def _types(self, rows: Sequence[Row]) -> dict[str, dict[str, int]]:
+        """How many problems of each set are of the paper's types, by A*'s solutions."""
+        types: dict[str, dict[str, int]] = {}
+        for name, own in by_set(rows).items():
+            first = {row["problem"]: row for row in reversed(own) if row["router"] == baseline(own)}
+            if name == ALL or not first:
+                continue
+            types[name] = {"I": 0, "II": 0}
+            for problem, row in first.items():
+                path = solution_file(self.folder, name, problem, row["router"], row["seed"])
+                routed = self.sets[name][problem]
+                types[name][problem_type(routed, Solution.read(path, routed))] += 1
+        return types
 
     def _work(self, left: Sequence[Part]) -> None:
         """Works on parts and shows how many of all problems are done."""

@@ -2,8 +2,9 @@
 
 import json
 import os
+import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,21 @@ from marouting import InputError, Problem, Solution
 from marouting.files import unusable
 from policies import figures, scaling
 from policies.classical.astar import AStarRouter
-from policies.experiment import RESULTS, read_results
-from policies.statistics import baseline, by_router, by_set, joined_wirelength, overflow
+from policies.experiment import (
+    CONFIG,
+    RESULTS,
+    label,
+    load_experiment,
+    problem_file,
+    read_results,
+    solution_file,
+)
+from policies.statistics import Row, baseline, by_router, by_set, joined_wirelength, overflow
+from policies.study import Column
 
 
-def reward_figures(metrics: Path, folder: Path) -> list[Path]:
-    """Writes the reward curves of a ``metrics.jsonl``, plain and log; raises InputError."""
+def read_rewards(metrics: Path) -> dict[str, list[float]]:
+    """The reward of every episode in a ``metrics.jsonl``, by problem; raises InputError."""
     curves: dict[str, list[float]] = defaultdict(list)
     try:
         for number, line in enumerate(metrics.read_text(encoding="utf-8").splitlines(), 1):
@@ -36,10 +46,61 @@ def reward_figures(metrics: Path, folder: Path) -> list[Path]:
         raise InputError(f"{metrics}: expected UTF-8 text") from None
     if not curves:
         raise InputError(f"{metrics}: expected at least one episode")
+    return curves
+
+
+def reward_figures(metrics: Path, folder: Path) -> list[Path]:
+    """Writes the reward curves of a ``metrics.jsonl``, plain and log; raises InputError."""
+    curves = read_rewards(metrics)
     written = []
     for name, log in (("reward.png", False), ("reward_log.png", True)):
         figures.save(figures.reward_curves(curves, log=log), folder / name)
         written.append(folder / name)
+    return written
+
+
+def problem_figures(
+    problem: Problem, solutions: Mapping[str, Solution], folder: str | os.PathLike[str]
+) -> list[Path]:
+    """Writes the figures of one problem and its solutions as PNG.
+
+    Args:
+        problem: what was routed.
+        solutions: the solutions by router's name.
+        folder: where to; made when missing.
+
+    Returns:
+        The files: for each router ``ROUTER_heat_maps.png``, ``ROUTER_histogram.png``,
+        ``ROUTER_edges.png``, ``ROUTER_solution_2d.png`` and ``ROUTER_solution_3d.png``; for two
+        routers or more ``comparison.png``.
+
+    Raises:
+        InputError: the folder cannot be written to, or a solution belongs to another problem.
+    """
+    draw = {
+        "heat_maps": figures.heat_maps,
+        "histogram": figures.utilisation_histogram,
+        "edges": figures.edges_before_after,
+        "solution_2d": figures.solution_2d,
+        "solution_3d": figures.solution_3d,
+    }
+    written: list[Path] = []
+
+    def write(figure: Figure, stem: str) -> None:
+        path = Path(folder) / f"{stem}.png"
+        figures.save(figure, path)
+        written.append(path)
+
+    stems: set[str] = set()
+    for name, solution in solutions.items():
+        stem = base = re.sub(r"[^\w.-]+", "_", name).strip("._") or "router"
+        while stem in stems:
+            stem = f"{base}_{len(stems)}"
+        stems.add(stem)
+        for kind, figure in draw.items():
+            write(figure(problem, solution, name), f"{stem}_{kind}")
+    if len(solutions) > 1:
+        write(figures.comparison(solutions), "comparison")
     return written
 
 
@@ -54,7 +115,7 @@ def run_figures(run: Path, folder: Path | None = None) -> list[Path]:
             for router in ("astar", "dqn")
             if (file := run / "solutions" / f"{path.stem}.{router}.solution").exists()
         }
-        written += figures.problem_figures(problem, solutions, folder / path.stem)
+        written += problem_figures(problem, solutions, folder / path.stem)
     return written
 
 
@@ -63,7 +124,8 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
 
     Returns:
         For each set, and of several for ``all``: ``SET_wirelength.png`` and ``SET_overflow.png``,
-        problem by problem, and where A* is one of several routers ``SET_decrease.png``.
+        problem by problem, and where A* is one of several routers ``SET_decrease.png``; for each
+        study ``STUDY.png``.
 
     Raises:
         InputError: there are no results, or the folder cannot be written to.
@@ -75,7 +137,8 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
         figures.save(figure, folder / f"{name}.png")
         written.append(folder / f"{name}.png")
 
-    for name, rows in by_set(read_results(experiment)).items():
+    results = read_results(experiment)
+    for name, rows in by_set(results).items():
         astar = baseline(rows)
         # A* first: it has the paper's colour then.
         routers = dict(sorted(by_router(rows).items(), key=lambda router: router[0] != astar))
@@ -101,7 +164,57 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
         }
         if astar is not None and decreases:
             write(figures.decrease_histogram(decreases, astar, title), f"{name}_decrease")
+    config = load_experiment(experiment / CONFIG)
+    done = {row["router"] for row in results}
+    for name, study in config.studies.items():
+        columns = {
+            title: _column(experiment, results, column, config.reference)
+            for title, column in study.columns.items()
+            if column.router in done
+        }
+        if columns:
+            write(figures.study(columns, study.panels), name)
     return written
+
+
+CURVES = 10
+"""How many problems' rewards a composed figure shows (paper)."""
+
+
+def _column(
+    experiment: Path, results: Sequence[Row], column: Column, reference: str | None
+) -> figures.Column:
+    """What a column of a composed figure shows; raises InputError where files are missing."""
+    own_sets = [row["set"] for row in results if row["router"] == column.router]
+    name = column.set or own_sets[0]
+    rows = [row for row in results if row["set"] == name]
+    routers = by_router(rows)
+    astar = baseline(rows)
+    if astar is None:
+        raise InputError(f"{experiment}: {name}: expected a router of the kind astar")
+    own = routers[column.router]
+    # The paper's legend says what routes; a router's name tells apart what would be the same.
+    first = next(iter(own.values()))[0]
+    title = column.router if first["kind"] in (astar, reference) else first["kind"]
+    shown = {astar: routers[astar], title: own}
+    if reference in routers:
+        shown[reference] = routers[reference]
+    chosen = column.problem or next(iter(own))[1]
+    problem = Problem.read(problem_file(experiment, name, chosen))
+    seed = routers[astar][name, chosen][0]["seed"]
+    solution = Solution.read(solution_file(experiment, name, chosen, astar, seed), problem)
+    rewards: dict[str, list[float]] = {}
+    for metrics in sorted(
+        (experiment / "runs" / name / label(column.router, first["seed"])).glob("*/metrics.jsonl")
+    ):
+        rewards |= read_rewards(metrics)
+    names = np.random.default_rng(0).permutation(sorted(rewards))[:CURVES]
+    return figures.Column(
+        (problem, solution),
+        {router: joined_wirelength(rows) for router, rows in shown.items()},
+        {router: overflow(rows) for router, rows in shown.items()},
+        {problem: rewards[problem] for problem in sorted(names.tolist())},
+    )
 
 
 def growth_figure(bench: Path, folder: Path) -> Path:
@@ -169,7 +282,7 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
         solutions = {_router(file, path): Solution.read(file, problem) for file in files}
         solutions = solutions or {"astar": AStarRouter().route(problem)}
         folder = (out or path.parent / "figures") / path.stem
-        written += figures.problem_figures(problem, solutions, folder)
+        written += problem_figures(problem, solutions, folder)
     return written
 
 

@@ -63,6 +63,8 @@ def show_experiment(summary: Mapping[str, Any]) -> None:
     headings += [f"{reference}\nW/T/L"] if reference else []
     for name, rows in summary["sets"].items():
         title = f"{name}: {rows[0]['problems']} problems"
+        if name in summary["types"]:
+            title += "".join(f", {n} of Type {type}" for type, n in summary["types"][name].items())
         table = Table(title=title, box=SIMPLE_HEAD, title_justify="left")
         for heading in (*headings, "seconds"):
             right = heading != "router"
@@ -92,7 +94,8 @@ _NOTES = (
     "optimum, on the problems (how many) where overflow and open connections are the optimum's. "
     "less WL: problems with less wirelength than A* [95 % interval, Wilson]. W/T/L: wins, ties and "
     "losses by open connections, then overflow, then wirelength. seconds: median a problem. All of "
-    "it is averaged over the seeds first."
+    "it is averaged over the seeds first. Type II: A* uses up an edge that had "
+    "capacity (the paper's partial edge depletion)."
 )
 
 

@@ -26,7 +26,7 @@ from marouting.config import build
 from policies import routers
 from policies.classical.optimal import OptimalRouter
 from policies.cli import status
-from policies.config import Config, DQNOptions, TrainOptions, load_config
+from policies.config import Config, DQNOptions, TrainOptions, load_config, override
 from policies.experiment import ExperimentConfig, load_experiment
 from policies.learned.router import DQNRouter, QPolicy
 from policies.learned.run import write_config
@@ -1051,6 +1051,14 @@ KEY_TEXT = (
 @example(["env.problem=x", "env.problem.nets=3"])
 def test_any_overrides(overrides: list[str]) -> None:
     loads_or_is_refused(None, overrides)
+
+
+def test_an_override_changes_one_place() -> None:
+    """By YAML's anchors one mapping can stand in two."""
+    raw = yaml.safe_load("a: &same {k: 1, l: {m: 2}}\nb: *same")
+    expected = {"a": {"k": 3, "l": {"m": 4}}, "b": {"k": 1, "l": {"m": 2}}}
+    assert override(raw, ["a.k=3", "a.l.m=4"]) == expected
+    assert raw["a"] == expected["b"]
 
 
 @settings(max_examples=50, deadline=None)

@@ -48,7 +48,7 @@ from policies.statistics import (
 ROOT = Path(__file__).resolve().parents[1]
 PNG = b"\x89PNG\r\n\x1a\n"
 SMALL = {"count": 3, "grid": [4, 4, 2], "nets": 3, "capacity": 2, "seed": 1}
-OTHER = {"count": 2, "grid": [5, 4, 2], "nets": 4, "capacity": 2, "seed": 2}
+OTHER = {"count": 2, "grid": [5, 4, 2], "nets": 4, "capacity": 6, "seed": 2}
 DQN: dict[str, Any] = {
     "router": "dqn",
     "stack": 2,
@@ -89,6 +89,13 @@ def everything(folder: Path, **keys: Any) -> Path:
     }
     sets = {"small": SMALL, "other": OTHER}
     config = {"seeds": [0, 4], "reference": "random", "problems": sets, "routers": routers}
+    panels = ["edges", "wirelength", "overflow", "decrease", "reward"]
+    columns = {
+        "three nets": {"router": "dqn", "set": "small", "problem": "problem_001"},
+        "four nets": {"router": "dqn", "set": "other"},
+    }
+    up = {"panels": ["decrease"], "columns": {"smallest first": {"router": "up"}}}
+    config["studies"] = {"sizes": {"panels": panels, "columns": columns}, "order": up}
     return write_config(folder / "all.yaml", **{**config, **keys})
 
 
@@ -257,6 +264,21 @@ def test_summary_is_that_of_the_rows(finished: Path) -> None:
     assert small["dqn"]["seeds"] == 2
     assert set(small["dqn"]["spread"]) >= {"overflow", "wirelength", "lower_wirelength"}
     assert small["astar"]["spread"] is None
+
+
+def test_types_are_those_of_astars_solutions(finished: Path) -> None:
+    expected = {}
+    for name, count in (("small", 3), ("other", 2)):
+        full = 0
+        for path in sorted((finished / "problems" / name).glob("*.gr")):
+            problem = Problem.read(path)
+            demand = AStarRouter().route(problem).demand.reshape(-1, 3)[:, :2]
+            capacity = problem.capacity.reshape(-1, 3)[:, :2]
+            full += bool(((capacity > 0) & (demand >= capacity)).any())
+        expected[name] = {"I": count - full, "II": full}
+    assert json.loads((finished / "summary.json").read_text())["types"] == expected
+    # Both there, for the test's sake.
+    assert all(sum(of[kind] for of in expected.values()) for kind in ("I", "II"))
 
 
 @pytest.mark.usefixtures("_undrawn")
@@ -446,6 +468,7 @@ def test_an_experiment_stopped_anywhere_goes_on_as_if_not(
 
 SET = {"small": SMALL}
 ASTAR = {"a": {"router": "astar"}}
+ROUTED = {"router": "a"}
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "unknown key": ({"router": ASTAR}, "router: unknown key; did you mean routers?"),
     "no routers": ({"routers": {}}, "routers: expected at least one"),
@@ -490,6 +513,46 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "checkpoint and training": (
         {"routers": {"d": {"router": "dqn", "checkpoint": "c.pt", "dqn": {"gamma": 1.0}}}},
         "checkpoint: expected nothing to train",
+    ),
+    "unknown router of a study": (
+        {"studies": {"s": {"columns": {"t": {"router": "b"}}}}},
+        "studies.s.columns.t.router: unknown name 'b'; expected one of a",
+    ),
+    "unknown panel": (
+        {"studies": {"s": {"panels": ["x"], "columns": {"t": {"router": "a"}}}}},
+        "studies.s.panels.0: expected 'edges', ",
+    ),
+    "panel twice": (
+        {"studies": {"s": {"panels": ["edges"] * 2, "columns": {"t": {"router": "a"}}}}},
+        "panels: expected every panel once",
+    ),
+    "no columns": ({"studies": {"s": {}}}, "columns: expected at least one"),
+    "a study's name": (
+        {"studies": {"a/b": {"columns": {"t": {"router": "a"}}}}},
+        "studies.a/b: expected a name",
+    ),
+    "which set": (
+        {"problems": {"x": SMALL, "y": SMALL}, "studies": {"s": {"columns": {"t": ROUTED}}}},
+        "studies.s.columns.t.set: expected one of x, y",
+    ),
+    "another's set": (
+        {"studies": {"s": {"columns": {"t": {**ROUTED, "set": "smal"}}}}},
+        "studies.s.columns.t.set: unknown name 'smal'; did you mean small?",
+    ),
+    "no such problem of a study": (
+        {"studies": {"s": {"columns": {"t": {**ROUTED, "problem": "problem_003"}}}}},
+        "studies.s.columns.t.problem: unknown name 'problem_003'",
+    ),
+    "a study without A*": (
+        {
+            "routers": {"a": {"router": "random"}},
+            "studies": {"s": {"panels": ["edges"], "columns": {"t": ROUTED}}},
+        },
+        "studies.s.columns.t: expected a router of the kind astar that is for small",
+    ),
+    "rewards of what does not learn": (
+        {"studies": {"s": {"panels": ["reward"], "columns": {"t": ROUTED}}}},
+        "studies.s.columns.t.router: expected one that is trained",
     ),
     "empty stack": ({"routers": {"d": {"router": "dqn", "stack": 0}}}, "stack: expected"),
     "shared by two grids": (
@@ -619,6 +682,8 @@ def test_the_command_prints_a_table_or_one_object(
     summary = json.loads((finished / "summary.json").read_text())
     for name, size in (("small", 3), ("other", 2), ("all", 5)):
         assert f"{name}: {size} problems" in text
+        for kind, count in summary["types"].get(name, {}).items():
+            assert f"{count} of Type {kind}" in text
         for row in summary["sets"][name]:
             cells = [f"{row['overflow']:.6g}", f"{row['wirelength']['mean']:.1f}"]
             lines = [line for line in text.splitlines() if line.split()[:1] == [row["router"]]]
@@ -633,6 +698,7 @@ def test_plot_draws_an_experiment(
 ) -> None:
     kinds = ("wirelength", "overflow", "decrease")
     names = {f"{name}_{kind}.png" for name in ("small", "other", "all") for kind in kinds}
+    names |= {"sizes.png", "order.png"}
     assert {path.name for path in (finished / "figures").iterdir()} == names
     assert status(["plot", str(finished), "--out", str(tmp_path / "f")]) == 0
     written = [Path(line) for line in capsys.readouterr().out.splitlines()]
@@ -680,6 +746,85 @@ def test_figures_show_the_rows(
             ~np.isnan(decrease)
         )
         assert f"lower on {np.count_nonzero(decrease > 0)} of" in axes.get_title()
+
+
+def test_studies_show_the_rows(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: dict[str, Any] = {}
+    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.update({path.stem: figure}))
+    plot.experiment_figures(finished, tmp_path)
+    rows = by_set(json.loads((finished / "results.json").read_text()))
+    panels = np.array(drawn["sizes"].axes).reshape(5, 2)
+    letters = [axes.get_title(loc="left") for axes in panels.ravel()]
+    assert letters == [f"({letter})" for letter in "abcdefghij"]
+    for (name, title, chosen), column in zip(
+        (("small", "three nets", "problem_001"), ("other", "four nets", "problem_000")),
+        panels.T,
+        strict=True,
+    ):
+        edges, lengths, overflows, decrease, rewards = column
+        assert edges.get_title().startswith(f"{title}\nType I")
+        problem = Problem.read(finished / "problems" / name / f"{chosen}.gr")
+        left = problem.capacity - AStarRouter().route(problem).demand
+        used = np.sort(left.reshape(-1, 3)[problem.capacity.reshape(-1, 3) > 0])
+        after = next(p for p in edges.patches if p.get_label() == "after routing")
+        assert sorted(after.get_data().values) == [n for n in used if n < 10**6]
+
+        routers = by_router(rows[name])
+        order = np.argsort(joined_wirelength(routers["astar"]), kind="stable")
+        for axes, of in ((lengths, joined_wirelength), (overflows, plot.overflow)):
+            lines = {line.get_label().split(" (")[0]: line for line in axes.get_lines()}
+            assert list(lines) == ["astar", "dqn", "random"]  # A*, the column's, the reference
+            for router, line in lines.items():
+                np.testing.assert_array_equal(line.get_ydata(), of(routers[router])[order])
+        less = joined_wirelength(routers["astar"]) - joined_wirelength(routers["dqn"])
+        assert sum(bar.get_height() for bar in decrease.patches) == (~np.isnan(less)).sum()
+        logs = (finished / "runs" / name / "dqn.seed0").glob("*/metrics.jsonl")
+        entries = [json.loads(line) for log in logs for line in log.read_text().splitlines()]
+        pale = [line.get_ydata() for line in rewards.get_lines() if line.get_alpha()]
+        expected: dict[str, list[float]] = {}
+        for entry in entries:
+            expected.setdefault(entry["problem"], []).append(entry["reward"])
+        assert [list(curve) for curve in pale] == [expected[key] for key in sorted(expected)]
+    # To be compared along a row.
+    for row in panels[3:]:
+        assert row[0].get_ylim() == row[1].get_ylim()
+    assert panels[3][0].get_xlim() == panels[3][1].get_xlim()
+    assert drawn["order"].axes[0].get_title().startswith("smallest first\nlower on ")
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_studies_can_change_and_follow_the_routers(here: Path) -> None:
+    study = {"panels": ["wirelength"], "columns": {"A*": {"router": "b"}, "0": {"router": "a"}}}
+    routers = {"a": {"router": "astar"}, "b": {"router": "astar", "net_order": "file"}}
+    keys = {"routers": routers, "studies": {"orders": study, "second": study}}
+    config = write_config(here / "c.yaml", **keys)
+    changes = ["routers.b=null", "studies.second.columns={B: {router: b}}"]
+    first = Experiment(load_experiment(config, changes), progress=False)
+    assert list(first.config.studies) == ["orders"]
+    assert list(first.config.studies["orders"].columns) == ["0"]
+    first.execute()
+    before = outcome(here / "out")
+    again = Experiment(load_experiment(config, ["routers.b=null", "studies={}"]), progress=False)
+    again.execute()
+    assert outcome(here / "out") == before
+    assert load_experiment(here / "out" / "config.yaml") == again.config
+
+
+def test_a_study_without_anything_to_compare() -> None:
+    """Nothing joined, no reward above 0: a picture all the same, after hours of training."""
+    problem = generate(1, grid=(4, 4, 2), nets=3)[0]
+    nothing = {"astar": np.array([9.0]), "dqn": np.array([math.nan])}
+    column = figures.Column(
+        (problem, AStarRouter().route(problem)), nothing, {"astar": np.zeros(1)}, {"p": [-3.0, -1]}
+    )
+    drawn = figures.study({"A": column}, ("decrease", "reward"))
+    assert drawn.axes[0].get_title() == "A\nno problem"
+    assert drawn.axes[1].get_yscale() == "linear"
+    for columns, panels in (({}, ("reward",)), ({"A": column}, ())):
+        with pytest.raises(InputError, match="study: expected at least one"):
+            figures.study(columns, panels)
 
 
 def test_decreases_fall_into_their_bars() -> None:

@@ -9,6 +9,8 @@ from marouting.problem import Adjustment, Net, Pin, Problem
 from marouting.solution import Solution
 
 figures = pytest.importorskip("policies.figures", exc_type=ImportError)
+plot = pytest.importorskip("policies.plot", exc_type=ImportError)
+utilisation = pytest.importorskip("policies.utilisation", exc_type=ImportError)
 
 
 def edge(problem, axis, x, y, z):
@@ -73,7 +75,7 @@ def segments(axes, colour):
 
 
 def test_utilisation_maps_by_hand(worked):
-    maps = figures.utilisation_maps(*worked)
+    maps = utilisation.utilisation_maps(*worked)
     assert maps.via.tolist() == [[1, 0, 1], [0, 0, 0], [0, 0, 0]]
     assert maps.horizontal.tolist() == [[150, 0, 0], [50, 0, 0]]
     assert maps.vertical.tolist() == [[50, 100], [0, 0], [0, 0]]
@@ -84,7 +86,7 @@ def test_utilisation_maps_by_hand(worked):
 def test_utilisation_sums_the_layers_and_still_sees_one_overflow():
     problem = problem_of((2, 1, 2), (1, 3), (0, 0), [((0, 0, 1), (1, 0, 1))] * 2)
     route = np.array([edge(problem, 0, 0, 0, 0)], np.int64)
-    maps = figures.utilisation_maps(problem, Solution(problem, (route, route)))
+    maps = utilisation.utilisation_maps(problem, Solution(problem, (route, route)))
     assert maps.horizontal.tolist() == [[50]]
     assert maps.horizontal_overflow.tolist() == [[True]]
     assert maps.vertical.shape == (2, 0)
@@ -94,7 +96,7 @@ def test_utilisation_without_capacity():
     problem = problem_of((2, 2, 1), (0,), (4,), [((0, 0, 1), (1, 0, 1))])
     route = np.array([edge(problem, 0, 0, 0, 0)], np.int64)
     solution = Solution(problem, (route,))
-    maps = figures.utilisation_maps(problem, solution)
+    maps = utilisation.utilisation_maps(problem, solution)
     assert maps.horizontal[0, 0] == np.inf
     assert np.isnan(maps.horizontal[0, 1])
     legend = figures.heat_maps(problem, solution).legends[0]
@@ -104,7 +106,7 @@ def test_utilisation_without_capacity():
 def test_heat_maps_draw_the_numbers_between_the_gcells(worked):
     figure = figures.heat_maps(*worked, title="A*")
     via, vertical, horizontal = (axes for axes in figure.axes if axes.images)
-    maps = figures.utilisation_maps(*worked)
+    maps = utilisation.utilisation_maps(*worked)
     for axes, values in ((via, maps.via), (vertical, maps.vertical), (horizontal, maps.horizontal)):
         assert np.array_equal(axes.images[0].get_array(), values.T)
         assert axes.images[0].origin == "lower"
@@ -120,7 +122,7 @@ def test_heat_maps_draw_the_numbers_between_the_gcells(worked):
 
 
 def test_histogram_counts_by_hand(worked):
-    counts = figures.histogram_counts(*worked)
+    counts = utilisation.histogram_counts(*worked)
     assert counts.shape == (2, 12)
     assert dict(enumerate(counts[0][counts[0] > 0])) == {0: 4, 1: 1, 2: 1}
     assert np.flatnonzero(counts[0]).tolist() == [0, 5, 11]
@@ -137,7 +139,7 @@ def test_histogram_bins_are_exact_in_integers():
     # 0.29 · 100 is less than 29 in floating point; here 7 of 10 must count as 70 %, not less.
     problem = problem_of((2, 1, 1), (10,), (0,), [((0, 0, 1), (1, 0, 1))] * 7)
     route = np.array([0], np.int64)
-    counts = figures.histogram_counts(problem, Solution(problem, (route,) * 7))
+    counts = utilisation.histogram_counts(problem, Solution(problem, (route,) * 7))
     assert np.flatnonzero(counts[0]).tolist() == [7]
 
 
@@ -152,14 +154,14 @@ def test_used_edges_without_capacity_are_mentioned():
 def test_depleted_edges_and_type(worked):
     problem, solution = worked
     expected = sorted([edge(problem, 0, 0, 0, 0), edge(problem, 1, 0, 1, 1)])
-    assert figures.depleted_edges(problem, solution).tolist() == expected
+    assert utilisation.depleted_edges(problem, solution).tolist() == expected
     (axes,) = figures.edges_before_after(problem, solution, "A*").axes
     assert axes.get_title() == "A*: Type II: 2 edges fully used"
     assert any("2 of 12 edges fully used" in text.get_text() for text in axes.texts)
     assert "overflowed (1 edge)" in [text.get_text() for text in axes.get_legend().get_texts()]
 
     calm = crowd(3)
-    assert not figures.depleted_edges(*calm).size
+    assert not utilisation.depleted_edges(*calm).size
     (axes,) = figures.edges_before_after(*calm).axes
     assert axes.get_title().startswith("Type I:")
 
@@ -349,7 +351,7 @@ KINDS = ("heat_maps", "histogram", "edges", "solution_2d", "solution_3d")
 
 def test_problem_figures_writes_all(worked, tmp_path):
     problem, solution = worked
-    written = figures.problem_figures(problem, {"A*": solution}, tmp_path / "out")
+    written = plot.problem_figures(problem, {"A*": solution}, tmp_path / "out")
     assert [path.name for path in written] == [f"A_{kind}.png" for kind in KINDS]
     assert set(written) == set((tmp_path / "out").iterdir())
 
@@ -357,7 +359,7 @@ def test_problem_figures_writes_all(worked, tmp_path):
 def test_problem_figures_of_two_routers_are_compared_and_kept_apart(worked, tmp_path, monkeypatch):
     problem, solution = worked
     monkeypatch.setattr(figures, "save", lambda _, path: path.touch())
-    written = figures.problem_figures(problem, {"A*": solution, "A!": solution}, tmp_path)
+    written = plot.problem_figures(problem, {"A*": solution, "A!": solution}, tmp_path)
     expected = {f"{router}_{kind}.png" for router in ("A", "A_1") for kind in KINDS}
     assert {path.name for path in tmp_path.iterdir()} == expected | {"comparison.png"}
     assert len(written) == 11

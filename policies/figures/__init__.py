@@ -1,0 +1,40 @@
+"""The paper's figures: edge utilisation, routed solutions, reward curves, comparisons of routers.
+
+Every function returns a :class:`matplotlib.figure.Figure` of its own and touches no global state
+of matplotlib, so figures can be made without a display and in threads; :func:`save` writes one.
+Gcell (0, 0) lies at the lower left, and layers count from 1 as in the problem files.
+"""
+
+from policies.figures.results import (
+    Column,
+    by_problem,
+    decrease_histogram,
+    growth,
+    reward_curves,
+    study,
+)
+from policies.figures.routes import (
+    comparison,
+    edges_before_after,
+    heat_maps,
+    solution_2d,
+    solution_3d,
+    utilisation_histogram,
+)
+from policies.figures.style import save
+
+__all__ = [
+    "Column",
+    "by_problem",
+    "comparison",
+    "decrease_histogram",
+    "edges_before_after",
+    "growth",
+    "heat_maps",
+    "reward_curves",
+    "save",
+    "solution_2d",
+    "solution_3d",
+    "study",
+    "utilisation_histogram",
+]

@@ -1,0 +1,421 @@
+"""Figures of trainings, experiments and measurements."""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
+from string import ascii_lowercase
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, SymmetricalLogLocator
+from numpy.typing import NDArray
+
+from marouting.errors import InputError
+from marouting.problem import Problem
+from marouting.solution import Solution
+from policies.figures.routes import draw_edges
+from policies.figures.style import INK, LINES, PALE, RED
+from policies.study import Panel
+
+# Training ---------------------------------------------------------------------------------------
+
+_TASK_REWARD = 100  # of reaching a target pin (paper, section on the reward)
+
+
+def reward_curves(
+    curves: Mapping[str, Sequence[float] | NDArray[np.floating]],
+    log: bool = False,
+    smoothing: int = 50,
+    title: str = "",
+) -> Figure:
+    """Reward of every episode over the course of training (paper, reward curves and log-plots).
+
+    The paper's log-plots leave out the first episodes, whose reward is negative. Here ``log``
+    takes the signed logarithm, which keeps them and the order of all values: linear from −100 to
+    +100, the reward of one joined two-pin task, and logarithmic beyond.
+
+    Args:
+        curves: reward of each episode by the curve's name.
+        log: whether the reward's axis is logarithmic.
+        smoothing: episodes in the running mean, drawn dark over the pale rewards; 1 for none.
+        title: the title.
+
+    Returns:
+        One plot, with a legend for up to ten curves.
+
+    Raises:
+        InputError: there is no curve, or ``smoothing`` is below 1.
+    """
+    if not curves:
+        raise InputError("reward curves: expected at least one curve")
+    if smoothing < 1:
+        raise InputError(f"smoothing: expected a number of episodes from 1, found {smoothing}")
+    figure = Figure(figsize=(9, 5.5), layout="constrained")
+    axes = figure.subplots()
+    _draw_rewards(axes, curves, log, smoothing)
+    mean_note = f"dark: mean of the last {smoothing} episodes" if smoothing > 1 else ""
+    axes.set_title("\n".join(filter(None, (title, mean_note))), fontsize=11)
+    if len(curves) <= 10:
+        axes.legend(frameon=False, loc="lower right", fontsize=9, ncols=-(-len(curves) // 5))
+    return figure
+
+
+def _draw_rewards(
+    axes: Axes,
+    curves: Mapping[str, Sequence[float] | NDArray[np.floating]],
+    log: bool,
+    smoothing: int,
+) -> None:
+    # Pale ones first, so that no curve's noise covers another's mean.
+    for index, (name, rewards) in enumerate(curves.items()):
+        values = np.asarray(rewards, np.float64)
+        episode = np.arange(1, len(values) + 1)
+        colour = LINES[index % len(LINES)]
+        style = ("-", "--", ":")[index // len(LINES) % 3]
+        if smoothing > 1:
+            axes.plot(episode, values, color=colour, linewidth=0.6, alpha=0.25, zorder=1)
+        mean = _running_mean(values, smoothing)
+        axes.plot(episode, mean, color=colour, linewidth=1.6, linestyle=style, label=name, zorder=2)
+    scale = ""
+    if log:
+        axes.set_yscale("symlog", linthresh=_TASK_REWARD, linscale=0.5)
+        axes.yaxis.set_major_locator(
+            SymmetricalLogLocator(base=10, linthresh=_TASK_REWARD, subs=(1, 2, 5))
+        )
+        axes.yaxis.set_major_formatter("{x:g}")
+        scale = f", signed logarithm, linear within ±{_TASK_REWARD}"
+    axes.grid(color=PALE, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.set_xlabel("episode")
+    axes.set_ylabel(f"reward of an episode{scale}")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_xlim(left=0)
+
+
+def _running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:
+    """The mean of the last ``window`` values at each place, of fewer at the beginning."""
+    total = np.concatenate(([0.0], np.cumsum(values)))
+    last = np.arange(1, len(total))
+    first = np.maximum(last - window, 0)
+    return np.asarray((total[last] - total[first]) / (last - first), np.float64)
+
+
+# Experiments ------------------------------------------------------------------------------------
+
+_MARKERS = "os^Dv<>"
+
+
+def by_problem(
+    values: Mapping[str, NDArray[np.floating]],
+    order: NDArray[np.integer],
+    quantity: str,
+    order_by: str,
+    title: str = "",
+) -> Figure:
+    """A quantity of every problem, router by router (paper, comparisons of WL and of OF).
+
+    Args:
+        values: (problems,) of each router, NaN where there is none; the paper has A* in blue, the
+            first, and the DQN in red, the second.
+        order: (problems,) the problems from left to right.
+        quantity: what the values are, with its unit.
+        order_by: what the problems rise by in this order.
+        title: the title.
+
+    Returns:
+        One plot, a line a router.
+
+    Raises:
+        InputError: there is no router.
+    """
+    if not values:
+        raise InputError("by problem: expected the values of at least one router")
+    figure = Figure(figsize=(9, 5.5), layout="constrained")
+    axes = figure.subplots()
+    _draw_by_problem(axes, values, order, quantity, order_by)
+    axes.set_title(title, fontsize=12)
+    figure.legend(frameon=False, loc="outside lower center", ncols=min(len(values), 4))
+    return figure
+
+
+def _draw_by_problem(
+    axes: Axes,
+    values: Mapping[str, NDArray[np.floating]],
+    order: NDArray[np.integer],
+    quantity: str,
+    order_by: str,
+    marks: float = 7.0,
+) -> None:
+    rank = np.arange(1, len(order) + 1)
+    for index, (name, own) in enumerate(values.items()):
+        missing = int(np.isnan(own).sum())
+        axes.plot(
+            rank,
+            np.asarray(own, np.float64)[order],
+            color=LINES[index % len(LINES)],
+            linestyle=("-", "--", ":")[index // len(LINES) % 3],
+            linewidth=1.2,
+            marker=_MARKERS[index % len(_MARKERS)],
+            # Smaller with the routers, so that where they agree all of them can be seen.
+            markersize=max(0.3 * marks, marks - 1.2 * index) * min(1.0, (60 / len(order)) ** 0.5),
+            label=f"{name} (without {missing})" if missing else name,
+        )
+    axes.grid(color=PALE, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.set_xlabel(f"problems, sorted by {order_by} [rank]")
+    axes.set_ylabel(quantity)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_xlim(0, len(order) + 1)
+
+
+def decrease_histogram(
+    decreases: Mapping[str, NDArray[np.floating]], baseline: str, title: str = ""
+) -> Figure:
+    """How much less wirelength routers need than A* (paper, decrease in WL).
+
+    Args:
+        decreases: (problems,) A*'s wirelength less the router's, of each router; NaN where there
+            is none.
+        baseline: what A* is called.
+        title: the title.
+
+    Returns:
+        One panel a router, all with the same axes; to the right of the dashed line the router's
+        wirelength is lower.
+
+    Raises:
+        InputError: there is no router, or not one value.
+    """
+    known = {name: values[~np.isnan(values)] for name, values in decreases.items()}
+    bins = _decrease_bins(list(known.values()))
+    figure = Figure(figsize=(9, 1.4 + 1.8 * len(known)), layout="constrained")
+    panels = figure.subplots(len(known), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for axes, (name, values) in zip(panels, known.items(), strict=True):
+        _draw_decreases(axes, values, bins)
+        axes.set_title(f"{name}: {_decrease_note(values)}", fontsize=10)
+    panels[-1].set_xlabel(f"decrease in wirelength = {baseline}'s less the router's [edges]")
+    figure.suptitle(title, fontsize=12)
+    return figure
+
+
+def _decrease_bins(decreases: Sequence[NDArray[np.floating]]) -> NDArray[np.floating]:
+    """The ends of bars that take in all decreases; raises InputError if there is none."""
+    together = np.concatenate([np.empty(0), *decreases])
+    if not together.size:
+        raise InputError("decrease: expected the values of at least one problem")
+    low, high = min(0, np.floor(together.min())), max(0, np.ceil(together.max()))
+    # Bars as wide as a whole number of edges, with 0 in the middle of one.
+    width = int(max(1, -(-(high - low) // 40)))
+    return np.asarray(width * (np.arange(low // width - 1, high // width + 3) - 0.5), np.float64)
+
+
+def _draw_decreases(axes: Axes, values: NDArray[np.floating], bins: NDArray[np.floating]) -> None:
+    # No outline: it would hide bars of a single problem.
+    axes.hist(values, bins=bins.tolist(), color=RED)
+    axes.axvline(0, color=INK, linewidth=1, linestyle="--")
+    axes.set_ylabel("problems [count]")
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True, min_n_ticks=1))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.tick_params(labelbottom=True)
+
+
+def _decrease_note(values: NDArray[np.floating]) -> str:
+    if not len(values):
+        return "no problem"
+    return (
+        f"lower on {np.count_nonzero(values > 0)} of {len(values)} problems, "
+        f"equal on {np.count_nonzero(values == 0)}, mean decrease {values.mean():.3g}"
+    )
+
+
+# Composed figures -------------------------------------------------------------------------------
+
+
+class Column(NamedTuple):
+    """What a column of a composed figure shows: one router on one set of problems.
+
+    Attributes:
+        problem: the problem whose edges are shown, and A*'s solution of it.
+        wirelength: (problems,) float64 by router, A* first, the column's own second; NaN where
+            connections stayed open.
+        overflow: (problems,) float64 of the same.
+        rewards: reward of each episode, by problem.
+    """
+
+    problem: tuple[Problem, Solution]
+    wirelength: Mapping[str, NDArray[np.floating]]
+    overflow: Mapping[str, NDArray[np.floating]]
+    rewards: Mapping[str, Sequence[float]]
+
+
+def study(columns: Mapping[str, Column], panels: Sequence[Panel]) -> Figure:
+    """Routers side by side, quantities below one another (paper, studies of γ and of the burn-in).
+
+    Args:
+        columns: the routers by the column's title.
+        panels: the quantities.
+
+    Returns:
+        A panel for each, with letters row by row. Decreases have the same axes in all columns, and
+        rewards the same range; problems rise by A*'s wirelength.
+
+    Raises:
+        InputError: there is nothing to show.
+    """
+    if not columns or not panels:
+        raise InputError("study: expected at least one column and one panel")
+    size = (3.6 * len(columns) + 0.6, 2.9 * len(panels) + 0.6)
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(len(panels), len(columns), squeeze=False)
+    for panel, row in zip(panels, grid, strict=True):
+        _PANELS[panel](row, list(columns.values()))
+    for index, axes in enumerate(grid.ravel()):
+        title = next(islice(columns, index, None)) if index < len(columns) else ""
+        note = axes.get_title()
+        axes.set_title("")
+        axes.set_title(f"({ascii_lowercase[index % 26]})", fontsize=10, loc="left")
+        axes.set_title("\n".join(filter(None, (title, note))), fontsize=10)
+        axes.xaxis.label.set_fontsize(9)
+        axes.yaxis.label.set_fontsize(9)
+    return figure
+
+
+def _edges_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    for axes, column in zip(row, columns, strict=True):
+        draw_edges(axes, *column.problem)
+        axes.set_xlabel("edges, by remaining capacity [rank]")
+        axes.legend(frameon=False, fontsize=8, loc="upper center", ncols=2)
+
+
+def _wirelength_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    _by_problem_row(row, columns, "wirelength [edges]", lambda column: column.wirelength)
+
+
+def _overflow_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    _by_problem_row(row, columns, "overflow [tracks]", lambda column: column.overflow)
+
+
+def _by_problem_row(
+    row: Sequence[Axes],
+    columns: Sequence[Column],
+    quantity: str,
+    values: Callable[[Column], Mapping[str, NDArray[np.floating]]],
+) -> None:
+    for axes, column in zip(row, columns, strict=True):
+        astar = next(iter(column.wirelength))
+        order = np.argsort(column.wirelength[astar], kind="stable")
+        _draw_by_problem(axes, values(column), order, quantity, f"{astar}'s wirelength", marks=5.0)
+        axes.legend(frameon=False, fontsize=8)
+
+
+def _decrease_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    decreases = []
+    for column in columns:
+        astar, own, *_ = column.wirelength.values()
+        decreases.append((astar - own)[~np.isnan(astar - own)])
+    if not any(values.size for values in decreases):
+        for axes in row:
+            axes.set_title(_decrease_note(decreases[0]))
+        return
+    bins = _decrease_bins(decreases)
+    highest = max(np.histogram(values, bins)[0].max() for values in decreases)
+    for axes, values in zip(row, decreases, strict=True):
+        _draw_decreases(axes, values, bins)
+        axes.set_ylim(0, 1.05 * highest)
+        axes.set_xlabel("decrease in wirelength [edges]")
+        axes.set_title(_decrease_note(values).replace(", mean", ",\nmean"))
+
+
+def _reward_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    everything = np.concatenate([curve for column in columns for curve in column.rewards.values()])
+    positive = everything[everything > 0]
+    low, high = everything.min() - 1, everything.max() + 1
+    if positive.size:
+        # The first episodes are left out as in the paper: their reward is negative, or nearly.
+        high = 1.1 * positive.max()
+        low = min(np.quantile(positive, 0.02), high / 10)
+    for axes, column in zip(row, columns, strict=True):
+        _draw_rewards(axes, column.rewards, log=False, smoothing=50)
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
+        axes.set_ylim(low, high)
+        if positive.size:
+            axes.set_yscale("log")
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_formatter("{x:g}")
+            axes.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
+            axes.tick_params(axis="y", which="minor", labelsize=8)
+            axes.set_ylabel("reward of an episode, logarithmic")
+        axes.set_title(f"{len(column.rewards)} problems at random")
+
+
+_PANELS: dict[Panel, Callable[[Sequence[Axes], Sequence[Column]], None]] = {
+    "edges": _edges_row,
+    "wirelength": _wirelength_row,
+    "overflow": _overflow_row,
+    "decrease": _decrease_row,
+    "reward": _reward_row,
+}
+
+
+# Speed ------------------------------------------------------------------------------------------
+
+
+def growth(
+    panels: Mapping[str, Mapping[str, NDArray[np.floating]]],
+    amount: str,
+    quantity: str,
+    title: str = "",
+) -> Figure:
+    """How quantities grow with an amount, on logarithmic axes.
+
+    Args:
+        panels: by panel and curve, (2, points) the amounts and the quantities, all positive.
+        amount: what the amounts are, with their unit.
+        quantity: what the quantities are, with their unit.
+        title: the title.
+
+    Returns:
+        The panels side by side with the same axes; a dashed line is as steep as growth in
+        proportion.
+
+    Raises:
+        InputError: there is no panel.
+    """
+    if not panels:
+        raise InputError("growth: expected at least one panel")
+    figure = Figure(figsize=(4.6 * len(panels) + 0.6, 5), layout="constrained")
+    drawn = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, (name, curves) in zip(drawn, panels.items(), strict=True):
+        for index, (label, (amounts, quantities)) in enumerate(curves.items()):
+            axes.loglog(
+                amounts,
+                quantities,
+                color=LINES[index % len(LINES)],
+                marker=_MARKERS[index % len(_MARKERS)],
+                markersize=5,
+                linewidth=1.4,
+                label=label,
+            )
+        amounts = np.concatenate([points[0] for points in curves.values()])
+        quantities = np.concatenate([points[1] for points in curves.values()])
+        ends = np.array([amounts.min(), amounts.max()])
+        # Below all curves, through the lowest of all points in proportion.
+        axes.loglog(
+            ends,
+            ends * (quantities / amounts).min() / 2,
+            color=INK,
+            linewidth=1,
+            linestyle="--",
+            label="in proportion",
+        )
+        axes.grid(color=PALE, linewidth=0.6)
+        axes.set_axisbelow(True)
+        axes.set_title(name, fontsize=11)
+        axes.set_xlabel(amount)
+        axes.set_ylabel(quantity)
+        axes.tick_params(labelleft=True)
+        axes.legend(frameon=False, loc="upper left", fontsize=9)
+    figure.suptitle(title, fontsize=12)
+    return figure

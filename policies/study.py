@@ -1,0 +1,52 @@
+"""What the composed figures of an experiment show: routers side by side, quantities below another.
+
+The paper's figures of this kind are those of its two types of problems, of the discount factor and
+of the burn-in memory.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from policies.config import check
+
+Panel = Literal["edges", "wirelength", "overflow", "decrease", "reward"]
+"""``edges``: capacities before and after A*, of one problem. ``wirelength``, ``overflow``: of the
+router, of A* and of the reference, problem by problem. ``decrease``: how much less wirelength the
+router needs than A*. ``reward``: of ten random problems over the training."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """One router on one set of problems.
+
+    Attributes:
+        router: the name of the experiment's entry.
+        set: the set's name; None: the only one that the router is for.
+        problem: of which to show the edges; None: the set's first.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    router: str
+    set: str | None = None
+    problem: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """A composed figure.
+
+    Attributes:
+        panels: what is shown, from above to below.
+        columns: of what, by title, from left to right.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    panels: tuple[Panel, ...] = ("wirelength", "decrease", "reward")
+    columns: dict[str, Column] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check("panels", len(self.panels) > 0, "at least one")
+        check("panels", len(set(self.panels)) == len(self.panels), "every panel once")
+        check("columns", len(self.columns) > 0, "at least one")
