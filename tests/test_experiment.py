@@ -812,6 +812,25 @@ def test_studies_can_change_and_follow_the_routers(here: Path) -> None:
     assert load_experiment(here / "out" / "config.yaml") == again.config
 
 
+@pytest.mark.parametrize("missing", ["astar", "dqn"])
+def test_studies_wait_for_what_they_show(missing: str, finished: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    for name in ("config.yaml", "problems", "solutions", "runs"):
+        (tmp_path / "out" / name).symlink_to(finished / name)
+    rows = json.loads((finished / "results.json").read_text())
+    # Where A* is missing the next of its kind stands for it, where there is one.
+    left = [row for row in rows if row["router"] != missing]
+    (tmp_path / "out" / "results.json").write_text(json.dumps(left))
+    drawn = {path.stem for path in plot.experiment_figures(tmp_path / "out")}
+    assert ("sizes" in drawn) == (missing == "astar")
+    assert "order" in drawn
+    (tmp_path / "out" / "results.json").write_text(
+        json.dumps([row for row in rows if row["kind"] != "astar"])
+    )
+    drawn = {path.stem for path in plot.experiment_figures(tmp_path / "out")}
+    assert not drawn & {"sizes", "order"}
+
+
 def test_a_study_without_anything_to_compare() -> None:
     """Nothing joined, no reward above 0: a picture all the same, after hours of training."""
     problem = generate(1, grid=(4, 4, 2), nets=3)[0]

@@ -238,8 +238,8 @@ class Column(NamedTuple):
 
     Attributes:
         problem: the problem whose edges are shown, and A*'s solution of it.
-        wirelength: (problems,) float64 by router, A* first, the column's own second; NaN where
-            connections stayed open.
+        wirelength: (problems,) float64 by router, A* first, the column's own second (unless it is
+            A* itself); NaN where connections stayed open.
         overflow: (problems,) float64 of the same.
         rewards: reward of each episode, by problem.
     """
@@ -313,8 +313,9 @@ def _by_problem_row(
 def _decrease_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
     decreases = []
     for column in columns:
-        astar, own, *_ = column.wirelength.values()
-        decreases.append((astar - own)[~np.isnan(astar - own)])
+        astar, *own = list(column.wirelength.values())[:2]
+        decrease = astar - (own[0] if own else astar)
+        decreases.append(decrease[~np.isnan(decrease)])
     if not any(values.size for values in decreases):
         for axes in row:
             axes.set_title(_decrease_note(decreases[0]))
