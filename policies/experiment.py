@@ -575,6 +575,7 @@ class Experiment:
         of = column.set or sets[0]
         if column.problem is not None and column.problem not in self.sets[of]:
             raise unknown(f"{key}.problem", column.problem, tuple(self.sets[of]))
+        check(f"{key}.router", entry.router != PUBLISHED, "one that routes here")
         against = [e for e in self.entries if e.router == "astar" and (not e.only or of in e.only)]
         check(key, against, f"a router of the kind astar that is for {of}")
         check(f"{key}.router", entry.trains or "reward" not in study.panels, "one that is trained")

@@ -203,8 +203,11 @@ def _column(
         shown[reference] = routers[reference]
     chosen = column.problem or next(iter(own))[1]
     problem = Problem.read(problem_file(experiment, name, chosen))
-    seed = routers[astar][name, chosen][0]["seed"]
-    solution = Solution.read(solution_file(experiment, name, chosen, astar, seed), problem)
+
+    def solution(router: str) -> Solution:
+        seed = routers[router][name, chosen][0]["seed"]
+        return Solution.read(solution_file(experiment, name, chosen, router, seed), problem)
+
     rewards: dict[str, list[float]] = {}
     for metrics in sorted(
         (experiment / "runs" / name / label(column.router, first["seed"])).glob("*/metrics.jsonl")
@@ -212,7 +215,9 @@ def _column(
         rewards |= read_rewards(metrics)
     names = np.random.default_rng(0).permutation(sorted(rewards))[:CURVES]
     return figures.Column(
-        (problem, solution),
+        problem,
+        solution(astar),
+        solution(column.router),
         {router: joined_wirelength(rows) for router, rows in shown.items()},
         {router: overflow(rows) for router, rows in shown.items()},
         {problem: rewards[problem] for problem in sorted(names.tolist())},

@@ -1,7 +1,7 @@
 """What the composed figures of an experiment show: routers side by side, quantities below another.
 
-The paper's figures of this kind are those of its two types of problems, of the discount factor and
-of the burn-in memory.
+The paper's figures of this kind are those of the generator, of the two types of problems, of the
+case study, of the discount factor, of the burn-in memory and of the solutions.
 """
 
 from dataclasses import dataclass, field
@@ -9,10 +9,23 @@ from typing import Literal
 
 from policies.config import check
 
-Panel = Literal["edges", "wirelength", "overflow", "decrease", "reward"]
-"""``edges``: capacities before and after A*, of one problem. ``wirelength``, ``overflow``: of the
-router, of A* and of the reference, problem by problem. ``decrease``: how much less wirelength the
-router needs than A*. ``reward``: of ten random problems over the training."""
+Panel = Literal[
+    "edges",
+    "vias",
+    "vertical",
+    "horizontal",
+    "histogram",
+    "routes",
+    "wirelength",
+    "overflow",
+    "decrease",
+    "reward",
+]
+"""Of one problem: ``edges``, capacities before and after A*; after the router heat maps of the
+``vias``, ``vertical`` and ``horizontal`` edges, the ``histogram`` of utilisation, and its
+``routes``. Of a set: ``wirelength`` and ``overflow`` of the router, of A* and of the reference,
+problem by problem; ``decrease``, how much less wirelength the router needs than A*; ``reward`` of
+ten random problems over the training."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +35,7 @@ class Column:
     Attributes:
         router: the name of the experiment's entry.
         set: the set's name; None: the only one that the router is for.
-        problem: of which to show the edges; None: the set's first.
+        problem: the one problem to show; None: the set's first.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012

@@ -95,7 +95,10 @@ def everything(folder: Path, **keys: Any) -> Path:
         "four nets": {"router": "dqn", "set": "other"},
     }
     up = {"panels": ["decrease"], "columns": {"smallest first": {"router": "up"}}}
-    config["studies"] = {"sizes": {"panels": panels, "columns": columns}, "order": up}
+    one = ["vias", "vertical", "horizontal", "histogram", "routes"]
+    routes = {"panels": one, "columns": {"DQN": {**columns["three nets"]}}}
+    sizes = {"panels": panels, "columns": columns}
+    config["studies"] = {"sizes": sizes, "order": up, "routes": routes}
     return write_config(folder / "all.yaml", **{**config, **keys})
 
 
@@ -550,6 +553,13 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         },
         "studies.s.columns.t: expected a router of the kind astar that is for small",
     ),
+    "a study of what others did": (
+        {
+            "routers": {**ASTAR, "p": {"router": "published", "file": "p.csv"}},
+            "studies": {"s": {"columns": {"t": {"router": "p"}}}},
+        },
+        "studies.s.columns.t.router: expected one that routes here",
+    ),
     "rewards of what does not learn": (
         {"studies": {"s": {"panels": ["reward"], "columns": {"t": ROUTED}}}},
         "studies.s.columns.t.router: expected one that is trained",
@@ -698,7 +708,7 @@ def test_plot_draws_an_experiment(
 ) -> None:
     kinds = ("wirelength", "overflow", "decrease")
     names = {f"{name}_{kind}.png" for name in ("small", "other", "all") for kind in kinds}
-    names |= {"sizes.png", "order.png"}
+    names |= {"sizes.png", "order.png", "routes.png"}
     assert {path.name for path in (finished / "figures").iterdir()} == names
     assert status(["plot", str(finished), "--out", str(tmp_path / "f")]) == 0
     written = [Path(line) for line in capsys.readouterr().out.splitlines()]
@@ -835,8 +845,9 @@ def test_a_study_without_anything_to_compare() -> None:
     """Nothing joined, no reward above 0: a picture all the same, after hours of training."""
     problem = generate(1, grid=(4, 4, 2), nets=3)[0]
     nothing = {"astar": np.array([9.0]), "dqn": np.array([math.nan])}
+    solution = AStarRouter().route(problem)
     column = figures.Column(
-        (problem, AStarRouter().route(problem)), nothing, {"astar": np.zeros(1)}, {"p": [-3.0, -1]}
+        problem, solution, solution, nothing, {"astar": np.zeros(1)}, {"p": [-3.0, -1]}
     )
     drawn = figures.study({"A": column}, ("decrease", "reward"))
     assert drawn.axes[0].get_title() == "A\nno problem"

@@ -157,11 +157,12 @@ def test_depleted_edges_and_type(worked):
     assert utilisation.depleted_edges(problem, solution).tolist() == expected
     (axes,) = figures.edges_before_after(problem, solution, "A*").axes
     assert axes.get_title() == "A*: Type II: 2 edges fully used"
-    assert any("2 of 12 edges fully used" in text.get_text() for text in axes.texts)
+    assert any("2 of 12 fully used" in text.get_text() for text in axes.texts)
     assert "overflowed (1 edge)" in [text.get_text() for text in axes.get_legend().get_texts()]
 
     calm = crowd(3)
     assert not utilisation.depleted_edges(*calm).size
+    assert [utilisation.problem_type(*routed) for routed in (worked, calm)] == ["II", "I"]
     (axes,) = figures.edges_before_after(*calm).axes
     assert axes.get_title().startswith("Type I:")
 
@@ -262,11 +263,17 @@ def test_comparison_has_a_titled_drawing_for_each_router(worked):
 
 
 @pytest.mark.parametrize(
-    "draw", ["heat_maps", "utilisation_histogram", "depleted_edges", "edges_before_after"]
+    "look",
+    [
+        figures.heat_maps,
+        figures.utilisation_histogram,
+        figures.edges_before_after,
+        utilisation.depleted_edges,
+    ],
 )
-def test_a_solution_of_another_problem_is_refused(worked, draw):
+def test_a_solution_of_another_problem_is_refused(worked, look):
     with pytest.raises(InputError, match="grid"):
-        getattr(figures, draw)(worked[0], crowd()[1])
+        look(worked[0], crowd()[1])
 
 
 def mean_line(figure, name):

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
 from string import ascii_lowercase
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 from marouting.errors import InputError
 from marouting.problem import Problem
 from marouting.solution import Solution
-from policies.figures.routes import draw_edges
+from policies.figures.routes import (
+    SHIFTED,
+    Direction,
+    draw_edges,
+    draw_histogram,
+    draw_map,
+    draw_routes,
+    map_notes,
+    route_notes,
+)
 from policies.figures.style import INK, LINES, PALE, RED
 from policies.study import Panel
 
@@ -237,14 +246,18 @@ class Column(NamedTuple):
     """What a column of a composed figure shows: one router on one set of problems.
 
     Attributes:
-        problem: the problem whose edges are shown, and A*'s solution of it.
+        problem: the one problem that is shown.
+        astar: A*'s solution of it.
+        solution: the column's own.
         wirelength: (problems,) float64 by router, A* first, the column's own second (unless it is
             A* itself); NaN where connections stayed open.
         overflow: (problems,) float64 of the same.
         rewards: reward of each episode, by problem.
     """
 
-    problem: tuple[Problem, Solution]
+    problem: Problem
+    astar: Solution
+    solution: Solution
     wirelength: Mapping[str, NDArray[np.floating]]
     overflow: Mapping[str, NDArray[np.floating]]
     rewards: Mapping[str, Sequence[float]]
@@ -266,11 +279,28 @@ def study(columns: Mapping[str, Column], panels: Sequence[Panel]) -> Figure:
     """
     if not columns or not panels:
         raise InputError("study: expected at least one column and one panel")
-    size = (3.6 * len(columns) + 0.6, 2.9 * len(panels) + 0.6)
-    figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(len(panels), len(columns), squeeze=False)
+    all_columns = list(columns.values())
+    largest = max(max(column.problem.grid[:2]) for column in all_columns)
+    side = float(np.clip(0.25 * largest, 4.2, 7))
+    plain = (3.6 if len(columns) < 4 else 3.0, 2.9)
+    sizes = [(side, side) if panel == "routes" else _SIZES.get(panel, plain) for panel in panels]
+    widths, heights = zip(*sizes, strict=True)
+    figure = Figure(
+        figsize=(max(widths) * len(columns) + 0.6, sum(heights) + 0.8), layout="constrained"
+    )
+    grid = figure.subplots(
+        len(panels), len(columns), squeeze=False, gridspec_kw={"height_ratios": heights}
+    )
+    notes: dict[str, Any] = {}
     for panel, row in zip(panels, grid, strict=True):
-        _PANELS[panel](row, list(columns.values()))
+        _PANELS[panel](row, all_columns)
+        for column in all_columns:
+            handles: list[Any] = []
+            if panel == "routes":
+                handles = route_notes(column.problem, [column.solution])
+            elif panel in ("vertical", "horizontal"):
+                handles = map_notes(column.problem, column.solution)
+            notes |= {handle.get_label(): handle for handle in handles}
     for index, axes in enumerate(grid.ravel()):
         title = next(islice(columns, index, None)) if index < len(columns) else ""
         note = axes.get_title()
@@ -279,14 +309,49 @@ def study(columns: Mapping[str, Column], panels: Sequence[Panel]) -> Figure:
         axes.set_title("\n".join(filter(None, (title, note))), fontsize=10)
         axes.xaxis.label.set_fontsize(9)
         axes.yaxis.label.set_fontsize(9)
+    if notes:
+        figure.legend(
+            handles=list(notes.values()),
+            loc="outside lower center",
+            ncols=min(len(notes), 3),
+            frameon=False,
+            fontsize=9,
+            title=SHIFTED if "routes" in panels else None,
+            title_fontsize=9,
+        )
     return figure
 
 
 def _edges_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
     for axes, column in zip(row, columns, strict=True):
-        draw_edges(axes, *column.problem)
+        draw_edges(axes, column.problem, column.astar)
         axes.set_xlabel("edges, by remaining capacity [rank]")
         axes.legend(frameon=False, fontsize=8, loc="upper center", ncols=2)
+
+
+def _map_row(direction: Direction) -> Callable[[Sequence[Axes], Sequence[Column]], None]:
+    def draw(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+        for axes, column in zip(row, columns, strict=True):
+            draw_map(axes, column.problem, column.solution, direction, across=2.4)
+
+    return draw
+
+
+def _histogram_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    for axes, column in zip(row, columns, strict=True):
+        note = draw_histogram(axes, column.problem, column.solution)
+        axes.set_title(note.replace("\n", " ").replace(" (", "\n("))
+        axes.tick_params(axis="x", labelsize=7, labelrotation=60)
+        for count in axes.texts:
+            count.set(rotation="vertical", fontsize=7)
+        axes.set_xlabel("demand / capacity [%]")
+        axes.legend(frameon=False, fontsize=8, loc="upper left")
+
+
+def _routes_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    for axes, column in zip(row, columns, strict=True):
+        gcell = 3.5 / max(column.problem.grid[:2])
+        draw_routes(axes, column.problem, column.solution, "", gcell)
 
 
 def _wirelength_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
@@ -351,8 +416,18 @@ def _reward_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
         axes.set_title(f"{len(column.rewards)} problems at random")
 
 
+_SIZES: dict[Panel, tuple[float, float]] = dict.fromkeys(
+    ("vias", "vertical", "horizontal"), (4.2, 3.3)
+)
+"""Width and height in inches of panels that are not as the others."""
+
 _PANELS: dict[Panel, Callable[[Sequence[Axes], Sequence[Column]], None]] = {
     "edges": _edges_row,
+    "vias": _map_row("vias"),
+    "vertical": _map_row("vertical"),
+    "horizontal": _map_row("horizontal"),
+    "histogram": _histogram_row,
+    "routes": _routes_row,
     "wirelength": _wirelength_row,
     "overflow": _overflow_row,
     "decrease": _decrease_row,

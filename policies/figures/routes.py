@@ -1,7 +1,7 @@
 """Figures of a problem and its solutions: edge utilisation and routes."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -45,7 +45,6 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
     Returns:
         Three panels with colour bars: number of vias, and demand / capacity in %.
     """
-    maps = utilisation_maps(problem, solution)
     columns, rows, _ = problem.grid
     # Side by side; one above the other where the grid is wide. In inches.
     stacked = columns > 2 * rows
@@ -56,64 +55,89 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
     figure = Figure(figsize=size, layout="constrained")
     figure.suptitle(_heading(problem, solution, title), fontsize=12)
     panels = figure.subplots(3, 1) if stacked else figure.subplots(1, 3)
-    colours = matplotlib.colormaps["viridis"].with_extremes(over=RED, bad="#BBBBBB")
-    fields: tuple[tuple[str, NDArray[np.float64], NDArray[np.bool_] | None], ...] = (
-        ("Vias\n(edges between layers)", maps.via.astype(np.float64), None),
-        ("Vertical edges\n(between row y and y + 1)", maps.vertical, maps.vertical_overflow),
-        (
-            "Horizontal edges\n(between column x and x + 1)",
-            maps.horizontal,
-            maps.horizontal_overflow,
-        ),
+    for axes, (direction, of) in zip(panels, _DIRECTIONS.items(), strict=True):
+        draw_map(axes, problem, solution, direction, across)
+        axes.set_title(f"{axes.get_title()}\n({of})", fontsize=11)
+    notes = map_notes(problem, solution)
+    if notes:
+        figure.legend(handles=notes, loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+Direction = Literal["vias", "vertical", "horizontal"]
+"""Of edges: what a heat map shows."""
+
+_DIRECTIONS: dict[Direction, str] = {
+    "vias": "edges between layers",
+    "vertical": "between row y and y + 1",
+    "horizontal": "between column x and x + 1",
+}
+
+
+def draw_map(
+    axes: Axes, problem: Problem, solution: Solution, direction: Direction, across: float
+) -> None:
+    """Draws one of the :func:`heat_maps`; ``across`` is about the width of the grid in inches."""
+    maps = utilisation_maps(problem, solution)
+    overflow = None
+    if direction == "vias":
+        values = maps.via.astype(np.float64)
+    elif direction == "vertical":
+        values, overflow = maps.vertical, maps.vertical_overflow
+    else:
+        values, overflow = maps.horizontal, maps.horizontal_overflow
+    columns, rows, _ = problem.grid
+    _prepare(axes, problem, "Vias" if direction == "vias" else f"{direction.title()} edges")
+    if not values.size:
+        axes.text(
+            0.5,
+            0.5,
+            "no such edges",
+            ha="center",
+            va="center",
+            rotation="horizontal" if columns > 2 * rows else "vertical",
+            transform=axes.transAxes,
+        )
+        return
+    # A field is one Gcell wide and high and lies in the middle between the Gcells it joins.
+    left, bottom = (columns - len(values)) / 2 - 0.5, (rows - values.shape[1]) / 2 - 0.5
+    image = axes.imshow(
+        # Demand without capacity is infinite, which matplotlib would take for missing.
+        np.minimum(values, 1e9).T,
+        origin="lower",
+        extent=(left, left + len(values), bottom, bottom + values.shape[1]),
+        cmap=matplotlib.colormaps["viridis"].with_extremes(over=RED, bad=_NO_CAPACITY),
+        vmin=0,
+        vmax=max(1, values.max()) if overflow is None else 100,
     )
-    for axes, (name, values, overflow) in zip(panels, fields, strict=True):
-        _prepare(axes, problem, name)
-        if not values.size:
-            axes.text(
-                0.5,
-                0.5,
-                "no such edges",
-                ha="center",
-                va="center",
-                rotation="horizontal" if stacked else "vertical",
-                transform=axes.transAxes,
-            )
-            continue
-        # A field is one Gcell wide and high and lies in the middle between the Gcells it joins.
-        left, bottom = (columns - len(values)) / 2 - 0.5, (rows - values.shape[1]) / 2 - 0.5
-        extent = (left, left + len(values), bottom, bottom + values.shape[1])
-        largest = 100 if overflow is not None else max(1, values.max())
-        image = axes.imshow(
-            # Demand without capacity is infinite, which matplotlib would take for missing.
-            np.minimum(values, 1e9).T,
-            origin="lower",
-            extent=extent,
-            cmap=colours,
-            vmin=0,
-            vmax=largest,
-        )
-        over = overflow is not None and bool(np.any(values > 100))
-        # Inside the panel's own axes, so that it is as high as the map.
-        place = axes.inset_axes((1 + 0.1 / across, 0, 0.18 / across, 1))
-        bar = figure.colorbar(image, cax=place, extend="max" if over else "neither")
-        if overflow is None:
-            bar.set_label("vias [count]")
-            bar.locator = MaxNLocator(nbins=8, integer=True)
-            continue
-        bar.set_label("demand / capacity [%]")
-        outlines = [Rectangle((x + left, y + bottom), 1, 1) for x, y in np.argwhere(overflow)]
-        axes.add_collection(
-            PatchCollection(outlines, facecolor="none", edgecolor=RED, linewidth=2, zorder=3)
-        )
+    over = overflow is not None and bool(np.any(values > 100))
+    # Inside the panel's own axes, so that it is as high as the map.
+    place = axes.inset_axes((1 + 0.1 / across, 0, 0.18 / across, 1))
+    bar = axes.figure.colorbar(image, cax=place, extend="max" if over else "neither")
+    if overflow is None:
+        bar.set_label("vias [count]")
+        bar.locator = MaxNLocator(nbins=8, integer=True)
+        return
+    bar.set_label("demand / capacity [%]")
+    outlines = [Rectangle((x + left, y + bottom), 1, 1) for x, y in np.argwhere(overflow)]
+    axes.add_collection(
+        PatchCollection(outlines, facecolor="none", edgecolor=RED, linewidth=2, zorder=3)
+    )
+
+
+_NO_CAPACITY = "#BBBBBB"
+
+
+def map_notes(problem: Problem, solution: Solution) -> list[Patch]:
+    """What the marks in the :func:`heat_maps` mean, as far as there are any."""
+    maps = utilisation_maps(problem, solution)
     notes = []
     if maps.vertical_overflow.any() or maps.horizontal_overflow.any():
         label = "a layer's edge overflows (demand > capacity)"
         notes.append(Patch(facecolor="none", edgecolor=RED, linewidth=2, label=label))
     if np.isnan(maps.vertical).any() or np.isnan(maps.horizontal).any():
-        notes.append(Patch(facecolor="#BBBBBB", label="no capacity"))
-    if notes:
-        figure.legend(handles=notes, loc="outside lower center", ncols=2, frameon=False)
-    return figure
+        notes.append(Patch(facecolor=_NO_CAPACITY, label="no capacity"))
+    return notes
 
 
 def utilisation_histogram(problem: Problem, solution: Solution, title: str = "") -> Figure:
@@ -127,10 +151,28 @@ def utilisation_histogram(problem: Problem, solution: Solution, title: str = "")
     Returns:
         Bars for horizontal and vertical edges; the fully used and overflowed ones marked.
     """
-    counts = histogram_counts(problem, solution)
-    bins = np.arange(12)
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
+    note = draw_histogram(axes, problem, solution)
+    axes.text(
+        10.5,
+        0.985,
+        note,
+        ha="center",
+        va="top",
+        color=RED,
+        fontsize=9,
+        transform=axes.get_xaxis_transform(),
+    )
+    axes.set_title(_heading(problem, solution, title), fontsize=12)
+    axes.legend(frameon=False, loc="upper center")
+    return figure
+
+
+def draw_histogram(axes: Axes, problem: Problem, solution: Solution) -> str:
+    """Draws :func:`utilisation_histogram` without title and legend; returns what to say of it."""
+    counts = histogram_counts(problem, solution)
+    bins = np.arange(12)
     for row, (label, colour, hatch) in enumerate(
         (("horizontal edges", BLUE, ""), ("vertical edges", ORANGE, "///"))
     ):
@@ -144,21 +186,7 @@ def utilisation_histogram(problem: Problem, solution: Solution, title: str = "")
             label=label,
         )
         axes.bar_label(bars, labels=[str(n) if n else "" for n in counts[row]], fontsize=8)
-    full = int(counts[:, 10:].sum())
-    note = f"{full} of {_edges(int(counts.sum()))}\nat or above 100 %"
-    if stray := stray_edges(problem, solution):
-        note += f"\n(and {_edges(stray)} used\nwithout capacity)"
     axes.axvspan(9.5, 11.5, color=RED, alpha=0.12, zorder=0)
-    axes.text(
-        10.5,
-        0.985,
-        note,
-        ha="center",
-        va="top",
-        color=RED,
-        fontsize=9,
-        transform=axes.get_xaxis_transform(),
-    )
     axes.set_xticks(bins, [*(f"{10 * n}–{10 * n + 10}" for n in range(10)), "100", "> 100"])
     axes.tick_params(axis="x", labelsize=9)
     axes.set_xlim(-0.6, 11.5)
@@ -166,9 +194,10 @@ def utilisation_histogram(problem: Problem, solution: Solution, title: str = "")
     axes.set_xlabel("utilisation = demand / capacity [%], a range without its upper end")
     axes.set_ylabel("edges [count]")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_title(_heading(problem, solution, title), fontsize=12)
-    axes.legend(frameon=False, loc="upper center")
-    return figure
+    note = f"{int(counts[:, 10:].sum())} of {_edges(int(counts.sum()))}\nat or above 100 %"
+    if stray := stray_edges(problem, solution):
+        note += f"\n(and {_edges(stray)} used\nwithout capacity)"
+    return note
 
 
 def edges_before_after(problem: Problem, solution: Solution, title: str = "") -> Figure:
@@ -354,13 +383,13 @@ def solution_2d(problem: Problem, solution: Solution, title: str = "") -> Figure
     size = (side * min(1, max(columns / rows, 0.5)), side * min(1, max(rows / columns, 0.3)) + 1.2)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
-    _draw_2d(axes, problem, solution, title, side / max(columns, rows))
+    draw_routes(axes, problem, solution, title, side / max(columns, rows))
     _legend(figure, problem, [solution], 3 if size[0] < 7 else 6)
     return figure
 
 
-def _draw_2d(axes: Axes, problem: Problem, solution: Solution, title: str, gcell: float) -> None:
-    """Draws the routes; ``gcell`` is about the width of a Gcell in inches."""
+def draw_routes(axes: Axes, problem: Problem, solution: Solution, title: str, gcell: float) -> None:
+    """Draws :func:`solution_2d`; ``gcell`` is about the width of a Gcell in inches."""
     _prepare(axes, problem, _heading(problem, solution, title))
     for x in range(problem.grid[0] + 1):
         axes.axvline(x - 0.5, color=PALE, linewidth=0.5, zorder=0)
@@ -462,7 +491,7 @@ def comparison(solutions: Mapping[str, Solution]) -> Figure:
     )
     panels = figure.subplots(down, across, squeeze=False).ravel()
     for axes, (name, solution) in zip(panels, solutions.items(), strict=False):
-        _draw_2d(axes, problem, solution, name, 0.8 * side / max(columns, rows))
+        draw_routes(axes, problem, solution, name, 0.8 * side / max(columns, rows))
     for axes in panels[len(solutions) :]:
         axes.set_axis_off()
     _legend(figure, problem, list(solutions.values()), 3 if across == 1 else 6)
@@ -511,6 +540,24 @@ def _legend(
     upright: bool = False,
 ) -> None:
     """What the lines and marks of a drawing mean; vias are upright lines in three dimensions."""
+    figure.legend(
+        handles=route_notes(problem, solutions, upright),
+        loc="outside lower center",
+        ncols=ncols,
+        frameon=False,
+        title=SHIFTED,
+        title_fontsize=9,
+    )
+
+
+SHIFTED = "nets are shifted within their Gcells to be told apart"
+"""What is to be said of every drawing of routes."""
+
+
+def route_notes(
+    problem: Problem, solutions: Sequence[Solution], upright: bool = False
+) -> list[Line2D | Patch]:
+    """What the lines and marks of a drawing of routes mean."""
     layers = problem.grid[2]
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=_layer_colour(z, layers), linewidth=2, label=f"layer {z + 1}")
@@ -526,11 +573,4 @@ def _legend(
     )
     if any((demand_on(problem, solution) > problem.capacity).any() for solution in solutions):
         handles.append(Patch(color=BAND, label="overflowed edge"))
-    figure.legend(
-        handles=handles,
-        loc="outside lower center",
-        ncols=ncols,
-        frameon=False,
-        title="nets are shifted within their Gcells to be told apart",
-        title_fontsize=9,
-    )
+    return handles
