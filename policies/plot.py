@@ -25,7 +25,7 @@ from policies.experiment import (
     solution_file,
 )
 from policies.statistics import Row, baseline, by_router, by_set, joined_wirelength, overflow
-from policies.study import Column
+from policies.study import Column, Study
 
 
 def read_rewards(metrics: Path) -> dict[str, list[float]]:
@@ -167,7 +167,7 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
     config = load_experiment(experiment / CONFIG)
     for name, study in config.studies.items():
         found = {
-            title: _column(experiment, results, column, config.reference)
+            title: _column(experiment, results, study, column, config.reference)
             for title, column in study.columns.items()
         }
         if columns := {title: column for title, column in found.items() if column}:
@@ -180,7 +180,7 @@ CURVES = 10
 
 
 def _column(
-    experiment: Path, results: Sequence[Row], column: Column, reference: str | None
+    experiment: Path, results: Sequence[Row], study: Study, column: Column, reference: str | None
 ) -> figures.Column | None:
     """What a column of a composed figure shows; None where its router or A* is not done.
 
@@ -209,10 +209,12 @@ def _column(
         return Solution.read(solution_file(experiment, name, chosen, router, seed), problem)
 
     rewards: dict[str, list[float]] = {}
-    for metrics in sorted(
-        (experiment / "runs" / name / label(column.router, first["seed"])).glob("*/metrics.jsonl")
-    ):
-        rewards |= read_rewards(metrics)
+    if "reward" in study.panels:
+        runs = experiment / "runs" / name / label(column.router, first["seed"])
+        for metrics in sorted(runs.glob("*/metrics.jsonl")):
+            rewards |= read_rewards(metrics)
+        if not rewards:
+            raise InputError(f"{runs}: expected folders of trainings, with metrics.jsonl")
     names = np.random.default_rng(0).permutation(sorted(rewards))[:CURVES]
     return figures.Column(
         problem,

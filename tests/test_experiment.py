@@ -841,6 +841,15 @@ def test_studies_wait_for_what_they_show(missing: str, finished: Path, tmp_path:
     assert not drawn & {"sizes", "order"}
 
 
+def test_rewards_of_a_study_that_are_gone(
+    finished: Path, tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    shutil.copytree(finished, tmp_path / "out")
+    shutil.rmtree(tmp_path / "out" / "runs")
+    said = refused("plot", tmp_path / "out")
+    assert f"{Path('runs') / 'small' / 'dqn.seed0'}: expected folders of trainings" in said
+
+
 def test_a_study_without_anything_to_compare() -> None:
     """Nothing joined, no reward above 0: a picture all the same, after hours of training."""
     problem = generate(1, grid=(4, 4, 2), nets=3)[0]

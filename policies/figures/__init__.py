@@ -5,14 +5,7 @@ of matplotlib, so figures can be made without a display and in threads; :func:`s
 Gcell (0, 0) lies at the lower left, and layers count from 1 as in the problem files.
 """
 
-from policies.figures.results import (
-    Column,
-    by_problem,
-    decrease_histogram,
-    growth,
-    reward_curves,
-    study,
-)
+from policies.figures.results import by_problem, decrease_histogram, growth, reward_curves
 from policies.figures.routes import (
     comparison,
     edges_before_after,
@@ -21,6 +14,7 @@ from policies.figures.routes import (
     solution_3d,
     utilisation_histogram,
 )
+from policies.figures.studies import Column, study
 from policies.figures.style import save
 
 __all__ = [

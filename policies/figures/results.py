@@ -1,31 +1,15 @@
 """Figures of trainings, experiments and measurements."""
 
-from collections.abc import Callable, Mapping, Sequence
-from itertools import islice
-from string import ascii_lowercase
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator, SymmetricalLogLocator
+from matplotlib.ticker import MaxNLocator, SymmetricalLogLocator
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.problem import Problem
-from marouting.solution import Solution
-from policies.figures.routes import (
-    SHIFTED,
-    Direction,
-    draw_edges,
-    draw_histogram,
-    draw_map,
-    draw_routes,
-    map_notes,
-    route_notes,
-)
 from policies.figures.style import INK, LINES, PALE, RED
-from policies.study import Panel
 
 # Training ---------------------------------------------------------------------------------------
 
@@ -62,7 +46,7 @@ def reward_curves(
         raise InputError(f"smoothing: expected a number of episodes from 1, found {smoothing}")
     figure = Figure(figsize=(9, 5.5), layout="constrained")
     axes = figure.subplots()
-    _draw_rewards(axes, curves, log, smoothing)
+    draw_rewards(axes, curves, log, smoothing)
     mean_note = f"dark: mean of the last {smoothing} episodes" if smoothing > 1 else ""
     axes.set_title("\n".join(filter(None, (title, mean_note))), fontsize=11)
     if len(curves) <= 10:
@@ -70,12 +54,13 @@ def reward_curves(
     return figure
 
 
-def _draw_rewards(
+def draw_rewards(
     axes: Axes,
     curves: Mapping[str, Sequence[float] | NDArray[np.floating]],
     log: bool,
     smoothing: int,
 ) -> None:
+    """Draws :func:`reward_curves` without title and legend."""
     # Pale ones first, so that no curve's noise covers another's mean.
     for index, (name, rewards) in enumerate(curves.items()):
         values = np.asarray(rewards, np.float64)
@@ -142,13 +127,13 @@ def by_problem(
         raise InputError("by problem: expected the values of at least one router")
     figure = Figure(figsize=(9, 5.5), layout="constrained")
     axes = figure.subplots()
-    _draw_by_problem(axes, values, order, quantity, order_by)
+    draw_by_problem(axes, values, order, quantity, order_by)
     axes.set_title(title, fontsize=12)
     figure.legend(frameon=False, loc="outside lower center", ncols=min(len(values), 4))
     return figure
 
 
-def _draw_by_problem(
+def draw_by_problem(
     axes: Axes,
     values: Mapping[str, NDArray[np.floating]],
     order: NDArray[np.integer],
@@ -156,6 +141,7 @@ def _draw_by_problem(
     order_by: str,
     marks: float = 7.0,
 ) -> None:
+    """Draws :func:`by_problem` without title and legend, with marks of that size in points."""
     rank = np.arange(1, len(order) + 1)
     for index, (name, own) in enumerate(values.items()):
         missing = int(np.isnan(own).sum())
@@ -198,18 +184,18 @@ def decrease_histogram(
         InputError: there is no router, or not one value.
     """
     known = {name: values[~np.isnan(values)] for name, values in decreases.items()}
-    bins = _decrease_bins(list(known.values()))
+    bins = decrease_bins(list(known.values()))
     figure = Figure(figsize=(9, 1.4 + 1.8 * len(known)), layout="constrained")
     panels = figure.subplots(len(known), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, (name, values) in zip(panels, known.items(), strict=True):
-        _draw_decreases(axes, values, bins)
-        axes.set_title(f"{name}: {_decrease_note(values)}", fontsize=10)
+        draw_decreases(axes, values, bins)
+        axes.set_title(f"{name}: {decrease_note(values)}", fontsize=10)
     panels[-1].set_xlabel(f"decrease in wirelength = {baseline}'s less the router's [edges]")
     figure.suptitle(title, fontsize=12)
     return figure
 
 
-def _decrease_bins(decreases: Sequence[NDArray[np.floating]]) -> NDArray[np.floating]:
+def decrease_bins(decreases: Sequence[NDArray[np.floating]]) -> NDArray[np.floating]:
     """The ends of bars that take in all decreases; raises InputError if there is none."""
     together = np.concatenate([np.empty(0), *decreases])
     if not together.size:
@@ -220,7 +206,8 @@ def _decrease_bins(decreases: Sequence[NDArray[np.floating]]) -> NDArray[np.floa
     return np.asarray(width * (np.arange(low // width - 1, high // width + 3) - 0.5), np.float64)
 
 
-def _draw_decreases(axes: Axes, values: NDArray[np.floating], bins: NDArray[np.floating]) -> None:
+def draw_decreases(axes: Axes, values: NDArray[np.floating], bins: NDArray[np.floating]) -> None:
+    """Draws a panel of :func:`decrease_histogram` without its title."""
     # No outline: it would hide bars of a single problem.
     axes.hist(values, bins=bins.tolist(), color=RED)
     axes.axvline(0, color=INK, linewidth=1, linestyle="--")
@@ -230,209 +217,14 @@ def _draw_decreases(axes: Axes, values: NDArray[np.floating], bins: NDArray[np.f
     axes.tick_params(labelbottom=True)
 
 
-def _decrease_note(values: NDArray[np.floating]) -> str:
+def decrease_note(values: NDArray[np.floating]) -> str:
+    """What there is to say of some decreases."""
     if not len(values):
         return "no problem"
     return (
         f"lower on {np.count_nonzero(values > 0)} of {len(values)} problems, "
         f"equal on {np.count_nonzero(values == 0)}, mean decrease {values.mean():.3g}"
     )
-
-
-# Composed figures -------------------------------------------------------------------------------
-
-
-class Column(NamedTuple):
-    """What a column of a composed figure shows: one router on one set of problems.
-
-    Attributes:
-        problem: the one problem that is shown.
-        astar: A*'s solution of it.
-        solution: the column's own.
-        wirelength: (problems,) float64 by router, A* first, the column's own second (unless it is
-            A* itself); NaN where connections stayed open.
-        overflow: (problems,) float64 of the same.
-        rewards: reward of each episode, by problem.
-    """
-
-    problem: Problem
-    astar: Solution
-    solution: Solution
-    wirelength: Mapping[str, NDArray[np.floating]]
-    overflow: Mapping[str, NDArray[np.floating]]
-    rewards: Mapping[str, Sequence[float]]
-
-
-def study(columns: Mapping[str, Column], panels: Sequence[Panel]) -> Figure:
-    """Routers side by side, quantities below one another (paper, studies of γ and of the burn-in).
-
-    Args:
-        columns: the routers by the column's title.
-        panels: the quantities.
-
-    Returns:
-        A panel for each, with letters row by row. Decreases have the same axes in all columns, and
-        rewards the same range; problems rise by A*'s wirelength.
-
-    Raises:
-        InputError: there is nothing to show.
-    """
-    if not columns or not panels:
-        raise InputError("study: expected at least one column and one panel")
-    all_columns = list(columns.values())
-    largest = max(max(column.problem.grid[:2]) for column in all_columns)
-    side = float(np.clip(0.25 * largest, 4.2, 7))
-    plain = (3.6 if len(columns) < 4 else 3.0, 2.9)
-    sizes = [(side, side) if panel == "routes" else _SIZES.get(panel, plain) for panel in panels]
-    widths, heights = zip(*sizes, strict=True)
-    figure = Figure(
-        figsize=(max(widths) * len(columns) + 0.6, sum(heights) + 0.8), layout="constrained"
-    )
-    grid = figure.subplots(
-        len(panels), len(columns), squeeze=False, gridspec_kw={"height_ratios": heights}
-    )
-    notes: dict[str, Any] = {}
-    for panel, row in zip(panels, grid, strict=True):
-        _PANELS[panel](row, all_columns)
-        for column in all_columns:
-            handles: list[Any] = []
-            if panel == "routes":
-                handles = route_notes(column.problem, [column.solution])
-            elif panel in ("vertical", "horizontal"):
-                handles = map_notes(column.problem, column.solution)
-            notes |= {handle.get_label(): handle for handle in handles}
-    for index, axes in enumerate(grid.ravel()):
-        title = next(islice(columns, index, None)) if index < len(columns) else ""
-        note = axes.get_title()
-        axes.set_title("")
-        axes.set_title(f"({ascii_lowercase[index % 26]})", fontsize=10, loc="left")
-        axes.set_title("\n".join(filter(None, (title, note))), fontsize=10)
-        axes.xaxis.label.set_fontsize(9)
-        axes.yaxis.label.set_fontsize(9)
-    if notes:
-        figure.legend(
-            handles=list(notes.values()),
-            loc="outside lower center",
-            ncols=min(len(notes), 3),
-            frameon=False,
-            fontsize=9,
-            title=SHIFTED if "routes" in panels else None,
-            title_fontsize=9,
-        )
-    return figure
-
-
-def _edges_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
-    for axes, column in zip(row, columns, strict=True):
-        draw_edges(axes, column.problem, column.astar)
-        axes.set_xlabel("edges, by remaining capacity [rank]")
-        axes.legend(frameon=False, fontsize=8, loc="upper center", ncols=2)
-
-
-def _map_row(direction: Direction) -> Callable[[Sequence[Axes], Sequence[Column]], None]:
-    def draw(row: Sequence[Axes], columns: Sequence[Column]) -> None:
-        for axes, column in zip(row, columns, strict=True):
-            draw_map(axes, column.problem, column.solution, direction, across=2.4)
-
-    return draw
-
-
-def _histogram_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
-    for axes, column in zip(row, columns, strict=True):
-        note = draw_histogram(axes, column.problem, column.solution)
-        axes.set_title(note.replace("\n", " ").replace(" (", "\n("))
-        axes.tick_params(axis="x", labelsize=7, labelrotation=60)
-        for count in axes.texts:
-            count.set(rotation="vertical", fontsize=7)
-        axes.set_xlabel("demand / capacity [%]")
-        axes.legend(frameon=False, fontsize=8, loc="upper left")
-
-
-def _routes_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
-    for axes, column in zip(row, columns, strict=True):
-        gcell = 3.5 / max(column.problem.grid[:2])
-        draw_routes(axes, column.problem, column.solution, "", gcell)
-
-
-def _wirelength_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
-    _by_problem_row(row, columns, "wirelength [edges]", lambda column: column.wirelength)
-
-
-def _overflow_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
-    _by_problem_row(row, columns, "overflow [tracks]", lambda column: column.overflow)
-
-
-def _by_problem_row(
-    row: Sequence[Axes],
-    columns: Sequence[Column],
-    quantity: str,
-    values: Callable[[Column], Mapping[str, NDArray[np.floating]]],
-) -> None:
-    for axes, column in zip(row, columns, strict=True):
-        astar = next(iter(column.wirelength))
-        order = np.argsort(column.wirelength[astar], kind="stable")
-        _draw_by_problem(axes, values(column), order, quantity, f"{astar}'s wirelength", marks=5.0)
-        axes.legend(frameon=False, fontsize=8)
-
-
-def _decrease_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
-    decreases = []
-    for column in columns:
-        astar, *own = list(column.wirelength.values())[:2]
-        decrease = astar - (own[0] if own else astar)
-        decreases.append(decrease[~np.isnan(decrease)])
-    if not any(values.size for values in decreases):
-        for axes in row:
-            axes.set_title(_decrease_note(decreases[0]))
-        return
-    bins = _decrease_bins(decreases)
-    highest = max(np.histogram(values, bins)[0].max() for values in decreases)
-    for axes, values in zip(row, decreases, strict=True):
-        _draw_decreases(axes, values, bins)
-        axes.set_ylim(0, 1.05 * highest)
-        axes.set_xlabel("decrease in wirelength [edges]")
-        axes.set_title(_decrease_note(values).replace(", mean", ",\nmean"))
-
-
-def _reward_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
-    everything = np.concatenate([curve for column in columns for curve in column.rewards.values()])
-    positive = everything[everything > 0]
-    low, high = everything.min() - 1, everything.max() + 1
-    if positive.size:
-        # The first episodes are left out as in the paper: their reward is negative, or nearly.
-        high = 1.1 * positive.max()
-        low = min(np.quantile(positive, 0.02), high / 10)
-    for axes, column in zip(row, columns, strict=True):
-        _draw_rewards(axes, column.rewards, log=False, smoothing=50)
-        axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
-        axes.set_ylim(low, high)
-        if positive.size:
-            axes.set_yscale("log")
-            axes.yaxis.set_major_formatter("{x:g}")
-            axes.yaxis.set_minor_formatter("{x:g}")
-            axes.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
-            axes.tick_params(axis="y", which="minor", labelsize=8)
-            axes.set_ylabel("reward of an episode, logarithmic")
-        axes.set_title(f"{len(column.rewards)} problems at random")
-
-
-_SIZES: dict[Panel, tuple[float, float]] = dict.fromkeys(
-    ("vias", "vertical", "horizontal"), (4.2, 3.3)
-)
-"""Width and height in inches of panels that are not as the others."""
-
-_PANELS: dict[Panel, Callable[[Sequence[Axes], Sequence[Column]], None]] = {
-    "edges": _edges_row,
-    "vias": _map_row("vias"),
-    "vertical": _map_row("vertical"),
-    "horizontal": _map_row("horizontal"),
-    "histogram": _histogram_row,
-    "routes": _routes_row,
-    "wirelength": _wirelength_row,
-    "overflow": _overflow_row,
-    "decrease": _decrease_row,
-    "reward": _reward_row,
-}
 
 
 # Speed ------------------------------------------------------------------------------------------

@@ -1,0 +1,257 @@
+"""Composed figures: routers side by side, quantities below one another (:mod:`policies.study`)."""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
+from string import ascii_lowercase
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator
+from numpy.typing import NDArray
+
+from marouting.errors import InputError
+from marouting.problem import Problem
+from marouting.solution import Solution
+from policies.figures.results import (
+    decrease_bins,
+    decrease_note,
+    draw_by_problem,
+    draw_decreases,
+    draw_rewards,
+)
+from policies.figures.routes import (
+    SHIFTED,
+    Direction,
+    draw_edges,
+    draw_histogram,
+    draw_map,
+    draw_routes,
+    map_notes,
+    route_notes,
+)
+from policies.study import Panel
+
+
+class Column(NamedTuple):
+    """What a column of a composed figure shows: one router on one set of problems.
+
+    Attributes:
+        problem: the one problem that is shown.
+        astar: A*'s solution of it.
+        solution: the column's own.
+        wirelength: (problems,) float64 by router, A* first, the column's own second (unless it is
+            A* itself); NaN where connections stayed open.
+        overflow: (problems,) float64 of the same.
+        rewards: reward of each episode, by problem.
+    """
+
+    problem: Problem
+    astar: Solution
+    solution: Solution
+    wirelength: Mapping[str, NDArray[np.floating]]
+    overflow: Mapping[str, NDArray[np.floating]]
+    rewards: Mapping[str, Sequence[float]]
+
+
+def study(columns: Mapping[str, Column], panels: Sequence[Panel]) -> Figure:
+    """Routers side by side, quantities below one another (paper, studies of γ and of the burn-in).
+
+    Args:
+        columns: the routers by the column's title.
+        panels: the quantities.
+
+    Returns:
+        A panel for each, with letters row by row. Decreases have the same axes in all columns, and
+        rewards the same range; problems rise by A*'s wirelength.
+
+    Raises:
+        InputError: there is nothing to show.
+    """
+    if not columns or not panels:
+        raise InputError("study: expected at least one column and one panel")
+    of = list(columns.values())
+    kinds = [_KINDS[panel] for panel in panels]
+    widths, heights = zip(*(kind.size(of) for kind in kinds), strict=True)
+    figure = Figure(
+        figsize=(max(widths) * len(columns) + 0.6, sum(heights) + 0.8), layout="constrained"
+    )
+    grid = figure.subplots(
+        len(panels), len(columns), squeeze=False, gridspec_kw={"height_ratios": heights}
+    )
+    for kind, row in zip(kinds, grid, strict=True):
+        kind.draw(row, of)
+    for index, axes in enumerate(grid.ravel()):
+        title = next(islice(columns, index, None)) if index < len(columns) else ""
+        note = axes.get_title()
+        axes.set_title("")
+        axes.set_title(f"({ascii_lowercase[index % 26]})", fontsize=10, loc="left")
+        axes.set_title("\n".join(filter(None, (title, note))), fontsize=10)
+        axes.xaxis.label.set_fontsize(9)
+        axes.yaxis.label.set_fontsize(9)
+    handles = [note for kind in kinds for column in of for note in kind.notes(column)]
+    notes = {handle.get_label(): handle for handle in handles}
+    if notes:
+        figure.legend(
+            handles=list(notes.values()),
+            loc="outside lower center",
+            ncols=min(len(notes), 3),
+            frameon=False,
+            fontsize=9,
+            title=SHIFTED if "routes" in panels else None,
+            title_fontsize=9,
+        )
+    return figure
+
+
+_Draw = Callable[[Sequence[Axes], Sequence[Column]], None]
+
+
+def _edges_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    for axes, column in zip(row, columns, strict=True):
+        draw_edges(axes, column.problem, column.astar)
+        axes.set_xlabel("edges, by remaining capacity [rank]")
+        axes.legend(frameon=False, fontsize=8, loc="upper center", ncols=2)
+
+
+def _map_row(direction: Direction) -> _Draw:
+    def draw(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+        for axes, column in zip(row, columns, strict=True):
+            draw_map(axes, column.problem, column.solution, direction, across=2.4)
+
+    return draw
+
+
+def _histogram_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    for axes, column in zip(row, columns, strict=True):
+        note = draw_histogram(axes, column.problem, column.solution)
+        axes.set_title(note.replace("\n", " ").replace(" (", "\n("))
+        axes.tick_params(axis="x", labelsize=7, labelrotation=60)
+        for count in axes.texts:
+            count.set(rotation="vertical", fontsize=7)
+        axes.set_xlabel("demand / capacity [%]")
+        axes.legend(frameon=False, fontsize=8, loc="upper left")
+
+
+def _routes_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    for axes, column in zip(row, columns, strict=True):
+        gcell = 3.5 / max(column.problem.grid[:2])
+        draw_routes(axes, column.problem, column.solution, "", gcell)
+
+
+def _wirelength_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    _by_problem_row(row, columns, "wirelength [edges]", lambda column: column.wirelength)
+
+
+def _overflow_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    _by_problem_row(row, columns, "overflow [tracks]", lambda column: column.overflow)
+
+
+def _by_problem_row(
+    row: Sequence[Axes],
+    columns: Sequence[Column],
+    quantity: str,
+    values: Callable[[Column], Mapping[str, NDArray[np.floating]]],
+) -> None:
+    for axes, column in zip(row, columns, strict=True):
+        astar = next(iter(column.wirelength))
+        order = np.argsort(column.wirelength[astar], kind="stable")
+        draw_by_problem(axes, values(column), order, quantity, f"{astar}'s wirelength", marks=5.0)
+        axes.legend(frameon=False, fontsize=8)
+
+
+def _decrease_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    decreases = []
+    for column in columns:
+        astar, *own = list(column.wirelength.values())[:2]
+        decrease = astar - (own[0] if own else astar)
+        decreases.append(decrease[~np.isnan(decrease)])
+    if not any(values.size for values in decreases):
+        for axes in row:
+            axes.set_title(decrease_note(decreases[0]))
+        return
+    bins = decrease_bins(decreases)
+    highest = max(np.histogram(values, bins)[0].max() for values in decreases)
+    for axes, values in zip(row, decreases, strict=True):
+        draw_decreases(axes, values, bins)
+        axes.set_ylim(0, 1.05 * highest)
+        axes.set_xlabel("decrease in wirelength [edges]")
+        axes.set_title(decrease_note(values).replace(", mean", ",\nmean"))
+
+
+def _reward_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    everything = np.concatenate([curve for column in columns for curve in column.rewards.values()])
+    positive = everything[everything > 0]
+    low, high = everything.min() - 1, everything.max() + 1
+    if positive.size:
+        # The first episodes are left out as in the paper: their reward is negative, or nearly.
+        high = 1.1 * positive.max()
+        low = min(np.quantile(positive, 0.02), high / 10)
+    for axes, column in zip(row, columns, strict=True):
+        draw_rewards(axes, column.rewards, log=False, smoothing=50)
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
+        axes.set_ylim(low, high)
+        if positive.size:
+            axes.set_yscale("log")
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_formatter("{x:g}")
+            axes.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
+            axes.tick_params(axis="y", which="minor", labelsize=8)
+            axes.set_ylabel("reward of an episode, logarithmic")
+        axes.set_title(f"{len(column.rewards)} problems at random")
+
+
+def _plain_size(columns: Sequence[Column]) -> tuple[float, float]:
+    return (3.6 if len(columns) < 4 else 3.0), 2.9
+
+
+def _map_size(_columns: Sequence[Column]) -> tuple[float, float]:
+    return 4.2, 3.3
+
+
+def _routes_size(columns: Sequence[Column]) -> tuple[float, float]:
+    largest = max(max(column.problem.grid[:2]) for column in columns)
+    side = float(np.clip(0.25 * largest, 4.2, 7))
+    return side, side
+
+
+def _no_notes(_column: Column) -> Sequence[Artist]:
+    return ()
+
+
+def _map_notes(column: Column) -> Sequence[Artist]:
+    return map_notes(column.problem, column.solution)
+
+
+def _route_notes(column: Column) -> Sequence[Artist]:
+    return route_notes(column.problem, [column.solution])
+
+
+class _Kind(NamedTuple):
+    """A kind of panels.
+
+    Attributes:
+        draw: draws a row of them.
+        size: width and height of one in inches.
+        notes: what the legend below all panels has to say of a column.
+    """
+
+    draw: _Draw
+    size: Callable[[Sequence[Column]], tuple[float, float]] = _plain_size
+    notes: Callable[[Column], Sequence[Artist]] = _no_notes
+
+
+_KINDS: dict[Panel, _Kind] = {
+    "edges": _Kind(_edges_row),
+    "vias": _Kind(_map_row("vias"), _map_size),
+    "vertical": _Kind(_map_row("vertical"), _map_size, _map_notes),
+    "horizontal": _Kind(_map_row("horizontal"), _map_size, _map_notes),
+    "histogram": _Kind(_histogram_row),
+    "routes": _Kind(_routes_row, _routes_size, _route_notes),
+    "wirelength": _Kind(_wirelength_row),
+    "overflow": _Kind(_overflow_row),
+    "decrease": _Kind(_decrease_row),
+    "reward": _Kind(_reward_row),
+}
