@@ -576,7 +576,9 @@ class Experiment:
         if column.problem is not None and column.problem not in self.sets[of]:
             raise unknown(f"{key}.problem", column.problem, tuple(self.sets[of]))
         check(f"{key}.router", entry.router != PUBLISHED, "one that routes here")
-        against = [e for e in self.entries if e.router == "astar" and (not e.only or of in e.only)]
+        against = [
+            e for e in self.entries if e.router == "astar" and (e.only is None or of in e.only)
+        ]
         check(key, against, f"a router of the kind astar that is for {of}")
         check(f"{key}.router", entry.trains or "reward" not in study.panels, "one that is trained")
 
@@ -650,9 +652,10 @@ class Experiment:
         """How many problems of each set are of the paper's types, by A*'s solutions."""
         types: dict[str, dict[str, int]] = {}
         for name, own in by_set(rows).items():
-            first = {row["problem"]: row for row in reversed(own) if row["router"] == baseline(own)}
-            if name == ALL or not first:
+            astar = baseline(own)
+            if name == ALL or astar is None:
                 continue
+            first = {row["problem"]: row for row in reversed(own) if row["router"] == astar}
             types[name] = {"I": 0, "II": 0}
             for problem, row in first.items():
                 path = solution_file(self.folder, name, problem, row["router"], row["seed"])

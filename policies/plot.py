@@ -128,7 +128,8 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
         study ``STUDY.png``.
 
     Raises:
-        InputError: there are no results, or the folder cannot be written to.
+        InputError: there are no results, a file that a study shows is missing, or the folder cannot
+            be written to.
     """
     folder = experiment / "figures" if folder is None else folder
     written: list[Path] = []
@@ -197,7 +198,8 @@ def _column(
     own = routers[column.router]
     # The paper's legend says what routes; a router's name tells apart what would be the same.
     first = next(iter(own.values()))[0]
-    title = column.router if first["kind"] in (astar, reference) else first["kind"]
+    alike = {column.router, first["kind"]} & {astar, reference}
+    title = column.router if alike else first["kind"]
     shown = {astar: routers[astar], title: own}
     if reference in routers:
         shown[reference] = routers[reference]

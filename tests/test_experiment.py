@@ -822,6 +822,24 @@ def test_studies_can_change_and_follow_the_routers(here: Path) -> None:
     assert load_experiment(here / "out" / "config.yaml") == again.config
 
 
+def test_a_study_shows_every_router_once_and_any_title(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the baseline and the reference are called."""
+    drawn: dict[str, Any] = {}
+    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.update({path.stem: figure}))
+    routers = {"a": {"router": "astar"}, "p": {"router": "pathfinder"}, "b": {"router": "astar"}}
+    columns = {r"$\x{$": {"router": "a"}, "P": {"router": "p"}, "B": {"router": "b"}}
+    study = {"panels": ["wirelength"], "columns": columns}
+    keys = {"routers": routers, "reference": "p", "studies": {"s": study}}
+    config = write_config(here / "c.yaml", **keys)
+    Experiment(load_experiment(config), progress=False).execute()
+    shown = [[line.get_label() for line in axes.get_lines()] for axes in drawn["s"].axes]
+    assert shown == [["a", "p"], ["a", "p"], ["a", "astar", "p"]]
+    drawn["s"].canvas.draw()
+    assert drawn["s"].axes[0].get_title() == r"$\x{$"
+
+
 @pytest.mark.parametrize("missing", ["astar", "dqn"])
 def test_studies_wait_for_what_they_show(missing: str, finished: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
@@ -1128,6 +1146,15 @@ def test_share_interval_is_wilsons(of: tuple[int, int]) -> None:
 
 
 # --- the yardstick --------------------------------------------------------------------------------
+
+
+def test_the_yardstick_takes_other_problems(here: Path) -> None:
+    for name in ("x", "y"):
+        (here / "mine" / name).mkdir(parents=True)
+        shutil.copy("4.gr", here / "mine" / name)
+    config = ROOT / "configs" / "yardstick.yaml"
+    experiment = Experiment(load_experiment(config, ["problems=mine", "out=o"]), progress=False)
+    assert list(experiment.sets) == ["x", "y"]
 
 
 @pytest.mark.slow

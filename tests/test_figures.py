@@ -151,6 +151,13 @@ def test_used_edges_without_capacity_are_mentioned():
     assert "1 edge used" in figures.edges_before_after(problem, solution).axes[0].get_title()
 
 
+def test_a_problem_without_any_capacity_is_drawn():
+    problem = problem_of((2, 2, 1), (0,), (0,), [((0, 0, 1), (1, 0, 1))])
+    solution = Solution(problem, (np.array([0], np.int64),))
+    (axes,) = figures.edges_before_after(problem, solution).axes
+    assert axes.get_title() == "Type I: no edge fully used (and 1 edge used without capacity)"
+
+
 def test_depleted_edges_and_type(worked):
     problem, solution = worked
     expected = sorted([edge(problem, 0, 0, 0, 0), edge(problem, 1, 0, 1, 1)])

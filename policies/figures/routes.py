@@ -230,7 +230,8 @@ def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
     borders = np.arange(len(edge) + 1) - 0.5
     full, over = int(np.count_nonzero(after <= 0)), int(np.count_nonzero(after < 0))
     axes.axhline(0, color=INK, linewidth=0.8)
-    axes.stairs(before, borders, baseline=after, fill=True, color=BLUE, alpha=0.1)
+    if len(edge):  # stairs need a step to fill
+        axes.stairs(before, borders, baseline=after, fill=True, color=BLUE, alpha=0.1)
     for remaining, colour, style, label in (
         (before, BLUE, "-", "before routing"),
         (after, RED, "--", "after routing"),

@@ -88,7 +88,8 @@ def study(columns: Mapping[str, Column], panels: Sequence[Panel]) -> Figure:
         note = axes.get_title()
         axes.set_title("")
         axes.set_title(f"({ascii_lowercase[index % 26]})", fontsize=10, loc="left")
-        axes.set_title("\n".join(filter(None, (title, note))), fontsize=10)
+        # A configuration's titles may hold dollars, which are no formulas.
+        axes.set_title("\n".join(filter(None, (title, note))), fontsize=10, parse_math=False)
         axes.xaxis.label.set_fontsize(9)
         axes.yaxis.label.set_fontsize(9)
     handles = [note for kind in kinds for column in of for note in kind.notes(column)]
