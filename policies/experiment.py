@@ -299,7 +299,7 @@ class Entry:
         if router not in (*ROUTERS, PUBLISHED):
             raise unknown(f"{where}: router", str(router), (*ROUTERS, PUBLISHED))
         if only is not None and not (
-            isinstance(only, list | tuple) and all(isinstance(name, str) for name in only)
+            isinstance(only, list | tuple) and only and all(isinstance(name, str) for name in only)
         ):
             raise InputError(f"{where}: only: expected a list of sets, found {only!r}")
         if router == "dqn":
@@ -551,6 +551,8 @@ class Experiment:
                     raise unknown(f"routers.{entry.name}.only", name, tuple(self.sets))
         # As far as it goes that can be told before there are results.
         for name, study in config.studies.items():
+            taken = re.fullmatch(r"(.+)_(wirelength|overflow|decrease)", name)
+            check(f"studies.{name}", not (taken and taken[1] in {*self.sets, ALL}), "another name")
             for title, column in study.columns.items():
                 self._check_column(f"studies.{name}.columns.{title}", study, column)
         if not started:

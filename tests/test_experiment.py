@@ -534,6 +534,14 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"studies": {"a/b": {"columns": {"t": {"router": "a"}}}}},
         "studies.a/b: expected a name",
     ),
+    "a study called as a set's figure": (
+        {"studies": {"small_overflow": {"panels": ["edges"], "columns": {"t": ROUTED}}}},
+        "studies.small_overflow: expected another name",
+    ),
+    "only nothing": (
+        {"routers": {"a": {"router": "astar", "only": []}}},
+        "only: expected a list of sets, found []",
+    ),
     "which set": (
         {"problems": {"x": SMALL, "y": SMALL}, "studies": {"s": {"columns": {"t": ROUTED}}}},
         "studies.s.columns.t.set: expected one of x, y",
