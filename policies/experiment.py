@@ -119,9 +119,11 @@ class ExperimentConfig:
         for name, study in self.studies.items():
             check(f"studies.{name}", _is_name(name), "a name of letters, digits, _ and -")
             for title, column in study.columns.items():
-                if column.router not in self.routers:
-                    key = f"studies.{name}.columns.{title}.router"
-                    raise unknown(key, column.router, tuple(self.routers))
+                key = f"studies.{name}.columns.{title}"
+                for part, routers in (("router", (column.router,)), ("beside", column.beside)):
+                    for router in routers:
+                        if router not in self.routers:
+                            raise unknown(f"{key}.{part}", router, tuple(self.routers))
         kept = {name: raw for name, raw in self.routers.items() if raw is not None}
         object.__setattr__(self, "routers", kept)
         check("seeds", len(self.seeds) > 0, "at least one")
@@ -139,7 +141,11 @@ class ExperimentConfig:
             raise unknown("reference", self.reference, tuple(self.routers))
         studies = {}
         for name, study in self.studies.items():
-            columns = {k: column for k, column in study.columns.items() if column.router in kept}
+            columns = {
+                title: replace(column, beside=tuple(r for r in column.beside if r in kept))
+                for title, column in study.columns.items()
+                if column.router in kept
+            }
             if columns:
                 studies[name] = replace(study, columns=columns)
         object.__setattr__(self, "studies", studies)
@@ -582,7 +588,11 @@ class Experiment:
             e for e in self.entries if e.router == "astar" and (e.only is None or of in e.only)
         ]
         check(key, against, f"a router of the kind astar that is for {of}")
-        check(f"{key}.router", entry.trains or "reward" not in study.panels, "one that is trained")
+        learns = {"reward", "mean_reward"} & set(study.panels)
+        check(f"{key}.router", entry.trains or not learns, "one that is trained")
+        for other in (e for e in self.entries if e.name in column.beside):
+            known = other.trains and (other.only is None or of in other.only)
+            check(f"{key}.beside", known, f"routers that are trained on {of}")
 
     def _kept_sets(self) -> dict[str, dict[str, Problem]]:
         """The sets in the folder, in the order of the configuration."""

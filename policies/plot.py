@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
 from marouting.files import unusable
@@ -210,21 +211,35 @@ def _column(
         seed = routers[router][name, chosen][0]["seed"]
         return Solution.read(solution_file(experiment, name, chosen, router, seed), problem)
 
-    rewards: dict[str, list[float]] = {}
-    if "reward" in study.panels:
-        runs = experiment / "runs" / name / label(column.router, first["seed"])
+    def rewards(router: str, seed: int) -> dict[str, list[float]]:
+        runs = experiment / "runs" / name / label(router, seed)
+        found: dict[str, list[float]] = {}
         for metrics in sorted(runs.glob("*/metrics.jsonl")):
-            rewards |= read_rewards(metrics)
-        if not rewards:
+            found |= read_rewards(metrics)
+        if not found:
             raise InputError(f"{runs}: expected folders of trainings, with metrics.jsonl")
-    names = np.random.default_rng(0).permutation(sorted(rewards))[:CURVES]
+        return found
+
+    some: dict[str, list[float]] = {}
+    if "reward" in study.panels:
+        every = rewards(column.router, first["seed"])
+        chance = np.random.default_rng(0).permutation(sorted(every))[:CURVES]
+        some = {problem: every[problem] for problem in sorted(chance.tolist())}
+    means: dict[str, NDArray[np.float64]] = {}
+    if "mean_reward" in study.panels:
+        for router in (column.router, *column.beside):
+            seeds = [row["seed"] for row in next(iter(routers.get(router, {"": []}).values()))]
+            curves = [curve for seed in seeds for curve in rewards(router, seed).values()]
+            if curves:
+                means[router] = np.mean(curves, axis=0)
     return figures.Column(
         problem,
         solution(astar),
         solution(column.router),
         {router: joined_wirelength(rows) for router, rows in shown.items()},
         {router: overflow(rows) for router, rows in shown.items()},
-        {problem: rewards[problem] for problem in sorted(names.tolist())},
+        some,
+        means,
     )
 
 

@@ -20,13 +20,15 @@ Panel = Literal[
     "overflow",
     "decrease",
     "reward",
+    "mean_reward",
 ]
 """Of one problem: ``edges``, capacities before and after A*; after the router heat maps of the
 ``vias``, ``vertical`` and ``horizontal`` edges, the ``histogram`` of utilisation, and its
 ``routes``. Of a set: ``wirelength`` and ``overflow`` of the router, of A* and of the reference,
 problem by problem; ``decrease``, how much less wirelength the router needs than A*; ``reward`` of
-ten random problems over the training. Of several seeds solutions and rewards are the first's,
-wirelength and overflow the mean."""
+ten random problems over the training; ``mean_reward`` of all problems and seeds, of the router and
+those beside it. Of several seeds solutions and rewards are else the first's, wirelength and
+overflow the mean."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +39,7 @@ class Column:
         router: the name of the experiment's entry.
         set: the set's name; None: the only one that the router is for.
         problem: the one problem to show; None: the set's first.
+        beside: other routers, for ``mean_reward``.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -44,6 +47,7 @@ class Column:
     router: str
     set: str | None = None
     problem: str | None = None
+    beside: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -534,6 +534,17 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"studies": {"a/b": {"columns": {"t": {"router": "a"}}}}},
         "studies.a/b: expected a name",
     ),
+    "unknown router beside": (
+        {"studies": {"s": {"columns": {"t": {**ROUTED, "beside": ["b"]}}}}},
+        "studies.s.columns.t.beside: unknown name 'b'; expected one of a",
+    ),
+    "beside without learning": (
+        {
+            "routers": {**ASTAR, "d": DQN},
+            "studies": {"s": {"columns": {"t": {"router": "d", "beside": ["a"]}}}},
+        },
+        "studies.s.columns.t.beside: expected routers that are trained on small",
+    ),
     "a study called as a set's figure": (
         {"studies": {"small_overflow": {"panels": ["edges"], "columns": {"t": ROUTED}}}},
         "studies.small_overflow: expected another name",
@@ -812,6 +823,32 @@ def test_studies_show_the_rows(
     assert drawn["order"].axes[0].get_title().startswith("smallest first\nlower on ")
 
 
+def test_a_study_of_mean_rewards(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    more = {**DQN, "dqn": {**DQN["dqn"], "hidden": [4]}}
+    routers = {**ASTAR, "wide": DQN, "slim": more}
+    column = {"router": "wide", "beside": ["slim"]}
+    study = {"panels": ["mean_reward"], "columns": {"width": column, "one": {"router": "slim"}}}
+    config = write_config(here / "c.yaml", routers=routers, seeds=[0, 3], studies={"w": study})
+    drawn: dict[str, Any] = {}
+    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.update({path.stem: figure}))
+    Experiment(load_experiment(config), progress=False).execute()
+
+    def mean(router: str) -> list[float]:
+        by_episode: dict[int, list[float]] = {}
+        for log in (here / "out" / "runs" / "small").glob(f"{router}.seed*/*/metrics.jsonl"):
+            for entry in map(json.loads, log.read_text().splitlines()):
+                by_episode.setdefault(entry["episode"], []).append(entry["reward"])
+        assert {len(rewards) for rewards in by_episode.values()} == {6}  # problems × seeds
+        return [sum(by_episode[k]) / 6 for k in sorted(by_episode)]
+
+    both, one = drawn["w"].axes
+    for axes, names in ((both, ["wide", "slim"]), (one, ["slim"])):
+        assert [text.get_text() for text in axes.get_legend().get_texts()] == names
+        pale = [line.get_ydata() for line in axes.get_lines() if line.get_alpha()]
+        np.testing.assert_allclose(pale, [mean(name) for name in names])
+    assert both.get_ylim() == one.get_ylim()
+
+
 @pytest.mark.usefixtures("_undrawn")
 def test_studies_can_change_and_follow_the_routers(here: Path) -> None:
     study = {"panels": ["wirelength"], "columns": {"A*": {"router": "b"}, "0": {"router": "a"}}}
@@ -882,7 +919,7 @@ def test_a_study_without_anything_to_compare() -> None:
     nothing = {"astar": np.array([9.0]), "dqn": np.array([math.nan])}
     solution = AStarRouter().route(problem)
     column = figures.Column(
-        problem, solution, solution, nothing, {"astar": np.zeros(1)}, {"p": [-3.0, -1]}
+        problem, solution, solution, nothing, {"astar": np.zeros(1)}, {"p": [-3.0, -1]}, {}
     )
     drawn = figures.study({"A": column}, ("decrease", "reward"))
     assert drawn.axes[0].get_title() == "A\nno problem"

@@ -46,6 +46,7 @@ class Column(NamedTuple):
             A* itself); NaN where connections stayed open.
         overflow: (problems,) float64 of the same.
         rewards: reward of each episode, by problem.
+        mean_rewards: the mean over problems and seeds of each episode's reward, by router.
     """
 
     problem: Problem
@@ -54,6 +55,7 @@ class Column(NamedTuple):
     wirelength: Mapping[str, NDArray[np.floating]]
     overflow: Mapping[str, NDArray[np.floating]]
     rewards: Mapping[str, Sequence[float]]
+    mean_rewards: Mapping[str, NDArray[np.floating]]
 
 
 def study(columns: Mapping[str, Column], panels: Sequence[Panel]) -> Figure:
@@ -204,6 +206,17 @@ def _reward_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
         axes.set_title(f"{len(column.rewards)} problems at random")
 
 
+def _mean_reward_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    for axes, column in zip(row, columns, strict=True):
+        draw_rewards(axes, column.mean_rewards, log=False, smoothing=50)
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
+        axes.set_ylabel("mean reward of an episode")
+        axes.legend(frameon=False, fontsize=8, loc="lower right")
+    low, high = zip(*(axes.get_ylim() for axes in row), strict=True)
+    for axes in row:
+        axes.set_ylim(min(low), max(high))
+
+
 def _plain_size(columns: Sequence[Column]) -> tuple[float, float]:
     return (3.6 if len(columns) < 4 else 3.0), 2.9
 
@@ -255,4 +268,5 @@ _KINDS: dict[Panel, _Kind] = {
     "overflow": _Kind(_overflow_row),
     "decrease": _Kind(_decrease_row),
     "reward": _Kind(_reward_row),
+    "mean_reward": _Kind(_mean_reward_row),
 }
