@@ -15,8 +15,10 @@ figures/                         the paper's figures
 
 The work is cut into parts that know nothing of one another; processes take one after the other. A
 part is done when its rows are there, so an experiment that was stopped, however, goes on when it is
-started again. The results are there as soon as a router is done with all its problems, of all
-routers that are. Solutions do not depend on the number of processes, nor on the stops.
+started again, and does what is new when it is asked for more routers, seeds or sets: all that must
+stay are the problems of a set and the options of a router. The results are there as soon as a
+router is done with all its problems, of all routers that are. Solutions do not depend on the number
+of processes, nor on the stops.
 """
 
 import csv
@@ -90,7 +92,8 @@ class ExperimentConfig:
     """An experiment, as a YAML file holds it; ``configs/yardstick.yaml`` explains the keys.
 
     Attributes:
-        out: the folder of the experiment; it may hold the same experiment, which then goes on.
+        out: the folder of the experiment; it may hold an experiment with the same routers and
+            sets, or others, which then goes on.
         seeds: one run of each router that draws random numbers for every seed.
         jobs: processes at work; None: one a core.
         reference: the name of a router that all others are compared with, besides A*.
@@ -544,13 +547,9 @@ class Experiment:
         self.folder = Path(config.out)
         self._progress = progress
         self.entries = config.entries
-        kept = self.folder / CONFIG
-        started = kept.exists()
-        if started:
-            self._check_same(kept)
-        sets = self._kept_sets() if started else load_sets(config.problems)
+        before = self._before()
         # In an order that does not depend on where they come from.
-        self.sets = {name: dict(sorted(sets[name].items())) for name in sets}
+        self.sets = {name: dict(sorted(own.items())) for name, own in self._load(before).items()}
         for entry in self.entries:
             for name in entry.only or ():
                 if name not in self.sets:
@@ -561,17 +560,34 @@ class Experiment:
             check(f"studies.{name}", not (taken and taken[1] in {*self.sets, ALL}), "another name")
             for title, column in study.columns.items():
                 self._check_column(f"studies.{name}.columns.{title}", study, column)
-        if not started:
-            self._start(kept)
-        elif load_experiment(kept).studies != config.studies:
-            self._write_config(kept)
+        self._keep(before)
 
-    def _check_same(self, kept: Path) -> None:
+    def _before(self) -> ExperimentConfig | None:
+        """All that the folder was asked for so far; raises InputError if it does not fit."""
+        kept = self.folder / CONFIG
+        if not kept.exists():
+            return None
         if "routers" not in read_yaml(kept):
             raise InputError(f"{self.folder}: holds a training: expected another out=")
-        # None of these changes what the rows hold.
-        same = {name: getattr(self.config, name) for name in ("out", "jobs", "studies")}
-        check_same(asdict(self.config), asdict(replace(load_experiment(kept), **same)), kept)
+        before = load_experiment(kept)
+        mine, theirs = (self._rows_depend_on(asked, before) for asked in (self.config, before))
+        check_same(mine, theirs, kept)
+        return before
+
+    def _rows_depend_on(
+        self, asked: ExperimentConfig, before: ExperimentConfig
+    ) -> dict[str, dict[str, Any] | str]:
+        """What must stay: the problems of a set and the options of a router, of those in both."""
+        routers = {
+            name: {key: value for key, value in (options or {}).items() if key != "only"}
+            for name, options in asked.routers.items()
+            if name in self.config.routers and name in before.routers
+        }
+        problems = asked.problems
+        if isinstance(self.config.problems, Mapping) and isinstance(before.problems, Mapping):
+            both = self.config.problems.keys() & before.problems.keys()
+            problems = {name: problems[name] for name in problems if name in both}
+        return {"problems": problems, "routers": routers}
 
     def _check_column(self, key: str, study: Study, column: Column) -> None:
         entry = next(entry for entry in self.entries if entry.name == column.router)
@@ -594,33 +610,48 @@ class Experiment:
             known = other.trains and (other.only is None or of in other.only)
             check(f"{key}.beside", known, f"routers that are trained on {of}")
 
-    def _kept_sets(self) -> dict[str, dict[str, Problem]]:
-        """The sets in the folder, in the order of the configuration."""
+    def _load(self, before: ExperimentConfig | None) -> dict[str, dict[str, Problem]]:
+        """The sets, in the order of the configuration: what the folder holds stays as it is."""
         folder = self.folder / "problems"
-        names = sorted(path.name for path in folder.iterdir() if path.is_dir())
-        if isinstance(self.config.problems, Mapping):
-            names = list(self.config.problems)
-        return {name: load_problems(str(folder / name)) for name in names}
+        if isinstance(self.config.problems, str):
+            if before is None:
+                return load_sets(self.config.problems)
+            names = sorted(path.name for path in folder.iterdir() if path.is_dir())
+            return {name: load_problems(str(folder / name)) for name in names}
+        held = {} if before is None else before.problems
+        return {
+            name: load_problems(str(folder / name))
+            if name in held
+            else load_sets({name: source})[name]
+            for name, source in self.config.problems.items()
+        }
 
-    def _start(self, kept: Path) -> None:
-        """Writes the problems, and then the configuration."""
-        if (self.folder / "rows").exists():
+    def _keep(self, before: ExperimentConfig | None) -> None:
+        """Writes the problems that are new, and then the configuration of all that is there."""
+        if before is None and (self.folder / "rows").exists():
             raise InputError(f"{self.folder}: holds rows without {CONFIG}: expected another out=")
-        known = {f"{name}/{problem}.gr" for name, own in self.sets.items() for problem in own}
-        for path in (self.folder / "problems").glob("*/*.gr"):
-            if f"{path.parent.name}/{path.name}" not in known:
+        new = dict(self.sets)
+        if before is not None:
+            held = self.sets if isinstance(before.problems, str) else before.problems
+            new = {name: own for name, own in self.sets.items() if name not in held}
+        for path in sorted((self.folder / "problems").glob("*/*.gr")):
+            name = path.parent.name
+            if (before is None or name in new) and path.stem not in self.sets.get(name, ()):
                 raise InputError(f"{path}: expected no problems but the experiment's")
         for part in self.parts:
-            if part.entry.router == PUBLISHED:
+            if part.entry.router == PUBLISHED and not part.rows.exists():
                 part.quote()  # complains now, not after hours
-        for name, problems in self.sets.items():
+        for name, problems in new.items():
             for problem in problems:
                 problems[problem].write(self.folder / "problems" / name / f"{problem}.gr")
-        self._write_config(kept)
-
-    def _write_config(self, kept: Path) -> None:
-        plain = json.loads(json.dumps(asdict(self.config)))
-        write_text(kept, yaml.safe_dump(plain, sort_keys=False))
+        plain = asdict(self.config)
+        if before is not None:
+            plain["routers"] = {**before.routers, **plain["routers"]}
+            if isinstance(before.problems, Mapping):
+                plain["problems"] = {**before.problems, **plain["problems"]}
+        if before is None or plain != asdict(before):
+            text = yaml.safe_dump(json.loads(json.dumps(plain)), sort_keys=False)
+            write_text(self.folder / CONFIG, text)
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:

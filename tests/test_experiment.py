@@ -651,11 +651,10 @@ def test_bad_publications(text: str, said: str, here: Path, refused: Callable[..
 
 
 CHANGED: dict[str, tuple[str, str]] = {
-    "seeds": ("seeds=[1]", "seeds: expected (0, 4), as in"),
     "option": ("routers.dqn.dqn.gamma=0.5", "routers.dqn.dqn.gamma: expected 1.0"),
     "problems": ("problems.small.nets=4", "problems.small.nets: expected 3"),
-    "another router": ("routers.more={router: astar}", "routers.more.router: expected None"),
-    "reference": ("reference=astar", "reference: expected 'random'"),
+    "another router of that name": ("routers.up={router: random}", "routers.up.router: expected"),
+    "sets of another kind": ("problems=4.gr", "problems.small.count: expected 3"),
 }
 
 
@@ -666,6 +665,54 @@ def test_an_experiment_goes_on_as_it_started(
     before = (finished / "results.json").read_bytes()
     assert said in refused("experiment", finished / "config.yaml", change)
     assert (finished / "results.json").read_bytes() == before
+
+
+def names_and_seeds(folder: Path) -> set[tuple[Any, ...]]:
+    """Whose rows the results hold."""
+    rows = json.loads((folder / "results.json").read_text())
+    return {(row["set"], row["router"], row["seed"]) for row in rows}
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_routers_seeds_and_sets_come_and_go(here: Path, refused: Callable[..., str]) -> None:
+    routers = {"a": {"router": "astar"}, "r": {"router": "random", "max_steps": 9}}
+    config = write_config(here / "c.yaml", routers=routers, seeds=[3])
+
+    def run(*changes: str) -> set[tuple[Any, ...]]:
+        Experiment(load_experiment(config, changes), progress=False).execute()
+        return names_and_seeds(here / "out")
+
+    small = {("small", "a", None), ("small", "r", 3)}
+    assert run("routers.r=null") == {("small", "a", None)}
+    rows = {path: path.stat().st_mtime_ns for path in (here / "out" / "rows").rglob("*.json")}
+    assert run() == small
+    alone = {("small", "r", 3)}
+    assert run("routers.a=null", "reference=r") == alone
+    # What is left out is kept, and must still be the same when it comes back.
+    changed = "routers.a.net_order=file"
+    assert "routers.a.net_order: expected 'half_" in refused("experiment", config, changed)
+    assert run("seeds=[3, 5]") == small | {("small", "r", 5)}
+    other = f"problems.other={json.dumps(OTHER)}"
+    both = small | {("other", "a", None), ("other", "r", 3)}
+    assert run(other) == both
+    assert run(other, "routers.r.only=[other]") == both - alone
+    assert "problems.other.nets: expected 4" in refused(
+        "experiment", config, other, "problems.other.nets=3"
+    )
+    assert run() == small
+    assert run(other) == both
+    assert {path: path.stat().st_mtime_ns for path in rows} == rows
+    everything_so_far = Experiment(load_experiment(here / "out" / "config.yaml"), progress=False)
+    assert set(everything_so_far.sets) == {"small", "other"}
+
+
+def test_a_folder_that_holds_problems_of_a_new_set(here: Path, refused: Callable[..., str]) -> None:
+    config = write_config(here / "c.yaml", routers=ASTAR)
+    Experiment(load_experiment(config), progress=False)
+    (here / "out" / "problems" / "other").mkdir()
+    shutil.copy("4.gr", here / "out" / "problems" / "other" / "4.gr")
+    said = refused("experiment", config, "problems.other={nets: 2}")
+    assert "4.gr: expected no problems but the experiment's" in said
 
 
 def test_folders_that_hold_something_else(
