@@ -27,7 +27,7 @@ import enum
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from marouting.decomposition import Decomposition, two_pin_tasks
 from marouting.errors import InputError
 from marouting.grid import MOVES, OFF_GRID, VIA_AXIS, Grid, Move
 from marouting.kernels import bound, compiled, inlined, place, wide
-from marouting.problem import UNLIMITED, Problem
+from marouting.problem import UNLIMITED, Problem, check_choice
 from marouting.solution import Solution
 
 TurnOrder = Literal["sequential", "round_robin"]
@@ -382,7 +382,10 @@ def _step_all(world: World, play: Play, moves: Any) -> None:
 
 
 MASKS = np.array(
-    [[free >> move & 1 for move in range(MOVES)] if free else [1] * MOVES for free in range(64)],
+    [
+        [free >> move & 1 for move in range(MOVES)] if free else [1] * MOVES
+        for free in range(1 << MOVES)
+    ],
     np.int8,
 )
 """(64, 6) the action masks of all sets of free moves, a bit each. An agent that is boxed in gets
@@ -507,8 +510,8 @@ class Engine:
         if any(problem.grid != problems[0].grid for problem in problems):
             shapes = sorted({problem.grid for problem in problems})
             raise InputError(f"problems: expected one grid shape, found {shapes}")
-        _check_choice("turn_order", turn_order, TurnOrder)
-        _check_choice("overflow", overflow, Overflow)
+        check_choice("turn_order", turn_order, TurnOrder)
+        check_choice("overflow", overflow, Overflow)
         width, height, _ = problems[0].grid
         if max_steps is None:
             max_steps = max(50, 2 * (width + height))
@@ -704,12 +707,6 @@ class Engine:
         return Solution.of_uses(self.problems[m], net, edge)
 
 
-def _check_choice(name: str, value: object, choices: Any) -> None:
-    """Raises InputError for an option that is none of the choices of its Literal type."""
-    if value not in get_args(choices):
-        raise InputError(f"{name}: expected one of {get_args(choices)}, found {value!r}")
-
-
 def world_of(
     problems: tuple[Problem, ...],
     grid: Grid,
@@ -729,10 +726,10 @@ def world_of(
         InputError: a problem that cannot be played, or no such order or decomposition.
     """
     if isinstance(net_order, str):
-        _check_choice("net_order", net_order, NetOrder)
+        check_choice("net_order", net_order, NetOrder)
     elif any(np.shape(net_order) != (len(problem.nets),) for problem in problems):
         raise InputError(f"net_order: expected a number a net, found shape {np.shape(net_order)}")
-    _check_choice("decomposition", decomposition, Decomposition)
+    check_choice("decomposition", decomposition, Decomposition)
     pins = [problem.flat_pin_gcells for problem in problems]
     counts = [np.count_nonzero(first[1:] - first[:-1] > 1) for first, _ in pins]
     for m, count in enumerate(counts):

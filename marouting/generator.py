@@ -7,7 +7,7 @@ itself or of the whole set.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from marouting.problem import (
     Net,
     Pin,
     Problem,
+    check_choice,
     check_grid,
     check_numbers,
 )
@@ -79,11 +80,7 @@ class GeneratorOptions:
                 raise InputError(f"{name}: expected at least {least}, found {getattr(self, name)}")
         check_numbers("capacity and reduced_edges", (self.capacity, self.reduced_edges))
         check_numbers("reduced_capacity", [n for n in (self.reduced_capacity,) if n is not None])
-        if self.reduced_per not in get_args(ReducedPer):
-            raise InputError(
-                f"reduced_per: expected one of {', '.join(get_args(ReducedPer))}, "
-                f"found {self.reduced_per!r}"
-            )
+        check_choice("reduced_per", self.reduced_per, ReducedPer)
         if self.seed is not None and self.seed < 0:
             raise InputError(f"seed: expected a number from 0, found {self.seed}")
 

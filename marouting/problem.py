@@ -11,7 +11,7 @@ import itertools
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -356,6 +356,12 @@ def check_net(net: Net, row: int = 0) -> None:
     if not net.pins:
         raise FieldError(f"net {net.name}: expected at least one pin", "nets", row)
     check_numbers(f"net {net.name}: id and minimum width", (net.id, net.min_width), "nets", row)
+
+
+def check_choice(name: str, value: object, choices: Any) -> None:
+    """Raises InputError for an option that is none of the choices of its Literal type."""
+    if value not in get_args(choices):
+        raise InputError(f"{name}: expected one of {', '.join(get_args(choices))}, found {value!r}")
 
 
 def check_numbers(name: str, values: Iterable[int], field: str = "", row: int = 0) -> None:

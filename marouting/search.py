@@ -12,7 +12,7 @@ Ties are broken the same way everywhere: of the Gcells with the lowest f = g + h
 is opened first, and neighbours are found in the order of :class:`marouting.grid.Move`.
 """
 
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,10 +33,9 @@ from marouting.engine import (
     move_agent,
     world_of,
 )
-from marouting.errors import InputError
 from marouting.grid import AXES, MOVES, Grid
 from marouting.kernels import compiled, inlined, place, wide
-from marouting.problem import Problem
+from marouting.problem import Problem, check_choice
 from marouting.solution import Solution
 
 Target = Literal["pin", "tree"]
@@ -453,8 +452,7 @@ def sequential_astar(
     Raises:
         InputError: no such target or decomposition.
     """
-    if target not in get_args(Target):
-        raise InputError(f"target: expected one of {get_args(Target)}, found {target!r}")
+    check_choice("target", target, Target)
     grid = problem.topology
     _, gcells = problem.flat_pin_gcells
     joints = len(gcells) - len(problem.nets)

@@ -228,9 +228,9 @@ def _column(
     means: dict[str, NDArray[np.float64]] = {}
     if "mean_reward" in study.panels:
         for router in (column.router, *column.beside):
-            seeds = [row["seed"] for row in next(iter(routers.get(router, {"": []}).values()))]
-            curves = [curve for seed in seeds for curve in rewards(router, seed).values()]
-            if curves:
+            if router in routers:
+                seeds = [row["seed"] for row in next(iter(routers[router].values()))]
+                curves = [curve for seed in seeds for curve in rewards(router, seed).values()]
                 means[router] = np.mean(curves, axis=0)
     return figures.Column(
         problem,

@@ -108,6 +108,6 @@ def stray_edges(problem: Problem, solution: Solution) -> int:
 
 
 def routable_edges(problem: Problem) -> NDArray[np.int64]:
-    """The edges along x and y that have capacity."""
+    """(k,) int64, the numbers of the edges along x and y that have capacity, rising."""
     along = np.arange(len(problem.capacity)) % AXES != VIA_AXIS
     return np.flatnonzero(along & (problem.capacity > 0)).astype(np.int64)

@@ -44,6 +44,7 @@ from policies.statistics import (
     share_interval,
     summarise,
 )
+from policies.utilisation import histogram_counts, utilisation_maps
 
 ROOT = Path(__file__).resolve().parents[1]
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -142,6 +143,14 @@ def untimed(sets: dict[str, Any]) -> dict[str, Any]:
 def _undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests that look at no picture: they take a second each."""
     monkeypatch.setattr(figures, "save", lambda _figure, _path: None)
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The figures that the test has drawn, by file name without the ending; none is written."""
+    found: dict[str, Any] = {}
+    monkeypatch.setattr(figures, "save", lambda figure, path: found.update({path.stem: figure}))
+    return found
 
 
 @pytest.fixture
@@ -783,11 +792,7 @@ def test_plot_draws_an_experiment(
     assert all(path.read_bytes().startswith(PNG) for path in written)
 
 
-def test_figures_show_the_rows(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: dict[str, Any] = {}
-    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.update({path.stem: figure}))
+def test_figures_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
     plot.experiment_figures(finished, tmp_path)
     rows = [row for row in results(finished) if row["set"] == "small"]
 
@@ -824,11 +829,7 @@ def test_figures_show_the_rows(
         assert f"lower on {np.count_nonzero(decrease > 0)} of" in axes.get_title()
 
 
-def test_studies_show_the_rows(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: dict[str, Any] = {}
-    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.update({path.stem: figure}))
+def test_studies_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
     plot.experiment_figures(finished, tmp_path)
     rows = by_set(json.loads((finished / "results.json").read_text()))
     panels = np.array(drawn["sizes"].axes).reshape(5, 2)
@@ -870,14 +871,32 @@ def test_studies_show_the_rows(
     assert drawn["order"].axes[0].get_title().startswith("smallest first\nlower on ")
 
 
-def test_a_study_of_mean_rewards(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_studies_show_one_problem(finished: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
+    plot.experiment_figures(finished, tmp_path)
+    vias, vertical, horizontal, histogram, routes = drawn["routes"].axes[:5]
+    problem = Problem.read(finished / "problems" / "small" / "problem_001.gr")
+    file = finished / "solutions" / "small" / "problem_001.dqn.seed0.solution"
+    solution = Solution.read(file, problem)
+    maps = utilisation_maps(problem, solution)
+    for axes, expected in (
+        (vias, maps.via),
+        (vertical, maps.vertical),
+        (horizontal, maps.horizontal),
+    ):
+        shown = np.ma.filled(axes.images[0].get_array().astype(float), np.nan)
+        np.testing.assert_array_equal(shown, np.minimum(expected, 1e9).T)
+    bars = [bar.get_height() for bars in histogram.containers for bar in bars]
+    assert bars == histogram_counts(problem, solution).ravel().tolist()
+    assert f"WL {evaluate(problem, solution).wirelength}, OF 0" in routes.get_title()
+    assert vias.get_title().startswith("DQN\n")
+
+
+def test_a_study_of_mean_rewards(here: Path, drawn: dict[str, Any]) -> None:
     more = {**DQN, "dqn": {**DQN["dqn"], "hidden": [4]}}
     routers = {**ASTAR, "wide": DQN, "slim": more}
     column = {"router": "wide", "beside": ["slim"]}
     study = {"panels": ["mean_reward"], "columns": {"width": column, "one": {"router": "slim"}}}
     config = write_config(here / "c.yaml", routers=routers, seeds=[0, 3], studies={"w": study})
-    drawn: dict[str, Any] = {}
-    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.update({path.stem: figure}))
     Experiment(load_experiment(config), progress=False).execute()
 
     def mean(router: str) -> list[float]:
@@ -914,12 +933,8 @@ def test_studies_can_change_and_follow_the_routers(here: Path) -> None:
     assert load_experiment(here / "out" / "config.yaml") == again.config
 
 
-def test_a_study_shows_every_router_once_and_any_title(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_shows_every_router_once_and_any_title(here: Path, drawn: dict[str, Any]) -> None:
     """Whatever the baseline and the reference are called."""
-    drawn: dict[str, Any] = {}
-    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.update({path.stem: figure}))
     routers = {"a": {"router": "astar"}, "p": {"router": "pathfinder"}, "b": {"router": "astar"}}
     columns = {r"$\x{$": {"router": "a"}, "P": {"router": "p"}, "B": {"router": "b"}}
     study = {"panels": ["wirelength"], "columns": columns}

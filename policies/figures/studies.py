@@ -1,7 +1,6 @@
 """Composed figures: routers side by side, quantities below one another (:mod:`policies.study`)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import islice
 from string import ascii_lowercase
 from typing import NamedTuple
 
@@ -85,8 +84,9 @@ def study(columns: Mapping[str, Column], panels: Sequence[Panel]) -> Figure:
     )
     for kind, row in zip(kinds, grid, strict=True):
         kind.draw(row, of)
+    titles = list(columns)  # above the first row
     for index, axes in enumerate(grid.ravel()):
-        title = next(islice(columns, index, None)) if index < len(columns) else ""
+        title = titles[index] if index < len(titles) else ""
         note = axes.get_title()
         axes.set_title("")
         axes.set_title(f"({ascii_lowercase[index % 26]})", fontsize=10, loc="left")
