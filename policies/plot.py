@@ -19,6 +19,8 @@ from policies.classical.astar import AStarRouter
 from policies.experiment import (
     CONFIG,
     RESULTS,
+    Column,
+    Study,
     label,
     load_experiment,
     problem_file,
@@ -26,7 +28,6 @@ from policies.experiment import (
     solution_file,
 )
 from policies.statistics import Row, baseline, by_router, by_set, joined_wirelength, overflow
-from policies.study import Column, Study
 
 
 def read_rewards(metrics: Path) -> dict[str, list[float]]:

@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from marouting import InputError, Problem, Solution, evaluate, generate
-from policies import experiment, figures, plot
+from policies import figures, plot
 from policies.classical.astar import AStarRouter
 from policies.classical.random import RandomRouter
 from policies.cli import status
@@ -306,7 +306,7 @@ def test_results_are_there_of_the_routers_that_are_done(
                 raise KeyboardInterrupt
             yield done
 
-    monkeypatch.setattr("policies.experiment.work_on", without_trainings)
+    monkeypatch.setattr("policies.experiment.experiment.work_on", without_trainings)
     with pytest.raises(KeyboardInterrupt):
         Experiment(config, progress=False).execute()
     there = results(Path(config.out))
@@ -352,7 +352,7 @@ def test_nothing_is_done_twice(
     (folder / "results.json").unlink()
     config = load_experiment(folder / "config.yaml", [f"out={folder}", "jobs=1"])
     with monkeypatch.context() as patch:
-        patch.setattr(experiment, "work_on", None)
+        patch.setattr("policies.experiment.experiment.work_on", None)
         Experiment(config, progress=False).execute()
     assert outcome(folder) == outcome(finished)
     # And when some of it is missing, that is done, and no more.

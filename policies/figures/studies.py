@@ -1,4 +1,7 @@
-"""Composed figures: routers side by side, quantities below one another (:mod:`policies.study`)."""
+"""Composed figures: routers side by side, quantities below one another.
+
+What they show is told by :class:`policies.experiment.Study`.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from string import ascii_lowercase
@@ -14,6 +17,7 @@ from numpy.typing import NDArray
 from marouting.errors import InputError
 from marouting.problem import Problem
 from marouting.solution import Solution
+from policies.experiment.study import Panel
 from policies.figures.results import (
     decrease_bins,
     decrease_note,
@@ -31,7 +35,6 @@ from policies.figures.routes import (
     map_notes,
     route_notes,
 )
-from policies.study import Panel
 
 
 class Column(NamedTuple):

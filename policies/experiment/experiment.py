@@ -1,0 +1,340 @@
+"""A whole experiment: its parts shared out among processes, its results gathered."""
+
+import json
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from marouting import InputError, Problem, Solution
+from marouting.config import read_yaml
+from marouting.files import write_text
+from marouting.source import load_problems
+from policies.config import check, check_same
+from policies.experiment.config import (
+    PUBLISHED,
+    Entry,
+    ExperimentConfig,
+    load_experiment,
+    load_sets,
+)
+from policies.experiment.folder import (
+    CONFIG,
+    RESULTS,
+    SUMMARY,
+    read_rows,
+    solution_file,
+    to_csv,
+)
+from policies.experiment.part import Part
+from policies.experiment.study import Column, Study
+from policies.processes import cores, work_on
+from policies.routers import unknown
+from policies.statistics import ALL, Row, add_gaps, baseline, by_set, summarise
+from policies.utilisation import problem_type
+
+
+class Experiment:
+    """An experiment in its folder, new or to go on with.
+
+    Its processes import the main module: a script that runs one needs the usual
+    ``if __name__ == "__main__":``.
+
+    Args:
+        config: what to do, as :func:`load_experiment` gives it.
+        progress: whether to show a progress bar on standard error.
+
+    Raises:
+        InputError: the configuration, a problem or the folder cannot be used, or the folder holds
+            something else.
+    """
+
+    def __init__(self, config: ExperimentConfig, *, progress: bool = True) -> None:
+        self.config = config
+        self.folder = Path(config.out)
+        self._progress = progress
+        self.entries = config.entries
+        before = self._before()
+        # In an order that does not depend on where they come from.
+        self.sets = {name: dict(sorted(own.items())) for name, own in self._load(before).items()}
+        for entry in self.entries:
+            for name in entry.only or ():
+                if name not in self.sets:
+                    raise unknown(f"routers.{entry.name}.only", name, tuple(self.sets))
+        # As far as it goes that can be told before there are results.
+        for name, study in config.studies.items():
+            taken = re.fullmatch(r"(.+)_(wirelength|overflow|decrease)", name)
+            check(f"studies.{name}", not (taken and taken[1] in {*self.sets, ALL}), "another name")
+            for title, column in study.columns.items():
+                self._check_column(f"studies.{name}.columns.{title}", study, column)
+        self._keep(before)
+
+    def _before(self) -> ExperimentConfig | None:
+        """All that the folder was asked for so far; raises InputError if it does not fit."""
+        kept = self.folder / CONFIG
+        if not kept.exists():
+            return None
+        if "routers" not in read_yaml(kept):
+            raise InputError(f"{self.folder}: holds a training: expected another out=")
+        before = load_experiment(kept)
+        mine, theirs = (self._rows_depend_on(asked, before) for asked in (self.config, before))
+        check_same(mine, theirs, kept)
+        return before
+
+    def _rows_depend_on(
+        self, asked: ExperimentConfig, before: ExperimentConfig
+    ) -> dict[str, dict[str, Any] | str]:
+        """What must stay: the problems of a set and the options of a router, of those in both."""
+        routers = {
+            name: {key: value for key, value in (options or {}).items() if key != "only"}
+            for name, options in asked.routers.items()
+            if name in self.config.routers and name in before.routers
+        }
+        problems = asked.problems
+        if isinstance(self.config.problems, Mapping) and isinstance(before.problems, Mapping):
+            both = self.config.problems.keys() & before.problems.keys()
+            problems = {name: problems[name] for name in problems if name in both}
+        return {"problems": problems, "routers": routers}
+
+    def _check_column(self, key: str, study: Study, column: Column) -> None:
+        entry = next(entry for entry in self.entries if entry.name == column.router)
+        sets = tuple(name for name in self.sets if entry.only is None or name in entry.only)
+        if column.set is None:
+            check(f"{key}.set", len(sets) == 1, f"one of {', '.join(sets)}")
+        elif column.set not in sets:
+            raise unknown(f"{key}.set", column.set, sets)
+        of = column.set or sets[0]
+        if column.problem is not None and column.problem not in self.sets[of]:
+            raise unknown(f"{key}.problem", column.problem, tuple(self.sets[of]))
+        check(f"{key}.router", entry.router != PUBLISHED, "one that routes here")
+        against = [
+            e for e in self.entries if e.router == "astar" and (e.only is None or of in e.only)
+        ]
+        check(key, against, f"a router of the kind astar that is for {of}")
+        learns = {"reward", "mean_reward"} & set(study.panels)
+        check(f"{key}.router", entry.trains or not learns, "one that is trained")
+        for other in (e for e in self.entries if e.name in column.beside):
+            known = other.trains and (other.only is None or of in other.only)
+            check(f"{key}.beside", known, f"routers that are trained on {of}")
+
+    def _load(self, before: ExperimentConfig | None) -> dict[str, dict[str, Problem]]:
+        """The sets, in the order of the configuration: what the folder holds stays as it is."""
+        folder = self.folder / "problems"
+        if isinstance(self.config.problems, str):
+            if before is None:
+                return load_sets(self.config.problems)
+            names = sorted(path.name for path in folder.iterdir() if path.is_dir())
+            return {name: load_problems(str(folder / name)) for name in names}
+        held = {} if before is None else before.problems
+        return {
+            name: load_problems(str(folder / name))
+            if name in held
+            else load_sets({name: source})[name]
+            for name, source in self.config.problems.items()
+        }
+
+    def _keep(self, before: ExperimentConfig | None) -> None:
+        """Writes the problems that are new, and then the configuration of all that is there."""
+        if before is None and (self.folder / "rows").exists():
+            raise InputError(f"{self.folder}: holds rows without {CONFIG}: expected another out=")
+        new = dict(self.sets)
+        if before is not None:
+            held = self.sets if isinstance(before.problems, str) else before.problems
+            new = {name: own for name, own in self.sets.items() if name not in held}
+        for path in sorted((self.folder / "problems").glob("*/*.gr")):
+            name = path.parent.name
+            if (before is None or name in new) and path.stem not in self.sets.get(name, ()):
+                raise InputError(f"{path}: expected no problems but the experiment's")
+        for part in self.parts:
+            if part.entry.router == PUBLISHED and not part.rows.exists():
+                part.quote()  # complains now, not after hours
+        for name, problems in new.items():
+            for problem in problems:
+                problems[problem].write(self.folder / "problems" / name / f"{problem}.gr")
+        plain = asdict(self.config)
+        if before is not None:
+            plain["routers"] = {**before.routers, **plain["routers"]}
+            if isinstance(before.problems, Mapping):
+                plain["problems"] = {**before.problems, **plain["problems"]}
+        if before is None or plain != asdict(before):
+            text = yaml.safe_dump(json.loads(json.dumps(plain)), sort_keys=False)
+            write_text(self.folder / CONFIG, text)
+
+    @cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """All the work, router by router: what takes long comes last."""
+        return tuple(
+            Part(self.folder, name, entry, seed, share)
+            for entry in sorted(self.entries, key=lambda entry: _SLOW.get(entry.router, 0))
+            for name, own in self.sets.items()
+            if entry.only is None or name in entry.only
+            for seed in (self.config.seeds if entry.seeded else (None,))
+            for share in _shares(entry, own)
+        )
+
+    def execute(self) -> dict[str, Any]:
+        """Does what is left to do and writes the results; returns what ``summary.json`` holds.
+
+        Whenever a router is done with all its problems, the results are written of those that are.
+        """
+        left = [part for part in self.parts if not part.rows.exists()]
+        if left:
+            self._work(left)
+        return self._write(self.entries)
+
+    def _write(self, entries: Sequence[Entry]) -> dict[str, Any]:
+        """Writes the results of routers that are done; returns what ``summary.json`` holds."""
+        rows = self._rows(entries)
+        reference = self.config.reference
+        if reference not in {entry.name for entry in entries}:
+            reference = None
+        sets = {name: summarise(own, reference) for name, own in by_set(rows).items()}
+        summary = {"reference": reference, "types": self._types(rows), "sets": sets}
+        write_text(self.folder / RESULTS, json.dumps(rows, indent=1) + "\n")
+        write_text(self.folder / "results.csv", to_csv(rows))
+        write_text(self.folder / SUMMARY, json.dumps(summary, indent=1) + "\n")
+        from policies.plot import experiment_figures
+
+        experiment_figures(self.folder)
+        return summary
+
+    def _types(self, rows: Sequence[Row]) -> dict[str, dict[str, int]]:
+        """How many problems of each set are of the paper's types, by A*'s solutions."""
+        types: dict[str, dict[str, int]] = {}
+        for name, own in by_set(rows).items():
+            astar = baseline(own)
+            if name == ALL or astar is None:
+                continue
+            first = {row["problem"]: row for row in reversed(own) if row["router"] == astar}
+            types[name] = {"I": 0, "II": 0}
+            for problem, row in first.items():
+                path = solution_file(self.folder, name, problem, row["router"], row["seed"])
+                routed = self.sets[name][problem]
+                types[name][problem_type(routed, Solution.read(path, routed))] += 1
+        return types
+
+    def _work(self, left: Sequence[Part]) -> None:
+        """Works on parts and shows how many of all problems are done."""
+        trainings = {
+            part.run: (_Lines(part.run / "metrics.jsonl"), part.entry.options["train"])
+            for part in left
+            if part.entry.trains
+        }
+        threads = max((train["threads"] for _, train in trainings.values()), default=1)
+        total = sum(len(part.problems) for part in self.parts)
+        done = total - sum(len(part.problems) for part in left)
+        missing = Counter(part.entry.name for part in left)
+        written = 0  # routers in the results
+        with self._bar() as bar:
+            task = bar.add_task(str(self.folder), total=total, completed=done)
+            for parts in work_on(left, self.config.jobs or cores(), threads):
+                for part in parts:
+                    trainings.pop(part.run, None)
+                    done += len(part.problems)
+                missing -= Counter(part.entry.name for part in parts)
+                finished = [entry for entry in self.entries if not missing[entry.name]]
+                if missing and len(finished) > written:
+                    self._write(finished)
+                    written = len(finished)
+                # A line is an episode of one problem.
+                begun = sum(
+                    lines.count() / train["episodes"] for lines, train in trainings.values()
+                )
+                bar.update(task, completed=done + begun)
+
+    def _bar(self) -> Progress:
+        return Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("problems"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            disable=not self._progress,
+        )
+
+    def _rows(self, entries: Sequence[Entry]) -> list[Row]:
+        """The rows of routers, by set, problem, router and seed in the configuration's order."""
+        rows = {}
+        names = {entry.name for entry in entries}
+        for part in self.parts:
+            if part.entry.name not in names:
+                continue
+            found = read_rows(part.rows)
+            if [row["problem"] for row in found] != list(part.problems):
+                raise InputError(f"{part.rows}: expected rows of {', '.join(part.problems)}")
+            for row in found:
+                rows[part.set, row["problem"], part.entry.name, part.seed] = row
+        ordered = [
+            rows[name, problem, entry.name, seed]
+            for name, own in self.sets.items()
+            for problem in own
+            for entry in entries
+            if entry.only is None or name in entry.only
+            for seed in (self.config.seeds if entry.seeded else (None,))
+        ]
+        add_gaps(ordered)
+        return ordered
+
+
+class _Lines:
+    """Counts the lines of a growing file without reading any twice."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._read = self._count = 0
+
+    def count(self) -> int:
+        """How many there are by now; 0 as long as there is no file."""
+        try:
+            if self._path.stat().st_size < self._read:  # cut off by a training that goes on
+                self._read = self._count = 0
+            with self._path.open("rb") as lines:
+                lines.seek(self._read)
+                new = lines.read()
+        except OSError:
+            return self._count
+        self._read += len(new)
+        self._count += new.count(b"\n")
+        return self._count
+
+
+_SLOW = {"optimal": 1, "dqn": 2}
+"""Routers that take longest, and the order that puts them last."""
+
+
+def _shares(entry: Entry, problems: Mapping[str, Problem]) -> list[tuple[str, ...]]:
+    """The problems of a set, cut into what one process does at a time."""
+    if entry.router == PUBLISHED:
+        return [tuple(problems)]
+    if not entry.trains:
+        return [(name,) for name in problems]
+    grids: dict[tuple[int, int, int], list[str]] = {}
+    for name, problem in problems.items():
+        grids.setdefault(problem.grid, []).append(name)  # a stack has one grid shape
+    size = entry.options["stack"]
+    if entry.options["dqn"]["shared"]:
+        if len(grids) > 1:
+            raise InputError(
+                f"routers.{entry.name}.dqn.shared: expected a set of one grid shape, "
+                f"found {sorted(grids)}"
+            )
+        size = len(problems)
+    return [
+        tuple(names[i : i + size]) for names in grids.values() for i in range(0, len(names), size)
+    ]

@@ -1,0 +1,142 @@
+"""A part of the work of an experiment, which a process of its own can do."""
+
+import json
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from marouting import InputError, Problem, Solution, evaluate, generate
+from marouting.config import build
+from marouting.files import write_text
+from policies.base import Router, solve
+from policies.config import Config, load_config
+from policies.experiment.config import PUBLISHED, Entry, Published
+from policies.experiment.folder import COLUMNS, label, problem_file, read_rows, solution_file
+from policies.routers import make_router
+from policies.statistics import Row
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some problems of a set that one router routes, with one seed.
+
+    Attributes:
+        folder: of the experiment.
+        set: the set's name.
+        entry: the router.
+        seed: the seed; None for a router that draws no random numbers.
+        problems: names of the problems; the first is that of the part.
+    """
+
+    folder: Path
+    set: str
+    entry: Entry
+    seed: int | None
+    problems: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        """The router's name with the seed, as files carry it."""
+        return label(self.entry.name, self.seed)
+
+    @property
+    def rows(self) -> Path:
+        """The file with the rows: there when the part is done."""
+        return self.folder / "rows" / self.set / self.label / f"{self.problems[0]}.json"
+
+    @property
+    def run(self) -> Path:
+        """The run folder of a training."""
+        return self.folder / "runs" / self.set / self.label / self.problems[0]
+
+    def problem(self, name: str) -> Path:
+        """The file of a problem."""
+        return problem_file(self.folder, self.set, name)
+
+    def solution(self, name: str) -> Path:
+        """The file for the solution of a problem."""
+        return solution_file(self.folder, self.set, name, self.entry.name, self.seed)
+
+    def work(self) -> None:
+        """Routes the problems; writes the solutions, and then the rows."""
+        try:
+            if self.entry.router == PUBLISHED:
+                rows = self.quote()
+            elif self.entry.trains:
+                rows = self._train()
+            else:
+                rows = [self._route(name) for name in self.problems]
+        except InputError as error:
+            raise InputError(f"{self.set}, {self.label}: {error}") from None
+        about = {"set": self.set, "router": self.entry.name, "kind": self.entry.router}
+        full = [{**dict.fromkeys(COLUMNS), **row, **about, "seed": self.seed} for row in rows]
+        write_text(self.rows, json.dumps(full, indent=1) + "\n")
+
+    def quote(self) -> list[Row]:
+        """The rows of a published router; raises InputError if one is missing."""
+        published = Published(**self.entry.options)
+        found = published.read()
+        rows = []
+        for name in self.problems:
+            if (self.set, name) not in found:
+                raise InputError(f"{published.file}: expected a row for {self.set},{name}")
+            overflow, wirelength = found[self.set, name]
+            figures = {"overflow": overflow, "wirelength": wirelength}
+            rows.append({"problem": name, **figures, "proven": published.optimal})
+        return rows
+
+    def _route(self, name: str) -> Row:
+        problem = Problem.read(self.problem(name))
+        router = self._router(name)
+        self._warm_up(router)
+        started = time.perf_counter()
+        solution, report = solve(router, problem)
+        seconds = time.perf_counter() - started
+        solution.write(self.solution(name))
+        figures = asdict(evaluate(problem, solution))
+        del figures["disconnected"]
+        proven = report["status"] == "optimal" if "status" in report else None
+        return {"problem": name, **figures, "proven": proven, "seconds": round(seconds, 6)}
+
+    def _router(self, problem: str) -> Router:
+        if self.entry.router == "dqn":
+            from policies.learned.router import DQNRouter
+
+            return DQNRouter(checkpoint=self.entry.options["checkpoint"], network=problem)
+        seed = {} if self.seed is None else {"seed": self.seed}
+        return make_router(self.entry.router, {**self.entry.options, **seed})
+
+    def _warm_up(self, router: Router) -> None:
+        """Routes a small problem once a process: compiling is no part of a router's time."""
+        if self.entry.name not in _warm:
+            router.route(generate(1, (4, 4, 2), nets=6, capacity=1, reduced_edges=0)[0])
+            _warm.add(self.entry.name)
+
+    def _train(self) -> list[Row]:
+        from policies.learned import run as folders
+
+        kept = self.run / folders.CONFIG
+        if not (self.run / folders.POLICY).exists():
+            config = load_config(kept) if kept.exists() else self._training()
+            # The folder may have another name than when it was started.
+            config = replace(config, out=str(self.run))
+            folders.Run(config, resume=kept.exists(), progress=False).execute()
+        # The memories of what is done are no use to anybody, and large.
+        (self.run / folders.CHECKPOINT).unlink(missing_ok=True)
+        named = read_rows(self.run / folders.RESULT, {"router": str, "problem": str})
+        rows = [row for row in named if row["router"] == "dqn"]
+        for row in rows:
+            name = row["problem"]
+            problem = Problem.read(self.problem(name))
+            solution = Solution.read(self.run / "solutions" / f"{name}.dqn.solution", problem)
+            solution.write(self.solution(name))
+        return rows
+
+    def _training(self) -> Config:
+        parts = {key: dict(self.entry.options[key]) for key in ("env", "dqn", "train")}
+        parts["env"]["problem"] = [str(self.problem(name)) for name in self.problems]
+        return build(Config, {"seed": self.seed, **parts})
+
+
+_warm: set[str] = set()
+"""The routers that this process has used."""
