@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
 from marouting.files import unusable
-from policies import figures, scaling
+from policies import figures
 from policies.classical.astar import AStarRouter
 from policies.experiment import (
     CONFIG,
@@ -250,6 +250,8 @@ def growth_figure(bench: Path, folder: Path) -> Path:
     Raises:
         InputError: the file cannot be read, or holds no such measurement.
     """
+    from policies.bench import scaling
+
     try:
         report = json.loads(bench.read_text(encoding="utf-8"))
         figure = scaling.draw(report["growth"], f"measured {report['machine']['date']}")

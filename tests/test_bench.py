@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from policies import cli
-from policies.bench import SECTIONS, Bench, operations, rate
+from policies.bench import SECTIONS, Bench
+from policies.bench.measure import rate
+from policies.bench.training import operations
 
 
 def test_rates_are_taken_in_turns() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from marouting import InputError, evaluate, sequential_astar
-from policies import scaling
+from policies.bench import scaling
 from policies.plot import plot
 
 WORKS = [scaling.STEP, scaling.ASTAR, scaling.EVALUATE]

@@ -59,7 +59,7 @@ class Connector:
             raise InputError("--against jumanji: expected the package jumanji: pip install jumanji")
         self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed with the process
         self._process = subprocess.Popen(
-            [sys.executable, "-c", f"from policies.jumanji import serve; serve({batch})"],
+            [sys.executable, "-c", f"from policies.bench.jumanji import serve; serve({batch})"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,

@@ -1,0 +1,247 @@
+"""Speed of the environment: its faces, its start, its memory."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from marouting import Problem, generate, global_routing_v0
+from marouting.grid import MOVES
+from marouting.vector import BatchEnv
+from policies.bench.measure import Bench, Row, Work
+
+
+def _problem(nets: int = 50, seed: int = 0) -> Problem:
+    return generate(1, nets=nets, seed=seed)[0]
+
+
+def _batched(threads: int, steps: int = 60, problems: int = 1024) -> Work:
+    """Random moves of all agents of a batch of the paper's problems."""
+    env = BatchEnv(generate(16) * (problems // 16), threads=threads)
+    env.reset()
+    shape = (problems, env.num_agents)
+    moves = np.random.default_rng(0).integers(MOVES, size=(8, *shape), dtype=np.int8)
+
+    def work() -> float:
+        for step in range(steps):
+            env.step(moves[step % len(moves)])
+        return steps * shape[0] * shape[1]
+
+    return work
+
+
+def batch(bench: Bench) -> Iterator[Row]:
+    """The batched environment, with observations, masks and rewards."""
+    unit = "agent-steps/s"
+    one = _batched(1)
+    yield bench.versus(
+        "BatchEnv, 1024 problems of 50 nets",
+        unit,
+        one,
+        "Parallel face, 50 nets",
+        _parallel(global_routing_v0.parallel_env(_problem())),
+        target="30 M",
+    )
+    if bench.threads > 1:
+        yield bench.versus(
+            "BatchEnv, the same",
+            unit,
+            _batched(bench.threads),
+            "one thread",
+            one,
+            threads=bench.threads,
+        )
+
+
+def _parallel(env: Any, steps: int = 300) -> Work:
+    """All agents of a Parallel environment, moving in circles."""
+    env.reset(seed=0)
+    moves = [
+        {agent: (k + i) % MOVES for i, agent in enumerate(env.possible_agents)}
+        for k in range(MOVES)
+    ]
+
+    def work() -> float:
+        done = 0
+        for step in range(steps):
+            if not env.agents:
+                env.reset()
+            everybody = moves[step % MOVES]
+            agents = env.agents
+            if len(agents) != len(everybody):
+                everybody = {agent: everybody[agent] for agent in agents}
+            done += len(agents)
+            env.step(everybody)
+        return done
+
+    return work
+
+
+def _turns(env: Any, steps: int = 3000, *, last: bool = True) -> Work:
+    """An AEC loop, with ``last()`` before every step or without."""
+    env.reset(seed=0)
+
+    def work() -> float:
+        for step in range(steps):
+            if not env.agents:
+                env.reset()
+            if last:
+                _, _, terminated, truncated, _ = env.last()
+                over = terminated or truncated
+            else:
+                agent = env.agent_selection
+                over = env.terminations[agent] or env.truncations[agent]
+            env.step(None if over else step % MOVES)
+        return steps
+
+    return work
+
+
+def faces(bench: Bench) -> Iterator[Row]:
+    """The faces of PettingZoo, against environments that do nothing."""
+    from pettingzoo.utils import wrappers
+
+    from policies.bench.floor import EmptyAEC
+
+    def wrapped(env: Any) -> Any:
+        return wrappers.OrderEnforcingWrapper(wrappers.AssertOutOfBoundsWrapper(env))
+
+    problem = _problem()
+    yield bench.versus(
+        "AEC face: last() and step()",
+        "steps/s",
+        _turns(global_routing_v0.env(problem)),
+        "an empty AEC environment under the same wrappers",
+        _turns(wrapped(EmptyAEC())),
+        target="0.7 of the comparator",
+    )
+    yield bench.versus(
+        "raw_env: step()",
+        "steps/s",
+        _turns(global_routing_v0.raw_env(problem), 10_000, last=False),
+        "an empty AEC environment, bare",
+        _turns(EmptyAEC(), 10_000, last=False),
+        target="150 000",
+    )
+    yield bench.versus(
+        "Parallel face, 50 nets",
+        "agent-steps/s",
+        _parallel(global_routing_v0.parallel_env(problem)),
+        "raw_env: step()",
+        _turns(global_routing_v0.raw_env(problem), 10_000, last=False),
+        target="700 000",
+    )
+
+
+def jumanji(bench: Bench) -> Iterator[Row]:
+    """The batched environment against Jumanji's Connector, both on one core."""
+    from policies.bench.jumanji import Connector, one_core
+
+    with one_core(), Connector(1024) as connector:
+        yield bench.versus(
+            "BatchEnv, 1024 problems of 50 nets, on one core",
+            "agent-steps/s",
+            _batched(1),
+            "Jumanji's Connector-v3, 1024 games of 10 agents",
+            connector,
+            target="3 times the comparator",
+        )
+
+
+# --- in processes of their own --------------------------------------------------------------------
+
+_START = """
+import json, sys, time
+started = time.perf_counter()
+from marouting import global_routing_v0
+imported = time.perf_counter()
+env = global_routing_v0.env()
+env.reset(seed=0)
+env.last()
+print(json.dumps([imported - started, time.perf_counter() - imported]))
+"""
+
+_LARGE = """
+import gc, json, os, sys, time
+from marouting import generate, global_routing_v0
+
+def megabytes():
+    # What the process has in memory now.
+    gc.collect()
+    pages = int(open("/proc/self/statm").read().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+make = getattr(global_routing_v0, sys.argv[1])
+make().reset(seed=0)  # compiled code is there, whoever plays
+problem = generate(1, grid=(64, 64, 2), nets=10_000, capacity=60, reduced_edges=0)[0]
+before = megabytes()
+made = time.perf_counter()
+env = make(problem)
+env.reset(seed=0)
+reset = time.perf_counter()
+env.reset(seed=0)
+done = time.perf_counter()
+# An episode touches what has only been promised.
+for step in range(60 if sys.argv[1] == "parallel_env" else 300_000):
+    if not env.agents:
+        break
+    if sys.argv[1] == "parallel_env":
+        env.step({agent: (step + i) % 6 for i, agent in enumerate(env.agents)})
+    else:
+        over = env.terminations[env.agent_selection] or env.truncations[env.agent_selection]
+        env.step(None if over else step % 6)
+print(json.dumps([megabytes() - before, reset - made, done - reset]))
+"""
+
+
+def _child(code: str, *arguments: str, **variables: str) -> list[float]:
+    """The numbers that a Python program prints."""
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        env={**os.environ, **variables},
+        capture_output=True,
+        check=True,
+        text=True,
+    )
+    numbers: list[float] = json.loads(done.stdout)
+    return numbers
+
+
+def start(bench: Bench) -> Iterator[Row]:
+    """Import and first environment, with and without compiled code on disk."""
+    with tempfile.TemporaryDirectory() as cache:
+        cold = _child(_START, NUMBA_CACHE_DIR=cache)
+        warm = [_child(_START, NUMBA_CACHE_DIR=cache) for _ in range(bench.repeats)]
+    imports, first = (sorted(column) for column in zip(*warm, strict=True))
+    middle = len(imports) // 2
+    yield Row("import marouting", imports[middle], imports[0], "s", target="2 s")
+    yield Row("env() and reset(), nothing compiled yet", cold[1], cold[1], "s", target="5 s")
+    yield Row(
+        "env() and reset(), compiled before",
+        first[middle],
+        first[0],
+        "s",
+        1,
+        "nothing compiled yet",
+        cold[1],
+        cold[1] / first[middle],
+        "0.5 s",
+    )
+
+
+def large(bench: Bench) -> Iterator[Row]:
+    """Memory (on Linux alone) and reset of an environment of ten thousand nets."""
+    del bench
+    if sys.platform != "linux":
+        return
+    for face in ("raw_env", "parallel_env"):
+        megabytes, made, reset = _child(_LARGE, face)
+        name = f"{face}, 10 000 nets on 64×64×2"
+        yield Row(f"{name}: memory", megabytes, megabytes, "MB", target="200 MB")
+        yield Row(f"{name}: making it", made, made, "s")
+        yield Row(f"{name}: reset()", reset, reset, "s", target="1 s")

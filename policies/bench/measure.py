@@ -1,0 +1,100 @@
+"""How speed is measured: repeats in turns with a comparator, medians, ratios."""
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from policies.config import check
+
+
+@dataclass(frozen=True)
+class Row:
+    """A figure and what it was compared with.
+
+    Attributes:
+        name: what was measured.
+        value: the median of the repeats.
+        best: the best of them.
+        unit: of both.
+        threads: that did it.
+        comparator: what ran in turns with it; empty: nothing comparable.
+        against: the comparator's median, in the same unit.
+        ratio: how many times as fast, or as small, as the comparator.
+        target: what the project set itself, of ``value``, in words.
+    """
+
+    name: str
+    value: float
+    best: float
+    unit: str
+    threads: int = 1
+    comparator: str = ""
+    against: float | None = None
+    ratio: float | None = None
+    target: str = ""
+
+
+Work = Callable[[], float]
+"""Does some work and returns how much: so many steps, problems, bytes."""
+
+
+def rate(work: Work) -> float:
+    """Work a second."""
+    started = time.perf_counter()
+    done = work()
+    return done / (time.perf_counter() - started)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """How to measure.
+
+    Attributes:
+        repeats: of every measurement.
+        threads: of the measurements with several.
+        details: what rows were worked out from, filled by sections, plain data.
+    """
+
+    repeats: int = 7
+    threads: int = 2
+    details: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check("repeats", self.repeats >= 1, "a number from 1")
+        check("threads", self.threads >= 1, "a number from 1")
+
+    def rates(self, *works: Work) -> list[list[float]]:
+        """The rates of pieces of work, done in turns after a first time that is not kept."""
+        for work in works:
+            work()
+        turns = [[rate(work) for work in works] for _ in range(self.repeats)]
+        return [list(column) for column in zip(*turns, strict=True)]
+
+    def versus(
+        self,
+        name: str,
+        unit: str,
+        work: Work,
+        comparator: str = "",
+        other: Work | None = None,
+        *,
+        threads: int = 1,
+        target: str = "",
+    ) -> Row:
+        """A row of work against other work, or of work alone."""
+        measured = self.rates(work, *([] if other is None else [other]))
+        mine = statistics.median(measured[0])
+        theirs = None if other is None else statistics.median(measured[1])
+        return Row(
+            name,
+            mine,
+            max(measured[0]),
+            unit,
+            threads,
+            comparator,
+            theirs,
+            None if theirs is None else mine / theirs,
+            target,
+        )

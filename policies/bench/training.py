@@ -1,0 +1,175 @@
+"""Speed of trainings, against eager torch and the bound by products."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from marouting import generate
+from marouting.grid import MOVES
+from policies.bench.measure import Bench, Row, Work
+from policies.config import Config, DQNOptions, TrainOptions
+from policies.learned.dqn import Rule, backends
+from policies.learned.replay import GOES_ON, MOVE, REWARD, Replay
+from policies.learned.streams import keys
+from policies.learned.trainer import Trainer
+from policies.threads import use_threads
+
+PAPER = (32, 64, 32)
+"""Hidden layers of the paper's network."""
+
+
+def _sizes() -> tuple[int, ...]:
+    return (12, *PAPER, MOVES)
+
+
+def operations(sizes: Sequence[int], batch_size: int) -> int:
+    """Multiplications and additions of matrix products in a gradient step.
+
+    Two passes forward, the target's and the network's own; backward, the derivatives by all weights
+    and by the inputs of all layers but the first.
+    """
+    weights = [a * b for a, b in itertools.pairwise(sizes)]
+    return 2 * batch_size * (4 * sum(weights) - weights[0])
+
+
+def _gemm(side: int = 768) -> Work:
+    """One large product of matrices: as many operations a second as the processor can do."""
+    a, b = torch.randn(side, side), torch.randn(side, side)
+
+    def work() -> float:
+        torch.set_num_threads(1)
+        for _ in range(4):
+            torch.mm(a, b)
+        return 4 * 2 * side**3
+
+    return work
+
+
+def _eager(steps: int = 150) -> Work:
+    """The gradient steps of a DQN written in torch as in any tutorial."""
+    torch.manual_seed(0)
+    layers: list[nn.Module] = []
+    for inputs, outputs in itertools.pairwise(_sizes()):
+        layers += [nn.Linear(inputs, outputs), nn.ReLU()]
+    online = nn.Sequential(*layers[:-1])
+    target = nn.Sequential(*layers[:-1])
+    adam = torch.optim.Adam(online.parameters(), lr=1e-4, fused=True)
+    rng = np.random.default_rng(0)
+    seen = rng.normal(size=(50_000, 12)).astype(np.float32)
+    moves = rng.integers(MOVES, size=(50_000, 1))
+    rewards = rng.normal(size=50_000).astype(np.float32)
+
+    def work() -> float:
+        torch.set_num_threads(1)  # more cost more than they save on a network this small
+        for _ in range(steps):
+            rows = rng.integers(50_000, size=32)
+            with torch.no_grad():
+                best = target(torch.from_numpy(seen[rows])).max(dim=1).values
+                wanted = torch.from_numpy(rewards[rows]) + 0.95 * best
+            chosen = online(torch.from_numpy(seen[rows]))
+            chosen = chosen.gather(1, torch.from_numpy(moves[rows]))[:, 0]
+            loss = nn.functional.mse_loss(chosen, wanted)
+            adam.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            adam.step()
+        return steps
+
+    return work
+
+
+def _steps(stack: int, backend: Any, threads: int, device: str = "cpu") -> Work:
+    """Gradient steps of a stack of the paper's networks, apart from any game."""
+    use_threads(threads)
+    rng = np.random.default_rng(0)
+    capacity, width = 50_000, 12
+    replay = Replay(stack, capacity, width, masks=False, device=torch.device(device))
+    rows = replay.rows.cpu().numpy()
+    rows[..., : 2 * width] = rng.integers(8, size=(capacity, 2 * width))
+    rows[..., 2 * width + MOVE] = rng.integers(MOVES, size=capacity)
+    rows[..., 2 * width + REWARD] = -1
+    rows[..., 2 * width + GOES_ON] = 1
+    replay.rows.copy_(torch.from_numpy(rows))
+    replay.stored[:] = capacity
+    learner = backends()[backend](
+        replay,
+        PAPER,
+        MOVES,
+        seeds=range(stack),
+        keys=keys(0, [str(m) for m in range(stack)], "sample"),
+        rule=Rule(32, 0.95, 1000, 1e-4),
+        threads=threads,
+    )
+    due = np.ones(stack, np.int64)
+    rounds = max(1, 4000 // stack)
+
+    def work() -> float:
+        use_threads(threads)
+        for _ in range(rounds):
+            learner.learn(due)
+        if device != "cpu":
+            torch.cuda.synchronize()
+        return rounds * stack
+
+    return work
+
+
+def _training(stack: int, threads: int, device: str = "cpu") -> Work:
+    """The whole training loop of the paper's DQN: gradient steps, one a move."""
+    problems = {f"problem_{m}": problem for m, problem in enumerate(generate(stack))}
+    config = Config(
+        dqn=DQNOptions(gamma=0.95, target_period=1000),
+        train=TrainOptions(threads=threads, device=device),
+    )
+    trainer = Trainer(problems, config)
+    trainer.burn_in()
+    loop = trainer.run()
+    rounds = 40 if stack == 1 else 2
+
+    def work() -> float:
+        use_threads(threads)
+        before = trainer.learner.steps.sum()
+        for _ in range(rounds):
+            next(loop)
+        return float(trainer.learner.steps.sum() - before)
+
+    return work
+
+
+def training(bench: Bench) -> Iterator[Row]:
+    """Gradient steps and whole trainings, against eager torch and the bound by products."""
+    unit = "gradient steps/s"
+    eager, gemm = _eager(), _gemm()
+    scale = operations(_sizes(), 32)
+
+    def bound() -> float:
+        return gemm() / scale
+
+    yield bench.versus("one problem, whole training", unit, _training(1, 1), "eager torch DQN",
+                       eager, target="4 000")  # fmt: skip
+    yield bench.versus("40 stacked, torch's batched products", unit, _steps(40, "torch", 1),
+                       "eager torch DQN", eager)  # fmt: skip
+    yield bench.versus("40 stacked, gradient steps alone", unit, _steps(40, "compiled", 1),
+                       "large matrix products (bound)", bound)  # fmt: skip
+    for threads in dict.fromkeys((1, bench.threads)):
+        yield bench.versus(
+            "40 stacked, whole training",
+            unit,
+            _training(40, threads),
+            "eager torch DQN",
+            eager,
+            threads=threads,
+            target="50 000 on two threads" if threads > 1 else "",
+        )
+    if torch.cuda.is_available():
+        yield bench.versus(
+            "320 stacked on a GPU, whole training",
+            unit,
+            _training(320, 1, "cuda"),
+            "eager torch DQN on the processor",
+            eager,
+            target="1 M",
+        )
