@@ -23,6 +23,7 @@ from marouting.grid import AXES, VIA_AXIS, Grid
 from marouting.steiner import steiner_length
 from policies.base import Router, solve
 from policies.classical.optimal import MOST_PINS, OptimalRouter, Optimum
+from policies.classical.pathfinder import PathfinderOptions, PathfinderRouter
 from policies.classical.trees import NEVER, Across, Window, cheapest_tree
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data" / "liao2019"
@@ -457,6 +458,15 @@ def test_with_room_for_all_the_bound_is_that_of_steiner_trees(problem: Problem) 
     found = proven(problem, OptimalRouter(time_limit=0.0))
     assert (found.bound_overflow, found.bound_wirelength) == (0, steiner_length(problem).sum())
     assert optimum_of(problem) == (0, steiner_length(problem).sum())
+
+
+def test_it_is_never_behind_the_first_trees_of_negotiated_congestion() -> None:
+    """Far too full, where prices would take minutes to find as much."""
+    problem = generate(1, (32, 32, 2), nets=640, max_pins=5, capacity=10, seed=1)[0]
+    found = proven(problem, OptimalRouter(bound="relaxation", time_limit=3.0))
+    first = PathfinderRouter(PathfinderOptions(seconds=0.0)).route(problem)
+    figures = evaluate(problem, first)
+    assert (found.overflow, found.wirelength) <= (figures.overflow, figures.wirelength)
 
 
 def test_time_limit_of_nothing_leaves_a_gap() -> None:

@@ -19,6 +19,10 @@ To route a problem is to choose a tree for every net. Three steps meet from eith
    1984). Here alone a proof rests on the solver's own: its bound counts less SLIP.
 
 Overflow is minimised first, by the same steps. The solver is HiGHS, as it comes with scipy.
+
+The trees to begin with are those of sequential A* and of negotiated congestion
+(:mod:`policies.classical.pathfinder`), whose solution is near the optimum, or is it: what has no
+overflow leaves none to be disproved, and the linear program has trees that get on with one another.
 """
 
 import math
@@ -26,7 +30,7 @@ import operator
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -37,6 +41,7 @@ from scipy.sparse import block_diag, coo_array, csr_array, eye_array, vstack
 
 from marouting import InputError, Problem, Solution, evaluate, sequential_astar
 from marouting.grid import AXES, VIA_AXIS
+from policies.classical.pathfinder import PathfinderOptions, PathfinderRouter
 from policies.classical.trees import NEVER, Across, Window, cheapest_tree
 
 # What scipy's stubs take is narrower than what these do.
@@ -59,6 +64,9 @@ MOST_PINS = 9
 
 MAX_COLUMNS = 4_000_000
 """The largest integer program of step 3, in variables."""
+
+HEAD_START = 0.1
+"""The part of the time that negotiated congestion has to find a first solution, at most."""
 
 SLIP = 0.01
 """By how much the solver's bound of an integer program may be wrong: far more than its tolerances
@@ -117,8 +125,8 @@ class OptimalRouter:
 
     Attributes:
         time_limit: seconds after which the best solution so far is taken; None: no limit. With 0
-            it is that of sequential A*, and the bound the sum of the nets' shortest trees. No step
-            is broken off but the solver's.
+            it is that of sequential A*, and the bound the sum of the nets' shortest trees. Only
+            negotiated congestion, after a tenth of it, and the solver are broken off.
         bound: ``optimum``, what is proven is the optimum; ``relaxation``, only what prices prove,
             with the best choice of the trees found: for problems too large for more. Nets with more
             than MOST_PINS pins count in it with so many of them, spread out.
@@ -233,8 +241,9 @@ class _Search:
         self.lower: Pair = (0, 0)
         self.best: Pair = (np.iinfo(np.int64).max, 0)
         self.routes: list[NDArray[np.int64]] = []
-        astar = sequential_astar(problem).edges
-        self.take([self.prune(net, astar[n]) for net, n in enumerate(self.nets)])
+        self.learn_from(sequential_astar(problem))
+        if not self.late():
+            self.learn_from(self.negotiated())
 
     def check_size(self) -> None:
         """Raises InputError if finding the cheapest trees of all nets once would take too long."""
@@ -315,6 +324,18 @@ class _Search:
         found = (overflow, sum(map(len, routes)))
         if found < self.best:
             self.best, self.routes = found, list(routes)
+
+    def learn_from(self, solution: Solution) -> None:
+        """Takes a solution of another router, as short as its routes allow."""
+        self.take([self.prune(net, solution.edges[n]) for net, n in enumerate(self.nets)])
+
+    def negotiated(self) -> Solution:
+        """A solution by negotiated congestion: mostly near the optimum, and soon there."""
+        left = HEAD_START * (self.deadline - time.monotonic())
+        options = PathfinderOptions()
+        if options.seconds is None or left < options.seconds:
+            options = replace(options, seconds=max(left, 0.0))
+        return PathfinderRouter(options).route(self.problem)
 
     def prune(self, net: int, edges: NDArray[np.int64]) -> NDArray[np.int64]:
         """The shortest tree of a net within a route; all of it if not all pins count."""
