@@ -10,15 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from marouting import InputError, Problem, Solution
 from marouting.config import read_yaml
@@ -43,6 +34,7 @@ from policies.experiment.folder import (
 from policies.experiment.part import Part
 from policies.experiment.study import Column, Study
 from policies.processes import cores, work_on
+from policies.progress import progress_bar
 from policies.routers import unknown
 from policies.statistics import ALL, Row, add_gaps, baseline, by_set, summarise
 from policies.utilisation import problem_type
@@ -239,7 +231,7 @@ class Experiment:
         done = total - sum(len(part.problems) for part in left)
         missing = Counter(part.entry.name for part in left)
         written = 0  # routers in the results
-        with self._bar() as bar:
+        with progress_bar("problems", shown=self._progress) as bar:
             task = bar.add_task(str(self.folder), total=total, completed=done)
             for parts in work_on(left, self.config.jobs or cores(), threads):
                 for part in parts:
@@ -255,18 +247,6 @@ class Experiment:
                     lines.count() / train["episodes"] for lines, train in trainings.values()
                 )
                 bar.update(task, completed=done + begun)
-
-    def _bar(self) -> Progress:
-        return Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("problems"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-            disable=not self._progress,
-        )
 
     def _rows(self, entries: Sequence[Entry]) -> list[Row]:
         """The rows of routers, by set, problem, router and seed in the configuration's order."""

@@ -28,14 +28,6 @@ from typing import Any
 
 import torch
 import yaml
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from marouting import InputError, Solution, evaluate
 from marouting.files import write_text, writing
@@ -45,6 +37,7 @@ from policies.config import Config, check_same, load_config
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.logs import Logs
 from policies.learned.trainer import Episode, Trainer
+from policies.progress import progress_bar
 
 CONFIG, METRICS, CHECKPOINT = "config.yaml", "metrics.jsonl", "checkpoint.pt"
 POLICY, RESULT = "policy.pt", "result.json"
@@ -141,7 +134,7 @@ class Run:
         saved = time.monotonic()
         with (
             Logs(self.folder, self._logged, config.train.tensorboard) as logs,
-            self._bar() as bar,
+            progress_bar("episodes", shown=self._progress) as bar,
             _holding_interrupts() as interrupts,
         ):
             total = config.train.episodes * len(self.problems)
@@ -179,20 +172,6 @@ class Run:
                 rows.append({"problem": name, **row(router, routed, spent)})
         write_text(self.folder / RESULT, json.dumps(rows, indent=1) + "\n")
         return rows
-
-    def _bar(self) -> Progress:
-        from rich.console import Console
-
-        return Progress(
-            TextColumn("{task.description}", justify="left"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("episodes"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-            disable=not self._progress,
-        )
 
 
 @contextlib.contextmanager
