@@ -326,6 +326,15 @@ def test_reward_curves_refuse(curves, smoothing):
         figures.reward_curves(curves, smoothing=smoothing)
 
 
+@pytest.mark.parametrize("value", [0, 7])
+def test_the_same_count_on_all_problems_is_drawn_between_whole_numbers(value):
+    values = {"astar": np.full(3, float(value)), "dqn": np.full(3, float(value))}
+    figure = figures.by_problem(values, np.arange(3), "overflow [tracks]", "A*'s wirelength")
+    (axes,) = figure.axes
+    low, high = axes.get_ylim()
+    assert [tick for tick in axes.get_yticks() if low <= tick <= high] == [value, value + 1]
+
+
 @pytest.mark.parametrize(
     ("name", "magic"),
     [("a/b.png", b"\x89PNG"), ("plain", b"\x89PNG"), ("b.PDF", b"%PDF"), ("c.svg", b"<?xml")],

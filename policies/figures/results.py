@@ -164,8 +164,9 @@ def draw_by_problem(
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlim(0, len(order) + 1)
     low, high = axes.get_ylim()
-    if high - low < 1:  # nothing but one value, such as no overflow at all
-        axes.set_ylim(low - 0.5, high + 0.5)
+    if high - low < 1:  # nothing but one value, such as no overflow at all: it and the next
+        value = round((low + high) / 2)
+        axes.set_ylim(value - 0.5, value + 1.5)
 
 
 def decrease_histogram(
