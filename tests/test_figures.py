@@ -335,6 +335,14 @@ def test_the_same_count_on_all_problems_is_drawn_between_whole_numbers(value):
     assert [tick for tick in axes.get_yticks() if low <= tick <= high] == [value, value + 1]
 
 
+def test_means_that_hardly_differ_are_all_on_the_axis():
+    values = {"astar": np.array([0.4, 1.0, 1.0])}
+    (axes,) = figures.by_problem(values, np.arange(3), "overflow [tracks]", "A*'s").axes
+    low, high = axes.get_ylim()
+    assert low < 0.4
+    assert high > 1
+
+
 @pytest.mark.parametrize(
     ("name", "magic"),
     [("a/b.png", b"\x89PNG"), ("plain", b"\x89PNG"), ("b.PDF", b"%PDF"), ("c.svg", b"<?xml")],

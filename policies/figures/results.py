@@ -166,7 +166,7 @@ def draw_by_problem(
     low, high = axes.get_ylim()
     if high - low < 1:  # nothing but one value, such as no overflow at all: it and the next
         value = round((low + high) / 2)
-        axes.set_ylim(value - 0.5, value + 1.5)
+        axes.set_ylim(min(low, value - 0.5), max(high, value + 1.5))
 
 
 def decrease_histogram(
