@@ -10,14 +10,14 @@ import gymnasium
 from marouting import global_routing_v0, vector
 from marouting._version import __version__
 from marouting.config import EnvOptions
-from marouting.engine import Engine
 from marouting.errors import InputError
+from marouting.game.engine import Engine
 from marouting.generator import generate
-from marouting.grid import Move
 from marouting.make import make
-from marouting.problem import Adjustment, Net, Pin, Problem
-from marouting.search import sequential_astar
-from marouting.solution import Evaluation, Solution, evaluate
+from marouting.problem.grid import Move
+from marouting.problem.problem import Adjustment, Net, Pin, Problem
+from marouting.problem.solution import Evaluation, Solution, evaluate
+from marouting.search.astar import sequential_astar
 
 __all__ = [
     "Adjustment",

@@ -17,14 +17,14 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast, get_args, g
 import yaml
 from pydantic import ConfigDict, Discriminator, Tag, TypeAdapter, ValidationError
 
-from marouting.decomposition import Decomposition
-from marouting.engine import Engine, NetOrder, Overflow, TurnOrder
 from marouting.errors import InputError
 from marouting.files import unusable
+from marouting.game.engine import Engine, NetOrder, Overflow, TurnOrder
+from marouting.game.observation import PaperObservation
+from marouting.game.reward import PaperReward
 from marouting.generator import GeneratorOptions
-from marouting.observation import PaperObservation
-from marouting.problem import Problem
-from marouting.reward import PaperReward
+from marouting.problem.problem import Problem
+from marouting.trees.decomposition import Decomposition
 
 Agents = Literal["single", "multi"]
 RenderMode = Literal["ansi", "rgb_array", "human"]
@@ -70,8 +70,9 @@ class GameOptions:
             at ``reward.overflow_price``.
         decomposition: what tasks a net's pins are cut into, along a tree: ``mst``, a minimum
             spanning tree (the paper), or ``steiner``, a rectilinear Steiner tree.
-        observation: the paper's 12 numbers; see :class:`marouting.observation.PaperObservation`.
-        reward: the paper's +100 and −1; see :class:`marouting.reward.PaperReward`.
+        observation: the paper's 12 numbers; see
+        :class:`marouting.game.observation.PaperObservation`.
+        reward: the paper's +100 and −1; see :class:`marouting.game.reward.PaperReward`.
         mask_in_observation: whether an observation is ``{"observation", "action_mask"}``; the
             mask is in ``info["action_mask"]`` either way.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.

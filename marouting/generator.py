@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.problem import (
+from marouting.problem.problem import (
     UNLIMITED,
     Adjustment,
     Net,
@@ -23,7 +23,7 @@ from marouting.problem import (
     check_grid,
     check_numbers,
 )
-from marouting.search import sequential_astar
+from marouting.search.astar import sequential_astar
 
 TILE = 10
 """Width and height of a Gcell in chip coordinates, as in the authors' published problems."""

@@ -18,7 +18,7 @@ A net's pins are cut into two-pin tasks, walked one after the other. A move acro
 remaining capacity, or off the grid, is blocked: the agent stays, the step counts. An edge that the
 net already uses can be crossed again for nothing. A task fails after `max_steps` steps. An agent
 terminates when all its tasks are joined and is truncated when its last task has ended and some
-failed; its last info holds the `metrics`. All the rules: :mod:`marouting.engine`.
+failed; its last info holds the `metrics`. All the rules: :mod:`marouting.game.engine`.
 
 The options of `env`, `raw_env` and `parallel_env` are the fields of
 :class:`marouting.config.GameOptions`; the problem may be a `Problem`, a `.gr` file, or what

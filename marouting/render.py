@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.grid import AXES, VIA_AXIS, Grid, Move
+from marouting.problem.grid import AXES, VIA_AXIS, Grid, Move
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

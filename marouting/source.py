@@ -8,7 +8,7 @@ from typing import Any
 from marouting.config import SMALL, GameOptions, build
 from marouting.errors import InputError
 from marouting.generator import GeneratorOptions, generate_from
-from marouting.problem import Problem
+from marouting.problem.problem import Problem
 
 Source = (
     Problem | GeneratorOptions | str | os.PathLike[str] | Sequence[str] | Mapping[str, Any] | None

@@ -12,18 +12,18 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from marouting.decomposition import Decomposition
-from marouting.engine import (
+from marouting.errors import InputError
+from marouting.game.engine import (
     GAME,
     MASKS,
     NOBODY,
+    Dynamic,
     Engine,
     NetOrder,
     Overflow,
-    Play,
+    Static,
     Status,
     TurnOrder,
-    World,
     Write,
     free_moves,
     move_everyone,
@@ -31,10 +31,7 @@ from marouting.engine import (
     settle_agent,
     settle_turns,
 )
-from marouting.errors import InputError
-from marouting.grid import MOVES
-from marouting.kernels import bound, compiled
-from marouting.observation import (
+from marouting.game.observation import (
     Observation,
     PaperObservation,
     state,
@@ -42,8 +39,11 @@ from marouting.observation import (
     write_paper,
     writer,
 )
-from marouting.problem import Problem
-from marouting.reward import PaperReward, Reward, paper_reward, payer
+from marouting.game.reward import PaperReward, Reward, paper_reward, payer
+from marouting.kernels import bound, compiled
+from marouting.problem.grid import MOVES
+from marouting.problem.problem import Problem
+from marouting.trees.decomposition import Decomposition
 
 _FIGURES = ("overflow", "wirelength", "joined", "steps")
 
@@ -97,7 +97,7 @@ class Board:
         self, engine: Engine, observation: Observation, reward: Reward, arrays: Arrays
     ) -> None:
         self.engine, self.arrays = engine, arrays
-        self._before = engine.world, engine.play
+        self._before = engine.static, engine.dynamic
         looks = observation if type(observation) is PaperObservation else None
         pays = reward if type(reward) is PaperReward else None
         plain = pays or PaperReward()
@@ -137,13 +137,13 @@ class Board:
 
 
 _MASKS = MASKS.view(np.int16)
-"""(64, 3) :data:`marouting.engine.MASKS` in pairs of bytes: that is quicker."""
+"""(64, 3) :data:`marouting.game.engine.MASKS` in pairs of bytes: that is quicker."""
 
 
 @compiled
 def _step(
-    world: World,
-    play: Play,
+    static: Static,
+    dynamic: Dynamic,
     restart: bool,
     arrays: Arrays,
     prices: Any,
@@ -155,11 +155,11 @@ def _step(
     """A step of all problems, or the start of an episode.
 
     Args:
-        world: the game.
-        play: how it stands.
+        static: the game.
+        dynamic: how it stands.
         restart: whether a problem whose episode is over starts its next one instead.
         arrays: what is filled; the mask in pairs of bytes, (M, N, 3) int16.
-        prices: of the paper's reward, see :attr:`marouting.reward.PaperReward.table`.
+        prices: of the paper's reward, see :attr:`marouting.game.reward.PaperReward.table`.
         overflow_price: likewise.
         via_capacity: of the paper's observation.
         pays: whether the reward is the paper's.
@@ -167,32 +167,32 @@ def _step(
     """
     agents = arrays.moves.shape[1]
     for m in range(len(arrays.over)):
-        game = play.games[m]
+        game = dynamic.games[m]
         begins = restart and arrays.over[m]
         playing = game.active > 0
         if begins:
-            reset_problem(world, play, m)
+            reset_problem(static, dynamic, m)
         else:
-            move_everyone(world, play, m, arrays.moves)
+            move_everyone(static, dynamic, m, arrays.moves)
         for n in range(agents):
             # In one loop, and of one agent after the other: all of it is at hand then.
             if not begins:
-                settle_agent(world, play, m, n)
-            agent = play.agents[m, n]
+                settle_agent(static, dynamic, m, n)
+            agent = dynamic.agents[m, n]
             arrays.terminated[m, n] = agent.status == Status.TERMINATED
             arrays.truncated[m, n] = agent.status == Status.TRUNCATED
             arrays.active[m, n] = agent.status == Status.ACTIVE
             if agent.status == Status.ABSENT:
                 continue
-            free = free_moves(world, play, m, n)
+            free = free_moves(static, dynamic, m, n)
             if pays:
                 arrays.reward[m, n] = paper_reward(prices, overflow_price, agent)
             if looks:
-                write_paper(world, play, via_capacity, m, n, arrays.observation[m], n)
+                write_paper(static, dynamic, via_capacity, m, n, arrays.observation[m], n)
             for pair in range(_MASKS.shape[1]):
                 arrays.mask[m, n, pair] = _MASKS[free, pair]
         if not begins:
-            settle_turns(world, play, m)
+            settle_turns(static, dynamic, m)
         arrays.over[m] = not begins and playing and game.active == 0
         if arrays.over[m]:
             arrays.final[m].overflow = game.overflow
@@ -343,7 +343,7 @@ class BatchEnv(EzPickle):
         return a.observation, a.reward, a.terminated, a.truncated, self._info()
 
     def state(self) -> NDArray[np.float32]:
-        """(M, X, Y, 5 Z) float32, the global grids; see :func:`marouting.observation.state`."""
+        """(M, X, Y, 5 Z) float32, the global grids; see :func:`state`."""
         return state(self.engine, self._state)
 
     def _step(self, restart: bool) -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from marouting import Adjustment, Engine, Net, Pin, Problem, Solution
-from marouting.decomposition import two_pin_tasks
+from marouting.trees.decomposition import two_pin_tasks
 
 Gcell = tuple[int, int, int]
 Edge = tuple[Gcell, Gcell]

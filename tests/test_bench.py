@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from policies import cli
 from policies.bench import SECTIONS, Bench
 from policies.bench.measure import rate
 from policies.bench.training import operations
+from policies.cli import main as cli
 
 
 def test_rates_are_taken_in_turns() -> None:

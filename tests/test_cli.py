@@ -23,13 +23,13 @@ from hypothesis import strategies as st
 import marouting
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
 from marouting.config import build
-from policies import routers
-from policies.classical.optimal import OptimalRouter
-from policies.cli import status
-from policies.config import Config, DQNOptions, TrainOptions, load_config, override
+from policies.cli.main import status
 from policies.experiment import ExperimentConfig, load_experiment
+from policies.learned.config import Config, DQNOptions, TrainOptions, load_config, override
 from policies.learned.router import DQNRouter, QPolicy
 from policies.learned.run import write_config
+from policies.routers import registry as routers
+from policies.routers.optimal import OptimalRouter
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT.parent / "shared" / "data" / "liao2019"
@@ -389,7 +389,7 @@ def test_quickstart(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def process(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "policies.cli", *arguments],
+        [sys.executable, "-m", "policies.cli.main", *arguments],
         capture_output=True,
         text=True,
         timeout=120,
@@ -414,7 +414,7 @@ def test_interrupted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("policies.classical.astar.AStarRouter.route", interrupted)
+    monkeypatch.setattr("policies.routers.astar.AStarRouter.route", interrupted)
     assert status(["route", "p.gr"]) == 130
     shown = capsys.readouterr()
     assert shown.out == ""

@@ -11,7 +11,7 @@ from reference import Gcell, contested, distance, gcell_of, pin_gcells
 from strategies import problems
 
 from marouting import Net, Pin, Problem
-from marouting.decomposition import two_pin_tasks
+from marouting.trees.decomposition import two_pin_tasks
 
 any_problem = st.one_of(problems(), contested(max_nets=10, max_pins=12))
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from reference import Game, contested, edge_number, gcell_of, random_moves
 
 from marouting import Adjustment, Engine, InputError, Move, Net, Pin, Problem, evaluate
-from marouting.engine import NOBODY, Crossing, Ending, Status
-from marouting.problem import UNLIMITED
+from marouting.game.engine import NOBODY, Crossing, Ending, Status
+from marouting.problem.problem import UNLIMITED
 
 E, W, N, S, U, D = Move
 
@@ -50,7 +50,7 @@ def compare(engine: Engine, game: Game) -> None:
     for edge in capacity:
         left = game.remaining(edge)
         remaining[edge_number(problem, edge)] = UNLIMITED if left is None else left
-    np.testing.assert_array_equal(engine.play.remaining[0], remaining)
+    np.testing.assert_array_equal(engine.dynamic.remaining[0], remaining)
     for found, expected in zip(engine.solution().edges, game.solution().edges, strict=True):
         np.testing.assert_array_equal(found, expected)
 
@@ -103,7 +103,7 @@ def test_what_must_hold_in_every_game(problem: Problem, chosen: dict[str, Any], 
     while engine.games[0]["agent"] != NOBODY and engine.games[0]["steps"] < LIMIT:
         n = int(engine.games[0]["agent"])
         before = engine.agents[0, n].copy()
-        grid, used = engine.play.remaining.copy(), engine.play.used.copy()
+        grid, used = engine.dynamic.remaining.copy(), engine.dynamic.used.copy()
         mask = engine.masks(*engine.pairs(everyone=False))[0]
         moves = random_moves(engine, rng, wild=0.4)[:, n]
         move = int(moves[0])
@@ -112,13 +112,13 @@ def test_what_must_hold_in_every_game(problem: Problem, chosen: dict[str, Any], 
         if after["crossing"] == Crossing.BLOCKED:
             # No blocked move changes the grid, and an allowed one is never blocked.
             assert after["cell"] == before["cell"]
-            np.testing.assert_array_equal(engine.play.remaining, grid)
-            np.testing.assert_array_equal(engine.play.used, used)
+            np.testing.assert_array_equal(engine.dynamic.remaining, grid)
+            np.testing.assert_array_equal(engine.dynamic.used, used)
             assert not mask[move] or mask.all()
         else:
             assert mask[move]
             assert after["cell"] == neighbour[before["cell"], move]
-            changed = np.flatnonzero(engine.play.remaining[0] != grid[0])
+            changed = np.flatnonzero(engine.dynamic.remaining[0] != grid[0])
             assert set(changed) <= {edge[before["cell"], move]}
         assert after["steps"] == before["steps"] + 1
         engine.settle(everyone=False)
@@ -129,14 +129,14 @@ def test_what_must_hold_in_every_game(problem: Problem, chosen: dict[str, Any], 
     if chosen["overflow"] == "forbidden":
         assert judged.overflow == 0
     # Capacity is conserved: what is taken is the demand of the routes.
-    np.testing.assert_array_equal(engine.play.remaining[0], problem.capacity - solution.demand)
+    np.testing.assert_array_equal(engine.dynamic.remaining[0], problem.capacity - solution.demand)
 
     records = engine.agents[0]
     for n, net in enumerate(engine.nets[0].tolist()):
         # Every walk begins at its task's start, a pin or a Steiner point: no piece is loose.
         graph = nx.Graph(zip(*engine.grid.ends(solution.edges[net]), strict=True))
-        first, end = engine.world.first[0, n : n + 2]
-        starts = set(engine.world.tasks[first:end, 0].tolist())
+        first, end = engine.static.first[0, n : n + 2]
+        starts = set(engine.static.tasks[first:end, 0].tolist())
         if chosen["decomposition"] == "mst":
             assert starts <= set(problem.pin_gcells[net].tolist())
         assert all(starts & part for part in nx.connected_components(graph))
@@ -158,16 +158,16 @@ def assert_same_play(batch: Engine, m: int, single: Engine) -> None:
     """Asserts that problem m of a batch stands as a game of its own does."""
     count = len(single.nets[0])
     for name in single.agents.dtype.names or ():
-        shift = batch.world.first[m, 0] if name == "task" else 0
+        shift = batch.static.first[m, 0] if name == "task" else 0
         np.testing.assert_array_equal(
             batch.agents[m, :count][name], single.agents[0][name] + shift, err_msg=name
         )
     assert (batch.agents["status"][m, count:] == Status.ABSENT).all()
     assert (batch.nets[m, count:] == NOBODY).all()
     assert batch.games[m] == single.games[0]
-    np.testing.assert_array_equal(batch.play.remaining[m], single.play.remaining[0])
-    np.testing.assert_array_equal(batch.play.used[m, :count], single.play.used[0])
-    assert not batch.play.used[m, count:].any()
+    np.testing.assert_array_equal(batch.dynamic.remaining[m], single.dynamic.remaining[0])
+    np.testing.assert_array_equal(batch.dynamic.used[m, :count], single.dynamic.used[0])
+    assert not batch.dynamic.used[m, count:].any()
     assert batch.metrics(m) == single.metrics()
 
 
@@ -215,18 +215,18 @@ def test_reset_of_some_problems_leaves_the_others_alone(
         like = fresh if chosen_one else untouched
         for state in ("remaining", "used", "agents", "games"):
             np.testing.assert_array_equal(
-                getattr(engine.play, state)[m], getattr(like.play, state)[m], err_msg=state
+                getattr(engine.dynamic, state)[m], getattr(like.dynamic, state)[m], err_msg=state
             )
     engine.reset()
     for state in ("remaining", "used", "agents", "games"):
-        np.testing.assert_array_equal(getattr(engine.play, state), getattr(fresh.play, state))
+        np.testing.assert_array_equal(getattr(engine.dynamic, state), getattr(fresh.dynamic, state))
 
 
 def assert_equal_play(one: Engine, other: Engine) -> None:
     """Asserts that two engines stand alike."""
     for state in ("remaining", "used", "agents", "games"):
         np.testing.assert_array_equal(
-            getattr(one.play, state), getattr(other.play, state), err_msg=state
+            getattr(one.dynamic, state), getattr(other.dynamic, state), err_msg=state
         )
 
 
@@ -277,8 +277,8 @@ def test_turns_of_a_cycle_are_one_step_of_all(
             )
         for name in set(one_by_one.games.dtype.names or ()) - {"turn"}:
             assert one_by_one.games[name] == at_once.games[name], name
-        np.testing.assert_array_equal(one_by_one.play.remaining, at_once.play.remaining)
-        np.testing.assert_array_equal(one_by_one.play.used, at_once.play.used)
+        np.testing.assert_array_equal(one_by_one.dynamic.remaining, at_once.dynamic.remaining)
+        np.testing.assert_array_equal(one_by_one.dynamic.used, at_once.dynamic.used)
 
 
 @settings(deadline=None, max_examples=30)
@@ -290,12 +290,12 @@ def test_nobody_moves_nothing(
     engine = Engine(problems, **chosen)
     for _ in range(5):
         engine.step(random_moves(engine, rng))
-    remaining, used = engine.play.remaining.copy(), engine.play.used.copy()
+    remaining, used = engine.dynamic.remaining.copy(), engine.dynamic.used.copy()
     agents, games = engine.agents.copy(), engine.games.copy()
     shape = engine.agents.shape if everyone else len(problems)
     engine.step(np.full(shape, NOBODY))
-    np.testing.assert_array_equal(engine.play.remaining, remaining)
-    np.testing.assert_array_equal(engine.play.used, used)
+    np.testing.assert_array_equal(engine.dynamic.remaining, remaining)
+    np.testing.assert_array_equal(engine.dynamic.used, used)
     for name in ("cell", "target", "task", "steps", "joined", "status"):
         np.testing.assert_array_equal(engine.agents[name], agents[name])
     for name in ("active", "joined", "steps", "overflow", "wirelength"):

@@ -34,7 +34,7 @@ from marouting import (
     generate,
     global_routing_v0,
 )
-from marouting.engine import NOBODY, Ending, Status
+from marouting.game.engine import NOBODY, Ending, Status
 
 E, W, N, S, U, D = Move
 seeds = st.integers(0, 2**32)

@@ -24,17 +24,15 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from marouting import InputError, Problem, Solution, evaluate, generate
-from policies import figures, plot
-from policies.classical.astar import AStarRouter
-from policies.classical.random import RandomRouter
-from policies.cli import status
-from policies.config import load_config
+from policies import figures
+from policies.cli.main import status
 from policies.experiment import COLUMNS, Experiment, load_experiment, load_sets
+from policies.experiment.processes import work_on
+from policies.figures import plot
+from policies.learned.config import load_config
 from policies.learned.router import QPolicy
 from policies.learned.trainer import Trainer
-from policies.processes import work_on
-from policies.routers import ROUTERS, has_seed, is_seeded, make_router
-from policies.statistics import (
+from policies.results.statistics import (
     add_gaps,
     by_router,
     by_set,
@@ -44,7 +42,10 @@ from policies.statistics import (
     share_interval,
     summarise,
 )
-from policies.utilisation import histogram_counts, utilisation_maps
+from policies.results.utilisation import histogram_counts, utilisation_maps
+from policies.routers.astar import AStarRouter
+from policies.routers.random import RandomRouter
+from policies.routers.registry import ROUTERS, has_seed, is_seeded, make_router
 
 ROOT = Path(__file__).resolve().parents[1]
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -440,7 +441,7 @@ def test_an_experiment_stopped_anywhere_goes_on_as_if_not(
         folder.mkdir()
         write_config(folder / "c.yaml", **keys)
     Experiment(load_experiment(whole / "c.yaml"), progress=False).execute()
-    command = [sys.executable, "-m", "policies.cli", "experiment", str(stopped / "c.yaml")]
+    command = [sys.executable, "-m", "policies.cli.main", "experiment", str(stopped / "c.yaml")]
     runs = stopped / "out"
     for stop in itertools.count(1):
         process = subprocess.Popen(

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from marouting.errors import InputError
-from marouting.problem import Adjustment, Net, Pin, Problem
-from marouting.solution import Solution
+from marouting.problem.problem import Adjustment, Net, Pin, Problem
+from marouting.problem.solution import Solution
 
 figures = pytest.importorskip("policies.figures", exc_type=ImportError)
-plot = pytest.importorskip("policies.plot", exc_type=ImportError)
-utilisation = pytest.importorskip("policies.utilisation", exc_type=ImportError)
+plot = pytest.importorskip("policies.figures.plot", exc_type=ImportError)
+utilisation = pytest.importorskip("policies.results.utilisation", exc_type=ImportError)
 
 
 def edge(problem, axis, x, y, z):

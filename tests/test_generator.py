@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from reference import Edge, between, edge_number, gcell_of, is_via, pin_gcells
 
 from marouting import InputError, Problem, evaluate, generate, sequential_astar
-from marouting.problem import MAX_NUMBER
+from marouting.problem.problem import MAX_NUMBER
 
 arguments = st.fixed_dictionaries(
     {

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from strategies import problems, solved_problems
 
 from marouting import Adjustment, Net, Pin, Problem, Solution, evaluate, sequential_astar
-from marouting.grid import AXES, VIA_AXIS
-from policies.classical.pathfinder import PathfinderOptions, PathfinderRouter
+from marouting.problem.grid import AXES, VIA_AXIS
+from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 

@@ -12,8 +12,8 @@ from strategies import problems
 from test_bad_files import read_or_refused, refused, spoiled
 
 from marouting import Adjustment, InputError, Net, Pin, Problem, evaluate, sequential_astar
-from marouting.grid import AXES, VIA_AXIS
-from marouting.ispd import FORMATS, Format
+from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.ispd import FORMATS, Format
 
 IBM01 = Path(__file__).resolve().parents[2] / "shared" / "data" / "ispd98" / "ibm01.modified.txt"
 needs_ibm01 = pytest.mark.skipif(not IBM01.exists(), reason="needs ibm01 in ../shared/data")

@@ -35,17 +35,17 @@ from marouting import (
     sequential_astar,
 )
 from marouting.env.single import GlobalRoutingSingle
-from marouting.grid import MOVES
-from marouting.reward import PaperReward
-from policies.classical.pathfinder import PathfinderRouter
-from policies.config import Config, DQNOptions, TrainOptions
+from marouting.game.reward import PaperReward
+from marouting.problem.grid import MOVES
+from policies.learned.compiled.small_gemm import product
+from policies.learned.config import Config, DQNOptions, TrainOptions
 from policies.learned.dqn import DQN, Backend, Rule, backends
-from policies.learned.products import product
 from policies.learned.qnetwork import initial
 from policies.learned.replay import Batch, Replay
 from policies.learned.stack import Lanes
 from policies.learned.streams import keys, uniform, uniforms
 from policies.learned.trainer import Episode, Trainer
+from policies.routers.pathfinder import PathfinderRouter
 
 FEATURES = 12
 REACHED = 100.0

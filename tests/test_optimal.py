@@ -19,12 +19,12 @@ from strategies import problems
 
 from marouting import InputError, Net, Pin, Problem, evaluate, generate, sequential_astar
 from marouting.config import build
-from marouting.grid import AXES, VIA_AXIS, Grid
-from marouting.steiner import steiner_length
-from policies.base import Router, solve
-from policies.classical.optimal import MOST_PINS, OptimalRouter, Optimum
-from policies.classical.pathfinder import PathfinderOptions, PathfinderRouter
-from policies.classical.trees import NEVER, Across, Window, cheapest_tree
+from marouting.problem.grid import AXES, VIA_AXIS, Grid
+from marouting.trees.steiner import steiner_length
+from policies.routers.base import Router, solve
+from policies.routers.optimal import MOST_PINS, OptimalRouter, Optimum
+from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
+from policies.routers.priced_tree import NEVER, Across, Window, cheapest_priced_tree
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data" / "liao2019"
 
@@ -153,7 +153,7 @@ def joined(shape: Shape, edges: NDArray[np.int64], pins: NDArray[np.int64]) -> n
 @given(priced())
 def test_no_set_of_edges_is_cheaper(case: tuple[Shape, Costs, NDArray[np.int64]]) -> None:
     shape, price, pins = case
-    cost, edges = cheapest_tree(price, pins)
+    cost, edges = cheapest_priced_tree(price, pins)
     assert cost == least_cost(shape, price, pins)
     if cost == NEVER:
         assert len(edges) == 0
@@ -166,7 +166,7 @@ def test_no_set_of_edges_is_cheaper(case: tuple[Shape, Costs, NDArray[np.int64]]
 @given(priced(cheapest=1))
 def test_what_costs_something_is_a_tree(case: tuple[Shape, Costs, NDArray[np.int64]]) -> None:
     shape, price, pins = case
-    cost, edges = cheapest_tree(price, pins)
+    cost, edges = cheapest_priced_tree(price, pins)
     if cost < NEVER:
         graph = joined(shape, edges, pins)
         assert nx.is_tree(graph)
@@ -187,7 +187,7 @@ def test_two_pins_are_joined_by_a_shortest_path(seed: int) -> None:
         graph.add_edge(int(near), int(far), weight=int(price[edge]))
     for _ in range(20):
         pins = rng.choice(grid.gcells, 2, replace=False)
-        cost, edges = cheapest_tree(price.reshape(*shape, AXES), pins)
+        cost, edges = cheapest_priced_tree(price.reshape(*shape, AXES), pins)
         if nx.has_path(graph, *pins):
             assert cost == nx.dijkstra_path_length(graph, *pins)
             assert price[edges].sum() == cost
@@ -428,7 +428,7 @@ def shortest(problem: Problem) -> int:
         layer = np.arange(problem.topology.edges) // AXES % problem.grid[2]
         open_to = problem.topology.exists & (problem.demand[net, layer] <= problem.capacity)
         price = np.where(open_to, 1, NEVER).reshape(*problem.grid, AXES)
-        total += cheapest_tree(price, pins)[0] if len(pins) > 1 else 0
+        total += cheapest_priced_tree(price, pins)[0] if len(pins) > 1 else 0
     return total
 
 

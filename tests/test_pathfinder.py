@@ -26,9 +26,9 @@ from marouting import (
     sequential_astar,
 )
 from marouting.config import build, read_yaml
-from marouting.steiner import EXACT_PINS, steiner_length
-from policies.base import Router
-from policies.classical.pathfinder import PathfinderOptions, PathfinderRouter, Routed
+from marouting.trees.steiner import EXACT_PINS, steiner_length
+from policies.routers.base import Router
+from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter, Routed
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"

@@ -7,8 +7,8 @@ import warnings
 import numpy as np
 import pytest
 
-from marouting.grid import AXES, Grid
-from marouting.problem import UNLIMITED
+from marouting.problem.grid import AXES, Grid
+from marouting.problem.problem import UNLIMITED
 from marouting.render import Scene, Window, ansi, rgb_array
 
 RED = (214, 39, 40)

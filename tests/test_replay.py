@@ -19,10 +19,10 @@ from marouting import (
     global_routing_v0,
     sequential_astar,
 )
-from marouting.engine import NOBODY
-from marouting.replay import Replay
-from marouting.search import AStar
-from policies.classical.pathfinder import PathfinderOptions, PathfinderRouter
+from marouting.game.engine import NOBODY
+from marouting.search.astar import AStar
+from marouting.search.route_follower import RouteFollower
+from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 IBM01 = Path(__file__).resolve().parents[2] / "shared/data/ispd98/ibm01.modified.txt"
 LONG = 10**6  # steps a task: more than any way needs
@@ -30,7 +30,7 @@ LONG = 10**6  # steps a task: more than any way needs
 
 def played(engine: Engine, solutions: list[Solution]) -> list[Solution]:
     """The solutions of a game whose agents follow solutions, all of its problems at once."""
-    guide = Replay(engine, solutions)
+    guide = RouteFollower(engine, solutions)
     everyone = engine.turn_order == "round_robin"
     while (engine.games["agent"] != NOBODY).any():
         m, n = engine.pairs(everyone=everyone)
@@ -101,7 +101,7 @@ def test_through_the_face_of_pettingzoo() -> None:
     env = global_routing_v0.env(problem, max_steps=200)
     env.reset(seed=0)
     engine = env.unwrapped.engine
-    guide = Replay(engine, [solution])
+    guide = RouteFollower(engine, [solution])
     for agent in env.agent_iter():
         _, _, terminated, truncated, _ = env.last()
         number = np.array([env.possible_agents.index(agent)])  # no net is left out here
@@ -113,9 +113,9 @@ def test_what_cannot_be_replayed() -> None:
     (problem,), (other,) = generate(1, nets=5, seed=1), generate(1, nets=5, seed=2)
     engine, solution = Engine([problem]), sequential_astar(other)
     with pytest.raises(InputError, match="expected 1 solutions, found 2"):
-        Replay(engine, [solution, solution])
+        RouteFollower(engine, [solution, solution])
     with pytest.raises(InputError, match="solution 0: expected one of a problem with its nets"):
-        Replay(engine, [solution])
+        RouteFollower(engine, [solution])
 
 
 @pytest.mark.slow
@@ -131,7 +131,7 @@ def test_ibm01_as_a_game() -> None:
     negotiated = PathfinderRouter(PathfinderOptions(seconds=30)).route(problem)
     for solution in (sequential_astar(problem), negotiated):
         env.reset(seed=0)
-        guide = Replay(env.engine, [solution])
+        guide = RouteFollower(env.engine, [solution])
         number = {agent: n for n, agent in enumerate(env.agents)}
         while env.agents:
             agents = np.array([number[agent] for agent in env.agents])

@@ -22,12 +22,12 @@ from marouting import (
     sequential_astar,
 )
 from marouting.env.single import GlobalRoutingSingle
-from policies.base import Policy, Router
-from policies.classical.astar import AStarRouter
-from policies.classical.random import RandomPolicy, RandomRouter
-from policies.config import Config, DQNOptions, TrainOptions
+from policies.learned.config import Config, DQNOptions, TrainOptions
 from policies.learned.router import DQNRouter, QPolicy
 from policies.learned.trainer import Episode, Trainer
+from policies.routers.astar import AStarRouter
+from policies.routers.base import Policy, Router
+from policies.routers.random import RandomPolicy, RandomRouter
 
 SIZES = (12, 9, 6)
 WEIGHTS = 13 * 9 + 10 * 6

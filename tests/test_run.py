@@ -19,8 +19,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
 from marouting.generator import GeneratorOptions
-from policies.cli import status
-from policies.config import Config, DQNOptions, TrainOptions, load_config
+from policies.cli.main import status
+from policies.learned.config import Config, DQNOptions, TrainOptions, load_config
 from policies.learned.dqn_compiled import CompiledDQN
 from policies.learned.logs import Logs
 from policies.learned.router import QPolicy
@@ -330,7 +330,7 @@ def test_a_run_in_another_thread(tmp_path: Path) -> None:
 def command(*arguments: str) -> subprocess.Popen[str]:
     """The command line in a process of its own, whatever the test's own process ignores."""
     return subprocess.Popen(
-        [sys.executable, "-m", "policies.cli", *arguments],
+        [sys.executable, "-m", "policies.cli.main", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -576,7 +576,7 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
         lambda state: state["learner"].update(mean=state["learner"]["mean"][:, :-1].clone())
     ),
     "memory": changed(lambda state: state["learner"].update(rows=torch.zeros(2, 400, 32))),
-    "missing": changed(lambda state: state["trainer"].pop("play.used")),
+    "missing": changed(lambda state: state["trainer"].pop("dynamic.used")),
     "no tensor": changed(lambda state: state["trainer"].update(episodes=[1, 2])),
     "logged": changed(lambda state: state.update(logged=10**6)),
 }

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from marouting import InputError, evaluate, sequential_astar
 from policies.bench import scaling
-from policies.plot import plot
+from policies.figures.plot import plot
 
 WORKS = [scaling.STEP, scaling.ASTAR, scaling.EVALUATE]
 

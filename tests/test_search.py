@@ -23,12 +23,12 @@ from marouting import (
     generate,
     sequential_astar,
 )
-from marouting.decomposition import two_pin_tasks
-from marouting.engine import NOBODY, Ending, Status
-from marouting.grid import OFF_GRID
-from marouting.search import AStar, scratch, shortest_path
-from marouting.steiner import EXACT_PINS, steiner_length
-from policies.classical.astar import AStarRouter
+from marouting.game.engine import NOBODY, Ending, Status
+from marouting.problem.grid import OFF_GRID
+from marouting.search.astar import AStar, search_buffers, shortest_path
+from marouting.trees.decomposition import two_pin_tasks
+from marouting.trees.steiner import EXACT_PINS, steiner_length
+from policies.routers.astar import AStarRouter
 
 net_orders = st.sampled_from(["half_perimeter", "half_perimeter_up", "file"])
 seeds = st.integers(0, 2**32)
@@ -36,8 +36,8 @@ seeds = st.integers(0, 2**32)
 
 def walk(engine: Engine, game: Game, n: int, start: int, target: int) -> tuple[list[int], int]:
     """The moves of a cheapest path by A*, and what they cost by the plain model."""
-    working = scratch(engine.grid)
-    length = shortest_path(engine.world, engine.play, working, 0, n, start, target)
+    working = search_buffers(engine.grid)
+    length = shortest_path(engine.static, engine.dynamic, working, 0, n, start, target)
     moves = working.path[:length].tolist()
     at, cost, graph = gcell_of(game.problem, start), 0, game.graph(n)
     for move in moves:
@@ -69,9 +69,9 @@ def test_path_cost_is_networkx_shortest_path(problem: Problem, seed: int, overfl
 
 def plain_path(engine: Engine, n: int, start: int, target: int) -> tuple[list[int], int]:
     """The moves that the first lines of the module ask for, and how many Gcells it takes."""
-    grid, demand = engine.grid, engine.world.demand[0, n].tolist()
-    remaining = engine.play.remaining[0].tolist()
-    used = np.unpackbits(engine.play.used[0, n], bitorder="little").tolist()
+    grid, demand = engine.grid, engine.static.demand[0, n].tolist()
+    remaining = engine.dynamic.remaining[0].tolist()
+    used = np.unpackbits(engine.dynamic.used[0, n], bitorder="little").tolist()
     neighbour, edges = grid.neighbour.tolist(), grid.edge.tolist()
     position = grid.position.tolist()
 
@@ -117,10 +117,10 @@ def test_paths_are_those_of_plain_astar(
     for seed in range(3):
         (problem,) = generate(1, grid, nets, max_pins, capacity, reduced_edges=0, seed=seed)
         engine = Engine([problem], overflow="allowed", max_steps=1000)
-        working = scratch(engine.grid)
+        working = search_buffers(engine.grid)
         while (n := int(engine.games[0]["agent"])) != NOBODY:
             ends = [int(engine.agents[0, n][name]) for name in ("cell", "target")]
-            length = shortest_path(engine.world, engine.play, working, 0, n, *ends)
+            length = shortest_path(engine.static, engine.dynamic, working, 0, n, *ends)
             moves, opened = plain_path(engine, n, *ends)
             assert working.path[:length].tolist() == moves
             fewer += np.count_nonzero(working.nodes["stamp"] == -working.search[0]) < opened
@@ -150,9 +150,9 @@ def test_a_target_without_a_way_in_does_not_cost_the_whole_grid() -> None:
         adjustments=tuple(Adjustment(*a, 1, *b, 1, 0) for a, b in sorted(walls)),
     )
     engine, game = Engine([problem]), Game(problem)
-    working = scratch(engine.grid)
+    working = search_buffers(engine.grid)
     start, target = (problem.topology.number(*at, 0) for at in ((15, 15), (20, 20)))
-    length = shortest_path(engine.world, engine.play, working, 0, 0, start, target)
+    length = shortest_path(engine.static, engine.dynamic, working, 0, 0, start, target)
     assert length == 10
     assert working.path[:length].tolist() == plain_path(engine, 0, start, target)[0]
     assert walk(engine, game, 0, start, target)[1] == 1009

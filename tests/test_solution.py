@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from strategies import solved_problems
 
 from marouting import Adjustment, Evaluation, InputError, Net, Pin, Problem, Solution, evaluate
-from marouting.grid import AXES, VIA_AXIS
+from marouting.problem.grid import AXES, VIA_AXIS
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data" / "liao2019"
 

@@ -14,8 +14,8 @@ from reference import Gcell, contested, distance, gcell_of, pin_gcells
 from strategies import problems
 
 from marouting import Net, Pin, Problem
-from marouting.decomposition import two_pin_tasks
-from marouting.steiner import (
+from marouting.trees.decomposition import two_pin_tasks
+from marouting.trees.steiner import (
     CLOSED,
     EXACT_PINS,
     Lattice,

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 import marouting
 from marouting import InputError, global_routing_v0
-from marouting.engine import TurnOrder
-from marouting.observation import PaperObservation
-from marouting.reward import PaperReward
+from marouting.game.engine import TurnOrder
+from marouting.game.observation import PaperObservation
+from marouting.game.reward import PaperReward
 from marouting.vector import BatchEnv
 
 PROBLEMS = [

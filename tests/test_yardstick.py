@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from marouting import Problem, evaluate, generate, sequential_astar
-from policies.classical.optimal import OptimalRouter
-from policies.classical.pathfinder import PathfinderRouter
+from policies.routers.optimal import OptimalRouter
+from policies.routers.pathfinder import PathfinderRouter
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "liao2019"
 

@@ -9,9 +9,9 @@ from gymnasium.utils import EzPickle
 from pettingzoo import AECEnv
 
 from marouting.config import ORDERS
-from marouting.engine import NOBODY, Status
-from marouting.env.face import INT8, METADATA, Face, Looks, checked_move
-from marouting.grid import MOVES
+from marouting.env.base import INT8, METADATA, BaseGame, GameMethods, checked_move
+from marouting.game.engine import NOBODY, Status
+from marouting.problem.grid import MOVES
 from marouting.source import Source
 
 # Plain numbers compare many times quicker than members of an IntEnum.
@@ -20,7 +20,7 @@ _ACTIVE, _TERMINATED = int(Status.ACTIVE), int(Status.TERMINATED)
 _MASK = 1, MOVES
 
 
-class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
+class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
     """Global routing with every net an agent, one move at a time.
 
     An agent's observation and mask are those of the moment it is selected; its reward is that of
@@ -36,12 +36,12 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
         super().__init__()
-        self._face = Face(problem, ORDERS["multi"], options)
-        self.render_mode = self._face.render_mode
-        self.state_space = self._face.state_space
-        self.possible_agents = list(self._face.everyone)
+        self._game = BaseGame(problem, ORDERS["multi"], options)
+        self.render_mode = self._game.render_mode
+        self.state_space = self._game.state_space
+        self.possible_agents = list(self._game.everyone)
         self.observation_spaces = {
-            agent: self._face.new_observation_space() for agent in self.possible_agents
+            agent: self._game.new_observation_space() for agent in self.possible_agents
         }
         self.action_spaces = {agent: Discrete(MOVES) for agent in self.possible_agents}
 
@@ -61,26 +61,26 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
             options: accepted for the interface's sake; there are none.
         """
         del options
-        self._face.restart(seed)
-        engine = self._face.engine
+        self._game.restart(seed)
+        engine = self._game.engine
         self._number = dict.fromkeys(self.possible_agents, NOBODY)
-        self._number |= {agent: n for n, agent in enumerate(self._face.names)}
-        self.agents = list(self._face.names)
+        self._number |= {agent: n for n, agent in enumerate(self._game.names)}
+        self.agents = list(self._game.names)
         self.rewards = dict.fromkeys(self.agents, 0.0)
         self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
         self.terminations = dict.fromkeys(self.agents, False)
         self.truncations = dict.fromkeys(self.agents, False)
         self.infos = {
-            agent: self._face.info(mask, over=False)
-            for agent, mask in zip(self.agents, self._face.masks(), strict=True)
+            agent: self._game.info(mask, over=False)
+            for agent, mask in zip(self.agents, self._game.masks(), strict=True)
         }
         self._skip_agent_selection: str | None = None
         self._rewarded = self.agents[0]
-        self.agent_selection = self._face.names[engine.games[0]["agent"]]
+        self.agent_selection = self._game.names[engine.games[0]["agent"]]
 
     def observe(self, agent: str) -> Any:
         """The agent's observation as the game stands."""
-        return self._face.observation(self._number[agent])
+        return self._game.observation(self._number[agent])
 
     def step(self, action: int | None) -> None:
         """Moves the selected agent; None for one that is terminated or truncated.
@@ -88,30 +88,30 @@ class GlobalRoutingAEC(Looks, AECEnv, EzPickle):
         Raises:
             ValueError: the action is none of the six moves, or not None for a dead agent.
         """
-        face, agent = self._face, self.agent_selection
+        game, agent = self._game, self.agent_selection
         if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)
             agent = self.agent_selection
             if agent in self.infos:  # others may have taken capacity since its info was made
-                self.infos[agent] = face.info(face.mask(self._number[agent]), over=False)
+                self.infos[agent] = game.info(game.mask(self._number[agent]), over=False)
             return
         mask = np.empty(_MASK, INT8)
-        following, status = face.engine.play_turn(checked_move(action), mask)
+        following, status = game.engine.play_turn(checked_move(action), mask)
 
         # Only the mover gets a reward; the last mover's is over.
         if self._rewarded in self.rewards:
             self.rewards[self._rewarded] = 0.0
         self._rewarded = agent
-        reward = face.reward(self._number[agent])
+        reward = game.reward(self._number[agent])
         self.rewards[agent] = self._cumulative_rewards[agent] = reward
         if status == _ACTIVE:
-            agent = self.agent_selection = face.names[following]
+            agent = self.agent_selection = game.names[following]
             self.infos[agent] = {"action_mask": mask[0]}
         else:
             self.terminations[agent] = status == _TERMINATED
             self.truncations[agent] = status != _TERMINATED
-            self.infos[agent] = face.info(mask[0], over=True)
+            self.infos[agent] = game.info(mask[0], over=True)
             # The agent is selected once more, to be taken off the list, before the next one.
-            self._skip_agent_selection = None if following == NOBODY else face.names[following]
+            self._skip_agent_selection = None if following == NOBODY else game.names[following]
         if self.render_mode == "human":
             self.render()

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from marouting.config import ORDERS
-from marouting.env.face import METADATA, Face, Looks, checked_move
-from marouting.grid import MOVES
+from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
+from marouting.problem.grid import MOVES
 from marouting.source import Source
 
 
-class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
+class GlobalRoutingParallel(GameMethods, ParallelEnv, EzPickle):
     """Global routing with every net an agent, all moving in every step.
 
     With ``turn_order="sequential"`` all agents are asked and only the one whose turn it is moves;
@@ -34,13 +34,13 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
 
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
-        self._face = Face(problem, ORDERS["multi"], options)
-        self._board = self._face.board()
-        self.render_mode = self._face.render_mode
-        self.state_space = self._face.state_space
-        self.possible_agents = list(self._face.everyone)
+        self._game = BaseGame(problem, ORDERS["multi"], options)
+        self._board = self._game.board()
+        self.render_mode = self._game.render_mode
+        self.state_space = self._game.state_space
+        self.possible_agents = list(self._game.everyone)
         self.observation_spaces = {
-            agent: self._face.new_observation_space() for agent in self.possible_agents
+            agent: self._game.new_observation_space() for agent in self.possible_agents
         }
         self.action_spaces = {agent: Discrete(MOVES) for agent in self.possible_agents}
         self.agents: list[str] = []
@@ -63,11 +63,11 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
             options: accepted for the interface's sake; there are none.
         """
         del options
-        self._face.restart(seed)
-        if self._board.engine is not self._face.engine:  # another problem
-            self._board = self._face.board()
+        self._game.restart(seed)
+        if self._board.engine is not self._game.engine:  # another problem
+            self._board = self._game.board()
         self._board.reset()
-        self.agents = list(self._face.names)
+        self.agents = list(self._game.names)
         self._numbers = np.arange(len(self.agents))  # of the agents in the game
         return self._look()
 
@@ -77,8 +77,8 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
         seen: Any = arrays.observation[0].take(numbers, axis=0)
         masks = arrays.mask[0].take(numbers, axis=0)
         infos = [{"action_mask": mask} for mask in masks]
-        if self._face.masked:
-            seen = [self._face.seen(*both) for both in zip(seen, masks, strict=True)]
+        if self._game.masked:
+            seen = [self._game.seen(*both) for both in zip(seen, masks, strict=True)]
         return dict(zip(agents, seen, strict=True)), dict(zip(agents, infos, strict=True))
 
     def step(
@@ -111,11 +111,11 @@ class GlobalRoutingParallel(Looks, ParallelEnv, EzPickle):
         cut = dict(zip(agents, truncated.tolist(), strict=True))
         rewards = dict(zip(agents, arrays.reward[0].take(numbers).tolist(), strict=True))
         if not active.all():
-            metrics = self._face.metrics()
+            metrics = self._game.metrics()
             for k in np.flatnonzero(~active):
                 infos[agents[k]]["metrics"] = dict(metrics)
             self._numbers = numbers[active]
-            self.agents = [self._face.names[n] for n in self._numbers]
+            self.agents = [self._game.names[n] for n in self._numbers]
         if self.render_mode == "human":
             self.render()
         return observations, rewards, ended, cut, infos

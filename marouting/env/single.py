@@ -9,13 +9,13 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from marouting.config import ORDERS
-from marouting.engine import NOBODY
-from marouting.env.face import METADATA, Face, Looks, checked_move
-from marouting.grid import MOVES
+from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
+from marouting.game.engine import NOBODY
+from marouting.problem.grid import MOVES
 from marouting.source import Source
 
 
-class GlobalRoutingSingle(Looks, gymnasium.Env[Any, Any], EzPickle):
+class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any], EzPickle):
     """Global routing as one agent's game: every step moves the net whose turn it is.
 
     The observation is that of the net to move. The episode terminates when all tasks of all nets
@@ -34,9 +34,9 @@ class GlobalRoutingSingle(Looks, gymnasium.Env[Any, Any], EzPickle):
         self, problem: Source = None, render_mode: str | None = None, **options: Any
     ) -> None:
         EzPickle.__init__(self, problem, render_mode, **options)
-        self._face = Face(problem, ORDERS["single"], {**options, "render_mode": render_mode})
+        self._game = BaseGame(problem, ORDERS["single"], {**options, "render_mode": render_mode})
         self.render_mode = render_mode
-        self.observation_space = self._face.new_observation_space()
+        self.observation_space = self._game.new_observation_space()
         self.action_space = Discrete(MOVES)
 
     def reset(
@@ -50,18 +50,18 @@ class GlobalRoutingSingle(Looks, gymnasium.Env[Any, Any], EzPickle):
         """
         del options
         super().reset(seed=seed)
-        self._face.restart(seed)
-        self._net = int(self._face.engine.games[0]["agent"])
+        self._game.restart(seed)
+        self._net = int(self._game.engine.games[0]["agent"])
         if self.render_mode == "human":
             self.render()
-        return self._look(self._face.mask(self._net), over=False)
+        return self._look(self._game.mask(self._net), over=False)
 
     def _look(self, mask: NDArray[np.int8], over: bool) -> tuple[Any, dict[str, Any]]:
         """Observation and info of the net to move; at the end, of the one that moved last."""
-        face = self._face
-        info = face.info(mask, over)
-        info["net"] = face.names[self._net]
-        return face.observation(self._net), info
+        game = self._game
+        info = game.info(mask, over)
+        info["net"] = game.names[self._net]
+        return game.observation(self._net), info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Moves the net whose turn it is.
@@ -69,15 +69,15 @@ class GlobalRoutingSingle(Looks, gymnasium.Env[Any, Any], EzPickle):
         Raises:
             ValueError: the action is none of the six moves.
         """
-        engine = self._face.engine
+        engine = self._game.engine
         masks = np.empty((1, MOVES), np.int8)
         following, _ = engine.play_turn(checked_move(action), masks)
         mask = masks[0]
-        reward = self._face.reward(self._net)
+        reward = self._game.reward(self._net)
         over = following == NOBODY
         if not over and following != self._net:
             self._net = following
-            mask = self._face.mask(following)  # what came back may be that of a net that is done
+            mask = self._game.mask(following)  # what came back may be that of a net that is done
         now = engine.metrics()
         joined = over and now.joined == now.tasks
         if self.render_mode == "human":

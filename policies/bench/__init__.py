@@ -18,13 +18,13 @@ import torch
 
 from marouting import InputError
 from policies.bench.environment import batch, faces, jumanji, large, start
-from policies.bench.measure import Bench, Row
+from policies.bench.measure import Bench, Measurement
 from policies.bench.search import growth, search
 from policies.bench.training import training
 
-__all__ = ["SECTIONS", "Bench", "Row", "machine", "run"]
+__all__ = ["SECTIONS", "Bench", "Measurement", "machine", "run"]
 
-SECTIONS: Mapping[str, Callable[[Bench], Iterator[Row]]] = {
+SECTIONS: Mapping[str, Callable[[Bench], Iterator[Measurement]]] = {
     "start": start,
     "batch": batch,
     "faces": faces,
@@ -61,7 +61,7 @@ def _processor() -> str:
 
 
 def run(
-    sections: Sequence[str], bench: Bench, watch: Callable[[str, Row | None], None]
+    sections: Sequence[str], bench: Bench, watch: Callable[[str, Measurement | None], None]
 ) -> dict[str, Any]:
     """Measures some sections.
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from marouting import Problem, generate, global_routing_v0
-from marouting.grid import MOVES
+from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
-from policies.bench.measure import Bench, Row, Work
+from policies.bench.measure import Bench, Measurement, Work
 
 
 def _problem(nets: int = 50, seed: int = 0) -> Problem:
@@ -35,7 +35,7 @@ def _batched(threads: int, steps: int = 60, problems: int = 1024) -> Work:
     return work
 
 
-def batch(bench: Bench) -> Iterator[Row]:
+def batch(bench: Bench) -> Iterator[Measurement]:
     """The batched environment, with observations, masks and rewards."""
     unit = "agent-steps/s"
     one = _batched(1)
@@ -102,7 +102,7 @@ def _turns(env: Any, steps: int = 3000, *, last: bool = True) -> Work:
     return work
 
 
-def faces(bench: Bench) -> Iterator[Row]:
+def faces(bench: Bench) -> Iterator[Measurement]:
     """The faces of PettingZoo, against environments that do nothing."""
     from pettingzoo.utils import wrappers
 
@@ -138,7 +138,7 @@ def faces(bench: Bench) -> Iterator[Row]:
     )
 
 
-def jumanji(bench: Bench) -> Iterator[Row]:
+def jumanji(bench: Bench) -> Iterator[Measurement]:
     """The batched environment against Jumanji's Connector, both on one core."""
     from policies.bench.jumanji import Connector, one_core
 
@@ -212,16 +212,18 @@ def _child(code: str, *arguments: str, **variables: str) -> list[float]:
     return numbers
 
 
-def start(bench: Bench) -> Iterator[Row]:
+def start(bench: Bench) -> Iterator[Measurement]:
     """Import and first environment, with and without compiled code on disk."""
     with tempfile.TemporaryDirectory() as cache:
         cold = _child(_START, NUMBA_CACHE_DIR=cache)
         warm = [_child(_START, NUMBA_CACHE_DIR=cache) for _ in range(bench.repeats)]
     imports, first = (sorted(column) for column in zip(*warm, strict=True))
     middle = len(imports) // 2
-    yield Row("import marouting", imports[middle], imports[0], "s", target="2 s")
-    yield Row("env() and reset(), nothing compiled yet", cold[1], cold[1], "s", target="5 s")
-    yield Row(
+    yield Measurement("import marouting", imports[middle], imports[0], "s", target="2 s")
+    yield Measurement(
+        "env() and reset(), nothing compiled yet", cold[1], cold[1], "s", target="5 s"
+    )
+    yield Measurement(
         "env() and reset(), compiled before",
         first[middle],
         first[0],
@@ -234,7 +236,7 @@ def start(bench: Bench) -> Iterator[Row]:
     )
 
 
-def large(bench: Bench) -> Iterator[Row]:
+def large(bench: Bench) -> Iterator[Measurement]:
     """Memory (on Linux alone) and reset of an environment of ten thousand nets."""
     del bench
     if sys.platform != "linux":
@@ -242,6 +244,6 @@ def large(bench: Bench) -> Iterator[Row]:
     for face in ("raw_env", "parallel_env"):
         megabytes, made, reset = _child(_LARGE, face)
         name = f"{face}, 10 000 nets on 64×64×2"
-        yield Row(f"{name}: memory", megabytes, megabytes, "MB", target="200 MB")
-        yield Row(f"{name}: making it", made, made, "s")
-        yield Row(f"{name}: reset()", reset, reset, "s", target="1 s")
+        yield Measurement(f"{name}: memory", megabytes, megabytes, "MB", target="200 MB")
+        yield Measurement(f"{name}: making it", made, made, "s")
+        yield Measurement(f"{name}: reset()", reset, reset, "s", target="1 s")

@@ -7,7 +7,7 @@ from gymnasium.spaces import Box, Discrete
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
-from marouting.grid import MOVES
+from marouting.problem.grid import MOVES
 
 
 class EmptyAEC(AECEnv):

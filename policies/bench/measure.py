@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from policies.config import check
+from policies.learned.config import check
 
 
 @dataclass(frozen=True)
-class Row:
+class Measurement:
     """A figure and what it was compared with.
 
     Attributes:
@@ -82,12 +82,12 @@ class Bench:
         *,
         threads: int = 1,
         target: str = "",
-    ) -> Row:
+    ) -> Measurement:
         """A row of work against other work, or of work alone."""
         measured = self.rates(work, *([] if other is None else [other]))
         mine = statistics.median(measured[0])
         theirs = None if other is None else statistics.median(measured[1])
-        return Row(
+        return Measurement(
             name,
             mine,
             max(measured[0]),

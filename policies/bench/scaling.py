@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from marouting import InputError, Net, Pin, Problem, Solution, evaluate, sequential_astar
-from marouting.grid import Move
+from marouting.problem.grid import Move
 from marouting.vector import BatchEnv
 from policies import figures
 
@@ -41,7 +41,7 @@ STEP, ASTAR, EVALUATE = "step of the environment", "A*", "evaluation"
 
 
 @dataclass(frozen=True)
-class Row:
+class Measurement:
     """One measurement.
 
     Attributes:
@@ -188,7 +188,7 @@ def measure(
     *,
     budget: float = 0.5,
     seed: int = 0,
-    progress: Callable[[Row], None] | None = None,
+    progress: Callable[[Measurement], None] | None = None,
 ) -> dict[str, Any]:
     """Measures all families, on one core.
 
@@ -201,7 +201,7 @@ def measure(
         progress: called with every row as it is there.
 
     Returns:
-        Plain data: ``rows``, the fields of :class:`Row` each, and ``exponents`` as of
+        Plain data: ``rows``, the fields of :class:`Measurement` each, and ``exponents`` as of
         :func:`exponents`.
 
     Raises:
@@ -217,7 +217,7 @@ def measure(
     for family, on in _families(sides, counts, large, seed):
         for work, edges, seconds in _measured(on, budget):
             capacity = on.horizontal_capacity[0]
-            row = Row(family, work, on.grid[0], len(on.nets), capacity, edges, seconds)
+            row = Measurement(family, work, on.grid[0], len(on.nets), capacity, edges, seconds)
             rows.append(asdict(row))
             if progress is not None:
                 progress(row)

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from marouting import Problem, generate, sequential_astar
-from marouting.decomposition import two_pin_tasks
-from marouting.grid import Grid
-from policies.bench.measure import Bench, Row, Work
+from marouting.problem.grid import Grid
+from marouting.trees.decomposition import two_pin_tasks
+from policies.bench.measure import Bench, Measurement, Work
 
 
 def _graph(problem: Problem) -> Any:
@@ -46,7 +46,7 @@ def _fresh(problem: Problem) -> Problem:
     return Problem(**{name: getattr(problem, name) for name in problem.__dataclass_fields__})
 
 
-def search(bench: Bench) -> Iterator[Row]:
+def search(bench: Bench) -> Iterator[Measurement]:
     """Sequential A*, from a problem to its solution."""
     problems = generate(100)
     # Problems of which nothing has been worked out yet, for every repeat and the first time.
@@ -82,7 +82,7 @@ def search(bench: Bench) -> Iterator[Row]:
     )
 
 
-def growth(bench: Bench) -> Iterator[Row]:
+def growth(bench: Bench) -> Iterator[Measurement]:
     """How time grows with routed edges (:mod:`policies.bench.scaling`)."""
     from policies.bench.scaling import measure
 
@@ -91,4 +91,4 @@ def growth(bench: Bench) -> Iterator[Row]:
     for family, works in found["exponents"].items():
         for work, exponent in works.items():
             name = f"{work}, {family}: exponent of time over routed edges"
-            yield Row(name, exponent, exponent, "", target="1.2 at most")
+            yield Measurement(name, exponent, exponent, "", target="1.2 at most")

@@ -9,14 +9,14 @@ import torch
 from torch import nn
 
 from marouting import generate
-from marouting.grid import MOVES
-from policies.bench.measure import Bench, Row, Work
-from policies.config import Config, DQNOptions, TrainOptions
+from marouting.problem.grid import MOVES
+from policies.bench.measure import Bench, Measurement, Work
+from policies.learned.config import Config, DQNOptions, TrainOptions
 from policies.learned.dqn import Rule, backends
 from policies.learned.replay import GOES_ON, MOVE, REWARD, Replay
 from policies.learned.streams import keys
+from policies.learned.threads import use_threads
 from policies.learned.trainer import Trainer
-from policies.threads import use_threads
 
 PAPER = (32, 64, 32)
 """Hidden layers of the paper's network."""
@@ -139,7 +139,7 @@ def _training(stack: int, threads: int, device: str = "cpu") -> Work:
     return work
 
 
-def training(bench: Bench) -> Iterator[Row]:
+def training(bench: Bench) -> Iterator[Measurement]:
     """Gradient steps and whole trainings, against eager torch and the bound by products."""
     unit = "gradient steps/s"
     eager, gemm = _eager(), _gemm()

@@ -9,7 +9,7 @@ rows/SET/ROUTER[.seedN]/*.json   the rows of what is done, part by part
 runs/SET/ROUTER[.seedN]/*/       the run folders of trainings (:mod:`policies.learned.run`)
 solutions/SET/NAME.ROUTER[.seedN].solution
 results.json, results.csv        all rows
-summary.json                     what they say (:mod:`policies.statistics`)
+summary.json                     what they say (:mod:`policies.results.statistics`)
 figures/                         the paper's figures
 ===============================  ===============================================================
 
@@ -40,19 +40,19 @@ from policies.experiment.folder import (
     solution_file,
 )
 from policies.experiment.part import Part
-from policies.experiment.study import Column, Study
+from policies.experiment.study import Study, StudyColumn
 
 __all__ = [
     "COLUMNS",
     "CONFIG",
     "RESULTS",
-    "Column",
     "Entry",
     "Experiment",
     "ExperimentConfig",
     "Part",
     "Published",
     "Study",
+    "StudyColumn",
     "Training",
     "label",
     "load_experiment",

@@ -12,10 +12,10 @@ from marouting import InputError, Problem
 from marouting.config import build, read_yaml
 from marouting.files import unusable
 from marouting.source import load_problems
-from policies.config import Config, check, override
 from policies.experiment.study import Study
-from policies.routers import ROUTERS, has_seed, is_seeded, schema, unknown
-from policies.statistics import ALL
+from policies.learned.config import Config, check, override
+from policies.results.statistics import ALL
+from policies.routers.registry import ROUTERS, has_seed, is_seeded, schema, unknown
 
 PUBLISHED = "published"
 """The router of an entry whose rows are not routed but read from a file."""
@@ -34,10 +34,10 @@ class ExperimentConfig:
         problems: problem sources by the set's name (as ``env.problem`` of a training); or a
             folder, whose ``.gr`` files are a set and whose folders with such files are one each.
         routers: options by the name that tables call the router, with the keys ``router``, a name
-            of :data:`policies.routers.ROUTERS` or ``published``, and ``only``, the sets that it
-            is for; all the others are the router's own. For ``dqn`` see :class:`Training`, for
-            ``published`` :class:`Published`. What is left out is filled in. None in place of the
-            options leaves a router out: for ``routers.NAME=null`` on the command line.
+            of :data:`policies.routers.registry.ROUTERS` or ``published``, and ``only``, the sets
+            that it is for; all the others are the router's own. For ``dqn`` see :class:`Training`,
+            for ``published`` :class:`Published`. What is left out is filled in. None in place of
+            the options leaves a router out: for ``routers.NAME=null`` on the command line.
         studies: composed figures by their name, besides those of every set. Columns of routers that
             are left out, or not done, are left out.
     """
@@ -264,7 +264,7 @@ def load_experiment(
 
     Args:
         path: a YAML file.
-        overrides: as of :func:`policies.config.load_config`.
+        overrides: as of :func:`policies.learned.config.load_config`.
 
     Raises:
         InputError: names the file or key, what was expected and what was found.

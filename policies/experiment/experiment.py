@@ -15,7 +15,7 @@ from marouting import InputError, Problem, Solution
 from marouting.config import read_yaml
 from marouting.files import write_text
 from marouting.source import load_problems
-from policies.config import check, check_same
+from policies.cli.progress import progress_bar
 from policies.experiment.config import (
     PUBLISHED,
     Entry,
@@ -32,12 +32,12 @@ from policies.experiment.folder import (
     to_csv,
 )
 from policies.experiment.part import Part
-from policies.experiment.study import Column, Study
-from policies.processes import cores, work_on
-from policies.progress import progress_bar
-from policies.routers import unknown
-from policies.statistics import ALL, Row, add_gaps, baseline, by_set, summarise
-from policies.utilisation import problem_type
+from policies.experiment.processes import cores, work_on
+from policies.experiment.study import Study, StudyColumn
+from policies.learned.config import check, check_same
+from policies.results.statistics import ALL, Row, add_gaps, baseline, by_set, summarise
+from policies.results.utilisation import problem_type
+from policies.routers.registry import unknown
 
 
 class Experiment:
@@ -102,7 +102,7 @@ class Experiment:
             problems = {name: problems[name] for name in problems if name in both}
         return {"problems": problems, "routers": routers}
 
-    def _check_column(self, key: str, study: Study, column: Column) -> None:
+    def _check_column(self, key: str, study: Study, column: StudyColumn) -> None:
         entry = next(entry for entry in self.entries if entry.name == column.router)
         sets = tuple(name for name in self.sets if entry.only is None or name in entry.only)
         if column.set is None:
@@ -199,7 +199,7 @@ class Experiment:
         write_text(self.folder / RESULTS, json.dumps(rows, indent=1) + "\n")
         write_text(self.folder / "results.csv", to_csv(rows))
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=1) + "\n")
-        from policies.plot import experiment_figures
+        from policies.figures.plot import experiment_figures
 
         experiment_figures(self.folder)
         return summary

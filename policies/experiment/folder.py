@@ -9,7 +9,7 @@ from typing import Any
 
 from marouting import InputError
 from marouting.files import unusable
-from policies.statistics import Row
+from policies.results.statistics import Row
 
 CONFIG, RESULTS, SUMMARY = "config.yaml", "results.json", "summary.json"
 

@@ -8,12 +8,12 @@ from pathlib import Path
 from marouting import InputError, Problem, Solution, evaluate, generate
 from marouting.config import build
 from marouting.files import write_text
-from policies.base import Router, solve
-from policies.config import Config, load_config
 from policies.experiment.config import PUBLISHED, Entry, Published
 from policies.experiment.folder import COLUMNS, label, problem_file, read_rows, solution_file
-from policies.routers import make_router
-from policies.statistics import Row
+from policies.learned.config import Config, load_config
+from policies.results.statistics import Row
+from policies.routers.base import Router, solve
+from policies.routers.registry import make_router
 
 
 @dataclass(frozen=True)

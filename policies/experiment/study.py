@@ -7,7 +7,7 @@ case study, of the discount factor, of the burn-in memory and of the solutions.
 from dataclasses import dataclass, field
 from typing import Literal
 
-from policies.config import check
+from policies.learned.config import check
 
 Panel = Literal[
     "edges",
@@ -32,7 +32,7 @@ overflow the mean."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Column:
+class StudyColumn:
     """One router on one set of problems.
 
     Attributes:
@@ -62,7 +62,7 @@ class Study:
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     panels: tuple[Panel, ...] = ("wirelength", "decrease", "reward")
-    columns: dict[str, Column] = field(default_factory=dict)
+    columns: dict[str, StudyColumn] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check("panels", len(self.panels) > 0, "at least one")

@@ -14,11 +14,11 @@ from policies.figures.routes import (
     solution_3d,
     utilisation_histogram,
 )
-from policies.figures.studies import Column, study
+from policies.figures.studies import ColumnData, study
 from policies.figures.style import save
 
 __all__ = [
-    "Column",
+    "ColumnData",
     "by_problem",
     "comparison",
     "decrease_histogram",

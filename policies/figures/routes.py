@@ -15,11 +15,11 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.grid import AXES
-from marouting.problem import Problem
-from marouting.solution import Solution, evaluate
+from marouting.problem.grid import AXES
+from marouting.problem.problem import Problem
+from marouting.problem.solution import Solution, evaluate
 from policies.figures.style import BAND, BLUE, INK, LINES, ORANGE, PALE, RED, VIA
-from policies.utilisation import (
+from policies.results.utilisation import (
     demand_on,
     histogram_counts,
     routable_edges,

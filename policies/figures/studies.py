@@ -15,8 +15,8 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.problem import Problem
-from marouting.solution import Solution
+from marouting.problem.problem import Problem
+from marouting.problem.solution import Solution
 from policies.experiment.study import Panel
 from policies.figures.results import (
     decrease_bins,
@@ -37,7 +37,7 @@ from policies.figures.routes import (
 )
 
 
-class Column(NamedTuple):
+class ColumnData(NamedTuple):
     """What a column of a composed figure shows: one router on one set of problems.
 
     Attributes:
@@ -60,7 +60,7 @@ class Column(NamedTuple):
     mean_rewards: Mapping[str, NDArray[np.floating]]
 
 
-def study(columns: Mapping[str, Column], panels: Sequence[Panel]) -> Figure:
+def study(columns: Mapping[str, ColumnData], panels: Sequence[Panel]) -> Figure:
     """Routers side by side, quantities below one another (paper, studies of γ and of the burn-in).
 
     Args:
@@ -112,10 +112,10 @@ def study(columns: Mapping[str, Column], panels: Sequence[Panel]) -> Figure:
     return figure
 
 
-_Draw = Callable[[Sequence[Axes], Sequence[Column]], None]
+_Draw = Callable[[Sequence[Axes], Sequence[ColumnData]], None]
 
 
-def _edges_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+def _edges_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     for axes, column in zip(row, columns, strict=True):
         draw_edges(axes, column.problem, column.astar)
         axes.set_xlabel("edges, by remaining capacity [rank]")
@@ -123,14 +123,14 @@ def _edges_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
 
 
 def _map_row(direction: Direction) -> _Draw:
-    def draw(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+    def draw(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
         for axes, column in zip(row, columns, strict=True):
             draw_map(axes, column.problem, column.solution, direction, across=2.4)
 
     return draw
 
 
-def _histogram_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+def _histogram_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     for axes, column in zip(row, columns, strict=True):
         note = draw_histogram(axes, column.problem, column.solution)
         axes.set_title(note.replace("\n", " ").replace(" (", "\n("))
@@ -141,25 +141,25 @@ def _histogram_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
         axes.legend(frameon=False, fontsize=8, loc="upper left")
 
 
-def _routes_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+def _routes_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     for axes, column in zip(row, columns, strict=True):
         gcell = 3.5 / max(column.problem.grid[:2])
         draw_routes(axes, column.problem, column.solution, "", gcell)
 
 
-def _wirelength_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+def _wirelength_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     _by_problem_row(row, columns, "wirelength [edges]", lambda column: column.wirelength)
 
 
-def _overflow_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+def _overflow_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     _by_problem_row(row, columns, "overflow [tracks]", lambda column: column.overflow)
 
 
 def _by_problem_row(
     row: Sequence[Axes],
-    columns: Sequence[Column],
+    columns: Sequence[ColumnData],
     quantity: str,
-    values: Callable[[Column], Mapping[str, NDArray[np.floating]]],
+    values: Callable[[ColumnData], Mapping[str, NDArray[np.floating]]],
 ) -> None:
     for axes, column in zip(row, columns, strict=True):
         astar = next(iter(column.wirelength))
@@ -168,7 +168,7 @@ def _by_problem_row(
         axes.legend(frameon=False, fontsize=8)
 
 
-def _decrease_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+def _decrease_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     decreases = []
     for column in columns:
         astar, *own = list(column.wirelength.values())[:2]
@@ -187,7 +187,7 @@ def _decrease_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
         axes.set_title(decrease_note(values).replace(", mean", ",\nmean"))
 
 
-def _reward_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+def _reward_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     everything = np.concatenate([curve for column in columns for curve in column.rewards.values()])
     positive = everything[everything > 0]
     low, high = everything.min() - 1, everything.max() + 1
@@ -209,7 +209,7 @@ def _reward_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
         axes.set_title(f"{len(column.rewards)} problems at random")
 
 
-def _mean_reward_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
+def _mean_reward_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     for axes, column in zip(row, columns, strict=True):
         draw_rewards(axes, column.mean_rewards, log=False, smoothing=50)
         axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
@@ -220,29 +220,29 @@ def _mean_reward_row(row: Sequence[Axes], columns: Sequence[Column]) -> None:
         axes.set_ylim(min(low), max(high))
 
 
-def _plain_size(columns: Sequence[Column]) -> tuple[float, float]:
+def _plain_size(columns: Sequence[ColumnData]) -> tuple[float, float]:
     return (3.6 if len(columns) < 4 else 3.0), 2.9
 
 
-def _map_size(_columns: Sequence[Column]) -> tuple[float, float]:
+def _map_size(_columns: Sequence[ColumnData]) -> tuple[float, float]:
     return 4.2, 3.3
 
 
-def _routes_size(columns: Sequence[Column]) -> tuple[float, float]:
+def _routes_size(columns: Sequence[ColumnData]) -> tuple[float, float]:
     largest = max(max(column.problem.grid[:2]) for column in columns)
     side = float(np.clip(0.25 * largest, 4.2, 7))
     return side, side
 
 
-def _no_notes(_column: Column) -> Sequence[Artist]:
+def _no_notes(_column: ColumnData) -> Sequence[Artist]:
     return ()
 
 
-def _map_notes(column: Column) -> Sequence[Artist]:
+def _map_notes(column: ColumnData) -> Sequence[Artist]:
     return map_notes(column.problem, column.solution)
 
 
-def _route_notes(column: Column) -> Sequence[Artist]:
+def _route_notes(column: ColumnData) -> Sequence[Artist]:
     return route_notes(column.problem, [column.solution])
 
 
@@ -256,8 +256,8 @@ class _Kind(NamedTuple):
     """
 
     draw: _Draw
-    size: Callable[[Sequence[Column]], tuple[float, float]] = _plain_size
-    notes: Callable[[Column], Sequence[Artist]] = _no_notes
+    size: Callable[[Sequence[ColumnData]], tuple[float, float]] = _plain_size
+    notes: Callable[[ColumnData], Sequence[Artist]] = _no_notes
 
 
 _KINDS: dict[Panel, _Kind] = {

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
-from marouting.engine import Engine
-from marouting.replay import Replay
-from marouting.search import AStar
-from policies.routers import has_seed, make_router
+from marouting.game.engine import Engine
+from marouting.search.astar import AStar
+from marouting.search.route_follower import RouteFollower
+from policies.routers.registry import has_seed, make_router
 
 GUIDES = ("astar", "random", "pathfinder", "optimal")
 """What ``burn_in`` can be by name; anything else is a file or a folder."""
@@ -30,9 +30,9 @@ def guide(burn_in: str, problems: Mapping[str, Problem], engine: Engine, seed: i
 
     Args:
         burn_in: ``astar``: every move is A*'s, with the capacities as they are; ``random``; another
-            router's name: its solution is replayed (:class:`marouting.replay.Replay`); or a
-            solution file, or a folder with a file ``NAME.solution`` or ``NAME.*.solution`` for
-            every problem.
+            router's name: its solution is replayed
+            (:class:`marouting.search.route_follower.RouteFollower`); or a solution file, or a
+            folder with a file ``NAME.solution`` or ``NAME.*.solution`` for every problem.
         problems: the engine's problems by name.
         engine: the game.
         seed: where the router's random numbers start.
@@ -49,9 +49,9 @@ def guide(burn_in: str, problems: Mapping[str, Problem], engine: Engine, seed: i
         return AStar(engine)
     if burn_in in GUIDES:
         router = make_router(burn_in, {"seed": seed} if has_seed(burn_in) else {})
-        return Replay(engine, [router.route(problem) for problem in problems.values()])
+        return RouteFollower(engine, [router.route(problem) for problem in problems.values()])
     paths = solution_files(burn_in, tuple(problems))
-    return Replay(engine, list(map(Solution.read, paths, problems.values())))
+    return RouteFollower(engine, list(map(Solution.read, paths, problems.values())))
 
 
 def solution_files(burn_in: str, names: Sequence[str]) -> list[Path]:

@@ -11,9 +11,9 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from marouting.engine import Play, World
+from marouting.game.engine import Dynamic, Static
+from policies.learned.compiled.small_gemm import product
 from policies.learned.dqn import DQN, Rule
-from policies.learned.products import product
 from policies.learned.replay import GOES_ON, MASK, MOVE, REWARD, pack
 from policies.learned.stack import Lanes, Rules, Stack, look, move, pick
 from policies.learned.streams import uniform
@@ -262,8 +262,8 @@ def _values(sizes: Any, weights: Any, seen: Any, out: Any) -> None:
 def _play_one(
     n: int,
     steps: int,
-    world: World,
-    play: Play,
+    static: Static,
+    dynamic: Dynamic,
     lanes: Lanes,
     rules: Rules,
     nets: Networks,
@@ -282,14 +282,14 @@ def _play_one(
     scratch = _scratch(nets, rule.batch)
     for _ in range(steps):
         for m in range(first, end):
-            look(world, play, lanes, rules, m)
+            look(static, dynamic, lanes, rules, m)
         _q_values(
             nets.sizes, nets.weights[n], lanes.seen[first:end], activations, lanes.values[first:end]
         )
         over = False
         for m in range(first, end):
-            pick(play, lanes, rules, m)
-            move(world, play, lanes, rules, m)
+            pick(dynamic, lanes, rules, m)
+            move(static, dynamic, lanes, rules, m)
             over |= lanes.over[m]
             for k in range(agents):
                 if lanes.moved[m, k]:
@@ -306,8 +306,8 @@ def _play_one(
 @compiled
 def _play(
     steps: int,
-    world: World,
-    play: Play,
+    static: Static,
+    dynamic: Dynamic,
     lanes: Lanes,
     rules: Rules,
     nets: Networks,
@@ -321,7 +321,7 @@ def _play(
     """One network after the other, each with as many steps as it makes."""
     for n in range(len(nets.steps)):
         _play_one(
-            n, steps, world, play, lanes, rules, nets, rows, stored, keys, owed,
+            n, steps, static, dynamic, lanes, rules, nets, rows, stored, keys, owed,
             steps_per_update, rule,
         )  # fmt: skip
 
@@ -329,8 +329,8 @@ def _play(
 @njit(cache=True, error_model="numpy", parallel=True)
 def _play_threaded(
     steps: int,
-    world: World,
-    play: Play,
+    static: Static,
+    dynamic: Dynamic,
     lanes: Lanes,
     rules: Rules,
     nets: Networks,
@@ -348,7 +348,7 @@ def _play_threaded(
     """
     for n in prange(len(nets.steps)):
         _play_one(
-            n, steps, world, play, lanes, rules, nets, rows, stored, keys, owed,
+            n, steps, static, dynamic, lanes, rules, nets, rows, stored, keys, owed,
             steps_per_update, rule,
         )  # fmt: skip
 
@@ -385,8 +385,8 @@ class CompiledDQN(DQN):
         replay, engine = self.replay, stack.engine
         (_play_threaded if self.threads > 1 else _play)(
             steps,
-            engine.world,
-            engine.play,
+            engine.static,
+            engine.dynamic,
             stack.lanes,
             stack.rules,
             self._nets,

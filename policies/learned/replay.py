@@ -24,7 +24,7 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
-from marouting.grid import MOVES
+from marouting.problem.grid import MOVES
 from policies.learned.stack import Lanes
 from policies.learned.streams import uniforms
 

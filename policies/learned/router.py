@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from marouting import EnvOptions, InputError, Problem, Solution
 from marouting.config import ORDERS, build
-from marouting.engine import NOBODY
-from marouting.grid import MOVES
-from policies.config import Config
+from marouting.game.engine import NOBODY
+from marouting.problem.grid import MOVES
 from policies.learned.checkpoint import read_checkpoint
+from policies.learned.config import Config
 from policies.learned.qnetwork import Layers, count, forward
 from policies.learned.trainer import Episode, Trainer
 
@@ -76,7 +76,7 @@ class QPolicy:
         return QPolicy(sizes, weights[row], masking, env)
 
     def act(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> int:
-        """The best move; see :class:`policies.base.Policy`."""
+        """The best move; see :class:`policies.routers.base.Policy`."""
         return int(self.moves(observation[None], mask[None])[0])
 
     def moves(self, observations: NDArray[np.float32], masks: NDArray[np.int8]) -> NDArray[np.int8]:

@@ -32,12 +32,12 @@ import yaml
 from marouting import InputError, Solution, evaluate
 from marouting.files import write_text, writing
 from marouting.source import load_problems
-from policies.classical.astar import AStarRouter
-from policies.config import Config, check_same, load_config
+from policies.cli.progress import progress_bar
 from policies.learned.checkpoint import read_checkpoint
+from policies.learned.config import Config, check_same, load_config
 from policies.learned.logs import Logs
 from policies.learned.trainer import Episode, Trainer
-from policies.progress import progress_bar
+from policies.routers.astar import AStarRouter
 
 CONFIG, METRICS, CHECKPOINT = "config.yaml", "metrics.jsonl", "checkpoint.pt"
 POLICY, RESULT = "policy.pt", "result.json"
@@ -154,7 +154,7 @@ class Run:
         _save(self.trainer.policy(), self.folder / POLICY)
         _save(self._state(), self.folder / CHECKPOINT)
         if config.train.figures:
-            from policies.plot import run_figures
+            from policies.figures.plot import run_figures
 
             run_figures(self.folder)
         return rows

@@ -13,24 +13,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.engine import (
+from marouting.game.engine import (
     NOBODY,
     Crossing,
+    Dynamic,
     Ending,
     Engine,
-    Play,
+    Static,
     Status,
-    World,
     move_everyone,
     move_player,
     settle_everyone,
     settle_player,
     write_mask,
 )
-from marouting.grid import MOVES
+from marouting.game.observation import PaperObservation, write_paper
+from marouting.game.reward import PaperReward, paper_reward
 from marouting.kernels import compiled, wide
-from marouting.observation import PaperObservation, write_paper
-from marouting.reward import PaperReward, paper_reward
+from marouting.problem.grid import MOVES
 from policies.learned.streams import uniform
 
 
@@ -65,25 +65,25 @@ class Rules(NamedTuple):
 
 
 @compiled
-def look(world: World, play: Play, lanes: Lanes, rules: Rules, m: int) -> None:
+def look(static: Static, dynamic: Dynamic, lanes: Lanes, rules: Rules, m: int) -> None:
     """The agents asked, and what they see."""
     if not rules.everyone:
-        lanes.agents[m, 0] = play.games[m].agent
+        lanes.agents[m, 0] = dynamic.games[m].agent
     for k in range(lanes.agents.shape[1]):
         n = wide(lanes.agents[m, k])
-        write_paper(world, play, rules.via_capacity, m, n, lanes.seen[m], k)
+        write_paper(static, dynamic, rules.via_capacity, m, n, lanes.seen[m], k)
         if rules.masked:
-            write_mask(world, play, m, n, lanes.mask[m], k)
+            write_mask(static, dynamic, m, n, lanes.mask[m], k)
 
 
 @compiled
-def pick(play: Play, lanes: Lanes, rules: Rules, m: int) -> None:
+def pick(dynamic: Dynamic, lanes: Lanes, rules: Rules, m: int) -> None:
     """ε-greedy moves of the agents that may move."""
     asked = False
     for k in range(lanes.agents.shape[1]):
         n = lanes.agents[m, k]
         lanes.moves[m, k] = NOBODY
-        if n == NOBODY or play.agents[m, n].status != Status.ACTIVE:
+        if n == NOBODY or dynamic.agents[m, n].status != Status.ACTIVE:
             continue
         asked = True
         # Two draws a lane: whether to explore, and where to.
@@ -113,49 +113,49 @@ def pick(play: Play, lanes: Lanes, rules: Rules, m: int) -> None:
 
 
 @compiled
-def move(world: World, play: Play, lanes: Lanes, rules: Rules, m: int) -> None:
+def move(static: Static, dynamic: Dynamic, lanes: Lanes, rules: Rules, m: int) -> None:
     """The moves are made, in turn order; what came of them; next tasks start, the turn passes."""
     if rules.everyone:
-        move_everyone(world, play, m, lanes.moves)
+        move_everyone(static, dynamic, m, lanes.moves)
     else:
-        move_player(world, play, m, wide(lanes.moves[m, 0]))
+        move_player(static, dynamic, m, wide(lanes.moves[m, 0]))
     for k in range(lanes.agents.shape[1]):
         n = wide(lanes.agents[m, k])
-        lanes.moved[m, k] = n != NOBODY and play.agents[m, n].crossing != Crossing.NONE
+        lanes.moved[m, k] = n != NOBODY and dynamic.agents[m, n].crossing != Crossing.NONE
         if not lanes.moved[m, k]:
             continue
-        agent = play.agents[m, n]
+        agent = dynamic.agents[m, n]
         reward = paper_reward(rules.rewards, rules.overflow_price, agent)
         lanes.reward[m, k] = reward
         lanes.total[m] += reward
         lanes.goes_on[m, k] = agent.ending != Ending.JOINED
-        write_paper(world, play, rules.via_capacity, m, n, lanes.arrived[m], k)
+        write_paper(static, dynamic, rules.via_capacity, m, n, lanes.arrived[m], k)
         if rules.masked:
-            write_mask(world, play, m, n, lanes.arrived_mask[m], k)
-    active = play.games[m].active
+            write_mask(static, dynamic, m, n, lanes.arrived_mask[m], k)
+    active = dynamic.games[m].active
     if rules.everyone:
-        settle_everyone(world, play, m)
+        settle_everyone(static, dynamic, m)
     else:
-        settle_player(world, play, m)
-    lanes.over[m] = active > 0 and play.games[m].active == 0
+        settle_player(static, dynamic, m)
+    lanes.over[m] = active > 0 and dynamic.games[m].active == 0
 
 
 @compiled
-def _look_all(world: World, play: Play, lanes: Lanes, rules: Rules) -> None:
+def _look_all(static: Static, dynamic: Dynamic, lanes: Lanes, rules: Rules) -> None:
     for m in range(len(lanes.over)):
-        look(world, play, lanes, rules, m)
+        look(static, dynamic, lanes, rules, m)
 
 
 @compiled
-def _pick_all(play: Play, lanes: Lanes, rules: Rules) -> None:
+def _pick_all(dynamic: Dynamic, lanes: Lanes, rules: Rules) -> None:
     for m in range(len(lanes.over)):
-        pick(play, lanes, rules, m)
+        pick(dynamic, lanes, rules, m)
 
 
 @compiled
-def _move_all(world: World, play: Play, lanes: Lanes, rules: Rules) -> None:
+def _move_all(static: Static, dynamic: Dynamic, lanes: Lanes, rules: Rules) -> None:
     for m in range(len(lanes.over)):
-        move(world, play, lanes, rules, m)
+        move(static, dynamic, lanes, rules, m)
 
 
 class Stack:
@@ -185,7 +185,7 @@ class Stack:
         keys: NDArray[np.uint64],
     ) -> None:
         self.engine = engine
-        (features,) = observation.space(engine.problems, engine.world.overflow).shape
+        (features,) = observation.space(engine.problems, engine.static.overflow).shape
         problems, agents = engine.nets.shape
         shape = (problems, agents if everyone else 1)
         asked = engine.pairs(everyone)[1].reshape(shape)
@@ -219,12 +219,12 @@ class Stack:
 
     def look(self) -> None:
         """The agents asked, and what they see, of all problems."""
-        _look_all(self.engine.world, self.engine.play, self.lanes, self.rules)
+        _look_all(self.engine.static, self.engine.dynamic, self.lanes, self.rules)
 
     def pick(self) -> None:
         """ε-greedy moves of the agents of all problems that may move."""
-        _pick_all(self.engine.play, self.lanes, self.rules)
+        _pick_all(self.engine.dynamic, self.lanes, self.rules)
 
     def move(self) -> None:
         """The moves are made in all problems."""
-        _move_all(self.engine.world, self.engine.play, self.lanes, self.rules)
+        _move_all(self.engine.static, self.engine.dynamic, self.lanes, self.rules)

@@ -20,16 +20,16 @@ from torch import Tensor
 
 from marouting import InputError, Problem, Solution
 from marouting.config import ORDERS
-from marouting.engine import NOBODY, Engine
-from marouting.grid import MOVES
-from policies.config import Config
+from marouting.game.engine import NOBODY, Engine
+from marouting.problem.grid import MOVES
 from policies.learned.burn_in import guide, solution_files
 from policies.learned.checkpoint import FORMAT
+from policies.learned.config import Config
 from policies.learned.dqn import Rule, backend_for, backends
 from policies.learned.replay import Replay
 from policies.learned.stack import Stack
 from policies.learned.streams import keys
-from policies.threads import use_threads
+from policies.learned.threads import use_threads
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Trainer:
         self.episodes = np.zeros(count, np.int64)  # episodes finished
         self.score = np.full((count, 3), np.inf)  # of the best episode: less is better
         self.best_episode = np.full(count, NOBODY, np.int64)
-        self.best_used = engine.play.used.copy()
+        self.best_used = engine.dynamic.used.copy()
         self._weights = self.learner.weights.cpu().clone()  # (networks, P) of those that left
         # The problems in the stack: those that still have episodes to train, and at the end those
         # that had the last ones.
@@ -224,7 +224,7 @@ class Trainer:
             if best:
                 self.score[problem] = score
                 self.best_episode[problem] = self.episodes[problem]
-                self.best_used[problem] = self.engine.play.used[m]
+                self.best_used[problem] = self.engine.dynamic.used[m]
             loss, steps = losses[m] - self._before[0, m], updates[m] - self._before[1, m]
             finished.append(
                 Episode(
@@ -261,17 +261,17 @@ class Trainer:
     def _arrays(self) -> dict[str, NDArray[Any]]:
         """What changes in training but the learner, as arrays to copy from or into."""
         own = ("episodes", "score", "best_episode", "best_used", "places", "_before")
-        play, lanes = self.engine.play, self.stack.lanes
+        dynamic, lanes = self.engine.dynamic, self.stack.lanes
         return {
             **{name: getattr(self, name) for name in own},
             "counters": lanes.counters,
             "total": lanes.total,
             "weights": self._weights.numpy(),
-            "play.remaining": play.remaining,
-            "play.used": play.used,
+            "dynamic.remaining": dynamic.remaining,
+            "dynamic.used": dynamic.used,
             # Records have no counterpart in torch: their bytes do.
-            "play.agents": play.agents.view(np.uint8),
-            "play.games": play.games.view(np.uint8),
+            "dynamic.agents": dynamic.agents.view(np.uint8),
+            "dynamic.games": dynamic.games.view(np.uint8),
         }
 
     def policy(self) -> dict[str, Any]:

@@ -1,9 +1,9 @@
 """A global routing problem: the chip's grid, its capacities, and the nets to be joined.
 
-Everything is frozen and in the units of the ISPD 2008 ``.gr`` format (:mod:`marouting.ispd` reads
-and writes it, among others): pins in chip coordinates with layers from 1, capacities and widths in
-tracks. What the routers and the environment need is derived here once, in Gcell and edge numbers
-(:mod:`marouting.grid`) with layers from 0.
+Everything is frozen and in the units of the ISPD 2008 ``.gr`` format (:mod:`marouting.problem.ispd`
+reads and writes it, among others): pins in chip coordinates with layers from 1, capacities and
+widths in tracks. What the routers and the environment need is derived here once, in Gcell and edge
+numbers (:mod:`marouting.problem.grid`) with layers from 0.
 """
 
 import functools
@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.grid import AXES, OFF_GRID, VIA_AXIS, Grid
 from marouting.kernels import compiled
+from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS, Grid
 
 if TYPE_CHECKING:
-    from marouting.ispd import Format
+    from marouting.problem.ispd import Format
 
 UNLIMITED = int(np.iinfo(np.int32).max)
 """The capacity of a via: vias never overflow (paper, section on the problem sets generator)."""
@@ -273,17 +273,19 @@ class Problem:
 
     @staticmethod
     def read(path: str | os.PathLike[str]) -> "Problem":
-        """Reads a file in any of the ISPD formats (:mod:`marouting.ispd`), told by its header.
+        """Reads a file in any of the ISPD formats (:mod:`.ispd`).
+
+        Its header tells which.
 
         Raises:
             InputError: names the file, the line, and what was expected.
         """
-        from marouting import ispd
+        from marouting.problem import ispd
 
         return ispd.read_problem(path)
 
     def write(self, path: str | os.PathLike[str], format: "Format" = "ispd2008") -> None:
-        """Writes the problem as text of an ISPD format (:mod:`marouting.ispd`).
+        """Writes the problem as text of an ISPD format (:mod:`marouting.problem.ispd`).
 
         Whole or not at all, and such that it is read as an equal problem.
 
@@ -296,7 +298,7 @@ class Problem:
             InputError: there is no such format, it cannot hold the problem, or the file cannot be
                 written.
         """
-        from marouting import ispd
+        from marouting.problem import ispd
 
         ispd.write_problem(self, path, format)
 

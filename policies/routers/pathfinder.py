@@ -12,9 +12,9 @@ ways. A route goes in rounds, each of three kinds of passes over the nets:
   and as soon as a pass gains little the next round begins.
 
 The best solution of all passes counts. Nets of few pins get a cheapest tree of all there are
-(:func:`marouting.steiner.cheapest_tree`), in a box around their pins and their old tree. Larger
-ones grow pin by pin, the nearest to the tree first, from another pin each time; then every part
-between two branchings or pins is replaced by a cheapest way between what it leaves apart.
+(:func:`marouting.trees.steiner.cheapest_tree`), in a box around their pins and their old tree.
+Larger ones grow pin by pin, the nearest to the tree first, from another pin each time; then every
+part between two branchings or pins is replaced by a cheapest way between what it leaves apart.
 """
 
 import time
@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import Problem, Solution
-from marouting.grid import AXES, MOVES, VIA_AXIS
 from marouting.kernels import compiled, wide
-from marouting.steiner import (
+from marouting.problem.grid import AXES, MOVES, VIA_AXIS
+from marouting.trees.steiner import (
     CLOSED,
     Lattice,
     Search,
@@ -37,7 +37,7 @@ from marouting.steiner import (
     set_cost,
     set_size,
 )
-from policies.config import MOST, check
+from policies.learned.config import MOST, check
 
 UNIT = 256
 """Cost of an edge inside a layer: costs are whole numbers, prices are parts of an edge."""

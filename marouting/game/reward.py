@@ -11,23 +11,23 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.engine import NOBODY, Crossing, Ending, Engine, Write
+from marouting.game.engine import NOBODY, Crossing, Ending, Engine, Write
 from marouting.kernels import bound, compiled, inlined, place
 
 
 class Reward(Protocol):
     """What agents get for their last moves.
 
-    One with a method ``bind(engine)`` that returns a :data:`marouting.engine.Write` is asked for
-    that instead, wherever it is called over and over.
+    One with a method ``bind(engine)`` that returns a :data:`marouting.game.engine.Write` is asked
+    for that instead, wherever it is called over and over.
     """
 
     def __call__(self, agents: Any) -> Any:
         """Rewards of the agents' last moves.
 
         Args:
-            agents: AGENT records (:data:`marouting.engine.AGENT`) of any shape, or one of them,
-                after the move and before or after it is settled.
+            agents: AGENT records (:data:`marouting.game.engine.AGENT`) of any shape, or one of
+                them, after the move and before or after it is settled.
 
         Returns:
             float32 of the same shape; 0 for an agent that did not move.

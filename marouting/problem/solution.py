@@ -12,8 +12,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from marouting.errors import InputError
-from marouting.grid import AXES, VIA_AXIS
-from marouting.problem import Problem
+from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.problem import Problem
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -22,8 +22,8 @@ class Solution:
 
     Args:
         problem: what is routed.
-        edges: for each net an array of the numbers of its edges (:mod:`marouting.grid`), in any
-            order and with any repetitions.
+        edges: for each net an array of the numbers of its edges (:mod:`marouting.problem.grid`), in
+            any order and with any repetitions.
 
     Attributes:
         problem: what is routed.
@@ -105,13 +105,13 @@ class Solution:
     @staticmethod
     def read(path: str | os.PathLike[str], problem: Problem) -> "Solution":
         """Reads ISPD solution text; raises InputError naming the file and the line."""
-        from marouting import ispd
+        from marouting.problem import ispd
 
         return ispd.read_solution(path, problem)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Writes the solution as ISPD solution text, whole or not at all; raises InputError."""
-        from marouting import ispd
+        from marouting.problem import ispd
 
         ispd.write_solution(self, path)
 

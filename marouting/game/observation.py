@@ -13,18 +13,18 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from marouting.engine import NOBODY, Engine, Play, Status, World, Write
 from marouting.errors import InputError
-from marouting.grid import AXES, MOVES, VIA_AXIS, Grid
+from marouting.game.engine import NOBODY, Dynamic, Engine, Static, Status, Write
 from marouting.kernels import bound, compiled, inlined, place, wide
-from marouting.problem import Problem
+from marouting.problem.grid import AXES, MOVES, VIA_AXIS, Grid
+from marouting.problem.problem import Problem
 
 
 class Observation(Protocol):
     """What an agent sees of the game.
 
-    One with a method ``bind(engine)`` that returns a :data:`marouting.engine.Write` is asked for
-    that instead of ``write``, wherever it is called over and over.
+    One with a method ``bind(engine)`` that returns a :data:`marouting.game.engine.Write` is asked
+    for that instead of ``write``, wherever it is called over and over.
     """
 
     def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
@@ -53,7 +53,7 @@ class PaperObservation:
 
     The x, y, z of the agent's Gcell; the signed distances to the target in x, y, z; the remaining
     capacity of the edges that the six moves would cross, in the order of
-    :class:`marouting.grid.Move`: 0 off the grid, negative for an overflowed edge.
+    :class:`marouting.problem.grid.Move`: 0 off the grid, negative for an overflowed edge.
 
     Attributes:
         via_capacity: what is shown for a via, whose real capacity has no end. 10 is where the
@@ -89,45 +89,45 @@ class PaperObservation:
         out: NDArray[np.float32],
     ) -> None:
         """Fills ``out`` (K, 12); see :class:`Observation`."""
-        _paper(engine.world, engine.play, self.via_capacity, problems, agents, out)
+        _paper(engine.static, engine.dynamic, self.via_capacity, problems, agents, out)
 
     def bind(self, engine: Engine) -> Write:
         """A quicker :meth:`write` of one engine, see :func:`marouting.kernels.bound`."""
-        world, play, shown = engine.world, engine.play, self.via_capacity
+        static, dynamic, shown = engine.static, engine.dynamic, self.via_capacity
         problems, agents = np.empty(0, np.int32), np.empty((0, 0), np.int32)
         out = np.empty((0, 2 * AXES + MOVES), np.float32)
-        code = bound(_paper_all, world, play, shown, problems, agents, out)
-        return functools.partial(code, world, play, shown)
+        code = bound(_paper_all, static, dynamic, shown, problems, agents, out)
+        return functools.partial(code, static, dynamic, shown)
 
 
 @inlined
-def _room(world: World, play: Play, m: int, cell: int, move: int) -> Any:
+def _room(static: Static, dynamic: Dynamic, m: int, cell: int, move: int) -> Any:
     """float32 remaining capacity of the edge that a move inside a layer crosses; 0 for none."""
-    return np.float32(play.remaining[m, place(world.edge[cell, move])])
+    return np.float32(dynamic.remaining[m, place(static.edge[cell, move])])
 
 
 @inlined
 def write_paper(
-    world: World, play: Play, via_capacity: float, m: int, n: int, out: Any, row: int
+    static: Static, dynamic: Dynamic, via_capacity: float, m: int, n: int, out: Any, row: int
 ) -> None:
     """Fills a row of ``out`` (K, 12) with what agent n of problem m sees; zeros for NOBODY."""
     if n == NOBODY:
         for f in range(out.shape[1]):
             out[row, f] = 0
     else:
-        agent = play.agents[m, place(n)]
+        agent = dynamic.agents[m, place(n)]
         cell, target = place(agent.cell), place(agent.target)
         # All is read before anything is written: where a mask is made beside it, the compiler,
         # which cannot know that a row of numbers is no part of the game, reads once for both.
-        x, y, z = world.position[cell, 0], world.position[cell, 1], world.position[cell, 2]
+        x, y, z = static.position[cell, 0], static.position[cell, 1], static.position[cell, 2]
         to_x, to_y, to_z = (
-            world.position[target, 0],
-            world.position[target, 1],
-            world.position[target, 2],
+            static.position[target, 0],
+            static.position[target, 1],
+            static.position[target, 2],
         )
-        east, west = _room(world, play, m, cell, 0), _room(world, play, m, cell, 1)
-        north, south = _room(world, play, m, cell, 2), _room(world, play, m, cell, 3)
-        exits = world.exits[cell]
+        east, west = _room(static, dynamic, m, cell, 0), _room(static, dynamic, m, cell, 1)
+        north, south = _room(static, dynamic, m, cell, 2), _room(static, dynamic, m, cell, 3)
+        exits = static.exits[cell]
         out[row, 0], out[row, 1], out[row, 2] = np.float32(x), np.float32(y), np.float32(z)
         out[row, 3] = np.float32(np.int32(to_x - x))
         out[row, 4] = np.float32(np.int32(to_y - y))
@@ -139,21 +139,21 @@ def write_paper(
 
 @compiled
 def _paper(
-    world: World, play: Play, via_capacity: float, problems: Any, agents: Any, out: Any
+    static: Static, dynamic: Dynamic, via_capacity: float, problems: Any, agents: Any, out: Any
 ) -> None:
     for i in range(len(problems)):
-        write_paper(world, play, via_capacity, place(problems[i]), wide(agents[i]), out, i)
+        write_paper(static, dynamic, via_capacity, place(problems[i]), wide(agents[i]), out, i)
 
 
 @compiled
 def _paper_all(
-    world: World, play: Play, via_capacity: float, problems: Any, agents: Any, out: Any
+    static: Static, dynamic: Dynamic, via_capacity: float, problems: Any, agents: Any, out: Any
 ) -> None:
     for i in range(agents.shape[0]):
         m = place(problems[i])
         for k in range(agents.shape[1]):
             n, row = wide(agents[i, k]), i * agents.shape[1] + k
-            write_paper(world, play, via_capacity, m, n, out, row)
+            write_paper(static, dynamic, via_capacity, m, n, out, row)
 
 
 def writer(observation: Observation, engine: Engine) -> Write:
@@ -213,26 +213,26 @@ def state(engine: Engine, out: NDArray[np.float32] | None = None) -> NDArray[np.
     columns, rows, layers = engine.grid.shape
     if out is None:
         out = np.empty((len(engine.games), columns, rows, layers * CHANNELS), np.float32)
-    _state(engine.play, out.reshape(len(out), -1, CHANNELS))
+    _state(engine.dynamic, out.reshape(len(out), -1, CHANNELS))
     return out
 
 
 @compiled
-def _state(play: Play, out: Any) -> None:
+def _state(dynamic: Dynamic, out: Any) -> None:
     for m in range(out.shape[0]):
         for cell in range(out.shape[1]):
             for axis in range(VIA_AXIS):
-                out[m, cell, axis] = play.remaining[m, AXES * cell + axis]
+                out[m, cell, axis] = dynamic.remaining[m, AXES * cell + axis]
             for channel in range(VIA_AXIS, CHANNELS):
                 out[m, cell, channel] = 0
-        for n in range(play.used.shape[1]):
-            for byte in range(play.used.shape[2]):
-                edge, bits = 8 * byte, wide(play.used[m, n, byte])
+        for n in range(dynamic.used.shape[1]):
+            for byte in range(dynamic.used.shape[2]):
+                edge, bits = 8 * byte, wide(dynamic.used[m, n, byte])
                 while bits != 0:
                     if bits & 1 and edge % AXES == VIA_AXIS:
                         out[m, edge // AXES, VIA_AXIS] += 1
                     edge, bits = edge + 1, bits >> 1
-            agent = play.agents[m, n]
+            agent = dynamic.agents[m, n]
             if agent.status == Status.ACTIVE:
                 out[m, place(agent.cell), AXES] += 1
                 out[m, place(agent.target), AXES + 1] += 1
@@ -241,5 +241,5 @@ def _state(play: Play, out: Any) -> None:
 def nets_on_edges(engine: Engine, m: int = 0) -> NDArray[np.int64]:
     """(E,) how many nets use each edge of a problem, vias included."""
     grid: Grid = engine.grid
-    bits = np.unpackbits(engine.play.used[m], axis=1, count=grid.edges, bitorder="little")
+    bits = np.unpackbits(engine.dynamic.used[m], axis=1, count=grid.edges, bitorder="little")
     return bits.sum(axis=0, dtype=np.int64)

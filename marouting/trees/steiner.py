@@ -1,10 +1,11 @@
 """Steiner trees: exact ones in any small grid graph, and nets cut into tasks along them.
 
 The distance of two Gcells is the Manhattan distance over x, y and layer, as in
-:mod:`marouting.decomposition`; there a net's tasks join pins alone, along a minimum spanning tree,
-here also **Steiner points**, Gcells without a pin where the net branches. By Hanan's theorem (1966,
-for any number of dimensions Snyder 1992) a shortest tree needs no other points than those of the
-Hanan grid: an x, a y and a layer, each that of some pin. A net in one layer stays in that layer.
+:mod:`marouting.trees.decomposition`; there a net's tasks join pins alone, along a minimum spanning
+tree, here also **Steiner points**, Gcells without a pin where the net branches. By Hanan's theorem
+(1966, for any number of dimensions Snyder 1992) a shortest tree needs no other points than those of
+the Hanan grid: an x, a y and a layer, each that of some pin. A net in one layer stays in that
+layer.
 
 Nets of up to :data:`EXACT_PINS` pins get a shortest tree by :func:`cheapest_tree`, larger ones
 iterated 1-Steiner (Kahng and Robins 1992), a few tenths of a percent longer.
@@ -15,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.grid import AXES, MOVES
 from marouting.kernels import compiled, wide
-from marouting.problem import Problem
+from marouting.problem.grid import AXES, MOVES
+from marouting.problem.problem import Problem
 
 EXACT_PINS = 9
 """Up to so many pins a net's tree is a shortest one: the time for it grows as 3^pins."""

@@ -11,13 +11,13 @@ from marouting.config import Agents, EnvOptions
 from marouting.generator import GeneratorOptions
 from marouting.source import load_problem
 from policies import figures
-from policies.classical.astar import AStarRouter
-from policies.classical.random import RandomRouter
-from policies.config import Config, DQNOptions, TrainOptions
+from policies.cli.tables import show
+from policies.figures.plot import reward_figures, run_figures
+from policies.learned.config import Config, DQNOptions, TrainOptions
 from policies.learned.router import DQNRouter
 from policies.learned.run import Run, clear, row
-from policies.plot import reward_figures, run_figures
-from policies.table import show
+from policies.routers.astar import AStarRouter
+from policies.routers.random import RandomRouter
 
 PROBLEM = GeneratorOptions(nets=30, capacity=4, seed=29)
 """Small, and tight enough for sequential A* to overflow an edge."""

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.grid import AXES, VIA_AXIS
-from marouting.problem import Problem
-from marouting.solution import Solution
+from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.problem import Problem
+from marouting.problem.solution import Solution
 
 
 class UtilisationMaps(NamedTuple):

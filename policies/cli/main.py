@@ -22,14 +22,14 @@ except ImportError:  # pragma: no cover - the command line needs the extra
 from marouting import InputError, Problem, Solution, __version__, evaluate
 from marouting.files import check_writable, write_text
 from marouting.generator import ReducedPer
-from marouting.ispd import FORMATS, Format
-from policies.base import solve
-from policies.routers import ROUTERS, has_seed, make_router
+from marouting.problem.ispd import FORMATS, Format
+from policies.routers.base import solve
+from policies.routers.registry import ROUTERS, has_seed, make_router
 
 if TYPE_CHECKING:
-    from policies.base import Router
-    from policies.config import Config
+    from policies.learned.config import Config
     from policies.learned.trainer import Episode
+    from policies.routers.base import Router
 
 GridShape = click.Tuple([int, int, int])
 
@@ -144,7 +144,7 @@ def _router(
     overrides: Sequence[str],
 ) -> "Router":
     from marouting.config import read_yaml
-    from policies.config import load_config, override
+    from policies.learned.config import load_config, override
 
     given = [] if seed is None or not has_seed(name) else [f"seed={seed}"]
     if name != "dqn":
@@ -233,9 +233,9 @@ def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None
 
     Everything goes into the run folder, the key `out`.
     """
-    from policies.config import load_config
+    from policies.cli.tables import show
+    from policies.learned.config import load_config
     from policies.learned.run import Run
-    from policies.table import show
 
     if resume is not None and not (resume / "config.yaml").exists():
         raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
@@ -256,8 +256,8 @@ def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     Everything goes into the folder of the experiment, the key `out`. One that was stopped, or
     killed, goes on when the same command is given again.
     """
+    from policies.cli.tables import show_experiment
     from policies.experiment import Experiment, load_experiment
-    from policies.table import show_experiment
 
     summary = Experiment(load_experiment(config, overrides)).execute()
     if as_json:
@@ -274,7 +274,7 @@ def plot(paths: tuple[Path, ...], out: Path | None) -> None:
 
     A .gr file is drawn with the solution files that follow it, or with sequential A*'s solution.
     """
-    from policies.plot import plot as draw
+    from policies.figures.plot import plot as draw
 
     for path in draw(paths, out):
         click.echo(path)
@@ -299,8 +299,8 @@ def bench(
 
     Without SECTION everything is measured, which takes several minutes.
     """
-    from policies.bench import SECTIONS, Bench, Row, run
-    from policies.table import number, show_speed
+    from policies.bench import SECTIONS, Bench, Measurement, run
+    from policies.cli.tables import number, show_speed
 
     if out is not None:
         check_writable(out)
@@ -308,7 +308,7 @@ def bench(
     if against is not None and against not in chosen:
         chosen.append(against)
 
-    def watch(section: str, row: Row | None) -> None:
+    def watch(section: str, row: Measurement | None) -> None:
         if row is None:
             click.echo(f"{section} ...", err=True)
         else:
@@ -329,7 +329,7 @@ def bench(
 )
 def quickstart(out: Path) -> None:
     """Route, train and draw a small problem in about a minute."""
-    from policies.quickstart import run
+    from policies.cli.quickstart import run
 
     run(out)
 

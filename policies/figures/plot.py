@@ -15,19 +15,26 @@ from numpy.typing import NDArray
 from marouting import InputError, Problem, Solution
 from marouting.files import unusable
 from policies import figures
-from policies.classical.astar import AStarRouter
 from policies.experiment import (
     CONFIG,
     RESULTS,
-    Column,
     Study,
+    StudyColumn,
     label,
     load_experiment,
     problem_file,
     read_results,
     solution_file,
 )
-from policies.statistics import Row, baseline, by_router, by_set, joined_wirelength, overflow
+from policies.results.statistics import (
+    Row,
+    baseline,
+    by_router,
+    by_set,
+    joined_wirelength,
+    overflow,
+)
+from policies.routers.astar import AStarRouter
 
 
 def read_rewards(metrics: Path) -> dict[str, list[float]]:
@@ -183,8 +190,12 @@ CURVES = 10
 
 
 def _column(
-    experiment: Path, results: Sequence[Row], study: Study, column: Column, reference: str | None
-) -> figures.Column | None:
+    experiment: Path,
+    results: Sequence[Row],
+    study: Study,
+    column: StudyColumn,
+    reference: str | None,
+) -> figures.ColumnData | None:
     """What a column of a composed figure shows; None where its router or A* is not done.
 
     Raises:
@@ -233,7 +244,7 @@ def _column(
                 seeds = [row["seed"] for row in next(iter(routers[router].values()))]
                 curves = [curve for seed in seeds for curve in rewards(router, seed).values()]
                 means[router] = np.mean(curves, axis=0)
-    return figures.Column(
+    return figures.ColumnData(
         problem,
         solution(astar),
         solution(column.router),

@@ -3,7 +3,7 @@
 To route a problem is to choose a tree for every net. Three steps meet from either side:
 
 1. **Prices.** A linear program may mix the trees of a net; its dual values are prices of capacity.
-   With prices every net has a cheapest tree of its own (:mod:`policies.classical.trees`): what
+   With prices every net has a cheapest tree of its own (:mod:`policies.routers.priced_tree`): what
    these cost, less the price of all capacity, no solution can undercut (Lagrange). The trees join
    the linear program, which finds better prices, until the two agree: column generation
    (Dantzig and Wolfe, "Decomposition principle for linear programs", Operations Research 8, 1960).
@@ -21,7 +21,7 @@ To route a problem is to choose a tree for every net. Three steps meet from eith
 Overflow is minimised first, by the same steps. The solver is HiGHS, as it comes with scipy.
 
 The trees to begin with are those of sequential A* and of negotiated congestion
-(:mod:`policies.classical.pathfinder`), whose solution is near the optimum, or is it: what has no
+(:mod:`policies.routers.pathfinder`), whose solution is near the optimum, or is it: what has no
 overflow leaves none to be disproved, and the linear program has trees that get on with one another.
 """
 
@@ -40,9 +40,9 @@ from scipy.optimize import Bounds, LinearConstraint
 from scipy.sparse import block_diag, coo_array, csr_array, eye_array, vstack
 
 from marouting import InputError, Problem, Solution, evaluate, sequential_astar
-from marouting.grid import AXES, VIA_AXIS
-from policies.classical.pathfinder import PathfinderOptions, PathfinderRouter
-from policies.classical.trees import NEVER, Across, Window, cheapest_tree
+from marouting.problem.grid import AXES, VIA_AXIS
+from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
+from policies.routers.priced_tree import NEVER, Across, Window, cheapest_priced_tree
 
 # What scipy's stubs take is narrower than what these do.
 hstack: Any = sparse.hstack
@@ -345,7 +345,7 @@ class _Search:
         price = np.full((*grid, AXES), NEVER)
         price.reshape(-1)[edges] = 1
         window = Window.around(grid, np.concatenate(self.problem.topology.ends(edges)), 0)
-        return window.outside(cheapest_tree(window.cut(price), window.inside(pins))[1])
+        return window.outside(cheapest_priced_tree(window.cut(price), window.inside(pins))[1])
 
     def complete(self, net: int) -> bool:
         """Whether all pins of a net count."""
@@ -390,7 +390,7 @@ class _Search:
         least, new = [], False
         for i, pins in enumerate(self.pins):
             window = self.window(aim, i, most[i])
-            cost, tree = cheapest_tree(window.cut(price[self.kind[i]]), window.inside(pins))
+            cost, tree = cheapest_priced_tree(window.cut(price[self.kind[i]]), window.inside(pins))
             if cost >= NEVER:
                 self.proofs[aim] = _Proof(math.inf, dual, [])
                 return False
@@ -419,7 +419,7 @@ class _Search:
             price = np.where(exists, price, NEVER)
             boxes = [Window.around(self.problem.grid, pins, 0) for pins in self.pins]
             self.plain[aim] = [
-                cheapest_tree(box.cut(price[kind]), box.inside(pins))[0]
+                cheapest_priced_tree(box.cut(price[kind]), box.inside(pins))[0]
                 for box, kind, pins in zip(boxes, self.kind, self.pins, strict=True)
             ]
         margin = min((most - self.plain[aim][net]) // (2 * UNIT), max(self.problem.grid))

@@ -1,7 +1,7 @@
 """The rules of the game, all of them, for any number of problems at once.
 
-Every net is an agent. Its pins are cut into two-pin tasks (:mod:`marouting.decomposition`); the
-agent walks them one after the other, a Gcell a move, from the task's start to its target.
+Every net is an agent. Its pins are cut into two-pin tasks (:mod:`marouting.trees.decomposition`);
+the agent walks them one after the other, a Gcell a move, from the task's start to its target.
 
 * A move along an edge **crosses** it when the net already uses the edge (no new demand), when the
   edge is a via, or when its remaining capacity covers the net's demand; with
@@ -32,12 +32,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.decomposition import Decomposition, two_pin_tasks
 from marouting.errors import InputError
-from marouting.grid import MOVES, OFF_GRID, VIA_AXIS, Grid, Move
 from marouting.kernels import bound, compiled, inlined, place, wide
-from marouting.problem import UNLIMITED, Problem, check_choice
-from marouting.solution import Solution
+from marouting.problem.grid import MOVES, OFF_GRID, VIA_AXIS, Grid, Move
+from marouting.problem.problem import UNLIMITED, Problem, check_choice
+from marouting.problem.solution import Solution
+from marouting.trees.decomposition import Decomposition, two_pin_tasks
 
 TurnOrder = Literal["sequential", "round_robin"]
 NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
@@ -104,7 +104,7 @@ GAME = np.dtype(
 """One problem's state; the engine holds (M,) of them."""
 
 
-class World(NamedTuple):
+class Static(NamedTuple):
     """What does not change during an episode."""
 
     neighbour: NDArray[np.int32]  # (G, 6) Gcell that a move leads to, or OFF_GRID
@@ -121,7 +121,7 @@ class World(NamedTuple):
     max_steps: int  # steps after which a task fails
 
 
-class Play(NamedTuple):
+class Dynamic(NamedTuple):
     """What changes during an episode."""
 
     remaining: NDArray[np.int32]  # (M, E) capacity less demand
@@ -141,50 +141,50 @@ def uses(used: Any, m: int, n: int, edge: int) -> int:
 
 
 @inlined
-def demand_of(world: World, m: int, n: int, cell: int, move: int) -> int:
+def demand_of(static: Static, m: int, n: int, cell: int, move: int) -> int:
     """What the edge that a move crosses would cost the net: nothing for a via."""
-    demand = world.demand[m, n, place(world.position[cell, VIA_AXIS])]
+    demand = static.demand[m, n, place(static.position[cell, VIA_AXIS])]
     return demand * (move // 2 != VIA_AXIS)
 
 
 @inlined
-def has_room(world: World, play: Play, m: int, n: int, cell: int, move: int) -> int:
+def has_room(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: int) -> int:
     """1 if a move from a Gcell crosses an edge that the net uses or whose demand it can pay."""
-    edge = place(world.edge[cell, move])
+    edge = place(static.edge[cell, move])
     via = move // 2 == VIA_AXIS
-    room = play.remaining[m, edge] >= demand_of(world, m, n, cell, move)
-    return (via | room | uses(play.used, m, n, edge)) & (world.exits[cell] >> move)
+    room = dynamic.remaining[m, edge] >= demand_of(static, m, n, cell, move)
+    return (via | room | uses(dynamic.used, m, n, edge)) & (static.exits[cell] >> move)
 
 
 @inlined
-def may_cross(world: World, play: Play, m: int, n: int, cell: int, move: int) -> int:
+def may_cross(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: int) -> int:
     """1 if a move from a Gcell crosses its edge, 0 if it is blocked."""
-    anyway = world.overflow & (world.exits[cell] >> move)
-    return has_room(world, play, m, n, cell, move) | anyway
+    anyway = static.overflow & (static.exits[cell] >> move)
+    return has_room(static, dynamic, m, n, cell, move) | anyway
 
 
 @inlined
-def move_agent(world: World, play: Play, m: int, n: int, move: int) -> None:
+def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> None:
     """One step of one agent: the edge is crossed or not, the task ends or not."""
-    agent = play.agents[m, n]
-    game = play.games[m]
+    agent = dynamic.agents[m, n]
+    game = dynamic.games[m]
     cell = place(agent.cell)
-    edge = place(world.edge[cell, move])
-    crosses = may_cross(world, play, m, n, cell, move)
-    own = crosses & uses(play.used, m, n, edge)
+    edge = place(static.edge[cell, move])
+    crosses = may_cross(static, dynamic, m, n, cell, move)
+    own = crosses & uses(dynamic.used, m, n, edge)
     new = crosses ^ own
-    demand = new * demand_of(world, m, n, cell, move)
-    remaining = play.remaining[m, edge]
+    demand = new * demand_of(static, m, n, cell, move)
+    remaining = dynamic.remaining[m, edge]
     agent.crossing = Crossing.BLOCKED + new + 2 * own  # NEW and OWN are the two that follow
     agent.overflow = 0
     if remaining < demand:
         # Only the part of the demand that the remaining capacity does not cover overflows.
         agent.overflow = demand - max(remaining, 0)
         game.overflow += agent.overflow
-    play.remaining[m, edge] = remaining - demand
-    play.used[m, n, edge >> 3] |= np.uint8(new << (edge & 7))
+    dynamic.remaining[m, edge] = remaining - demand
+    dynamic.used[m, n, edge >> 3] |= np.uint8(new << (edge & 7))
     game.wirelength += new
-    ahead = world.neighbour[cell, move]
+    ahead = static.neighbour[cell, move]
     agent.cell = ahead if crosses else agent.cell
     agent.steps += 1
     game.steps += 1
@@ -193,55 +193,55 @@ def move_agent(world: World, play: Play, m: int, n: int, move: int) -> None:
         agent.ending = Ending.JOINED
         agent.joined += 1
         game.joined += 1
-    elif agent.steps >= world.max_steps:
+    elif agent.steps >= static.max_steps:
         agent.ending = Ending.FAILED
 
 
 @inlined
-def wait(play: Play, m: int, n: int) -> None:
+def wait(dynamic: Dynamic, m: int, n: int) -> None:
     """No step: what the agent's last move did is forgotten."""
-    agent = play.agents[m, n]
+    agent = dynamic.agents[m, n]
     agent.overflow = 0
     agent.crossing = Crossing.NONE
     agent.ending = Ending.NONE
 
 
 @inlined
-def begin_task(world: World, play: Play, m: int, n: int, task: int) -> None:
+def begin_task(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> None:
     """Puts an agent on the start pin of a task."""
-    agent = play.agents[m, n]
+    agent = dynamic.agents[m, n]
     agent.task = task
-    agent.cell = world.tasks[task, 0]
-    agent.target = world.tasks[task, 1]
+    agent.cell = static.tasks[task, 0]
+    agent.target = static.tasks[task, 1]
     agent.steps = 0
 
 
 @inlined
-def settle_agent(world: World, play: Play, m: int, n: int) -> None:
+def settle_agent(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """After a move: an agent whose task has ended starts its next one, or is done."""
-    agent = play.agents[m, n]
+    agent = dynamic.agents[m, n]
     if agent.ending == Ending.NONE or agent.status != Status.ACTIVE:
         return
-    if agent.task + 1 < world.first[m, n + 1]:
-        begin_task(world, play, m, n, wide(agent.task + 1))
+    if agent.task + 1 < static.first[m, n + 1]:
+        begin_task(static, dynamic, m, n, wide(agent.task + 1))
         return
-    tasks = world.first[m, n + 1] - world.first[m, n]
+    tasks = static.first[m, n + 1] - static.first[m, n]
     agent.status = Status.TERMINATED if agent.joined == tasks else Status.TRUNCATED
-    play.games[m].active -= 1
+    dynamic.games[m].active -= 1
 
 
 @inlined
-def pass_turn(world: World, play: Play, m: int) -> None:
+def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
     """The turn goes to the next agent: the same one while it routes, if the order is sequential."""
-    game = play.games[m]
+    game = dynamic.games[m]
     if game.active == 0:
         game.agent = NOBODY
         return
-    agents = world.order.shape[1]
-    turn = game.turn if world.sequential else (game.turn + 1) % agents
+    agents = static.order.shape[1]
+    turn = game.turn if static.sequential else (game.turn + 1) % agents
     while True:
-        n = world.order[m, turn]
-        if n != NOBODY and play.agents[m, n].status == Status.ACTIVE:
+        n = static.order[m, turn]
+        if n != NOBODY and dynamic.agents[m, n].status == Status.ACTIVE:
             break
         turn = (turn + 1) % agents
     game.turn = turn
@@ -249,136 +249,138 @@ def pass_turn(world: World, play: Play, m: int) -> None:
 
 
 @inlined
-def reset_problem(world: World, play: Play, m: int) -> None:
+def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
     """All agents of a problem back to their first pin, all capacity free."""
     # Loops instead of slices: they compile in a tenth of the time.
-    for edge in range(world.capacity.shape[1]):
-        play.remaining[m, edge] = world.capacity[m, edge]
-    game = play.games[m]
+    for edge in range(static.capacity.shape[1]):
+        dynamic.remaining[m, edge] = static.capacity[m, edge]
+    game = dynamic.games[m]
     if game.steps != 0:
-        for n in range(world.order.shape[1]):
-            for byte in range(play.used.shape[2]):
-                play.used[m, n, byte] = 0
+        for n in range(static.order.shape[1]):
+            for byte in range(dynamic.used.shape[2]):
+                dynamic.used[m, n, byte] = 0
     game.turn = game.active = game.joined = game.steps = 0
     game.overflow = game.wirelength = 0
-    for n in range(world.order.shape[1]):
-        agent = play.agents[m, n]
+    for n in range(static.order.shape[1]):
+        agent = dynamic.agents[m, n]
         agent.joined = 0
-        wait(play, m, n)
-        if world.first[m, n] < world.first[m, n + 1]:
+        wait(dynamic, m, n)
+        if static.first[m, n] < static.first[m, n + 1]:
             agent.status = Status.ACTIVE
             game.active += 1
-            begin_task(world, play, m, n, wide(world.first[m, n]))
+            begin_task(static, dynamic, m, n, wide(static.first[m, n]))
         else:
             agent.status = Status.ABSENT
-    game.agent = world.order[m, 0]
+    game.agent = static.order[m, 0]
 
 
 @compiled
-def _reset(world: World, play: Play, which: Any) -> None:
+def _reset(static: Static, dynamic: Dynamic, which: Any) -> None:
     for m in range(len(which)):
         if which[m]:
-            reset_problem(world, play, m)
+            reset_problem(static, dynamic, m)
 
 
 @inlined
-def move_player(world: World, play: Play, m: int, move: int) -> None:
+def move_player(static: Static, dynamic: Dynamic, m: int, move: int) -> None:
     """In one problem, the agent whose turn it is moves, unless it is told not to."""
-    n = wide(play.games[m].agent)
+    n = wide(dynamic.games[m].agent)
     if n == NOBODY:
         return
     if move == NOBODY:
-        wait(play, m, n)
+        wait(dynamic, m, n)
     else:
-        move_agent(world, play, m, n, move)
+        move_agent(static, dynamic, m, n, move)
 
 
 @inlined
-def settle_player(world: World, play: Play, m: int) -> None:
+def settle_player(static: Static, dynamic: Dynamic, m: int) -> None:
     """After the move of :func:`move_player`: the next task starts, and the turn passes."""
-    n = wide(play.games[m].agent)
+    n = wide(dynamic.games[m].agent)
     if n != NOBODY:
-        settle_agent(world, play, m, n)
-        pass_turn(world, play, m)
+        settle_agent(static, dynamic, m, n)
+        pass_turn(static, dynamic, m)
 
 
 @inlined
-def move_everyone(world: World, play: Play, m: int, moves: Any) -> None:
+def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
     """In one problem, all agents move once by ``moves`` (M, N), in turn order.
 
     If the order is sequential, the one whose turn it is moves alone.
     """
-    playing = play.games[m].agent
-    for k in range(world.order.shape[1]):
-        if world.order[m, k] == NOBODY:
+    playing = dynamic.games[m].agent
+    for k in range(static.order.shape[1]):
+        if static.order[m, k] == NOBODY:
             break
-        n = place(world.order[m, k])
+        n = place(static.order[m, k])
         if (
-            play.agents[m, n].status == Status.ACTIVE
+            dynamic.agents[m, n].status == Status.ACTIVE
             and moves[m, n] != NOBODY
-            and (n == playing or not world.sequential)
+            and (n == playing or not static.sequential)
         ):
-            move_agent(world, play, m, n, place(moves[m, n]))
+            move_agent(static, dynamic, m, n, place(moves[m, n]))
         else:
-            wait(play, m, n)
+            wait(dynamic, m, n)
 
 
 @inlined
-def settle_turns(world: World, play: Play, m: int) -> None:
+def settle_turns(static: Static, dynamic: Dynamic, m: int) -> None:
     """After all agents of a problem have settled: the turn passes where it has to."""
-    playing = wide(play.games[m].agent)
-    if playing != NOBODY and (world.sequential or play.agents[m, playing].status != Status.ACTIVE):
-        pass_turn(world, play, m)
+    playing = wide(dynamic.games[m].agent)
+    if playing != NOBODY and (
+        static.sequential or dynamic.agents[m, playing].status != Status.ACTIVE
+    ):
+        pass_turn(static, dynamic, m)
 
 
 @inlined
-def settle_everyone(world: World, play: Play, m: int) -> None:
+def settle_everyone(static: Static, dynamic: Dynamic, m: int) -> None:
     """After the moves of :func:`move_everyone`: next tasks start, and the turn passes."""
-    for n in range(world.order.shape[1]):
-        settle_agent(world, play, m, n)
-    settle_turns(world, play, m)
+    for n in range(static.order.shape[1]):
+        settle_agent(static, dynamic, m, n)
+    settle_turns(static, dynamic, m)
 
 
 @compiled
-def move_turn(world: World, play: Play, moves: Any) -> None:
+def move_turn(static: Static, dynamic: Dynamic, moves: Any) -> None:
     """Moves (M,): in every problem the agent whose turn it is moves."""
     for m in range(len(moves)):
-        move_player(world, play, m, wide(moves[m]))
+        move_player(static, dynamic, m, wide(moves[m]))
 
 
 @compiled
-def settle_turn(world: World, play: Play) -> None:
+def settle_turn(static: Static, dynamic: Dynamic) -> None:
     """After the moves of :func:`move_turn`: next tasks start, and the turn passes."""
-    for m in range(len(play.games)):
-        settle_player(world, play, m)
+    for m in range(len(dynamic.games)):
+        settle_player(static, dynamic, m)
 
 
 @compiled
-def move_all(world: World, play: Play, moves: Any) -> None:
+def move_all(static: Static, dynamic: Dynamic, moves: Any) -> None:
     """Moves (M, N): all agents of all problems move once, see :func:`move_everyone`."""
     for m in range(len(moves)):
-        move_everyone(world, play, m, moves)
+        move_everyone(static, dynamic, m, moves)
 
 
 @compiled
-def settle_all(world: World, play: Play) -> None:
+def settle_all(static: Static, dynamic: Dynamic) -> None:
     """After the moves of :func:`move_all`: next tasks start, and the turn passes."""
-    for m in range(len(play.games)):
-        settle_everyone(world, play, m)
+    for m in range(len(dynamic.games)):
+        settle_everyone(static, dynamic, m)
 
 
 @compiled
-def _step_turn(world: World, play: Play, moves: Any) -> None:
+def _step_turn(static: Static, dynamic: Dynamic, moves: Any) -> None:
     for m in range(len(moves)):
-        move_player(world, play, m, wide(moves[m]))
-        settle_player(world, play, m)
+        move_player(static, dynamic, m, wide(moves[m]))
+        settle_player(static, dynamic, m)
 
 
 @compiled
-def _step_all(world: World, play: Play, moves: Any) -> None:
+def _step_all(static: Static, dynamic: Dynamic, moves: Any) -> None:
     for m in range(len(moves)):
-        move_everyone(world, play, m, moves)
-        settle_everyone(world, play, m)
+        move_everyone(static, dynamic, m, moves)
+        settle_everyone(static, dynamic, m)
 
 
 MASKS = np.array(
@@ -393,40 +395,40 @@ all ones, every move being blocked: a mask is never all zero."""
 
 
 @inlined
-def free_moves(world: World, play: Play, m: int, n: int) -> int:
+def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """The moves of an agent that cross an edge, a bit each."""
-    cell = place(play.agents[m, n].cell)
+    cell = place(dynamic.agents[m, n].cell)
     free = wide(0)
     for move in range(MOVES):
-        free |= wide(may_cross(world, play, m, n, cell, move)) << move
+        free |= wide(may_cross(static, dynamic, m, n, cell, move)) << move
     return free
 
 
 @inlined
-def write_mask(world: World, play: Play, m: int, n: int, out: Any, row: int) -> None:
+def write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
     """Fills a row of ``out`` (K, 6) with the moves of an agent that cross an edge; all if none."""
     free = wide(0)
     if n != NOBODY:
-        free = free_moves(world, play, m, place(n))
+        free = free_moves(static, dynamic, m, place(n))
     for move in range(MOVES):
         out[row, move] = MASKS[free, move]
 
 
 @compiled
-def _masks(world: World, play: Play, problems: Any, agents: Any, out: Any) -> None:
+def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: Any) -> None:
     for i in range(len(problems)):
-        write_mask(world, play, place(problems[i]), wide(agents[i]), out, i)
+        write_mask(static, dynamic, place(problems[i]), wide(agents[i]), out, i)
 
 
 @compiled
-def _play_turn(world: World, play: Play, move: int, mask: Any) -> tuple[int, int]:
-    m, n = wide(0), wide(play.games[0].agent)
-    move_agent(world, play, m, n, move)
-    settle_agent(world, play, m, n)
-    pass_turn(world, play, m)
-    status = play.agents[m, n].status
-    following = wide(play.games[m].agent)
-    write_mask(world, play, m, following if status == Status.ACTIVE else n, mask, m)
+def _play_turn(static: Static, dynamic: Dynamic, move: int, mask: Any) -> tuple[int, int]:
+    m, n = wide(0), wide(dynamic.games[0].agent)
+    move_agent(static, dynamic, m, n, move)
+    settle_agent(static, dynamic, m, n)
+    pass_turn(static, dynamic, m)
+    status = dynamic.agents[m, n].status
+    following = wide(dynamic.games[m].agent)
+    write_mask(static, dynamic, m, following if status == Status.ACTIVE else n, mask, m)
     return following, status
 
 
@@ -488,7 +490,7 @@ class Engine:
             or twice X + Y where that is more: 50 steps do not cross a large grid.
         overflow: ``forbidden`` or ``allowed``.
         decomposition: of nets into tasks, ``mst`` (paper) or ``steiner``, see
-            :func:`marouting.decomposition.two_pin_tasks`.
+            :func:`marouting.trees.decomposition.two_pin_tasks`.
 
     Raises:
         InputError: no problem, unequal grids, a problem without anything to route, or an option
@@ -520,7 +522,7 @@ class Engine:
         self.problems = tuple(problems)
         self.grid = Grid.of(problems[0].grid)
         self.turn_order: TurnOrder = turn_order
-        self.world, self.nets = world_of(
+        self.static, self.nets = static_state(
             self.problems,
             self.grid,
             net_order,
@@ -530,7 +532,7 @@ class Engine:
             max_steps=max_steps,
         )
         m, n = self.nets.shape
-        self.play = Play(
+        self.dynamic = Dynamic(
             remaining=np.empty((m, self.grid.edges), np.int32),
             # Zeros that nobody has touched yet take no memory, and _reset leaves them alone.
             used=np.zeros((m, n, (self.grid.edges + 7) // 8), np.uint8),
@@ -542,22 +544,22 @@ class Engine:
     @property
     def agents(self) -> NDArray[Any]:
         """(M, N) AGENT records; a view, to be read."""
-        return self.play.agents
+        return self.dynamic.agents
 
     @property
     def games(self) -> NDArray[Any]:
         """(M,) GAME records; a view, to be read."""
-        return self.play.games
+        return self.dynamic.games
 
     @property
     def max_steps(self) -> int:
         """Steps after which a task fails (the paper's T_max)."""
-        return self.world.max_steps
+        return self.static.max_steps
 
     @property
     def tasks(self) -> NDArray[np.int32]:
         """(M, N) number of two-pin tasks of every agent."""
-        return np.diff(self.world.first, axis=1)
+        return np.diff(self.static.first, axis=1)
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
         """Starts the episodes of all problems, or of those where ``which`` (M,) is true.
@@ -569,7 +571,7 @@ class Engine:
             which = np.ones(len(self.problems), np.bool_)
         if which.shape != self.games.shape or which.dtype != np.bool_:
             raise ValueError(f"which: expected {len(self.problems)} booleans, found {which}")
-        _reset(self.world, self.play, which)
+        _reset(self.static, self.dynamic, which)
 
     def part(self, which: NDArray[np.integer] | slice) -> "Engine":
         """An engine of some of the problems, which goes on from how they stand.
@@ -582,14 +584,14 @@ class Engine:
             vars(part).pop(cached, None)
         part.problems = tuple(self.problems[m] for m in np.arange(len(self.problems))[which])
         part.nets = self.nets[which]
-        world = self.world
-        part.world = world._replace(
-            capacity=world.capacity[which],
-            demand=world.demand[which],
-            first=world.first[which],
-            order=world.order[which],
+        static = self.static
+        part.static = static._replace(
+            capacity=static.capacity[which],
+            demand=static.demand[which],
+            first=static.first[which],
+            order=static.order[which],
         )
-        part.play = Play._make(array[which] for array in self.play)
+        part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
         return part
 
     def move(self, moves: NDArray[np.integer]) -> None:
@@ -604,7 +606,7 @@ class Engine:
             ValueError: a move outside −1…5, or another shape.
         """
         self.check(moves)
-        (move_turn if moves.ndim == 1 else move_all)(self.world, self.play, moves)
+        (move_turn if moves.ndim == 1 else move_all)(self.static, self.dynamic, moves)
 
     def settle(self, everyone: bool) -> None:
         """The second half of a step: next tasks start, agents finish, the turn passes.
@@ -612,12 +614,12 @@ class Engine:
         Args:
             everyone: whether the moves were (M, N), of all agents, rather than (M,).
         """
-        (settle_all if everyone else settle_turn)(self.world, self.play)
+        (settle_all if everyone else settle_turn)(self.static, self.dynamic)
 
     def step(self, moves: NDArray[np.integer]) -> None:
         """Both halves of a step at once; arguments and errors as of :meth:`move`."""
         self.check(moves)
-        (_step_turn if moves.ndim == 1 else _step_all)(self.world, self.play, moves)
+        (_step_turn if moves.ndim == 1 else _step_all)(self.static, self.dynamic, moves)
 
     @functools.cached_property
     def play_turn(self) -> Callable[[int, NDArray[np.int8]], tuple[int, int]]:
@@ -631,9 +633,9 @@ class Engine:
 
         It returns the agent whose turn it is now, or NOBODY, and the status of the one that moved.
         """
-        world, play = self.world, self.play
-        code = bound(_play_turn, world, play, 0, np.empty((1, MOVES), np.int8))
-        return functools.partial(code, world, play)
+        static, dynamic = self.static, self.dynamic
+        code = bound(_play_turn, static, dynamic, 0, np.empty((1, MOVES), np.int8))
+        return functools.partial(code, static, dynamic)
 
     def check(self, moves: NDArray[np.integer]) -> None:
         """Raises ValueError for moves that :meth:`move` does not take."""
@@ -679,7 +681,7 @@ class Engine:
         """
         if out is None:
             out = np.empty((len(problems), MOVES), np.int8)
-        _masks(self.world, self.play, problems, agents, out)
+        _masks(self.static, self.dynamic, problems, agents, out)
         return out
 
     def metrics(self, m: int = 0) -> Metrics:
@@ -689,7 +691,7 @@ class Engine:
             overflow=int(game["overflow"]),
             wirelength=int(game["wirelength"]),
             joined=int(game["joined"]),
-            tasks=int(self.world.first[m, -1] - self.world.first[m, 0]),
+            tasks=int(self.static.first[m, -1] - self.static.first[m, 0]),
             steps=int(game["steps"]),
         )
 
@@ -698,16 +700,17 @@ class Engine:
 
         Args:
             m: the problem.
-            used: (N, ceil(E / 8)) uint8 copy of ``play.used[m]`` from earlier; None: the present.
+            used: (N, ceil(E / 8)) uint8 copy of ``dynamic.used[m]`` from earlier; None: the
+            present.
         """
-        used = self.play.used[m] if used is None else used
+        used = self.dynamic.used[m] if used is None else used
         nothing = np.empty(0, np.int64)
         net, edge = np.empty((2, _uses(used, self.nets[m], nothing, nothing)), np.int64)
         _uses(used, self.nets[m], net, edge)
         return Solution.of_uses(self.problems[m], net, edge)
 
 
-def world_of(
+def static_state(
     problems: tuple[Problem, ...],
     grid: Grid,
     net_order: NetOrder | NDArray[np.integer],
@@ -716,7 +719,7 @@ def world_of(
     sequential: bool,
     overflow: bool,
     max_steps: int,
-) -> tuple[World, NDArray[np.int32]]:
+) -> tuple[Static, NDArray[np.int32]]:
     """The constant arrays of a batch, and (M, N) the net of every agent (NOBODY where absent).
 
     The arguments are those of :class:`Engine`, whose checks of grid and steps have been made. The
@@ -757,7 +760,7 @@ def world_of(
             raise InputError(f"problem {m}: expected demands that add up to at most {UNLIMITED}")
         order[m, :count] = _turns(size[:count], agent_net[m, :count], net_order)
         order[m, count:] = NOBODY
-    world = World(
+    static = Static(
         neighbour=grid.neighbour,
         edge=np.where(grid.edge == OFF_GRID, np.int32(grid.edges - 1), grid.edge),
         exits=np.packbits(grid.edge != OFF_GRID, axis=1, bitorder="little")[:, 0],
@@ -771,7 +774,7 @@ def world_of(
         overflow=overflow,
         max_steps=max_steps,
     )
-    return world, agent_net
+    return static, agent_net
 
 
 @compiled
@@ -790,13 +793,13 @@ def _agents(
 
     Args:
         pins: (nets + 1,) and
-        gcells: (Gcells,), see :attr:`marouting.problem.Problem.flat_pin_gcells`.
-        tasks: (K, 3), see :func:`marouting.decomposition.two_pin_tasks`.
+        gcells: (Gcells,), see :attr:`marouting.problem.problem.Problem.flat_pin_gcells`.
+        tasks: (K, 3), see :func:`marouting.trees.decomposition.two_pin_tasks`.
         position: (G, 3).
         net_demand: (nets, Z).
         nets: (N,) filled with the net of every agent, NOBODY where there is none.
-        first: (N + 1,) filled as in :class:`World`; the first entry is there.
-        demand: (N, Z) filled as in :class:`World`.
+        first: (N + 1,) filled as in :class:`Static`; the first entry is there.
+        demand: (N, Z) filled as in :class:`Static`.
         half_perimeter: (N,) filled with width and height of the box around every agent's pins.
 
     Returns:

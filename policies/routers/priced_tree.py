@@ -6,7 +6,7 @@ that share the pins, or reaches it along a cheapest path from where it does (Dre
 splits triple.
 
 Costs are whole numbers, one for each edge of a grid or of a rectangle cut out of it, as an array
-(X, Y, Z, 3) in the order of edge numbers (:mod:`marouting.grid`).
+(X, Y, Z, 3) in the order of edge numbers (:mod:`marouting.problem.grid`).
 """
 
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.grid import AXES, VIA_AXIS, Move
 from marouting.kernels import compiled, wide
+from marouting.problem.grid import AXES, VIA_AXIS, Move
 
 NEVER = 1 << 60
 """The cost of an edge that must not be used, and of what cannot be joined; the costs of all other
@@ -161,7 +161,7 @@ class _Tables:
         return self._edges[:count].copy()
 
 
-def cheapest_tree(
+def cheapest_priced_tree(
     price: NDArray[np.int64], pins: NDArray[np.int64]
 ) -> tuple[int, NDArray[np.int64]]:
     """The cheapest tree that joins two or more pins.
@@ -186,7 +186,7 @@ class Across:
     """For every edge the cheapest tree that joins the pins and uses that edge.
 
     Args:
-        price: as for :func:`cheapest_tree`.
+        price: as for :func:`cheapest_priced_tree`.
         pins: likewise.
 
     Attributes:

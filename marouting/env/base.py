@@ -12,14 +12,14 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from marouting.config import GameOptions, build
-from marouting.engine import NOBODY, Engine, Status, TurnOrder
+from marouting.game.engine import NOBODY, Engine, Status, TurnOrder
+from marouting.game.observation import Observation, nets_on_edges, state, state_space, writer
+from marouting.game.reward import Reward, payer
 from marouting.generator import GeneratorOptions
-from marouting.grid import MOVES
-from marouting.observation import Observation, nets_on_edges, state, state_space, writer
-from marouting.problem import MAX_NUMBER, Problem
+from marouting.problem.grid import MOVES
+from marouting.problem.problem import MAX_NUMBER, Problem
+from marouting.problem.solution import Solution
 from marouting.render import Scene, Window, ansi, rgb_array
-from marouting.reward import Reward, payer
-from marouting.solution import Solution
 from marouting.source import Source, checked_source, load_problem
 from marouting.vector import Arrays, Board
 
@@ -36,7 +36,7 @@ FLOAT32, INT8 = np.dtype(np.float32), np.dtype(np.int8)
 _MOVES = range(MOVES)
 
 
-class Face:
+class BaseGame:
     """A game of one problem with its observation, reward, masks, state and pictures.
 
     Args:
@@ -155,7 +155,7 @@ class Face:
         return info
 
     def metrics(self) -> dict[str, int]:
-        """The figures of the problem as it stands; see :class:`marouting.engine.Metrics`."""
+        """The figures of the problem as it stands; see :class:`marouting.game.engine.Metrics`."""
         return asdict(self.engine.metrics())
 
     def solution(self) -> Solution:
@@ -163,7 +163,7 @@ class Face:
         return self.engine.solution()
 
     def state(self) -> NDArray[np.float32]:
-        """(X, Y, 5 Z) float32, the global grid; see :func:`marouting.observation.state`."""
+        """(X, Y, 5 Z) float32, the global grid; see :func:`marouting.game.observation.state`."""
         return state(self.engine)[0]
 
     def scene(self) -> Scene:
@@ -175,8 +175,8 @@ class Face:
         now = engine.metrics()
         return Scene(
             grid=engine.grid,
-            capacity=engine.world.capacity[0],
-            remaining=engine.play.remaining[0],
+            capacity=engine.static.capacity[0],
+            remaining=engine.dynamic.remaining[0],
             used=nets_on_edges(engine),
             heads=agents["cell"][active],
             targets=agents["target"][active],
@@ -213,32 +213,32 @@ def checked_move(action: Any, name: str = "action") -> int:
     return int(action)
 
 
-class Looks:
+class GameMethods:
     """What every face shows besides its interface's own methods."""
 
-    _face: Face
+    _game: BaseGame
 
     @property
     def engine(self) -> Engine:
-        """The game, of one problem, to be read: for guides such as A* (:mod:`marouting.search`)."""
-        return self._face.engine
+        """The game, of one problem, to be read: for guides such as A* (:mod:`astar`)."""
+        return self._game.engine
 
     def state(self) -> NDArray[np.float32]:
-        """(X, Y, 5 Z) float32, the global grid; see :func:`marouting.observation.state`."""
-        return self._face.state()
+        """(X, Y, 5 Z) float32, the global grid; see :func:`marouting.game.observation.state`."""
+        return self._game.state()
 
     def metrics(self) -> dict[str, int]:
         """Overflow, wirelength, tasks joined, tasks and steps of the episode as it stands."""
-        return self._face.metrics()
+        return self._game.metrics()
 
     def solution(self) -> Solution:
         """The routes as they stand."""
-        return self._face.solution()
+        return self._game.solution()
 
     def render(self) -> Any:
         """A picture of the game as ``render_mode`` says."""
-        return self._face.picture()
+        return self._game.picture()
 
     def close(self) -> None:
         """Closes the window, if there is one."""
-        self._face.close()
+        self._game.close()

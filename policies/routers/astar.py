@@ -7,15 +7,15 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from marouting import Problem, Solution, evaluate, sequential_astar
-from marouting.decomposition import Decomposition
-from marouting.engine import NetOrder
-from marouting.search import Target
-from policies.config import MOST, check
+from marouting.game.engine import NetOrder
+from marouting.search.astar import Target
+from marouting.trees.decomposition import Decomposition
+from policies.learned.config import MOST, check
 
 
 @dataclass(frozen=True)
 class AStarRouter:
-    """Sequential A* (:mod:`marouting.search`); the defaults are the paper's benchmark.
+    """Sequential A* (:mod:`marouting.search.astar`); the defaults are the paper's benchmark.
 
     Attributes:
         net_order: which nets come first: ``half_perimeter`` (the largest bounding box, as in the

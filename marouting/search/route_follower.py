@@ -6,22 +6,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.engine import NOBODY, Engine, Play, Status, World, may_cross, uses
 from marouting.errors import InputError
-from marouting.grid import MOVES
+from marouting.game.engine import NOBODY, Dynamic, Engine, Static, Status, may_cross, uses
 from marouting.kernels import compiled, place, wide
-from marouting.search import Scratch, scratch, shortest_path
-from marouting.solution import Solution
+from marouting.problem.grid import MOVES
+from marouting.problem.solution import Solution
+from marouting.search.astar import SearchBuffers, search_buffers, shortest_path
 
 
-class Replay:
+class RouteFollower:
     """Moves along the routes of solutions in a running game.
 
     A task is walked along the net's route, the shortest way in it. Where the route does not lead
     from the agent to its target, or not across edges that may be crossed, the move is that of A*
-    (:class:`marouting.search.AStar`). So a solution that joins every net is replayed to the edge
-    if it has no overflow, or if overflow is allowed, in a game that leaves its tasks enough steps;
-    edges that lead to no pin are left out.
+    (:class:`marouting.search.astar.AStar`). So a solution that joins every net is replayed to the
+    edge if it has no overflow, or if overflow is allowed, in a game that leaves its tasks enough
+    steps; edges that lead to no pin are left out.
 
     Args:
         engine: the game to move in.
@@ -37,10 +37,10 @@ class Replay:
                 f"replay: expected {len(engine.problems)} solutions, found {len(solutions)}"
             )
         self._engine = engine
-        self._scratch = scratch(engine.grid)
+        self._scratch = search_buffers(engine.grid)
         self._ring = np.empty(engine.grid.gcells, np.int32)
         self._seen = np.zeros(engine.grid.gcells, np.int64)
-        self._route = np.zeros_like(engine.play.used)
+        self._route = np.zeros_like(engine.dynamic.used)
         for m, (problem, solution) in enumerate(zip(engine.problems, solutions, strict=True)):
             own = solution.problem
             if (own.grid, own.nets) != (problem.grid, problem.nets):
@@ -58,8 +58,8 @@ class Replay:
         out = np.empty(len(problems), np.int8)
         engine = self._engine
         _follow(
-            engine.world,
-            engine.play,
+            engine.static,
+            engine.dynamic,
             self._scratch,
             self._route,
             self._ring,
@@ -73,9 +73,9 @@ class Replay:
 
 @compiled
 def _follow(
-    world: World,
-    play: Play,
-    s: Scratch,
+    static: Static,
+    dynamic: Dynamic,
+    s: SearchBuffers,
     route: Any,
     ring: Any,
     seen: Any,
@@ -86,10 +86,10 @@ def _follow(
     """Writes the moves of agents.
 
     Args:
-        world: the game.
-        play: how it stands.
+        static: the game.
+        dynamic: how it stands.
         s: working arrays of A*.
-        route: (M, N, ceil(E / 8)) the agents' routes, as ``play.used``.
+        route: (M, N, ceil(E / 8)) the agents' routes, as ``dynamic.used``.
         ring: (G,) working array: Gcells from which the route leads to the target.
         seen: (G,) working array: the last search that reached a Gcell.
         problems: (K,).
@@ -99,9 +99,9 @@ def _follow(
     for i in range(len(problems)):
         m, n = wide(problems[i]), wide(agents[i])
         out[i] = NOBODY
-        if n == NOBODY or play.agents[m, n].status != Status.ACTIVE:
+        if n == NOBODY or dynamic.agents[m, n].status != Status.ACTIVE:
             continue
-        cell, target = place(play.agents[m, n].cell), place(play.agents[m, n].target)
+        cell, target = place(dynamic.agents[m, n].cell), place(dynamic.agents[m, n].target)
         s.search[0] += 1
         search = s.search[0]
         ring[0] = target
@@ -111,13 +111,13 @@ def _follow(
             here = place(ring[at])
             at += 1
             for move in range(MOVES):
-                if not world.exits[here] >> move & 1:
+                if not static.exits[here] >> move & 1:
                     continue
-                beside = place(world.neighbour[here, move])
+                beside = place(static.neighbour[here, move])
                 if (
                     seen[beside] != search
-                    and uses(route, m, n, place(world.edge[here, move]))
-                    and may_cross(world, play, m, n, beside, move ^ 1)  # the opposite move
+                    and uses(route, m, n, place(static.edge[here, move]))
+                    and may_cross(static, dynamic, m, n, beside, move ^ 1)  # the opposite move
                 ):
                     seen[beside] = search
                     ring[size] = beside
@@ -125,5 +125,5 @@ def _follow(
                     if beside == cell:
                         out[i] = move ^ 1
         if out[i] == NOBODY:
-            shortest_path(world, play, s, m, n, cell, target)
+            shortest_path(static, dynamic, s, m, n, cell, target)
             out[i] = s.path[0]

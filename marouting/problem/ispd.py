@@ -53,9 +53,9 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.files import unusable, write_text
-from marouting.grid import AXES, OFF_GRID
-from marouting.problem import Adjustment, FieldError, Net, Pin, Problem
-from marouting.solution import Solution
+from marouting.problem.grid import AXES, OFF_GRID
+from marouting.problem.problem import Adjustment, FieldError, Net, Pin, Problem
+from marouting.problem.solution import Solution
 
 # Eighteen digits fit into 64 bits; the problem's own limits are far below.
 _NUMBER = "[+-]?[0-9]{1,18}"

@@ -11,7 +11,7 @@ from typing import Any
 
 from marouting.config import build
 from marouting.errors import InputError
-from policies.base import Router
+from policies.routers.base import Router
 
 
 @dataclass(frozen=True)
@@ -28,15 +28,15 @@ class _Kind:
     options: str | None = None
 
 
-_CLASSICAL = "policies.classical"
+_ROOM = "policies.routers"
 _KINDS = {
-    "astar": _Kind(f"{_CLASSICAL}.astar:AStarRouter"),
-    "random": _Kind(f"{_CLASSICAL}.random:RandomRouter"),
+    "astar": _Kind(f"{_ROOM}.astar:AStarRouter"),
+    "random": _Kind(f"{_ROOM}.random:RandomRouter"),
     "pathfinder": _Kind(
-        f"{_CLASSICAL}.pathfinder:PathfinderRouter", f"{_CLASSICAL}.pathfinder:PathfinderOptions"
+        f"{_ROOM}.pathfinder:PathfinderRouter", f"{_ROOM}.pathfinder:PathfinderOptions"
     ),
-    "optimal": _Kind(f"{_CLASSICAL}.optimal:OptimalRouter"),
-    "dqn": _Kind("policies.learned.router:DQNRouter", "policies.config:Config"),
+    "optimal": _Kind(f"{_ROOM}.optimal:OptimalRouter"),
+    "dqn": _Kind("policies.learned.router:DQNRouter", "policies.learned.config:Config"),
 }
 
 ROUTERS = tuple(_KINDS)

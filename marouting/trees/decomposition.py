@@ -10,10 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.grid import AXES
 from marouting.kernels import compiled
-from marouting.problem import Problem
-from marouting.steiner import steiner_tasks
+from marouting.problem.grid import AXES
+from marouting.problem.problem import Problem
+from marouting.trees.steiner import steiner_tasks
 
 Decomposition = Literal["mst", "steiner"]
 
@@ -29,7 +29,7 @@ def two_pin_tasks(problem: Problem, decomposition: Decomposition = "mst") -> NDA
         problem: the problem.
         decomposition: ``mst``, between pins along a minimum spanning tree, walked breadth first
             from the first pin (the paper); or ``steiner``, between pins and Steiner points, see
-            :func:`marouting.steiner.steiner_tasks`.
+            :func:`marouting.trees.steiner.steiner_tasks`.
 
     Returns:
         (K, 3) int32: net, start Gcell and target Gcell of each task, nets in file order.
@@ -53,7 +53,8 @@ def _span(
     …, (1, 2), … goes into the tree: no two pairs tie, so there is one shortest tree.
 
     Args:
-        first: (nets + 1,) as ``gcells``, see :attr:`marouting.problem.Problem.flat_pin_gcells`.
+        first: (nets + 1,) as ``gcells``, see
+        :attr:`marouting.problem.problem.Problem.flat_pin_gcells`.
         gcells: (Gcells,).
         position: (G, 3) x, y, z of a Gcell.
         parent: (pins,) working array for a net at a time: the pin in the tree that is nearest to a

@@ -9,7 +9,7 @@ A search leads from one Gcell to the nearest of its **goals**: one pin, or with 
 all Gcells of the net's own tree so far. The heuristic is then the distance to the box around them.
 
 Ties are broken the same way everywhere: of the Gcells with the lowest f = g + h the one found last
-is opened first, and neighbours are found in the order of :class:`marouting.grid.Move`.
+is opened first, and neighbours are found in the order of :class:`marouting.problem.grid.Move`.
 """
 
 from typing import Any, Literal, NamedTuple
@@ -17,26 +17,26 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.decomposition import Decomposition
-from marouting.engine import (
+from marouting.game.engine import (
     AGENT,
     GAME,
     NOBODY,
     Crossing,
+    Dynamic,
     Engine,
     NetOrder,
-    Play,
+    Static,
     Status,
-    World,
     begin_task,
     has_room,
     move_agent,
-    world_of,
+    static_state,
 )
-from marouting.grid import AXES, MOVES, Grid
 from marouting.kernels import compiled, inlined, place, wide
-from marouting.problem import Problem, check_choice
-from marouting.solution import Solution
+from marouting.problem.grid import AXES, MOVES, Grid
+from marouting.problem.problem import Problem, check_choice
+from marouting.problem.solution import Solution
+from marouting.trees.decomposition import Decomposition
 
 Target = Literal["pin", "tree"]
 
@@ -68,7 +68,7 @@ NODE = np.dtype(
 """A Gcell in a search."""
 
 
-class Scratch(NamedTuple):
+class SearchBuffers(NamedTuple):
     """Working arrays of a search, reused from one to the next without clearing."""
 
     nodes: NDArray[Any]  # (G,) NODE
@@ -92,10 +92,10 @@ _KNOWN = 1  # walls that are known
 _NEXT = 2  # how many Gcells a search opens before it looks for more
 
 
-def scratch(grid: Grid) -> Scratch:
+def search_buffers(grid: Grid) -> SearchBuffers:
     """Working arrays for one grid shape."""
     g = grid.gcells
-    return Scratch(
+    return SearchBuffers(
         nodes=np.zeros(g, NODE),
         head=np.empty(_LEVELS, np.int32),
         below=np.empty(MOVES * g, np.int32),
@@ -124,21 +124,21 @@ def _distance(position: Any, cell: int, box: Any) -> int:
 
 
 @inlined
-def _no_goals(s: Scratch) -> None:
+def _no_goals(s: SearchBuffers) -> None:
     """Forgets all goals."""
     s.goal[0] += 1
     s.size[0] = 0
 
 
 @inlined
-def _add_goal(world: World, s: Scratch, cell: int) -> None:
+def _add_goal(static: Static, s: SearchBuffers, cell: int) -> None:
     """Makes a Gcell a goal, unless it is one."""
     if s.mark[cell] == s.goal[0]:
         return
     s.mark[cell] = s.goal[0]
     s.goals[s.size[0]] = cell
     for axis in range(AXES):
-        at = wide(world.position[cell, axis])
+        at = wide(static.position[cell, axis])
         s.box[axis, 0] = at if s.size[0] == 0 else min(s.box[axis, 0], at)
         s.box[axis, 1] = at if s.size[0] == 0 else max(s.box[axis, 1], at)
     s.size[0] += 1
@@ -146,7 +146,7 @@ def _add_goal(world: World, s: Scratch, cell: int) -> None:
 
 @inlined
 def _look_around(
-    world: World, play: Play, s: Scratch, m: int, n: int, source: int, budget: int
+    static: Static, dynamic: Dynamic, s: SearchBuffers, m: int, n: int, source: int, budget: int
 ) -> int:
     """Finds walls around the goals: edges without capacity that no way gets around.
 
@@ -180,12 +180,12 @@ def _look_around(
         cell = place(s.ring[at])
         at += 1
         for move in range(MOVES):
-            if not world.exits[cell] >> move & 1:
+            if not static.exits[cell] >> move & 1:
                 continue
-            beside = place(world.neighbour[cell, move])
+            beside = place(static.neighbour[cell, move])
             if s.depth[beside] >= inside:
                 continue
-            if flooding and not has_room(world, play, m, n, cell, move):
+            if flooding and not has_room(static, dynamic, m, n, cell, move):
                 continue
             if beside == source:
                 return walls
@@ -196,9 +196,9 @@ def _look_around(
 
 @inlined
 def _search(
-    world: World,
-    play: Play,
-    s: Scratch,
+    static: Static,
+    dynamic: Dynamic,
+    s: SearchBuffers,
     m: int,
     n: int,
     source: int,
@@ -214,8 +214,8 @@ def _search(
     every way cost more: none of them, and nothing found from there, is on a cheapest way.
 
     Args:
-        world: the game.
-        play: how it stands.
+        static: the game.
+        dynamic: how it stands.
         s: working arrays; ``s.walls`` tells what is known of walls.
         m: the problem.
         n: the agent.
@@ -242,24 +242,26 @@ def _search(
         opened += 1
         if opened == s.walls[_NEXT] and most == _UNKNOWN:
             s.walls[_NEXT] *= 4
-            s.walls[_KNOWN] = _look_around(world, play, s, m, n, source, opened // 4)
+            s.walls[_KNOWN] = _look_around(static, dynamic, s, m, n, source, opened // 4)
             if s.walls[_KNOWN] > walls:
                 return wide(_UNKNOWN), cell
-        exits = world.exits[cell]
-        so_far, left = s.nodes[cell].cost, _distance(world.position, cell, s.box)
+        exits = static.exits[cell]
+        so_far, left = s.nodes[cell].cost, _distance(static.position, cell, s.box)
         for move in range(MOVES):
             if not exits >> move & 1:
                 continue
-            beside = place(world.neighbour[cell, move])
+            beside = place(static.neighbour[cell, move])
             node = s.nodes[beside]
             if node.stamp == -found:
                 continue
-            cost = so_far + (STEP_COST if has_room(world, play, m, n, cell, move) else FULL_COST)
+            cost = so_far + (
+                STEP_COST if has_room(static, dynamic, m, n, cell, move) else FULL_COST
+            )
             if node.stamp == found and node.cost <= cost:
                 continue
             # Even moves go up their axis, odd ones down: nearer outside the box, or farther.
             at, low, high = (
-                world.position[cell, move >> 1],
+                static.position[cell, move >> 1],
                 s.box[move >> 1, 0],
                 s.box[move >> 1, 1],
             )
@@ -290,14 +292,14 @@ def _search(
 
 
 @compiled
-def _path(world: World, play: Play, s: Scratch, m: int, n: int, source: int) -> int:
+def _path(static: Static, dynamic: Dynamic, s: SearchBuffers, m: int, n: int, source: int) -> int:
     """Finds a cheapest path to the goals, into ``s.path``; returns the number of moves."""
     s.walls[_KNOWN] = 0
-    distance = _distance(world.position, source, s.box)
+    distance = _distance(static.position, source, s.box)
     s.walls[_NEXT] = 16 * (distance + 8)
     most = wide(_UNKNOWN)
     while True:
-        cost, cell = _search(world, play, s, m, n, source, distance, most)
+        cost, cell = _search(static, dynamic, s, m, n, source, distance, most)
         if most != _UNKNOWN or (cost != _UNKNOWN and s.walls[_KNOWN] == 0):
             break
         most = cost
@@ -306,7 +308,7 @@ def _path(world: World, play: Play, s: Scratch, m: int, n: int, source: int) -> 
         came = s.nodes[cell].came
         s.path[length] = came
         length += 1
-        cell = wide(world.neighbour[cell, came ^ 1])  # the opposite move
+        cell = wide(static.neighbour[cell, came ^ 1])  # the opposite move
     for i in range(length // 2):
         s.path[i], s.path[length - 1 - i] = s.path[length - 1 - i], s.path[i]
     return length
@@ -314,7 +316,7 @@ def _path(world: World, play: Play, s: Scratch, m: int, n: int, source: int) -> 
 
 @compiled
 def shortest_path(
-    world: World, play: Play, s: Scratch, m: int, n: int, source: int, target: int
+    static: Static, dynamic: Dynamic, s: SearchBuffers, m: int, n: int, source: int, target: int
 ) -> int:
     """A cheapest path of agent n in problem m as it stands.
 
@@ -322,15 +324,15 @@ def shortest_path(
         The number of moves, which lie in ``s.path``; 0 if source and target are one Gcell.
     """
     _no_goals(s)
-    _add_goal(world, s, target)
-    return _path(world, play, s, m, n, source)
+    _add_goal(static, s, target)
+    return _path(static, dynamic, s, m, n, source)
 
 
 @compiled
 def _route(
-    world: World,
-    play: Play,
-    s: Scratch,
+    static: Static,
+    dynamic: Dynamic,
+    s: SearchBuffers,
     demand: Any,
     nets: Any,
     to_tree: bool,
@@ -345,8 +347,8 @@ def _route(
     the grid for every net.
 
     Args:
-        world: the problem; the demand of the first agent is written over.
-        play: the game, with room for a single agent.
+        static: the problem; the demand of the first agent is written over.
+        dynamic: the game, with room for a single agent.
         s: working arrays.
         demand: (N, Z) the demand of all agents.
         nets: (N,) the net of every agent.
@@ -360,50 +362,50 @@ def _route(
         Place in the turn order of the next net to route, and how many uses there are.
     """
     m = n = wide(0)
-    agent = play.agents[m, n]
-    edges = world.capacity.shape[1]
+    agent = dynamic.agents[m, n]
+    edges = static.capacity.shape[1]
     while turn < len(nets) and size + edges <= len(uses):
-        member = wide(world.order[m, turn])
+        member = wide(static.order[m, turn])
         net = wide(nets[member])
         turn += 1
         for layer in range(demand.shape[1]):
-            world.demand[m, n, layer] = demand[member, layer]
+            static.demand[m, n, layer] = demand[member, layer]
         before = size
-        first = wide(world.first[m, member])
-        for task in range(first, wide(world.first[m, member + 1])):
-            begin_task(world, play, m, n, task)
+        first = wide(static.first[m, member])
+        for task in range(first, wide(static.first[m, member + 1])):
+            begin_task(static, dynamic, m, n, task)
             if task == first or not to_tree:
                 _no_goals(s)
             if to_tree:
-                _add_goal(world, s, wide(agent.cell))
+                _add_goal(static, s, wide(agent.cell))
                 agent.cell = agent.target
             else:
-                _add_goal(world, s, wide(agent.target))
-            length = _path(world, play, s, m, n, wide(agent.cell))
+                _add_goal(static, s, wide(agent.target))
+            length = _path(static, dynamic, s, m, n, wide(agent.cell))
             for i in range(length):
-                edge = wide(world.edge[agent.cell, s.path[i]])
+                edge = wide(static.edge[agent.cell, s.path[i]])
                 if to_tree:
-                    _add_goal(world, s, wide(agent.cell))
-                move_agent(world, play, m, n, wide(s.path[i]))
+                    _add_goal(static, s, wide(agent.cell))
+                move_agent(static, dynamic, m, n, wide(s.path[i]))
                 if agent.crossing == Crossing.NEW:
                     uses[size] = net * edges + edge
                     size += 1
         for i in range(before, size):
             edge = uses[i] - net * edges
-            play.used[m, n, edge >> 3] = 0
+            dynamic.used[m, n, edge >> 3] = 0
     return turn, size
 
 
 @compiled
 def _first_moves(
-    world: World, play: Play, s: Scratch, problems: Any, agents: Any, out: Any
+    static: Static, dynamic: Dynamic, s: SearchBuffers, problems: Any, agents: Any, out: Any
 ) -> None:
     for i in range(len(problems)):
         m, n = wide(problems[i]), wide(agents[i])
         out[i] = NOBODY
-        if n != NOBODY and play.agents[m, n].status == Status.ACTIVE:
-            agent = play.agents[m, n]
-            shortest_path(world, play, s, m, n, wide(agent.cell), wide(agent.target))
+        if n != NOBODY and dynamic.agents[m, n].status == Status.ACTIVE:
+            agent = dynamic.agents[m, n]
+            shortest_path(static, dynamic, s, m, n, wide(agent.cell), wide(agent.target))
             out[i] = s.path[0]
 
 
@@ -420,12 +422,14 @@ class AStar:
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
-        self._scratch = scratch(engine.grid)
+        self._scratch = search_buffers(engine.grid)
 
     def moves(self, problems: NDArray[np.integer], agents: NDArray[np.integer]) -> NDArray[np.int8]:
         """(K,) int8 moves of K agents; NOBODY for one that is not active."""
         out = np.empty(len(problems), np.int8)
-        _first_moves(self._engine.world, self._engine.play, self._scratch, problems, agents, out)
+        _first_moves(
+            self._engine.static, self._engine.dynamic, self._scratch, problems, agents, out
+        )
         return out
 
 
@@ -440,11 +444,11 @@ def sequential_astar(
 
     Args:
         problem: the problem to route.
-        net_order: which nets come first, see :class:`marouting.engine.Engine`; or (nets,) numbers,
-            the net with the least first.
+        net_order: which nets come first, see :class:`marouting.game.engine.Engine`; or (nets,)
+            numbers, the net with the least first.
         target: where a task's path ends: ``pin``, at the task's other pin (the paper); or ``tree``,
             at the nearest Gcell of what is routed of the net.
-        decomposition: of nets into tasks, see :func:`marouting.decomposition.two_pin_tasks`.
+        decomposition: of nets into tasks, see :func:`marouting.trees.decomposition.two_pin_tasks`.
 
     Returns:
         A solution with every net joined, overflow where A* preferred it to no way at all.
@@ -458,7 +462,7 @@ def sequential_astar(
     joints = len(gcells) - len(problem.nets)
     uses, size, turn = np.empty(_EDGES_A_TASK * joints + grid.edges, np.int64), 0, 0
     if joints:
-        world, (nets,) = world_of(
+        static, (nets,) = static_state(
             (problem,),
             grid,
             net_order,
@@ -467,15 +471,15 @@ def sequential_astar(
             overflow=True,
             max_steps=grid.gcells,  # as long as a path without a loop can be
         )
-        play = Play(
-            remaining=world.capacity.copy(),
+        dynamic = Dynamic(
+            remaining=static.capacity.copy(),
             used=np.zeros((1, 1, (grid.edges + 7) // 8), np.uint8),
             agents=np.zeros((1, 1), AGENT),
             games=np.zeros(1, GAME),
         )
-        working, demand, to_tree = scratch(grid), world.demand[0].copy(), target == "tree"
+        working, demand, to_tree = search_buffers(grid), static.demand[0].copy(), target == "tree"
         while True:
-            turn, size = _route(world, play, working, demand, nets, to_tree, turn, uses, size)
+            turn, size = _route(static, dynamic, working, demand, nets, to_tree, turn, uses, size)
             if turn == len(nets):
                 break
             uses = np.concatenate((uses, np.empty_like(uses)))

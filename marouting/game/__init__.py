@@ -1,0 +1,1 @@
+"""The game: its state, its rules, what agents see and get."""

@@ -1,0 +1,1 @@
+"""What is routed and how it is judged: problems, solutions, their files."""

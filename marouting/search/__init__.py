@@ -1,0 +1,1 @@
+"""What walks the game without learning."""

@@ -1,0 +1,1 @@
+"""Trees that join the pins of a net."""

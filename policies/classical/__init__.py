@@ -1,1 +1,0 @@
-"""Routers that search."""

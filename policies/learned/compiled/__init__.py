@@ -1,0 +1,1 @@
+"""The fused DQN: compiled code for the processor, the fast path where it applies."""

@@ -1,0 +1,1 @@
+"""What results say: statistics over rows, the use of edges."""

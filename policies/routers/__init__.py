@@ -1,0 +1,1 @@
+"""Routers: what turns a problem into a solution."""
