@@ -233,6 +233,7 @@ def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None
 
     Everything goes into the run folder, the key `out`.
     """
+    from policies.cli.progress import training_bar
     from policies.cli.tables import show
     from policies.learned.config import load_config
     from policies.learned.run import Run
@@ -243,7 +244,9 @@ def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None
     if resume is not None:
         settings = replace(settings, out=str(resume))
     run = Run(settings, resume=resume is not None)
-    show(run.execute(), str(run.folder))
+    with training_bar(*run.episodes) as watch:
+        rows = run.execute(watch)
+    show(rows, str(run.folder))
 
 
 @cli.command()
@@ -256,10 +259,13 @@ def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     Everything goes into the folder of the experiment, the key `out`. One that was stopped, or
     killed, goes on when the same command is given again.
     """
+    from policies.cli.progress import experiment_bar
     from policies.cli.tables import show_experiment
     from policies.experiment import Experiment, load_experiment
 
-    summary = Experiment(load_experiment(config, overrides)).execute()
+    task = Experiment(load_experiment(config, overrides))
+    with experiment_bar(str(task.folder)) as watch:
+        summary = task.execute(watch)
     if as_json:
         click.echo(json.dumps(summary))
     else:

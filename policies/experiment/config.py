@@ -12,9 +12,9 @@ from marouting import InputError, Problem
 from marouting.config import build, read_yaml
 from marouting.files import unusable
 from marouting.source import load_problems
-from policies.experiment.study import Study
 from policies.learned.config import Config, check, override
 from policies.results.statistics import ALL
+from policies.results.study import Study
 from policies.routers.registry import ROUTERS, has_seed, is_seeded, schema, unknown
 
 PUBLISHED = "published"

@@ -1,6 +1,6 @@
-"""Composed figures: routers side by side, quantities below one another.
+"""Composed figures: routers side by side, quantities in rows.
 
-What they show is told by :class:`policies.experiment.Study`.
+:class:`policies.results.study.Study` describes one.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from marouting.errors import InputError
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
-from policies.experiment.study import Panel
-from policies.figures.results import (
+from policies.figures.charts import (
     decrease_bins,
     decrease_note,
     draw_by_problem,
@@ -35,6 +34,7 @@ from policies.figures.routes import (
     map_notes,
     route_notes,
 )
+from policies.results.study import Panel
 
 
 class ColumnData(NamedTuple):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-Row = dict[str, Any]
+from policies.results.rows import Row
 
 CONFIDENCE = 0.95
 """Of all intervals."""
@@ -103,7 +103,7 @@ def baseline(rows: Sequence[Row]) -> str | None:
     return next((row["router"] for row in rows if row["kind"] == "astar"), None)
 
 
-def joined_wirelength(problems: _Problems) -> NDArray[np.float64]:
+def mean_wirelength(problems: _Problems) -> NDArray[np.float64]:
     """(problems,) wirelength, averaged over the seeds; NaN where connections stayed open."""
 
     def value(row: Row) -> float | None:
@@ -112,7 +112,7 @@ def joined_wirelength(problems: _Problems) -> NDArray[np.float64]:
     return _over_seeds(_values(problems, value))
 
 
-def overflow(problems: _Problems) -> NDArray[np.float64]:
+def mean_overflow(problems: _Problems) -> NDArray[np.float64]:
     """(problems,) overflow, averaged over the seeds."""
     return _over_seeds(_values(problems, lambda row: row["overflow"]))
 

@@ -1,6 +1,7 @@
 """Figures of trainings, experiments and measurements."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from policies.figures.style import INK, LINES, PALE, RED
+from policies.results.scaling import curves, exponent
 
 # Training ---------------------------------------------------------------------------------------
 
@@ -234,49 +236,41 @@ def decrease_note(values: NDArray[np.floating]) -> str:
 # Speed ------------------------------------------------------------------------------------------
 
 
-def growth(
-    panels: Mapping[str, Mapping[str, NDArray[np.floating]]],
-    amount: str,
-    quantity: str,
-    title: str = "",
-) -> Figure:
-    """How quantities grow with an amount, on logarithmic axes.
+def scaling(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
+    """How time grows with routed edges, on logarithmic axes.
 
     Args:
-        panels: by panel and curve, (2, points) the amounts and the quantities, all positive.
-        amount: what the amounts are, with their unit.
-        quantity: what the quantities are, with their unit.
+        rows: what was measured, as :mod:`policies.results.scaling` describes them.
         title: the title.
 
     Returns:
-        The panels side by side with the same axes; a dashed line is as steep as growth in
-        proportion.
+        A panel for each family of problems, side by side with the same axes. A dashed line has the
+        slope of growth in proportion.
 
     Raises:
-        InputError: there is no panel.
+        InputError: there are no rows.
     """
+    panels = curves(rows)
     if not panels:
-        raise InputError("growth: expected at least one panel")
+        raise InputError("scaling: expected at least one row")
     figure = Figure(figsize=(4.6 * len(panels) + 0.6, 5), layout="constrained")
     drawn = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
-    for axes, (name, curves) in zip(drawn, panels.items(), strict=True):
-        for index, (label, (amounts, quantities)) in enumerate(curves.items()):
+    for axes, (family, works) in zip(drawn, panels.items(), strict=True):
+        for index, (work, points) in enumerate(works.items()):
             axes.loglog(
-                amounts,
-                quantities,
+                *points,
                 color=LINES[index % len(LINES)],
                 marker=_MARKERS[index % len(_MARKERS)],
                 markersize=5,
                 linewidth=1.4,
-                label=label,
+                label=f"{work}: exponent {exponent(points):.2f}",
             )
-        amounts = np.concatenate([points[0] for points in curves.values()])
-        quantities = np.concatenate([points[1] for points in curves.values()])
-        ends = np.array([amounts.min(), amounts.max()])
-        # Below all curves, through the lowest of all points in proportion.
+        edges, seconds = np.concatenate(list(works.values()), axis=1)
+        ends = np.array([edges.min(), edges.max()])
+        # Below all curves: half as high as the point that is lowest in proportion to its edges.
         axes.loglog(
             ends,
-            ends * (quantities / amounts).min() / 2,
+            ends * (seconds / edges).min() / 2,
             color=INK,
             linewidth=1,
             linestyle="--",
@@ -284,9 +278,9 @@ def growth(
         )
         axes.grid(color=PALE, linewidth=0.6)
         axes.set_axisbelow(True)
-        axes.set_title(name, fontsize=11)
-        axes.set_xlabel(amount)
-        axes.set_ylabel(quantity)
+        axes.set_title(family, fontsize=11)
+        axes.set_xlabel("routed edges")
+        axes.set_ylabel("time [s]")
         axes.tick_params(labelleft=True)
         axes.legend(frameon=False, loc="upper left", fontsize=9)
     figure.suptitle(title, fontsize=12)
