@@ -1,7 +1,7 @@
 """The paper's figures: edge utilisation, routed solutions, reward curves, comparisons of routers.
 
-Every function returns a :class:`matplotlib.figure.Figure` of its own and touches no global state
-of matplotlib, so figures can be made without a display and in threads; :func:`save` writes one.
+Every function returns a new :class:`matplotlib.figure.Figure` and touches no global state of
+matplotlib, so figures can be drawn without a display and in threads. :func:`save` writes one.
 Gcell (0, 0) lies at the lower left, and layers count from 1 as in the problem files.
 """
 
