@@ -23,11 +23,11 @@ from hypothesis import strategies as st
 
 import marouting
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
-from marouting.config import build
+from marouting.config import build, override, plain
 from policies.cli.main import cli, status
 from policies.cli.tables import show, show_experiment, show_speed
 from policies.experiment import ExperimentConfig, load_experiment
-from policies.learned.config import Config, DQNOptions, TrainOptions, load_config, override
+from policies.learned.config import Config, DQNOptions, TrainOptions, load_config
 from policies.learned.router import DQNRouter, QPolicy
 from policies.learned.run import write_config
 from policies.routers import registry as routers
@@ -1068,7 +1068,7 @@ TOKENS = st.sampled_from(
         "9" * 5000,
     ]
 )
-CONFIG_TEXT = yaml.safe_dump(json.loads(json.dumps(asdict(Config()))), sort_keys=False)
+CONFIG_TEXT = yaml.safe_dump(plain(Config()), sort_keys=False)
 NAMES = [
     f"{part}{name}"
     for part, schema in (

@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from marouting import InputError, Problem, Solution
-from marouting.config import read_yaml
+from marouting.config import check, check_same, read_yaml
 from marouting.files import write_text
 from marouting.source import load_problems
 from policies.experiment.config import (
@@ -24,7 +24,6 @@ from policies.experiment.config import (
 )
 from policies.experiment.part import Part
 from policies.experiment.processes import cores, work_on
-from policies.learned.config import check, check_same
 from policies.results.experiment_folder import CONFIG, RESULTS, SUMMARY, solution_file
 from policies.results.rows import Row, read_rows, to_csv
 from policies.results.run_folder import METRICS

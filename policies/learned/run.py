@@ -10,7 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,11 @@ import torch
 import yaml
 
 from marouting import InputError
+from marouting.config import check_same, plain
 from marouting.files import write_text, writing
 from marouting.source import load_problems
 from policies.learned.checkpoint import read_checkpoint
-from policies.learned.config import Config, check_same, load_config
+from policies.learned.config import Config, load_config
 from policies.learned.logs import Logs
 from policies.learned.trainer import Episode, Trainer
 from policies.results.rows import Row, solution_row
@@ -38,8 +39,7 @@ from policies.routers.astar import AStarRouter
 
 def write_config(config: Config, path: Path) -> None:
     """Writes a whole configuration as YAML."""
-    plain = json.loads(json.dumps(asdict(config)))
-    write_text(path, yaml.safe_dump(plain, sort_keys=False))
+    write_text(path, yaml.safe_dump(plain(config), sort_keys=False))
 
 
 def _save(state: Mapping[str, Any], path: Path) -> None:
@@ -90,7 +90,7 @@ class Run:
         """A resumed run has the configuration that it started with."""
         kept = load_config(self.folder / CONFIG)
         mine = replace(self.config, out=kept.out)
-        check_same(asdict(mine), asdict(kept), self.folder / CONFIG)
+        check_same(plain(mine), plain(kept), self.folder / CONFIG)
 
     def _load(self) -> None:
         path = self.folder / CHECKPOINT

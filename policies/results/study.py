@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from marouting.config import build, read_yaml
-from policies.learned.config import check
+from marouting.config import build, check, read_yaml
 
 Panel = Literal[
     "edges",
