@@ -13,9 +13,9 @@ from marouting.config import build, check, override, read_yaml
 from marouting.config import plain as as_plain
 from marouting.files import unusable
 from marouting.source import load_problems
-from policies.experiment.study import Study
 from policies.learned.config import Config
 from policies.results.statistics import ALL
+from policies.results.study import Study
 from policies.routers.registry import ROUTERS, has_seed, is_seeded, schema, unknown
 
 PUBLISHED = "published"

@@ -3,7 +3,7 @@
 import json
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,6 @@ from marouting import InputError, Problem, Solution
 from marouting.config import check, check_same, read_yaml
 from marouting.files import write_text
 from marouting.source import load_problems
-from policies.cli.progress import progress_bar
 from policies.experiment.config import (
     PUBLISHED,
     Entry,
@@ -23,18 +22,13 @@ from policies.experiment.config import (
     load_experiment,
     load_sets,
 )
-from policies.experiment.folder import (
-    CONFIG,
-    RESULTS,
-    SUMMARY,
-    read_rows,
-    solution_file,
-    to_csv,
-)
 from policies.experiment.part import Part
 from policies.experiment.processes import cores, work_on
-from policies.experiment.study import Study, StudyColumn
-from policies.results.statistics import ALL, Row, add_gaps, baseline, by_set, summarise
+from policies.results.experiment_folder import CONFIG, RESULTS, SUMMARY, solution_file
+from policies.results.rows import Row, read_rows, to_csv
+from policies.results.run_folder import METRICS
+from policies.results.statistics import ALL, add_gaps, baseline, by_set, summarise
+from policies.results.study import Study, StudyColumn
 from policies.results.utilisation import problem_type
 from policies.routers.registry import unknown
 
@@ -47,17 +41,15 @@ class Experiment:
 
     Args:
         config: what to do, as :func:`load_experiment` gives it.
-        progress: whether to show a progress bar on standard error.
 
     Raises:
         InputError: the configuration, a problem or the folder cannot be used, or the folder holds
             something else.
     """
 
-    def __init__(self, config: ExperimentConfig, *, progress: bool = True) -> None:
+    def __init__(self, config: ExperimentConfig) -> None:
         self.config = config
         self.folder = Path(config.out)
-        self._progress = progress
         self.entries = config.entries
         before = self._before()
         # In an order that does not depend on where they come from.
@@ -177,14 +169,23 @@ class Experiment:
             for share in _shares(entry, own)
         )
 
-    def execute(self) -> dict[str, Any]:
-        """Does what is left to do and writes the results; returns what ``summary.json`` holds.
+    def execute(self, watch: Callable[[float, int], Any] | None = None) -> dict[str, Any]:
+        """Does the work that is left and writes the results.
 
-        Whenever a router is done with all its problems, the results are written of those that are.
+        Whenever a router has finished all its problems, the results of all finished routers are
+        written.
+
+        Args:
+            watch: called about once a second with the number of problems routed so far, a training
+                under way counting as a fraction, and their number in all. A problem counts once for
+                each router and seed.
+
+        Returns:
+            What ``summary.json`` holds.
         """
         left = [part for part in self.parts if not part.rows.exists()]
         if left:
-            self._work(left)
+            self._work(left, watch)
         return self._write(self.entries)
 
     def _write(self, entries: Sequence[Entry]) -> dict[str, Any]:
@@ -198,7 +199,7 @@ class Experiment:
         write_text(self.folder / RESULTS, json.dumps(rows, indent=1) + "\n")
         write_text(self.folder / "results.csv", to_csv(rows))
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=1) + "\n")
-        from policies.figures.plot import experiment_figures
+        from policies.figures.plot import experiment_figures  # matplotlib: not in the processes
 
         experiment_figures(self.folder)
         return summary
@@ -218,10 +219,10 @@ class Experiment:
                 types[name][problem_type(routed, Solution.read(path, routed))] += 1
         return types
 
-    def _work(self, left: Sequence[Part]) -> None:
-        """Works on parts and shows how many of all problems are done."""
+    def _work(self, left: Sequence[Part], watch: Callable[[float, int], Any] | None) -> None:
+        """Works on parts; see :meth:`execute`."""
         trainings = {
-            part.run: (_Lines(part.run / "metrics.jsonl"), part.entry.options["train"])
+            part.run: (_Lines(part.run / METRICS), part.entry.options["train"])
             for part in left
             if part.entry.trains
         }
@@ -230,22 +231,19 @@ class Experiment:
         done = total - sum(len(part.problems) for part in left)
         missing = Counter(part.entry.name for part in left)
         written = 0  # routers in the results
-        with progress_bar("problems", shown=self._progress) as bar:
-            task = bar.add_task(str(self.folder), total=total, completed=done)
-            for parts in work_on(left, self.config.jobs or cores(), threads):
-                for part in parts:
-                    trainings.pop(part.run, None)
-                    done += len(part.problems)
-                missing -= Counter(part.entry.name for part in parts)
-                finished = [entry for entry in self.entries if not missing[entry.name]]
-                if missing and len(finished) > written:
-                    self._write(finished)
-                    written = len(finished)
+        for parts in work_on(left, self.config.jobs or cores(), threads):
+            for part in parts:
+                trainings.pop(part.run, None)
+                done += len(part.problems)
+            missing -= Counter(part.entry.name for part in parts)
+            finished = [entry for entry in self.entries if not missing[entry.name]]
+            if missing and len(finished) > written:
+                self._write(finished)
+                written = len(finished)
+            if watch is not None:
                 # A line is an episode of one problem.
-                begun = sum(
-                    lines.count() / train["episodes"] for lines, train in trainings.values()
-                )
-                bar.update(task, completed=done + begun)
+                begun = (lines.count() / train["episodes"] for lines, train in trainings.values())
+                watch(done + sum(begun), total)
 
     def _rows(self, entries: Sequence[Entry]) -> list[Row]:
         """The rows of routers, by set, problem, router and seed in the configuration's order."""

@@ -2,16 +2,16 @@
 
 import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from marouting import InputError, Problem, Solution, evaluate, generate
+from marouting import InputError, Problem, Solution, generate
 from marouting.config import build
 from marouting.files import write_text
 from policies.experiment.config import PUBLISHED, Entry, Published
-from policies.experiment.folder import COLUMNS, label, problem_file, read_rows, solution_file
 from policies.learned.config import Config, load_config
-from policies.results.statistics import Row
+from policies.results import experiment_folder, run_folder
+from policies.results.rows import COLUMNS, Row, solution_row
 from policies.routers.base import Router, solve
 from policies.routers.registry import make_router
 
@@ -37,25 +37,30 @@ class Part:
     @property
     def label(self) -> str:
         """The router's name with the seed, as files carry it."""
-        return label(self.entry.name, self.seed)
+        return experiment_folder.label(self.entry.name, self.seed)
 
     @property
     def rows(self) -> Path:
         """The file with the rows: there when the part is done."""
-        return self.folder / "rows" / self.set / self.label / f"{self.problems[0]}.json"
+        return experiment_folder.rows_file(
+            self.folder, self.set, self.entry.name, self.seed, self.problems[0]
+        )
 
     @property
     def run(self) -> Path:
         """The run folder of a training."""
-        return self.folder / "runs" / self.set / self.label / self.problems[0]
+        runs = experiment_folder.runs_folder(self.folder, self.set, self.entry.name, self.seed)
+        return runs / self.problems[0]
 
     def problem(self, name: str) -> Path:
         """The file of a problem."""
-        return problem_file(self.folder, self.set, name)
+        return experiment_folder.problem_file(self.folder, self.set, name)
 
     def solution(self, name: str) -> Path:
         """The file for the solution of a problem."""
-        return solution_file(self.folder, self.set, name, self.entry.name, self.seed)
+        return experiment_folder.solution_file(
+            self.folder, self.set, name, self.entry.name, self.seed
+        )
 
     def work(self) -> None:
         """Routes the problems; writes the solutions, and then the rows."""
@@ -93,10 +98,8 @@ class Part:
         solution, report = solve(router, problem)
         seconds = time.perf_counter() - started
         solution.write(self.solution(name))
-        figures = asdict(evaluate(problem, solution))
-        del figures["disconnected"]
         proven = report["status"] == "optimal" if "status" in report else None
-        return {"problem": name, **figures, "proven": proven, "seconds": round(seconds, 6)}
+        return {"problem": name, **solution_row(solution, seconds), "proven": proven}
 
     def _router(self, problem: str) -> Router:
         if self.entry.router == "dqn":
@@ -113,23 +116,22 @@ class Part:
             _warm.add(self.entry.name)
 
     def _train(self) -> list[Row]:
-        from policies.learned import run as folders
+        from policies.learned.run import Run
 
-        kept = self.run / folders.CONFIG
-        if not (self.run / folders.POLICY).exists():
+        kept = self.run / run_folder.CONFIG
+        if not (self.run / run_folder.POLICY).exists():
             config = load_config(kept) if kept.exists() else self._training()
             # The folder may have another name than when it was started.
             config = replace(config, out=str(self.run))
-            folders.Run(config, resume=kept.exists(), progress=False).execute()
+            Run(config, resume=kept.exists()).execute()
         # The memories of what is done are no use to anybody, and large.
-        (self.run / folders.CHECKPOINT).unlink(missing_ok=True)
-        named = read_rows(self.run / folders.RESULT, {"router": str, "problem": str})
-        rows = [row for row in named if row["router"] == "dqn"]
+        (self.run / run_folder.CHECKPOINT).unlink(missing_ok=True)
+        rows = [row for row in run_folder.read_result(self.run) if row["router"] == "dqn"]
         for row in rows:
             name = row["problem"]
             problem = Problem.read(self.problem(name))
-            solution = Solution.read(self.run / "solutions" / f"{name}.dqn.solution", problem)
-            solution.write(self.solution(name))
+            file = run_folder.solution_file(self.run, name, "dqn")
+            Solution.read(file, problem).write(self.solution(name))
         return rows
 
     def _training(self) -> Config:
