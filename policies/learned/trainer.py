@@ -8,7 +8,7 @@ that has trained its episodes leaves. With ``shared: true`` there is one network
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -65,31 +65,6 @@ class Episode:
     best: bool
 
 
-@dataclass(frozen=True)
-class GreedyEpisode:
-    """What a network routes without exploration, as ``evaluations.jsonl`` holds it.
-
-    Attributes:
-        problem: the problem's name.
-        episodes: of the problem's training when its network was evaluated.
-        joined: two-pin tasks joined.
-        tasks: two-pin tasks in all.
-        overflow: of the routes, joined or not.
-        wirelength: of the routes, joined or not.
-        steps: moves made.
-        best: whether the network became the policy that is saved.
-    """
-
-    problem: str
-    episodes: int
-    joined: int
-    tasks: int
-    overflow: int
-    wirelength: int
-    steps: int
-    best: bool
-
-
 SHARED = ("all",)
 """The name of the network that all problems share, where there is one."""
 
@@ -128,7 +103,6 @@ class Trainer:
         player: the games: of each problem that still trains, its copies one after another.
         episodes: (M,) int64, episodes finished.
         places: which problems the networks and games belong to that still train.
-        evaluations: evaluations of networks since they were last taken from here.
 
     Raises:
         InputError: the problems do not go together, the device is not there, or the learner does
@@ -180,7 +154,6 @@ class Trainer:
         self.policy_used = engine.dynamic.used.copy()
         self._policies = self.learner.networks.flat.detach().cpu().clone()
         self._evaluated = np.zeros(networks, np.int64)  # episodes at the last evaluation
-        self.evaluations: list[GreedyEpisode] = []
         self.places = np.arange(count)
         self._before = np.zeros((2, len(each)))  # loss and steps of the network before the episode
         self._tell_episodes()
@@ -316,20 +289,12 @@ class Trainer:
             walked = [self._walk(int(m), row) for m in taught]
             scores = [_score(player.engine.metrics(0), None) for player in walked]
             score = tuple(np.sum(scores, axis=0).tolist())
-            best = score < tuple(self.policy_score[network].tolist())
-            if best:
+            if score < tuple(self.policy_score[network].tolist()):
                 self.policy_score[network] = score
                 self.policy_episode[network] = episodes
                 self._policies[network] = self.learner.networks.flat[row].detach().cpu()
-            for m, player in zip(taught.tolist(), walked, strict=True):
-                if best:
+                for m, player in zip(taught.tolist(), walked, strict=True):
                     self.policy_used[m] = player.engine.dynamic.used[0]
-                figures = asdict(player.engine.metrics(0))
-                self.evaluations.append(
-                    GreedyEpisode(
-                        problem=self.names[m], episodes=episodes, best=best, **figures
-                    )
-                )
 
     def _walk(self, problem: int, network: int) -> Player:
         """One episode of a problem by a network without exploration."""
