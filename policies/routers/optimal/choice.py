@@ -5,7 +5,7 @@ import operator
 import numpy as np
 
 from policies.routers.optimal.candidates import Candidates
-from policies.routers.optimal.programs import Deadline, Objective, solve_whole, tree_columns
+from policies.routers.optimal.programs import Deadline, Objective, Program, tree_columns
 
 
 def choose(candidates: Candidates, objective: Objective, deadline: Deadline) -> None:
@@ -23,7 +23,8 @@ def choose(candidates: Candidates, objective: Objective, deadline: Deadline) -> 
     longest = np.zeros(len(candidates.nets))
     np.maximum.at(longest, [net for net, _ in candidates.trees], columns.length)
     excess = 1 + longest.sum()
-    result = solve_whole(columns, candidates.capacity, objective, excess, deadline, node_limit=1)
+    program = Program(columns, candidates.capacity, objective, excess)
+    result = program.solve_whole(deadline, node_limit=1)
     if result.x is not None:
         trees = candidates.trees
         chosen = (trees[i] for i in np.flatnonzero(result.x[: len(trees)] > 0.5))

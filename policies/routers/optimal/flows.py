@@ -22,8 +22,8 @@ from policies.routers.optimal.programs import (
     Columns,
     Deadline,
     Objective,
+    Program,
     hstack,
-    solve_whole,
     sparse_matrix,
     widened,
 )
@@ -81,8 +81,8 @@ class Flows:
         if sum(size) > MAX_COLUMNS:
             return lower, "solver limit"
         excess = None if objective.wirelength else 1
-        columns = self._arc_columns(edges)
-        result = solve_whole(columns, candidates.capacity, objective, excess, self._deadline)
+        program = Program(self._arc_columns(edges), candidates.capacity, objective, excess)
+        result = program.solve_whole(self._deadline)
         if result.x is not None:
             first = np.cumsum(size) - size
             arcs = [result.x[a : a + 2 * len(own)] for a, own in zip(first, edges, strict=True)]

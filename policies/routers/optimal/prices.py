@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from marouting.problem.grid import AXES
 from policies.routers.optimal.candidates import Candidates
 from policies.routers.optimal.priced_tree import NEVER, Window, cheapest_priced_tree
-from policies.routers.optimal.programs import Deadline, Objective, solve_relaxed, tree_columns
+from policies.routers.optimal.programs import Deadline, Objective, Program, tree_columns
 
 UNIT = 1 << 20
 """Prices and bounds are whole multiples of 1 / UNIT of an edge (or of a track of overflow)."""
@@ -62,13 +62,9 @@ class Prices:
             and self._bound(objective) < self._found(objective)
             and not self._deadline.passed
         ):
-            relaxed = solve_relaxed(
-                tree_columns(self._candidates),
-                self._candidates.capacity,
-                objective,
-                EXCESS if objective.wirelength else 1,
-                self._deadline,
-            )
+            columns, capacity = tree_columns(self._candidates), self._candidates.capacity
+            excess = EXCESS if objective.wirelength else 1
+            relaxed = Program(columns, capacity, objective, excess).solve_relaxed(self._deadline)
             # The value of the linear program proves nothing. It only tells when to stop.
             if (
                 relaxed is None

@@ -92,96 +92,83 @@ def tree_columns(candidates: Candidates) -> Columns:
     )
 
 
-def solve_relaxed(
-    columns: Columns,
-    capacity: NDArray[np.int64],
-    objective: Objective,
-    excess: float,
-    deadline: Deadline,
-) -> tuple[float, NDArray[np.float64]] | None:
-    """Solves the linear relaxation of a program.
+class Program:
+    """Least cost for columns, with overflow at a price.
+
+    To the columns it adds one for the overflow of every wire, and one for the overflow beyond the
+    objective's. The first W inequalities are the capacities.
 
     Args:
         columns: what there is to choose from.
-        capacity: (W,) of the wires, in tracks.
-        objective: what is minimised.
-        excess: cost of a track of overflow beyond the objective's.
-        deadline: when to stop.
-
-    Returns:
-        The least cost, and (W,) by how much one more track of a wire would reduce it; None if the
-        solver did not finish.
-    """
-    cost, _, below, limit = _program(columns, capacity, objective, excess)
-    result = linprog(
-        cost,
-        A_ub=below,
-        b_ub=limit,
-        A_eq=widened(columns.equal, len(cost)),
-        b_eq=columns.right,
-        options=deadline.solver_options,
-    )
-    if result.status != 0:
-        return None
-    return result.fun, -result.ineqlin.marginals[: len(capacity)]
-
-
-def solve_whole(
-    columns: Columns,
-    capacity: NDArray[np.int64],
-    objective: Objective,
-    excess: float | None,
-    deadline: Deadline,
-    **options: float,
-) -> Any:
-    """Solves a program in whole numbers.
-
-    Args:
-        columns: what there is to choose from.
-        capacity: (W,) of the wires, in tracks.
+        capacity: (W,) int64, of the wires, in tracks.
         objective: what is minimised.
         excess: cost of a track of overflow beyond the objective's; None to forbid it.
-        deadline: when to stop.
-        **options: further options of the solver.
-
-    Returns:
-        A result of :func:`scipy.optimize.milp`; its ``x`` starts with the columns.
     """
-    cost, upper, below, limit = _program(columns, capacity, objective, excess)
-    equal = widened(columns.equal, len(cost))
-    return milp(
-        cost,
-        integrality=np.concatenate((columns.whole, np.zeros(len(cost) - len(columns.whole)))),
-        bounds=Bounds(0, upper),
-        constraints=[
-            LinearConstraint(below, -np.inf, limit),
-            LinearConstraint(equal, columns.right, columns.right),
-        ],
-        options={"mip_rel_gap": 0.0, **deadline.solver_options, **options},
-    )
 
+    def __init__(
+        self,
+        columns: Columns,
+        capacity: NDArray[np.int64],
+        objective: Objective,
+        excess: float | None,
+    ) -> None:
+        wires, own = len(capacity), len(columns.length)
+        overflow = np.append(np.zeros(wires), excess or 0)
+        self._cost = np.concatenate((columns.length * objective.wirelength, overflow))
+        width = len(self._cost)
+        self._upper = np.full(width, np.inf)
+        self._upper[:own] = 1
+        self._upper[-1] = 0 if excess is None else np.inf
+        self._whole = np.append(columns.whole, np.zeros(wires + 1))
+        rows = (
+            hstack((columns.tracks, -eye_array(wires), csr_array((wires, 1)))),
+            hstack((csr_array((1, own)), csr_array(np.ones((1, wires))), csr_array([[-1.0]]))),
+            widened(columns.below, width),
+        )
+        self._below = csr_array(vstack(rows))
+        self._limit = np.concatenate((capacity, [objective.overflow], columns.limit))
+        self._equal, self._right = widened(columns.equal, width), columns.right
+        self._wires = wires
 
-def _program(
-    columns: Columns, capacity: NDArray[np.int64], objective: Objective, excess: float | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64], csr_array, NDArray[np.float64]]:
-    """Adds a column for each wire's overflow and one for the overflow beyond the objective's.
+    def solve_relaxed(self, deadline: Deadline) -> tuple[float, NDArray[np.float64]] | None:
+        """Solves the linear relaxation.
 
-    Returns:
-        The cost and the upper bound of each column, and the inequalities as a matrix and its
-        limits. The first W inequalities are the capacities.
-    """
-    wires, own = len(capacity), len(columns.length)
-    cost = np.concatenate((columns.length * objective.wirelength, np.zeros(wires), [excess or 0]))
-    upper = np.full(own + wires + 1, np.inf)
-    upper[:own] = 1
-    upper[-1] = 0 if excess is None else np.inf
-    rows = (
-        hstack((columns.tracks, -eye_array(wires), csr_array((wires, 1)))),
-        hstack((csr_array((1, own)), csr_array(np.ones((1, wires))), csr_array([[-1.0]]))),
-        widened(columns.below, len(cost)),
-    )
-    limit = np.concatenate((capacity, [objective.overflow], columns.limit))
-    return cost, upper, csr_array(vstack(rows)), limit
+        Returns:
+            The least cost, and (W,) by how much one more track of a wire would reduce it; None if
+            the solver did not finish.
+        """
+        result = linprog(
+            self._cost,
+            A_ub=self._below,
+            b_ub=self._limit,
+            A_eq=self._equal,
+            b_eq=self._right,
+            options=deadline.solver_options,
+        )
+        if result.status != 0:
+            return None
+        return result.fun, -result.ineqlin.marginals[: self._wires]
+
+    def solve_whole(self, deadline: Deadline, **options: float) -> Any:
+        """Solves the program in whole numbers where ``Columns.whole`` asks for them.
+
+        Args:
+            deadline: when to stop.
+            **options: further options of the solver.
+
+        Returns:
+            A result of :func:`scipy.optimize.milp`; its ``x`` starts with the columns.
+        """
+        return milp(
+            self._cost,
+            integrality=self._whole,
+            bounds=Bounds(0, self._upper),
+            constraints=[
+                LinearConstraint(self._below, -np.inf, self._limit),
+                LinearConstraint(self._equal, self._right, self._right),
+            ],
+            options={"mip_rel_gap": 0.0, **deadline.solver_options, **options},
+        )
 
 
 def sparse_matrix(values: Any, rows: Any, columns: Any, height: int, width: int) -> csr_array:

@@ -121,20 +121,9 @@ class NetBuffers(NamedTuple):
 
 def make_parameters(options: PathfinderOptions) -> Parameters:
     """The options as numbers for the compiled code."""
-    return Parameters(
-        via=round(options.via_weight * UNIT),
-        exact_pins=options.exact_pins,
-        margin=options.margin,
-        present=options.present,
-        growth=options.growth,
-        history=options.history,
-        decay=options.decay,
-        stuck=options.stuck,
-        least_gain=options.least_gain,
-        again=round(options.again * (1 << 20)),
-        patience=options.patience,
-        passes=options.passes,
-    )
+    values = {name: getattr(options, name) for name in Parameters._fields if name != "via"}
+    values["again"] = round(options.again * (1 << 20))
+    return Parameters(via=round(options.via_weight * UNIT), **values)
 
 
 def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemArrays, Routing]:
