@@ -23,7 +23,7 @@ from marouting import (
     generate,
     sequential_astar,
 )
-from marouting.game.engine import NOBODY, Ending, Status
+from marouting.game.state import NOBODY, Ending, Status
 from marouting.problem.grid import OFF_GRID
 from marouting.search.astar import AStar, search_buffers, shortest_path
 from marouting.trees.decomposition import two_pin_tasks
@@ -506,5 +506,5 @@ def test_options_that_there_are_not(options: Any) -> None:
     (problem,) = generate(1, nets=3)
     with pytest.raises(InputError, match=f"{next(iter(options))}: expected one of"):
         sequential_astar(problem, **options)
-    with pytest.raises(InputError, match="net_order: expected a number a net"):
+    with pytest.raises(InputError, match="net_order: expected one number per net"):
         sequential_astar(problem, np.arange(2))

@@ -17,21 +17,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.engine import (
-    AGENT,
-    GAME,
-    NOBODY,
-    Crossing,
-    Dynamic,
-    Engine,
-    NetOrder,
-    Static,
-    Status,
-    begin_task,
-    has_room,
-    move_agent,
-    static_state,
-)
+from marouting.game.engine import Engine
+from marouting.game.options import NetOrder, RuleOptions
+from marouting.game.rules import begin_task, has_room, move_agent
+from marouting.game.setup import static_state
+from marouting.game.state import AGENT, GAME, NOBODY, Crossing, Dynamic, Static, Status
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, Grid
 from marouting.problem.problem import Problem, check_choice
@@ -462,15 +452,14 @@ def sequential_astar(
     joints = len(gcells) - len(problem.nets)
     uses, size, turn = np.empty(_EDGES_A_TASK * joints + grid.edges, np.int64), 0, 0
     if joints:
-        static, (nets,) = static_state(
-            (problem,),
-            grid,
-            net_order,
-            decomposition,
-            sequential=True,
-            overflow=True,
+        rules = RuleOptions(
+            net_order=net_order if isinstance(net_order, str) else "file",
+            overflow="allowed",
+            decomposition=decomposition,
             max_steps=grid.gcells,  # as long as a path without a loop can be
         )
+        ranks = None if isinstance(net_order, str) else net_order
+        static, (nets,) = static_state((problem,), rules, ranks)
         dynamic = Dynamic(
             remaining=static.capacity.copy(),
             used=np.zeros((1, 1, (grid.edges + 7) // 8), np.uint8),

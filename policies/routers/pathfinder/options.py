@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from policies.learned.config import MOST, check
+from marouting.config import MOST, check
 
 
 @dataclass(frozen=True, kw_only=True)
