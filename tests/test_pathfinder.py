@@ -25,7 +25,7 @@ from marouting import (
     generate,
     sequential_astar,
 )
-from marouting.config import build, read_yaml
+from marouting.config import build, piece, read_yaml
 from marouting.trees.steiner import EXACT_PINS, steiner_length
 from policies.routers.base import Router
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter, Routed
@@ -305,6 +305,8 @@ def test_is_a_router() -> None:
     made: Router = PathfinderRouter()
     assert made.name == "pathfinder"
     problem = congested()
+    named = {"kind": "policies.routers.pathfinder:PathfinderRouter", "passes": 3, "seconds": None}
+    assert piece("router", named).make().route(problem) == router(passes=3).route(problem)
     assert router(passes=3).route(problem) == router(passes=3).solve(problem).solution
 
 

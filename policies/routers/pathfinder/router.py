@@ -1,7 +1,7 @@
 """The router, and what it reports."""
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,20 +57,25 @@ class Routed:
         return {"iterations": self.iterations}
 
 
-@dataclass(frozen=True)
 class PathfinderRouter:
     """Negotiated congestion over Steiner trees, in all layers at once.
 
     After McMurchie and Ebeling, "PathFinder: a negotiation-based performance-driven router for
     FPGAs", FPGA 1995; see :mod:`policies.routers.pathfinder`.
 
+    Args:
+        options: the options; None for the defaults.
+
     Attributes:
         options: the options.
         name: what tables call the router.
     """
 
-    options: PathfinderOptions = field(default_factory=PathfinderOptions)
-    name: str = "pathfinder"
+    Options = PathfinderOptions
+    name = "pathfinder"
+
+    def __init__(self, options: PathfinderOptions | None = None) -> None:
+        self.options = PathfinderOptions() if options is None else options
 
     def route(self, problem: Problem) -> Solution:
         """Routes a problem.
