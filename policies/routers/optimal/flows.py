@@ -33,7 +33,7 @@ MAX_COLUMNS = 4_000_000
 
 SLIP = 0.01
 """How far the solver's bound of an integer program is distrusted: much more than its tolerances
-amount to, yet so little that rounding up makes it good."""
+amount to, yet too little to matter once the bound is rounded up."""
 
 Stop = Literal["time limit", "solver limit"]
 
