@@ -12,7 +12,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from marouting.game.state import Dynamic, Static
-from policies.learned.compiled.small_gemm import product
+from policies.learned.compiled.small_gemm import small_gemm as product
 from policies.learned.dqn import DQN, Rule
 from policies.learned.replay import GOES_ON, MASK, MOVE, REWARD, pack
 from policies.learned.stack import Lanes, Rules, Stack, look, move, pick

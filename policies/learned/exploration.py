@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.engine import NOBODY
+from marouting.game.state import NOBODY
 from marouting.kernels import compiled
+from marouting.player import StepBuffers
 from marouting.problem.grid import MOVES
 from policies.learned.rows import Rows
 from policies.learned.streams import uniform
@@ -34,15 +35,7 @@ class Exploration(Rows):
         self.counters = np.zeros(keys.shape, np.int64)
         self.epsilon = np.ones(keys.shape)
 
-    def state(self) -> dict[str, Any]:
-        """See :class:`policies.learned.rows.Rows`; torch's older versions have no uint64."""
-        keys = self.keys
-        self.keys = keys.view(np.int64)  # type: ignore[assignment]
-        state = super().state()
-        self.keys = keys
-        return state
-
-    def epsilon_greedy(self, now: Any, values: NDArray[np.float32], masking: bool) -> None:
+    def epsilon_greedy(self, now: StepBuffers, values: NDArray[np.float32], masking: bool) -> None:
         """Writes the best moves into a player's buffers, with chance ε random ones.
 
         Args:
@@ -57,7 +50,7 @@ class Exploration(Rows):
 
     def sample(
         self,
-        now: Any,
+        now: StepBuffers,
         scores: NDArray[np.float32],
         masking: bool,
         chance: NDArray[np.float32],
@@ -82,58 +75,56 @@ def _epsilon_greedy(
     actions: Any,
 ) -> None:  # fmt: skip
     for m in range(len(keys)):
-        choose(
-            keys[m], counters, epsilon[m], active[m], masks[m], values[m], masking, actions[m], m
-        )
+        choose(keys, counters, epsilon, active, masks, values, masking, actions, m)
 
 
 @compiled
 def choose(
-    key: Any, counters: Any, epsilon: float, active: Any, masks: Any, values: Any,
-    masking: bool, actions: Any, m: int,
+    keys: Any, counters: Any, epsilon: Any, active: Any, masks: Any, values: Any, masking: bool,
+    actions: Any, m: int,
 ) -> None:  # fmt: skip
-    """ε-greedy moves of the rows of game m.
+    """ε-greedy moves of game m; the arrays are those of all M games.
 
     Args:
-        key: uint64, the game's.
+        keys: (M,) uint64.
         counters: (M,); the game's counts on.
-        epsilon: chance of a random move.
-        active: (K,) rows whose agents may move.
-        masks: (K, 6) action masks.
-        values: (K, 6) what the network expects of each move.
+        epsilon: (M,) chance of a random move.
+        active: (M, K) rows whose agents may move.
+        masks: (M, K, 6) action masks.
+        values: (M, K, 6) what the network expects of each move.
         masking: whether only moves that cross an edge are chosen.
-        actions: (K,) filled.
+        actions: (M, K) filled, NOBODY for rows that are not active.
         m: the game.
     """
     asked = False
-    for k in range(len(active)):
-        actions[k] = NOBODY
-        if not active[k]:
+    for k in range(active.shape[1]):
+        actions[m, k] = NOBODY
+        if not active[m, k]:
             continue
         asked = True
         # Two numbers per row: whether to explore, and where to.
-        if uniform(key, counters[m], 2 * k) < epsilon:
+        if uniform(keys[m], counters[m], 2 * k) < epsilon[m]:
             allowed = MOVES
             if masking:
                 allowed = 0
                 for move in range(MOVES):
-                    allowed += masks[k, move]
-            left = np.int64(uniform(key, counters[m], 2 * k + 1) * allowed)
+                    allowed += masks[m, k, move]
+            left = np.int64(uniform(keys[m], counters[m], 2 * k + 1) * allowed)
             for move in range(MOVES):
-                if masking and masks[k, move] == 0:
+                if masking and masks[m, k, move] == 0:
                     continue
                 if left == 0:
-                    actions[k] = move
+                    actions[m, k] = move
                     break
                 left -= 1
             continue
         best = NOBODY
         for move in range(MOVES):
-            if masking and masks[k, move] == 0:
+            if masking and masks[m, k, move] == 0:
                 continue
-            if best == NOBODY or values[k, move] > values[k, best]:
+            if best == NOBODY or values[m, k, move] > values[m, k, best]:
                 best = move
-        actions[k] = best
+        actions[m, k] = best
     counters[m] += asked
 
 

@@ -13,6 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from marouting.game.state import Ending
+from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned.networks.stack import Stack
 from policies.learned.rows import Rows
@@ -44,7 +46,7 @@ class Setup:
     rows: int
     obs_shape: tuple[int, ...]
     state_shape: tuple[int, ...]
-    player: Any
+    player: Player
     seed: int
     device: torch.device
     threads: int
@@ -70,10 +72,29 @@ class Before(NamedTuple):
     mask: NDArray[np.int8]  # (M, K, 6)
 
     @classmethod
-    def of(cls, player: Any) -> "Before":
+    def of(cls, player: Player) -> "Before":
         """Copies of what the player's agents see now."""
         now = player.buffers
         return cls(now.agents.copy(), now.obs.copy(), now.mask.copy())
+
+
+def look_after(player: Player, before: Before) -> None:
+    """Fills in what agents saw where they arrived if the turn then passed to another's row.
+
+    A player of one row shows the next agent there, and keeps what the last one saw only at the
+    end of a task.
+    """
+    now = player.buffers
+    if player.everyone or player.engine.static.sequential:
+        return
+    passed = now.acted & (now.ending == Ending.NONE) & (now.agents != before.agents)
+    problems = np.flatnonzero(passed[:, 0]).astype(np.int32)
+    if len(problems):
+        agents = before.agents[problems, 0]
+        seen = np.empty((len(problems), *now.obs.shape[2:]), np.float32)
+        player.observation.write(player.engine, problems, agents, seen)
+        now.final_obs[problems, 0] = seen
+        now.final_mask[problems, 0] = player.engine.masks(problems, agents)
 
 
 class Learner(Rows, abc.ABC):
@@ -97,7 +118,7 @@ class Learner(Rows, abc.ABC):
     """
 
     Options: ClassVar[type[Any]]
-    rows = ("updates", "loss")
+    rows: ClassVar[tuple[str, ...]] = ("updates", "loss")
     path: str = "torch"
     fill: int = 0
     burn_in: str = "random"
@@ -131,15 +152,15 @@ class Learner(Rows, abc.ABC):
         """The chance of a random move in an episode (counted from 0), for logs."""
         return 0.0
 
-    def set_episodes(self, episodes: NDArray[np.int64]) -> None:  # noqa: B027
+    def set_episodes(self, episodes: NDArray[np.int64]) -> None:
         """Takes note of the episode (games,) that each game is in, for schedules."""
 
     @abc.abstractmethod
-    def observe(self, player: Any, before: Before) -> None:
+    def observe(self, player: Player, before: Before) -> None:
         """Takes in what came of the player's last step, whoever chose the moves."""
 
     @abc.abstractmethod
-    def play(self, player: Any, steps: int) -> None:
+    def play(self, player: Player, steps: int) -> None:
         """Plays and learns.
 
         Args:
@@ -172,7 +193,7 @@ class Learner(Rows, abc.ABC):
 
 
 def best_moves(outputs: Tensor, mask: NDArray[np.int8] | None) -> NDArray[np.int8]:
-    """(B,) the moves of the highest outputs (B, 6), among those of a mask (B, 6) if there is one."""
+    """(B,) the moves of the highest outputs (B, 6), within a mask (B, 6) if there is one."""
     values = outputs.detach().cpu().numpy()
     if mask is not None:
         values = np.where(mask == 0, -np.inf, values)

@@ -63,7 +63,8 @@ class Rows:
         """Goes back to what :meth:`state` gave, of the same shapes."""
         for name, part in self._parts().items():
             start = f"{name}."
-            part.load_state({k.removeprefix(start): v for k, v in state.items() if k.startswith(start)})
+            own = {key: tensor for key, tensor in state.items() if key.startswith(start)}
+            part.load_state({key.removeprefix(start): tensor for key, tensor in own.items()})
         for name in self.rows:
             row = getattr(self, name)
             if isinstance(row, Tensor):

@@ -13,16 +13,17 @@ off by default; each can be switched on without the others.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from marouting.config import MOST, Named, check, piece_field, take_pieces
+from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned.exploration import Exploration
-from policies.learned.learner import Before, Learner, Setup
+from policies.learned.learner import Before, Learner, Setup, look_after
 from policies.learned.memory.prioritised import Prioritised
 from policies.learned.memory.replay import Replay
 from policies.learned.networks.adam import Adam
@@ -31,7 +32,7 @@ from policies.learned.networks.stack import Stack
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class DQNOptions:
     """What a DQN is told.
 
     Attributes:
@@ -105,11 +106,11 @@ class Options:
 class DQN(Learner):
     """DQN in torch, on any device, for any network, observation and reward."""
 
-    Options = Options
-    rows = (*Learner.rows, "target", "owed")
-    parts = ("networks", "adam", "memory", "explore")
+    Options = DQNOptions
+    rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "target", "owed")
+    parts: ClassVar[tuple[str, ...]] = ("networks", "adam", "memory", "explore")
 
-    def __init__(self, setup: Setup, options: Options) -> None:
+    def __init__(self, setup: Setup, options: DQNOptions) -> None:
         super().__init__(setup, options)
         o, names, device = options, setup.names, setup.device
         check(
@@ -130,7 +131,7 @@ class DQN(Learner):
         self.bind()
 
     @classmethod
-    def start(cls, setup: Setup, options: Options) -> Learner:
+    def start(cls, setup: Setup, options: DQNOptions) -> Learner:
         """The compiled learner where it applies, else this one."""
         from policies.learned.compiled.dqn import FusedDQN, obstacle
 
@@ -166,15 +167,18 @@ class DQN(Learner):
 
     # --- play ---------------------------------------------------------------------------------
 
-    def play(self, player: Any, steps: int) -> None:
+    def play(self, player: Player, steps: int) -> None:
         """See :meth:`policies.learned.learner.Learner.play`."""
         if self._burning_in:  # what was played then is not gone on with
             self.memory.cut()
             self._burning_in = False
         for _ in range(steps):
             before = Before.of(player)
-            self.explore.epsilon_greedy(player.buffers, self._values(before.obs), self.options.masking)
+            self.explore.epsilon_greedy(
+                player.buffers, self._values(before.obs), self.options.masking
+            )
             player.step()
+            look_after(player, before)
             self.memory.add(before, player.buffers)
             self.owed += self._games(player.buffers.acted).sum(axis=(1, 2))
             due = self.owed // self.options.steps_per_update
@@ -183,8 +187,9 @@ class DQN(Learner):
             if player.buffers.over.any():
                 return
 
-    def observe(self, player: Any, before: Before) -> None:
+    def observe(self, player: Player, before: Before) -> None:
         """See :meth:`policies.learned.learner.Learner.observe`."""
+        look_after(player, before)
         self.memory.add(before, player.buffers)
         self._burning_in = True
 

@@ -1,6 +1,6 @@
 """Prioritised replay (Schaul et al., "Prioritized experience replay", 2016), proportional."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -91,7 +91,7 @@ class Prioritised(Replay):
         beta: (L, 1) float32 as it stands; the learner anneals it to 1.
     """
 
-    rows = (*Replay.rows, "most", "beta")
+    rows: ClassVar[tuple[str, ...]] = (*Replay.rows, "most", "beta")
     parts = ("tree",)
 
     def __init__(self, *given: Any, alpha: float, beta: float, **named: Any) -> None:

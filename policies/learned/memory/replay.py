@@ -16,15 +16,16 @@ F … 2F − 1            next_obs, in the same task
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from marouting.game.engine import Ending
+from marouting.game.state import Ending
 from marouting.kernels import compiled
+from marouting.player import StepBuffers
 from marouting.problem.grid import MOVES
 from policies.learned.learner import Before
 from policies.learned.rows import Rows
@@ -85,7 +86,7 @@ class Replay(Rows):
         stored: (L,) int64, transitions ever stored for each network.
     """
 
-    rows = ("store", "stored", "keys", "waiting", "unfinished")
+    rows: ClassVar[tuple[str, ...]] = ("store", "stored", "keys", "waiting", "unfinished")
 
     def __init__(
         self,
@@ -119,19 +120,21 @@ class Replay(Rows):
         """Renews the device's copy of the counts."""
         self._stored = torch.from_numpy(self.stored).to(self.device, copy=True)
 
-    def add(self, before: Before, after: Any) -> None:
+    def add(self, before: Before, after: StepBuffers) -> None:
         """Stores the transitions of a step, those of agents that moved.
 
         Args:
             before: what they saw, of M games, M/L per network, one network's after another's.
             after: the player's buffers after the step.
         """
-        networks, capacity, width = self.store.shape
+        _, capacity, width = self.store.shape
         most = after.acted.size * self.n_step
         if self._place.size < most:
             self._place = np.empty(most, np.int64)
         here = self.device.type == "cpu"
-        rows = self.store.numpy().reshape(-1, width) if here else np.zeros((most, width), np.float32)
+        rows = (
+            self.store.numpy().reshape(-1, width) if here else np.zeros((most, width), np.float32)
+        )
         games = len(after.acted)
         count = _add(
             before.agents, before.obs.reshape(games, -1, self.features),
@@ -178,8 +181,8 @@ class Replay(Rows):
         rows = self.store.view(-1, width)[(place + first).view(-1)].view(*place.shape, width)
         f, rest = self.features, 2 * self.features
         return Batch(
-            obs=rows[..., :f].unflatten(2, self.obs_shape),
-            next_obs=rows[..., f:rest].unflatten(2, self.obs_shape),
+            obs=rows[..., :f].view(*place.shape, *self.obs_shape),
+            next_obs=rows[..., f:rest].view(*place.shape, *self.obs_shape),
             move=rows[..., rest + MOVE, None].long(),
             reward=rows[..., rest + REWARD, None],
             goes_on=rows[..., rest + GOES_ON, None],

@@ -1,10 +1,11 @@
 """Adam (Kingma and Ba, 2015) for a stack of networks that take different numbers of steps."""
 
+import copy
+
 import torch
 from torch import Tensor
 
 from policies.learned.rows import Rows
-
 
 _NOTHING = 1e-18
 """A gradient too small to matter."""
@@ -41,6 +42,14 @@ class Adam(Rows):
     def bind(self) -> None:
         """Renews the working array."""
         self._work = torch.empty_like(self.mean)
+
+    def part(self, row: int) -> "Adam":
+        """The optimiser of one network of the stack; its steps are steps of the whole one's row."""
+        part = copy.copy(self)
+        for name in self.rows:
+            setattr(part, name, getattr(self, name)[row : row + 1])
+        part.bind()
+        return part
 
     @torch.no_grad()
     def step(self, weights: Tensor, gradient: Tensor, due: Tensor, rate: float | Tensor) -> None:

@@ -16,6 +16,7 @@ from torch.func import functional_call, stack_module_state, vmap
 
 from policies.learned.rows import Rows
 
+
 class View:
     """The weights of R networks as what the module's code works with, and its derivatives.
 
@@ -31,7 +32,7 @@ class View:
     ) -> None:
         self.alone = len(flat) == 1
         shapes = {name: weight.shape for name, weight in module.named_parameters()}
-        parts = flat.detach().split([shape.numel() for shape in shapes.values()], dim=1)
+        parts = torch.split(flat.detach(), [shape.numel() for shape in shapes.values()], dim=1)
         self.weights = {
             name: nn.Parameter(part.view(*(() if self.alone else (-1,)), *shape))
             for part, (name, shape) in zip(parts, shapes.items(), strict=True)
@@ -80,6 +81,7 @@ class Stack(Rows):
     Attributes:
         flat: (L, P) float32, all weights and biases; a row per network.
         view: the networks with these weights.
+        module: the code of the networks, without weights.
     """
 
     rows = ("flat",)
@@ -97,7 +99,7 @@ class Stack(Rows):
         self._buffers = {name: buffer.to(device) for name, buffer in buffers.items()}
         flat = [weight.detach().flatten(1) for weight in weights.values()]
         self.flat = torch.cat(flat, dim=1).to(device)
-        self._module = modules[0].to("meta")  # only its code is used
+        self.module = modules[0].to("meta")
         self.bind()
 
     def bind(self) -> None:
@@ -118,7 +120,7 @@ class Stack(Rows):
             first: the row of the stack that the first of them belongs to.
         """
         buffers = {name: b[first : first + len(flat)] for name, b in self._buffers.items()}
-        return View(self._module, flat, buffers, self._stacked)
+        return View(self.module, flat, buffers, self._stacked)
 
     def state_dicts(self) -> list[dict[str, Tensor]]:
         """The L networks as ``state_dict`` of ordinary modules, copied to the processor."""
