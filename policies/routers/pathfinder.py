@@ -18,7 +18,7 @@ part between two branchings or pins is replaced by a cheapest way between what i
 """
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -757,7 +757,6 @@ def _advance(
             return _LATER
 
 
-@dataclass(frozen=True)
 class PathfinderRouter:
     """Negotiated congestion over Steiner trees, in all layers at once.
 
@@ -765,8 +764,11 @@ class PathfinderRouter:
         options: the parameters.
     """
 
-    options: PathfinderOptions = field(default_factory=PathfinderOptions)
-    name: str = "pathfinder"
+    Options = PathfinderOptions
+    name = "pathfinder"
+
+    def __init__(self, options: PathfinderOptions | None = None) -> None:
+        self.options = PathfinderOptions() if options is None else options
 
     def route(self, problem: Problem) -> Solution:
         """A solution with every net joined, with overflow where no better was found."""
