@@ -416,7 +416,7 @@ def test_processes_end_with_the_experiment(tmp_path: Path) -> None:
     next(work)
     for process in set(multiprocessing.active_children()) - others:
         process.kill()
-    with pytest.raises(InputError, match="a process at work was killed"):
+    with pytest.raises(InputError, match="a process was killed"):
         next(work)
     assert not set(multiprocessing.active_children()) - others
 
@@ -1084,7 +1084,7 @@ def test_a_training_is_that_of_its_file_but_for_what_stands_here(here: Path) -> 
     told = config.routers["dqn"]
     assert told["env"]["max_steps"] == 9
     assert told["env"]["reward"] == {
-        "reached": 100.0, "step": -2.0, "own_edge": 0.0, "overflow_price": 0.0
+        "kind": "paper", "reached": 100.0, "step": -2.0, "own_edge": 0.0, "overflow_price": 0.0
     }  # fmt: skip
     assert "problem" not in told["env"]
     assert (told["dqn"]["gamma"], told["dqn"]["masking"]) == (0.5, True)
