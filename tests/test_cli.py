@@ -23,15 +23,15 @@ from hypothesis import strategies as st
 
 import marouting
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
-from marouting.config import build, override, plain
+from marouting.config import override, plain
 from policies.cli.main import cli, status
 from policies.cli.tables import show, show_experiment, show_speed
 from policies.experiment import ExperimentConfig, load_experiment
 from policies.learned.config import Config, DQNOptions, TrainOptions, load_config
 from policies.learned.router import DQNRouter, QPolicy
 from policies.learned.run import write_config
-from policies.routers import registry as routers
 from policies.routers.optimal import OptimalRouter
+from policies.routers.registry import router_names, router_piece
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT.parent / "shared" / "data" / "liao2019"
@@ -409,6 +409,33 @@ def test_as_a_process() -> None:
     assert (refused.returncode, refused.stdout) == (2, "")
     assert len(refused.stderr.splitlines()) == 1
     assert "q.gr" in refused.stderr
+
+
+def test_a_router_of_an_installed_package(here: Path) -> None:
+    (here / "my_package.py").write_text(
+        "import marouting\n"
+        "class Mine:\n"
+        "    def __init__(self, order: str = 'file') -> None:\n"
+        "        self.order = order\n"
+        "    def route(self, problem):\n"
+        "        return marouting.sequential_astar(problem, self.order)\n"
+    )
+    folder = here / "my_package-1.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: my-package\nVersion: 1\n")
+    (folder / "entry_points.txt").write_text("[marouting.router]\nmine = my_package:Mine\n")
+    problem = Problem.read("p.gr")
+    for name in ("mine", "my_package:Mine"):
+        order = "half_perimeter_up"
+        done = process("route", "p.gr", f"order={order}", "--router", name, "--out", "o", "--json")
+        assert done.returncode == 0, done.stderr
+        assert only_object(done.stdout)["router"] == name
+        assert Solution.read("o", problem) == marouting.sequential_astar(problem, order)
+    done = process("route", "p.gr", "--router", "mien")
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "--router: unknown name 'mien'; did you mean mine? expected one of astar, " in line
+    assert line.endswith("module:Class")
 
 
 @pytest.mark.usefixtures("here")
@@ -1032,9 +1059,8 @@ def test_shipped_configurations_are_valid() -> None:
         raw = yaml.safe_load(path.read_text(encoding="utf-8"))
         if "routers" in raw:
             assert isinstance(load_experiment(path), ExperimentConfig)
-        elif path.stem in routers.ROUTERS:
-            defaults = routers.schema(path.stem)()
-            assert build(type(defaults), raw) == defaults
+        elif path.stem in router_names():
+            assert router_piece(path.stem, raw) == router_piece(path.stem, {})
         else:
             assert isinstance(load_config(path), Config)
 

@@ -23,7 +23,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from marouting import InputError, Problem, Solution, evaluate, generate
+from marouting import (
+    InputError,
+    Problem,
+    Solution,
+    evaluate,
+    generate,
+    register,
+    sequential_astar,
+)
 from policies import figures
 from policies.cli.main import status
 from policies.experiment import Experiment, load_experiment, load_sets
@@ -47,7 +55,7 @@ from policies.results.statistics import (
 from policies.results.utilisation import histogram_counts, utilisation_maps
 from policies.routers.astar import AStarRouter
 from policies.routers.random import RandomRouter
-from policies.routers.registry import ROUTERS, has_seed, is_seeded, make_router
+from policies.routers.registry import is_seeded, make_router, router_piece
 
 ROOT = Path(__file__).resolve().parents[1]
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -408,7 +416,7 @@ def test_processes_end_with_the_experiment(tmp_path: Path) -> None:
     next(work)
     for process in set(multiprocessing.active_children()) - others:
         process.kill()
-    with pytest.raises(InputError, match="a process at work was killed"):
+    with pytest.raises(InputError, match="a process was killed"):
         next(work)
     assert not set(multiprocessing.active_children()) - others
 
@@ -1076,7 +1084,7 @@ def test_a_training_is_that_of_its_file_but_for_what_stands_here(here: Path) -> 
     told = config.routers["dqn"]
     assert told["env"]["max_steps"] == 9
     assert told["env"]["reward"] == {
-        "reached": 100.0, "step": -2.0, "own_edge": 0.0, "overflow_price": 0.0
+        "kind": "paper", "reached": 100.0, "step": -2.0, "own_edge": 0.0, "overflow_price": 0.0
     }  # fmt: skip
     assert "problem" not in told["env"]
     assert (told["dqn"]["gamma"], told["dqn"]["masking"]) == (0.5, True)
@@ -1093,13 +1101,74 @@ def test_routers_are_made_from_plain_options() -> None:
         make_router("astar", {"net_ordr": "file"}, "there")
     with pytest.raises(InputError, match="did you mean pathfinder"):
         make_router("pathfindr", {})
-    for name in ROUTERS:
-        assert make_router(name, {}).name == name
-    assert [name for name in ROUTERS if has_seed(name) and is_seeded(name, {})] == [
-        "random",
-        "pathfinder",
-        "dqn",
-    ]
+    own = ("astar", "random", "pathfinder", "optimal")
+    seeded = [name for name in own if is_seeded(router_piece(name, {}))]
+    assert seeded == ["random", "pathfinder"]
+    assert is_seeded(router_piece("astar", {"best_of": 2}))
+
+
+MINE = """
+import marouting
+
+class Mine:
+    def __init__(self, *, order: str, again: int = 1, seed: int = 0) -> None:
+        self.order, self.again, self.seed = order, again, seed
+
+    def route(self, problem):
+        assert (self.again, self.seed in (0, 3)) == (2, True)
+        return marouting.sequential_astar(problem, self.order)
+
+class Elsewhere:
+    def route(self, problem):
+        return marouting.sequential_astar(problem, "half_perimeter_up")
+
+class Neither:
+    pass
+"""
+"""A module with routers, as a user writes one."""
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_own_routers_stand_in_an_experiment(
+    here: Path, refused: Callable[..., str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As module:Class and by registered names; other processes find them too."""
+    (here / "my_routers.py").write_text(MINE)
+    register("router", "elsewhere-of-this-test", "my_routers:Elsewhere")
+    routers = {
+        **ASTAR,
+        "mine": {"router": "my_routers:Mine", "order": "file", "again": 2},
+        "named": {"router": "elsewhere-of-this-test"},
+    }
+    problems = {"s": {**SMALL, "nets": 9}}
+    config = write_config(here / "c.yaml", routers=routers, problems=problems, seeds=[0, 3])
+    assert status(["experiment", str(config)]) == 0
+    kept = yaml.safe_load((here / "out" / "config.yaml").read_text())["routers"]
+    assert kept["mine"] == {
+        "router": "my_routers:Mine", "only": None, "order": "file", "again": 2
+    }  # fmt: skip
+    rows = json.loads((here / "out" / "results.json").read_text())
+    assert len(rows) == 3 * (1 + 2 + 1)
+    for path in (here / "out" / "problems" / "s").iterdir():
+        problem = Problem.read(path)
+        for name, order in (("mine.seed3", "file"), ("named", "half_perimeter_up")):
+            file = here / "out" / "solutions" / "s" / f"{path.stem}.{name}.solution"
+            assert Solution.read(file, problem) == sequential_astar(problem, order)
+    capsys.readouterr()
+    for router, said in (
+        ({"router": "my_routers:Mine"}, "routers.mine: order: "),
+        ({"router": "my_routers:Mine", "order": 3}, "routers.mine: order: "),
+        ({"router": "my_routers:Mine", "order": "x", "agian": 1}, "did you mean again?"),
+        ({"router": "my_routers:Neither"}, "expected a class with a method route, or a learner"),
+        ({"router": "my_routers:Nowhere"}, "there is no class Nowhere in my_routers"),
+        ({"router": "no_module:Mine"}, "there is no module no_module"),
+        (
+            {"router": "elsewhere-of-test"},
+            "did you mean elsewhere-of-this-test? expected one of astar, ",
+        ),
+    ):
+        write_config(config, routers={"mine": router}, out="another")
+        assert said in refused("experiment", config)
 
 
 def test_route_takes_options_of_any_router(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

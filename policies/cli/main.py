@@ -6,6 +6,7 @@ what was expected), and 130 for an interrupt. Heavy libraries are imported by th
 them.
 """
 
+import contextlib
 import json
 import sys
 import time
@@ -21,15 +22,15 @@ except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
 from marouting import InputError, Problem, Solution, __version__, evaluate
+from marouting.config import override, read_yaml
 from marouting.files import check_writable, write_text
 from marouting.generator import ReducedPer
 from marouting.problem.ispd import FORMATS, Format
+from marouting.registry import names
 from policies.routers.base import solve
-from policies.routers.registry import ROUTERS, has_seed, make_router
+from policies.routers.registry import has_seed, is_learner, make_router, router_names
 
 if TYPE_CHECKING:
-    from policies.learned.config import Config
-    from policies.learned.trainer import Episode
     from policies.routers.base import Router
 
 GridShape = click.Tuple([int, int, int])
@@ -119,10 +120,10 @@ def convert(problem: Path, out: Path, format: Format) -> None:
 @overrides_argument
 @click.option(
     "--router",
-    type=click.Choice(ROUTERS),
+    metavar="NAME",
     default="astar",
     show_default=True,
-    help="What routes the problem.",
+    help=f"What routes the problem: {', '.join(router_names())}, or module:Class.",
 )
 @click.option(
     "--checkpoint",
@@ -158,61 +159,49 @@ def route(
     in the paper; its options are the keys of a training's configuration, such as
     train.episodes=200.
     """
-    if router != "dqn" and checkpoint:
-        raise InputError("--checkpoint: expected --router dqn with it")
+    learner = is_learner(router, "--router")
+    if checkpoint and not learner:
+        expected = " or ".join(names("learner"))
+        raise InputError(f"--checkpoint: expected a learner with it: --router {expected}")
     if checkpoint and (config or overrides):
         raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
     loaded = Problem.read(problem)
     if out is not None:
         check_writable(out)
-    solver = _router(router, seed, checkpoint, problem.stem, config, overrides)
-    started = time.perf_counter()
-    solution, report = solve(solver, loaded)
-    seconds = time.perf_counter() - started
+    with contextlib.ExitStack() as stack:
+        if learner:
+            solver = _learned(seed, checkpoint, problem.stem, config, overrides, stack)
+        else:
+            given = [] if seed is None or not has_seed(router) else [f"seed={seed}"]
+            options = override({} if config is None else read_yaml(config), [*given, *overrides])
+            where = f"--router {router}" if config is None else str(config)
+            solver = make_router(router, options, where)
+        started = time.perf_counter()
+        solution, report = solve(solver, loaded)
+        seconds = time.perf_counter() - started
     if out is not None:
         solution.write(out)
     _report(router, loaded, solution, seconds, as_json, report)
 
 
-def _router(
-    name: str,
+def _learned(
     seed: int | None,
     checkpoint: Path | None,
     problem: str,
     config: Path | None,
     overrides: Sequence[str],
+    stack: contextlib.ExitStack,
 ) -> "Router":
-    from marouting.config import override, read_yaml
+    """A learner as a router, with a progress bar for its training until the stack is closed."""
+    from policies.cli.progress import training_bar
     from policies.learned.config import load_config
-
-    given = [] if seed is None or not has_seed(name) else [f"seed={seed}"]
-    if name != "dqn":
-        options = {} if config is None else read_yaml(config)
-        where = f"--router {name}" if config is None else str(config)
-        return make_router(name, override(options, [*given, *overrides]), where)
     from policies.learned.router import DQNRouter
 
-    settings = load_config(config, [*given, *overrides])
-    return DQNRouter(settings, checkpoint, _counter(settings), network=problem)
-
-
-def _counter(config: "Config") -> Any:
-    """What shows the progress of a training without a run folder, on standard error."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    if not sys.stderr.isatty():
-        return None
-    progress = Progress(console=Console(stderr=True), transient=True)
-    task = progress.add_task("training", total=config.train.episodes)
-    progress.start()
-
-    def watch(episodes: "list[Episode]") -> None:
-        progress.update(task, advance=len(episodes))
-        if episodes[-1].episode + 1 == config.train.episodes:
-            progress.stop()
-
-    return watch
+    settings = load_config(config, [*([] if seed is None else [f"seed={seed}"]), *overrides])
+    watch = None
+    if checkpoint is None:
+        watch = stack.enter_context(training_bar(0, settings.train.episodes))
+    return DQNRouter(settings, checkpoint, watch, network=problem)
 
 
 def _report(
@@ -409,6 +398,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def status(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line; returns the exit status."""
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))  # for module:Class, wherever the command itself lies
     try:
         cli.main(args=arguments, prog_name="marouting", standalone_mode=False)
     except InputError as error:

@@ -61,7 +61,8 @@ def experiment_bar(name: str) -> Iterator[Callable[[float, int], None]]:
 
 @contextlib.contextmanager
 def _bar(unit: str) -> Iterator[tuple[Progress, TaskID]]:
-    """A bar that shows what is done of how many, and the time."""
+    """A bar that shows what is done of how many, and the time, if standard error is a terminal."""
+    console = Console(stderr=True)
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -69,6 +70,7 @@ def _bar(unit: str) -> Iterator[tuple[Progress, TaskID]]:
         TextColumn(unit),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=console,
+        disable=not console.is_terminal,
     ) as bar:
         yield bar, bar.add_task("", total=None)
