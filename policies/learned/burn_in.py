@@ -27,9 +27,7 @@ class Guide(Protocol):
         ...
 
 
-def guide(
-    burn_in: str, problems: Mapping[str, Problem], engine: Engine, seed: int
-) -> Guide | None:
+def guide(burn_in: str, problems: Mapping[str, Problem], engine: Engine, seed: int) -> Guide | None:
     """Who moves the agents in the burn-in.
 
     Args:

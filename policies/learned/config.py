@@ -28,7 +28,6 @@ class TrainOptions:
 
     Attributes:
         episodes: episodes per problem; one is a walk through all two-pin tasks of all nets.
-        copies: games of each problem that its network plays side by side. They share the episodes.
         shared: whether one network learns all problems; otherwise each problem has its own.
         best: which episode's routes are the solution, the earliest of the best: ``routes``, by
             tasks joined, then overflow, then wirelength; or ``reward``, by tasks joined, then
@@ -45,7 +44,6 @@ class TrainOptions:
     __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
 
     episodes: int = 1000
-    copies: int = 1
     shared: bool = False
     best: Literal["routes", "reward"] = "routes"
     evaluate_every: int = 10
@@ -57,7 +55,6 @@ class TrainOptions:
 
     def __post_init__(self) -> None:
         check("episodes", 1 <= self.episodes <= MOST, f"a number from 1 to {MOST}")
-        check("copies", 1 <= self.copies <= 65536, "a number from 1 to 65536")
         check("evaluate_every", 1 <= self.evaluate_every <= MOST, f"a number from 1 to {MOST}")
         check("threads", 1 <= self.threads <= 1024, "a number from 1 to 1024")
         check("checkpoint_seconds", self.checkpoint_seconds >= 0, "a number from 0")

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from marouting.game.state import Ending
+from marouting.game.state import NOBODY, Ending
 from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned.networks.stack import Stack
@@ -168,20 +168,22 @@ class Learner(Rows, abc.ABC):
             steps: how many at most; it returns after one in which an episode ended.
         """
 
-    def greedy(
-        self, network: int, obs: NDArray[np.float32], mask: NDArray[np.int8]
-    ) -> NDArray[np.int8]:
-        """(B,) moves of one network without exploration.
+    def walk(self, player: Player, network: int) -> None:
+        """Plays the games of a player to their end by one network, without exploration.
 
         Args:
-            network: its row.
-            obs: (B, *S) what agents see.
-            mask: (B, 6) their action masks.
+            player: its episodes have just begun.
+            network: the network's row.
         """
-        with torch.no_grad():
-            view = self.networks.view_of(self.networks.flat[network : network + 1], network)
-            outputs = view(torch.from_numpy(obs).to(self.device)[None])[0]
-        return best_moves(outputs, mask if self.options.masking else None)
+        b = player.buffers
+        obs, mask = b.obs.reshape(-1, *b.obs.shape[2:]), b.mask.reshape(-1, MOVES)
+        view = self.networks.view_of(self.networks.flat[network : network + 1], network)
+        while b.active.any():
+            with torch.no_grad():
+                outputs = view(torch.from_numpy(obs).to(self.device)[None])[0]
+            moves = best_moves(outputs, mask if self.options.masking else None)
+            b.actions[:] = np.where(b.active, moves.reshape(b.actions.shape), NOBODY)
+            player.step()
 
     def weights(self) -> list[dict[str, Tensor]]:
         """The networks as ``state_dict`` of ordinary modules, on the processor."""

@@ -155,16 +155,16 @@ class Run:
         """Writes the solutions and ``result.json``."""
         rows = []
         each = self._seconds / len(self.problems)
-        policies, learner = self.trainer.policy_solutions(), self.config.learner.name
+        learner = self.config.learner.name
         for name, solution in self.trainer.solutions().items():
             start = time.perf_counter()
             astar = AStarRouter().route(self.problems[name])
             seconds = time.perf_counter() - start
-            episode, policy = self.trainer.origin(name)
+            walked = self.trainer.policy_of(name).solve(self.problems[name])
             for router, routed, spent, origin in (
                 ("astar", astar, seconds, None),
-                (learner, solution, each, episode),
-                (f"{learner}_policy", policies[name], each, policy),
+                (learner, solution, each, self.trainer.origin(name)),
+                (f"{learner}_policy", walked.solution, each, walked.report["from"]),
             ):
                 routed.write(solution_file(self.folder, name, router))
                 row = {"problem": name, "router": router, **solution_row(routed, spent)}

@@ -18,16 +18,16 @@ from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
 from marouting.config import plain
-from marouting.game.engine import Engine, Metrics
+from marouting.game.engine import Metrics
 from marouting.game.observation import state_space
 from marouting.game.state import NOBODY
-from marouting.options import ORDERS, EnvOptions
-from marouting.player import Player, Saved, StepBuffers
+from marouting.player import Saved, StepBuffers
 from policies.learned.burn_in import guide, solution_files
 from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Before, Learner, Setup
+from policies.learned.policy import TrainedPolicy, player_of, policy_origin
 from policies.learned.streams import keys
 from policies.learned.threads import use_threads
 
@@ -72,22 +72,6 @@ _STEPS = 200
 """Steps between two looks at a clock or for an interrupt: a few hundredths of a second."""
 
 
-def player_of(env: EnvOptions, problems: list[Problem], masks: bool) -> Player:
-    """What plays problems as a configuration's ``env`` says.
-
-    Raises:
-        InputError: the problems do not go together.
-    """
-    engine = Engine(problems, env, turn_order=env.turn_order or ORDERS[env.agents])
-    return Player(
-        engine,
-        env.observation.make(),
-        env.reward.make(),
-        everyone=env.agents == "multi",
-        masks=masks,
-    )
-
-
 class Trainer:
     """Trains a learner on M problems of one grid shape.
 
@@ -118,7 +102,8 @@ class Trainer:
         masks = bool(getattr(learner.options, "masking", False))
         self._whole = player_of(config.env, list(problems.values()), masks)
         engine, count = self._whole.engine, len(self.names)
-        each = [problem for problem in problems.values() for _ in range(train.copies)]
+        self._copies = int(getattr(learner.options, "copies", 1))
+        each = [problem for problem in problems.values() for _ in range(self._copies)]
         self.player = player_of(config.env, each, masks)
         b = self.player.buffers
         self.learner: Learner = learner.cls.start(
@@ -127,7 +112,7 @@ class Trainer:
                 game_names=tuple(
                     f"{name}#{copy}" if copy else name
                     for name in self.names
-                    for copy in range(train.copies)
+                    for copy in range(self._copies)
                 ),
                 games=len(each),
                 rows=b.obs.shape[1],
@@ -151,7 +136,6 @@ class Trainer:
         networks = 1 if train.shared else count
         self.policy_score = np.full((networks, 3), np.inf)  # of the best network
         self.policy_episode = np.zeros(networks, np.int64)  # after which it was evaluated
-        self.policy_used = engine.dynamic.used.copy()
         self._policies = self.learner.networks.flat.detach().cpu().clone()
         self._evaluated = np.zeros(networks, np.int64)  # episodes at the last evaluation
         self.places = np.arange(count)
@@ -161,7 +145,7 @@ class Trainer:
     @property
     def games(self) -> NDArray[np.int64]:
         """(games,) the problem of each game."""
-        return np.repeat(self.places, self.config.train.copies)
+        return np.repeat(self.places, self._copies)
 
     def _networks(self, problems: NDArray[np.int64]) -> NDArray[np.int64]:
         """The networks of problems, as rows of what stays of each network."""
@@ -169,7 +153,7 @@ class Trainer:
 
     def _keep(self, which: NDArray[np.integer]) -> None:
         """Goes on with some of the problems that still train (places, ascending)."""
-        copies = self.config.train.copies
+        copies = self._copies
         games = (which[:, None] * copies + np.arange(copies)).ravel()
         self.learner.keep(which)
         self.player = self.player.part(games)
@@ -193,9 +177,7 @@ class Trainer:
             return
         b, games = player.buffers, self.games
         moves = guide(learner.burn_in, self.problems, player.engine, config.seed)
-        chance = Exploration(
-            keys(config.seed, learner.setup.game_names, "burn-in").reshape(-1, 1)
-        )
+        chance = Exploration(keys(config.seed, learner.setup.game_names, "burn-in").reshape(-1, 1))
         nothing = np.zeros(b.mask.shape, np.float32)
         game = np.repeat(np.arange(len(games)), b.agents.shape[1])
         player.reset()
@@ -267,10 +249,10 @@ class Trainer:
         running = self.running
         if running.any() and not running.all() and not self.config.train.shared:
             # The games that go on are started below.
-            over = over[np.repeat(running, self.config.train.copies)]
+            over = over[np.repeat(running, self._copies)]
             self._keep(np.flatnonzero(running))
             running = running[running]
-        self.player.reset(over & np.repeat(running, self.config.train.copies))
+        self.player.reset(over & np.repeat(running, self._copies))
         self._tell_episodes()
         return finished
 
@@ -286,22 +268,19 @@ class Trainer:
                 continue
             self._evaluated[network] = episodes
             row = 0 if train.shared else int(np.searchsorted(self.places, network))
-            walked = [self._walk(int(m), row) for m in taught]
-            scores = [_score(player.engine.metrics(0), None) for player in walked]
+            scores = [self._walk(int(m), row) for m in taught]
             score = tuple(np.sum(scores, axis=0).tolist())
             if score < tuple(self.policy_score[network].tolist()):
                 self.policy_score[network] = score
                 self.policy_episode[network] = episodes
                 self._policies[network] = self.learner.networks.flat[row].detach().cpu()
-                for m, player in zip(taught.tolist(), walked, strict=True):
-                    self.policy_used[m] = player.engine.dynamic.used[0]
 
-    def _walk(self, problem: int, network: int) -> Player:
-        """One episode of a problem by a network without exploration."""
+    def _walk(self, problem: int, network: int) -> tuple[float, ...]:
+        """The score of one episode of a problem by a network without exploration."""
         player = self._whole.part(np.array([problem]))
         player.reset()
         self.learner.walk(player, network)
-        return player
+        return _score(player.engine.metrics(0), None)
 
     def solutions(self) -> dict[str, Solution]:
         """The best episode's routes of every problem that has finished one."""
@@ -311,20 +290,20 @@ class Trainer:
             if self.best_episode[m] != NOBODY
         }
 
-    def policy_solutions(self) -> dict[str, Solution]:
-        """What the saved networks route without exploration, of every problem evaluated."""
-        return {
-            name: self._whole.engine.solution(m, self.policy_used[m])
-            for m, name in enumerate(self.names)
-            if self._evaluated[self._networks(np.array([m]))[0]] > 0
-        }
+    def policy_of(self, problem: str) -> TrainedPolicy:
+        """The saved network of a problem: the best of all evaluations."""
+        row = int(self._networks(np.array([self.names.index(problem)]))[0])
+        setup, learner = self.learner.setup, self.config.learner
+        module = learner.cls.network(learner.options, setup.obs_shape)
+        module.load_state_dict(self._state_dict(self._policies[row]))
+        masking = bool(learner.options.masking)
+        origin = policy_origin(int(self.policy_episode[row]))
+        return TrainedPolicy(module, masking, setup.obs_shape, self.config.env, origin)
 
-    def origin(self, problem: str) -> tuple[str, str]:
-        """Where a problem's two solutions are from: the best episode, and the saved network."""
-        m = self.names.index(problem)
-        after = int(self.policy_episode[self._networks(np.array([m]))[0]])
-        of = self.config.train.episodes
-        return f"episode {self.best_episode[m] + 1} of {of}", policy_origin(after)
+    def origin(self, problem: str) -> str:
+        """Which episode a problem's solution is from."""
+        best = self.best_episode[self.names.index(problem)] + 1
+        return f"episode {best} of {self.config.train.episodes}"
 
     # --- checkpoints --------------------------------------------------------------------------
 
@@ -332,7 +311,7 @@ class Trainer:
         """What changes in training but the learner, as arrays to copy from or into."""
         own = (
             "episodes", "score", "best_episode", "best_used", "places", "_before",
-            "policy_score", "policy_episode", "policy_used", "_evaluated",
+            "policy_score", "policy_episode", "_evaluated",
         )  # fmt: skip
         engine, buffers = self.player.engine, self.player.buffers
         return {
@@ -406,11 +385,6 @@ class Trainer:
         self.player.restore(Saved(engine.save(), StepBuffers._make(a.copy() for a in buffers)))
         self.learner.load_state(state["training"])
         self._tell_episodes()
-
-
-def policy_origin(episodes: int) -> str:
-    """What tables call routes that a network walks without exploration."""
-    return f"policy after {episodes} episodes, greedy"
 
 
 def _score(metrics: Metrics, reward: float | None) -> tuple[float, ...]:

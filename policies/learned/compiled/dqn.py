@@ -147,6 +147,23 @@ def _play_threaded(steps: int, play: Play, nets: Networks, rule: StepRule) -> No
         _play_network(n, steps, play, nets, rule)
 
 
+@allocating
+def _walk(
+    static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers, known: Known,
+    sizes: NDArray[np.int64], weights: NDArray[np.float32], masking: bool,
+) -> None:  # fmt: skip
+    """:meth:`FusedDQN.walk` by the network with the weights (P,)."""
+    values = np.empty((*b.agents.shape, MOVES), np.float32)
+    activations = np.empty(units_of(sizes) * b.agents.size, np.float32)
+    keys, counters = np.zeros(len(b.over), np.uint64), np.zeros(len(b.over), np.int64)
+    never = np.zeros(len(b.over))  # a random move
+    while b.active.any():
+        q_values(sizes, weights, b.obs, activations, values)
+        for m in range(len(b.over)):
+            choose(keys, counters, never, b.active, b.mask, values, masking, b.actions, m)
+            step_problem(static, dynamic, kernel_buffers, known, m)
+
+
 class FusedDQN(DQN):
     """:class:`policies.learned.algorithms.dqn.DQN`, one network after the other in compiled code.
 
@@ -200,6 +217,15 @@ class FusedDQN(DQN):
         run = _play_threaded if self.setup.threads > 1 else _play
         run(steps, play, self._nets, self._rule)
         self._counted()
+
+    def walk(self, player: Player, network: int) -> None:
+        """See :meth:`policies.learned.learner.Learner.walk`."""
+        weights = self.networks.flat.numpy()[network]
+        engine = player.engine
+        _walk(
+            engine.static, engine.dynamic, player.buffers, player.kernel_buffers, player.known,
+            self._nets.sizes, weights, self.options.masking,
+        )  # fmt: skip
 
     def learn(self, due: NDArray[np.int64]) -> None:
         """See :meth:`policies.learned.algorithms.dqn.DQN.learn`."""
