@@ -179,8 +179,7 @@ class Learner(Rows, abc.ABC):
             mask: (B, 6) their action masks.
         """
         with torch.no_grad():
-            view = self.networks.view_of(self.networks.flat[network : network + 1], network)
-            outputs = view(torch.from_numpy(obs).to(self.device)[None])[0]
+            outputs = self.networks.row(network)(torch.from_numpy(obs).to(self.device)[None])[0]
         return best_moves(outputs, mask if self.options.masking else None)
 
     def weights(self) -> list[dict[str, Tensor]]:
