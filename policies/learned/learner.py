@@ -177,7 +177,7 @@ class Learner(Rows, abc.ABC):
         """
         b = player.buffers
         obs, mask = b.obs.reshape(-1, *b.obs.shape[2:]), b.mask.reshape(-1, MOVES)
-        view = self.networks.view_of(self.networks.flat[network : network + 1], network)
+        view = self.networks.row(network)
         while b.active.any():
             with torch.no_grad():
                 outputs = view(torch.from_numpy(obs).to(self.device)[None])[0]
