@@ -15,7 +15,8 @@ from marouting.game.engine import Engine
 from marouting.generator import generate
 from marouting.make import make
 from marouting.problem.grid import Move
-from marouting.problem.problem import Adjustment, Net, Pin, Problem
+from marouting.problem.net import Adjustment, Net, Pin
+from marouting.problem.problem import Problem
 from marouting.problem.solution import Evaluation, Solution, evaluate
 from marouting.search.astar import sequential_astar
 

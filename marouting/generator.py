@@ -13,16 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.problem.problem import (
-    UNLIMITED,
-    Adjustment,
-    Net,
-    Pin,
-    Problem,
-    check_choice,
-    check_grid,
-    check_numbers,
-)
+from marouting.problem.net import Adjustment, Net, Pin, check_numbers
+from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_grid
 from marouting.search.astar import sequential_astar
 
 TILE = 10
@@ -172,7 +164,9 @@ def _unreduced(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
 def _reduced(problems: Sequence[Problem], edges: int, capacity: int) -> tuple[Adjustment, ...]:
     """The capacity for the edges that the problems' A* solutions use most, all taken together."""
     problem = problems[0]  # grid and capacities are those of all
-    demand: NDArray[np.int64] = np.sum([sequential_astar(one).demand for one in problems], axis=0)
+    demand: NDArray[np.int64] = np.sum(
+        [sequential_astar(one).edge_demand for one in problems], axis=0
+    )
     # Vias have no capacity to reduce, edges across a layer's direction none left.
     reducible = np.flatnonzero((problem.capacity > 0) & (problem.capacity < UNLIMITED))
     busiest = np.argsort(-demand[reducible], kind="stable")[:edges]

@@ -17,7 +17,8 @@ from marouting.game.observation import Observation, nets_on_edges, state, state_
 from marouting.game.reward import Reward, payer
 from marouting.generator import GeneratorOptions
 from marouting.problem.grid import MOVES
-from marouting.problem.problem import MAX_NUMBER, Problem
+from marouting.problem.net import MAX_NUMBER
+from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Scene, Window, ansi, rgb_array
 from marouting.source import Source, checked_source, load_problem

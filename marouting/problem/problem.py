@@ -1,90 +1,39 @@
 """A global routing problem: the chip's grid, its capacities, and the nets to be joined.
 
-Everything is frozen and in the units of the ISPD 2008 ``.gr`` format (:mod:`marouting.problem.ispd`
-reads and writes it, among others): pins in chip coordinates with layers from 1, capacities and
-widths in tracks. What the routers and the environment need is derived here once, in Gcell and edge
-numbers (:mod:`marouting.problem.grid`) with layers from 0.
+A problem is frozen and in the units of the ISPD 2008 ``.gr`` format: pins in chip coordinates with
+layers from 1, capacities and widths in tracks. Routers and the environment need Gcell and edge
+numbers (:mod:`marouting.problem.grid`) with layers from 0; these are derived here, once.
 """
 
+import dataclasses
 import functools
 import itertools
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.kernels import compiled
+from marouting.problem import ispd
 from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS, Grid
-
-if TYPE_CHECKING:
-    from marouting.problem.ispd import Format
+from marouting.problem.net import (
+    MAX_NUMBER,
+    Adjustment,
+    FieldError,
+    Net,
+    check_net,
+    check_numbers,
+)
 
 UNLIMITED = int(np.iinfo(np.int32).max)
 """The capacity of a via: vias never overflow (paper, section on the problem sets generator)."""
 
 MAX_GCELLS = 2**24
 """The largest grid accepted, larger than any of the ISPD 2008 contest."""
-
-MAX_NUMBER = 10**9
-"""The largest capacity, width or coordinate accepted; sums of them stay within 64 bits."""
-
-
-class FieldError(InputError):
-    """An InputError about one row of one field of a :class:`Problem`.
-
-    A reader that knows the line of each row can thereby leave the judging to the Problem and name
-    the line all the same.
-
-    Attributes:
-        field: the attribute's name, or ``"pins"``: the pins of all nets one after the other.
-        row: the index in that field.
-    """
-
-    def __init__(self, message: str, field: str = "", row: int = 0) -> None:
-        super().__init__(message)
-        self.field = field
-        self.row = row
-
-
-class Pin(NamedTuple):
-    """A pin of a net: x and y in chip coordinates, layer from 1."""
-
-    x: int
-    y: int
-    layer: int
-
-
-@dataclass(frozen=True, slots=True)
-class Net:
-    """A set of pins to be joined.
-
-    Attributes:
-        name: unique in its problem, printable, without white space.
-        id: the file's number of the net.
-        pins: one or more; several may lie in one Gcell.
-        min_width: the width of the net's wires, at least; 1 in the paper.
-    """
-
-    name: str
-    id: int
-    pins: tuple[Pin, ...]
-    min_width: int = 1
-
-
-class Adjustment(NamedTuple):
-    """One edge's own capacity: two neighbouring Gcells of one layer (layer from 1)."""
-
-    x1: int
-    y1: int
-    layer1: int
-    x2: int
-    y2: int
-    layer2: int
-    capacity: int
 
 
 @dataclass(frozen=True)
@@ -244,7 +193,7 @@ class Problem:
         return edges
 
     @functools.cached_property
-    def demand(self) -> NDArray[np.int32]:
+    def net_demand(self) -> NDArray[np.int32]:
         """(nets, Z) what one edge of a layer costs a net: its wire's width and the spacing."""
         width = np.array([net.min_width for net in self.nets], np.int32)[:, None]
         demand = np.maximum(width, np.array(self.min_width, np.int32))
@@ -273,34 +222,37 @@ class Problem:
 
     @staticmethod
     def read(path: str | os.PathLike[str]) -> "Problem":
-        """Reads a file in any of the ISPD formats (:mod:`.ispd`).
+        """Reads a file in any of the ISPD formats (:mod:`marouting.problem.ispd`).
 
-        Its header tells which.
+        Args:
+            path: the file; its header tells the format.
 
         Raises:
-            InputError: names the file, the line, and what was expected.
+            InputError: the file cannot be read, is in none of the formats, or does not describe
+                a valid problem; the message names the file, the line, and what was expected.
         """
-        from marouting.problem import ispd
+        record = ispd.read_problem(path)
+        try:
+            return Problem(**record.fields)
+        except FieldError as error:
+            raise record.located(error) from None
 
-        return ispd.read_problem(path)
+    def write(self, path: str | os.PathLike[str], format: ispd.Format = "ispd2008") -> None:
+        """Writes the problem in an ISPD format (:mod:`marouting.problem.ispd`).
 
-    def write(self, path: str | os.PathLike[str], format: "Format" = "ispd2008") -> None:
-        """Writes the problem as text of an ISPD format (:mod:`marouting.problem.ispd`).
-
-        Whole or not at all, and such that it is read as an equal problem.
+        The file is written whole or not at all. Reading it gives an equal problem.
 
         Args:
             path: the file.
-            format: ``ispd2008`` (a ``.gr`` file, which holds any problem), ``ispd98`` or
+            format: ``ispd2008`` (a ``.gr`` file, which can hold any problem), ``ispd98`` or
                 ``ispd98-flat``.
 
         Raises:
             InputError: there is no such format, it cannot hold the problem, or the file cannot be
                 written.
         """
-        from marouting.problem import ispd
-
-        ispd.write_problem(self, path, format)
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        ispd.write_problem(path, fields, format)
 
 
 @compiled
@@ -345,34 +297,10 @@ def check_tile(tile: tuple[int, int]) -> None:
         )
 
 
-def check_net(net: Net, row: int = 0) -> None:
-    """Raises FieldError for what is wrong with a net whatever its problem; ``row`` is its place."""
-    # Control characters would break the lines of files and of messages, a lone surrogate cannot
-    # be written at all.
-    if not net.name or " " in net.name or not net.name.isprintable():
-        raise FieldError(
-            f"net {net.name!r}: expected a name of printable characters without white space",
-            "nets",
-            row,
-        )
-    if not net.pins:
-        raise FieldError(f"net {net.name}: expected at least one pin", "nets", row)
-    check_numbers(f"net {net.name}: id and minimum width", (net.id, net.min_width), "nets", row)
-
-
 def check_choice(name: str, value: object, choices: Any) -> None:
     """Raises InputError for an option that is none of the choices of its Literal type."""
     if value not in get_args(choices):
         raise InputError(f"{name}: expected one of {', '.join(get_args(choices))}, found {value!r}")
-
-
-def check_numbers(name: str, values: Iterable[int], field: str = "", row: int = 0) -> None:
-    """Raises FieldError, of the given field and row, unless all values are in 0…MAX_NUMBER."""
-    for value in values:
-        if not 0 <= value <= MAX_NUMBER:
-            raise FieldError(
-                f"{name}: expected a number from 0 to {MAX_NUMBER}, found {value}", field, row
-            )
 
 
 def _table(field: str, rows: Iterable[tuple[int, ...]], columns: int) -> NDArray[np.int64]:

@@ -3,6 +3,7 @@
 import functools
 import itertools
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,8 +13,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from marouting.errors import InputError
+from marouting.problem import ispd
 from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.net import FieldError
 from marouting.problem.problem import Problem
+from marouting.problem.segments import covered_edges, longest_segments
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -94,26 +98,62 @@ class Solution:
         return tuple(edge[a:b] for a, b in itertools.pairwise(bounds))
 
     @functools.cached_property
-    def demand(self) -> NDArray[np.int64]:
+    def edge_demand(self) -> NDArray[np.int64]:
         """(E,) tracks that the nets take of every edge; 0 for vias, which have no capacity.
 
         A net takes max(its width, the layer's minimum width) + the layer's minimum spacing of each
         edge that it uses, once (ISPD 2008 evaluator).
         """
-        return _demand(self.problem, self)
+        return _edge_demand(self.problem, self)
 
     @staticmethod
     def read(path: str | os.PathLike[str], problem: Problem) -> "Solution":
-        """Reads ISPD solution text; raises InputError naming the file and the line."""
-        from marouting.problem import ispd
+        """Reads ISPD solution text (:mod:`marouting.problem.ispd`).
 
-        return ispd.read_solution(path, problem)
+        A net without a block is routed with no edges. An edge that a net lists several times
+        counts once, with one ``UserWarning`` for the file.
+
+        Args:
+            path: the file.
+            problem: what it solves; its origin and tile map points to Gcells.
+
+        Raises:
+            InputError: the file cannot be read, is not of this format, or does not fit the
+                problem; the message names the file, the line, and what was expected.
+        """
+        record = ispd.read_solution(path, [(net.name, net.id) for net in problem.nets])
+        try:
+            segment, edge = covered_edges(problem, record.points)
+        except FieldError as error:
+            raise record.located(error) from None
+        size = AXES * int(np.prod(problem.grid))
+        uses, first = np.unique(record.net[segment] * size + edge, return_index=True)
+        if repetitions := len(edge) - len(uses):
+            repeated = np.ones(len(edge), np.bool_)
+            repeated[first] = False
+            at = segment[repeated.argmax()]
+            warnings.warn(
+                f"{record.file}:{record.lines['segments'][at]}: "
+                f"net {problem.nets[record.net[at]].name} lists an edge again; "
+                f"{repetitions} repetitions in this file count once",
+                stacklevel=2,
+            )
+        return Solution.of_uses(problem, *np.divmod(uses, size))
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Writes the solution as ISPD solution text, whole or not at all; raises InputError."""
-        from marouting.problem import ispd
+        """Writes the solution as ISPD solution text, whole or not at all.
 
-        ispd.write_solution(self, path)
+        Nets come in the problem's order, each as its longest straight segments between the centres
+        of Gcells, ordered by their lower end.
+
+        Args:
+            path: the file.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        net, points = longest_segments(self.problem, *self.uses)
+        ispd.write_solution(path, [(net.name, net.id) for net in self.problem.nets], net, points)
 
 
 @dataclass(frozen=True)
@@ -163,7 +203,7 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
         problem.nets,
     ):
         raise InputError("solution: expected one of a problem with the same grid and nets")
-    overflow = np.maximum(_demand(problem, solution) - problem.capacity, 0)
+    overflow = np.maximum(_edge_demand(problem, solution) - problem.capacity, 0)
     _, edge = solution.uses
     pin_net, pin_part = _pin_parts(problem, solution)
     first = np.searchsorted(pin_net, np.arange(len(problem.nets)))
@@ -180,11 +220,11 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
     )
 
 
-def _demand(problem: Problem, solution: Solution) -> NDArray[np.int64]:
-    """(E,) as :attr:`Solution.demand`, with the widths and spacings of ``problem``."""
+def _edge_demand(problem: Problem, solution: Solution) -> NDArray[np.int64]:
+    """(E,) as :attr:`Solution.edge_demand`, with the widths and spacings of ``problem``."""
     net, edge = solution.uses
     gcell, axis = np.divmod(edge, AXES)
-    tracks = problem.demand[net, gcell % problem.grid[2]].astype(np.int64)
+    tracks = problem.net_demand[net, gcell % problem.grid[2]].astype(np.int64)
     demand = np.zeros(AXES * int(np.prod(problem.grid)), np.int64)
     np.add.at(demand, edge, np.where(axis == VIA_AXIS, 0, tracks))
     return demand

@@ -826,7 +826,7 @@ class PathfinderRouter:
             size=np.array(problem.grid, np.int64),
             position=grid.position,
             capacity=problem.capacity,
-            demand=problem.demand,
+            demand=problem.net_demand,
             first=first,
             pin=pin,
         )
