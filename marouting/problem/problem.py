@@ -30,7 +30,7 @@ from marouting.problem.net import (
 )
 
 UNLIMITED = int(np.iinfo(np.int32).max)
-"""The capacity of a via: vias never overflow (paper, section on the problem sets generator)."""
+"""The capacity of a via. Vias never overflow (paper, section on the problem sets generator)."""
 
 MAX_GCELLS = 2**24
 """The largest grid accepted, larger than any of the ISPD 2008 contest."""
@@ -42,19 +42,19 @@ class Problem:
 
     Attributes:
         grid: (X, Y, Z): columns, rows and routing layers of Gcells.
-        vertical_capacity: Z numbers, capacity of the edges along y in each layer.
-        horizontal_capacity: Z numbers, capacity of the edges along x in each layer.
-        nets: the nets, in file order.
+        vertical_capacity: Z numbers, capacity in tracks of the edges along y in each layer.
+        horizontal_capacity: Z numbers, capacity in tracks of the edges along x in each layer.
+        nets: the nets, in file order; at least one.
         min_width: Z numbers, minimum wire width in each layer.
         min_spacing: Z numbers, minimum wire spacing in each layer.
-        via_spacing: Z numbers; read and written, without influence on routing.
+        via_spacing: Z numbers; read and written, but without influence on routing.
         origin: chip coordinates of the lower left corner of Gcell (0, 0).
         tile: width and height of a Gcell in chip coordinates.
-        adjustments: edges whose capacity differs from their layer's; of several of one edge the
-            last counts (ISPD 2008 evaluator).
+        adjustments: edges whose capacity differs from their layer's; if an edge has several, the
+            last one counts (ISPD 2008 evaluator).
 
     Raises:
-        FieldError: a value is out of its range or contradicts another (an InputError).
+        FieldError: a value is out of range or contradicts another (an InputError).
     """
 
     grid: tuple[int, int, int]
@@ -98,17 +98,17 @@ class Problem:
             if net.name in names:
                 raise FieldError(f"net {net.name}: expected a name no earlier net has", "nets", row)
             names.add(net.name)
-        # Both look at every row, and what they find is kept for later.
+        # Both check every row, and keep what they computed for later.
         _ = self._pins, self._adjusted_edges
 
     def gcells(self, points: NDArray[np.int64]) -> NDArray[np.int64]:
         """The numbers of the Gcells that points lie in.
 
         Args:
-            points: (n, 3) x and y in chip coordinates, layer from 1.
+            points: (n, 3) int64, x and y in chip coordinates, layer from 1.
 
         Returns:
-            (n,) Gcell numbers, OFF_GRID for a point off the grid.
+            (n,) int64 Gcell numbers, OFF_GRID for a point off the grid.
         """
         cell = points - np.array([*self.origin, 1])
         cell[:, :2] //= np.array(self.tile)
@@ -117,21 +117,21 @@ class Problem:
 
     @property
     def strides(self) -> NDArray[np.int64]:
-        """(3,) how far Gcell numbers lie apart along x, y, z.
+        """(3,) difference between the numbers of neighbouring Gcells along x, y, z.
 
-        The tables of :attr:`topology` say the same, but take memory for every Gcell: too much to
-        spend on a file that only promises a large grid.
+        :attr:`topology` contains the same, but its tables take memory for every Gcell: too much to
+        spend on a file that merely promises a large grid.
         """
         return np.array([self.grid[1] * self.grid[2], self.grid[2], 1], np.int64)
 
     @property
     def extent(self) -> str:
-        """What a point on the grid is, for the messages of errors."""
+        """What a point on the grid is, for error messages."""
         return f"a point on the {self.grid[0]}x{self.grid[1]} grid, in layers 1 to {self.grid[2]}"
 
     @functools.cached_property
     def _pins(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(pins,) twice: the net and the Gcell of every pin; raises FieldError for one off grid."""
+        """(pins,) twice: net and Gcell of every pin; raises FieldError for a pin off the grid."""
         table = _table("pins", (pin for net in self.nets for pin in net.pins), 3)
         gcell = self.gcells(table)
         net = np.repeat(np.arange(len(self.nets)), [len(net.pins) for net in self.nets])
@@ -147,7 +147,7 @@ class Problem:
 
     @functools.cached_property
     def _adjusted_edges(self) -> NDArray[np.int64]:
-        """(adjustments,) the edge that each adjustment sets; raises FieldError for none."""
+        """(adjustments,) the edge of each adjustment; raises FieldError for an unusable one."""
         table = _table("adjustments", self.adjustments, 7)
         ends, capacity = table[:, :6].reshape(-1, 2, 3) - np.array([0, 0, 1]), table[:, 6]
         near, far = ends.min(axis=1), ends.max(axis=1)
@@ -177,24 +177,28 @@ class Problem:
 
     @functools.cached_property
     def topology(self) -> Grid:
-        """The tables of this problem's grid."""
+        """Neighbours, edges and positions of this problem's Gcells, as tables."""
         return Grid.of(self.grid)
 
     @functools.cached_property
     def capacity(self) -> NDArray[np.int32]:
-        """(E,) capacity of every edge: UNLIMITED for a via, 0 for an edge off the grid."""
+        """(E,) capacity of every edge in tracks: UNLIMITED for vias, 0 for edges off the grid."""
         vias = (UNLIMITED,) * self.grid[2]
         layers = np.array((self.horizontal_capacity, self.vertical_capacity, vias), np.int32).T
         exists = self.topology.exists.reshape(-1, *layers.shape)
         edges: NDArray[np.int32] = (exists * layers).reshape(-1)
-        # Where an edge is repeated numpy leaves the last value, as it has to be.
+        # Of several values for one edge numpy keeps the last, as it should be.
         edges[self._adjusted_edges] = [adjustment.capacity for adjustment in self.adjustments]
         edges.setflags(write=False)
         return edges
 
     @functools.cached_property
     def net_demand(self) -> NDArray[np.int32]:
-        """(nets, Z) what one edge of a layer costs a net: its wire's width and the spacing."""
+        """(nets, Z) tracks that a net takes of an edge in each layer: wire width plus spacing.
+
+        The width is the larger of the net's and the layer's minimum width, the spacing the
+        layer's minimum spacing (ISPD 2008 evaluator).
+        """
         width = np.array([net.min_width for net in self.nets], np.int32)[:, None]
         demand = np.maximum(width, np.array(self.min_width, np.int32))
         demand += np.array(self.min_spacing, np.int32)
@@ -203,9 +207,10 @@ class Problem:
 
     @functools.cached_property
     def flat_pin_gcells(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(nets + 1,) and (Gcells,): :attr:`pin_gcells` of all nets, one after the other.
+        """:attr:`pin_gcells` of all nets, one net after another: ``first`` and ``gcell``.
 
-        Those of net i are ``gcell[first[i] : first[i + 1]]``.
+        (nets + 1,) and (pin Gcells,) int64, read-only; those of net i are
+        ``gcell[first[i] : first[i + 1]]``.
         """
         net, pins = self._pins
         first, gcell = np.zeros(len(self.nets) + 1, np.int64), np.empty_like(pins)
@@ -216,7 +221,7 @@ class Problem:
 
     @functools.cached_property
     def pin_gcells(self) -> tuple[NDArray[np.int64], ...]:
-        """For each net the numbers of the Gcells with its pins, each once, in pin order."""
+        """For each net the numbers of the Gcells that hold its pins, each once, in pin order."""
         first, gcell = self.flat_pin_gcells
         return tuple(gcell[a:b] for a, b in itertools.pairwise(first.tolist()))
 
@@ -257,18 +262,18 @@ class Problem:
 
 @compiled
 def _distinct(net: Any, gcell: Any, first: Any, out: Any) -> int:
-    """Writes the Gcells of every net, each once, to ``out``; returns how many they are.
+    """Writes the Gcells of every net, each once, to ``out``; returns how many there are.
 
     Args:
         net: (pins,) the net of every pin, ascending.
         gcell: (pins,) its Gcell.
-        first: (nets + 1,) zeros, filled as :attr:`Problem.flat_pin_gcells` has it.
-        out: (pins,).
+        first: (nets + 1,) zeros, filled as in :attr:`Problem.flat_pin_gcells`.
+        out: (pins,) receives the Gcells.
     """
     size = 0
     for pin in range(len(net)):
-        # Pin by pin, as the net's spanning tree is made: a table of Gcells would take memory for
-        # all of a grid that a file may only promise.
+        # Pairs of pins are compared, as for the spanning tree: a table of Gcells would take memory
+        # for the whole of a grid that a file may merely promise.
         for earlier in range(first[net[pin]], size):
             if out[earlier] == gcell[pin]:
                 break
@@ -298,13 +303,13 @@ def check_tile(tile: tuple[int, int]) -> None:
 
 
 def check_choice(name: str, value: object, choices: Any) -> None:
-    """Raises InputError for an option that is none of the choices of its Literal type."""
+    """Raises InputError unless the value is one of the choices of a Literal type."""
     if value not in get_args(choices):
         raise InputError(f"{name}: expected one of {', '.join(get_args(choices))}, found {value!r}")
 
 
 def _table(field: str, rows: Iterable[tuple[int, ...]], columns: int) -> NDArray[np.int64]:
-    """(rows, columns) the rows as one array; raises FieldError for numbers over 64 bits."""
+    """The rows as one array (rows, columns); raises FieldError for numbers beyond 64 bits."""
     try:
         flat = np.fromiter(itertools.chain.from_iterable(rows), np.int64)
     except OverflowError:

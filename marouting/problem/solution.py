@@ -1,4 +1,4 @@
-"""A solution of a global routing problem, and its quality judged from the routes alone."""
+"""A solution of a global routing problem, and how good it is, judged from the routes alone."""
 
 import functools
 import itertools
@@ -27,15 +27,15 @@ class Solution:
     Args:
         problem: what is routed.
         edges: for each net an array of the numbers of its edges (:mod:`marouting.problem.grid`), in
-            any order and with any repetitions.
+            any order; repetitions count once.
 
     Attributes:
         problem: what is routed.
-        uses: (uses,) int64 twice: every net that uses an edge, and the edge; ordered by net, then
-            edge, each pair once, read-only.
+        uses: (uses,) int64 twice: net and edge of every use of an edge by a net; ordered by net,
+            then edge, each pair once, read-only.
 
     Raises:
-        InputError: not one array a net, or an edge that the grid has not.
+        InputError: there is not one array per net, or an edge does not exist on the grid.
     """
 
     problem: Problem
@@ -48,7 +48,7 @@ class Solution:
         given = [np.asarray(own, np.int64).reshape(-1) for own in edges]
         net = np.repeat(np.arange(nets), [len(own) for own in given])
         edge = np.concatenate(given)
-        # Worked out for the given edges only: the grid's tables would cost memory for all of them.
+        # Computed for the given edges only: the grid's tables would take memory for every edge.
         near, axis = np.divmod(edge, AXES)
         limit = np.array(problem.grid)
         position = np.stack(np.unravel_index(near.clip(0, limit.prod() - 1), limit), axis=1)
@@ -73,36 +73,37 @@ class Solution:
     def of_uses(
         cls, problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]
     ) -> "Solution":
-        """A solution from what is known to be right: nothing is looked at, nothing copied.
+        """A solution from uses that are known to be right: nothing is checked or copied.
 
         Args:
             problem: what is routed.
-            net: (uses,) every net that uses an edge.
-            edge: (uses,) the edge; edges of the grid, ordered by net, then edge, each pair once.
+            net: (uses,) int64, the net of each use; becomes read-only.
+            edge: (uses,) int64, the edge, which must exist; becomes read-only. Ordered by net, then
+                edge, each pair once.
         """
         solution = object.__new__(cls)
         solution._keep(problem, net, edge)
         return solution
 
     def __eq__(self, other: object) -> bool:
-        """Whether the other solution routes an equal problem with the same edges."""
+        """Whether the other is a solution of an equal problem with the same edges."""
         if not isinstance(other, Solution):
             return NotImplemented
         return self.problem == other.problem and all(map(np.array_equal, self.uses, other.uses))
 
     @functools.cached_property
     def edges(self) -> tuple[NDArray[np.int64], ...]:
-        """For each net the numbers of its edges: sorted, each once, read-only."""
+        """For each net the numbers of its edges, int64: sorted, each once, read-only."""
         net, edge = self.uses
         bounds = np.searchsorted(net, np.arange(len(self.problem.nets) + 1)).tolist()
         return tuple(edge[a:b] for a, b in itertools.pairwise(bounds))
 
     @functools.cached_property
     def edge_demand(self) -> NDArray[np.int64]:
-        """(E,) tracks that the nets take of every edge; 0 for vias, which have no capacity.
+        """(E,) tracks that the nets together take of each edge; 0 for vias.
 
-        A net takes max(its width, the layer's minimum width) + the layer's minimum spacing of each
-        edge that it uses, once (ISPD 2008 evaluator).
+        A net takes max(its width, the layer's minimum width) + the layer's minimum spacing of every
+        edge that it uses, once (:attr:`Problem.net_demand`).
         """
         return _edge_demand(self.problem, self)
 
@@ -158,17 +159,17 @@ class Solution:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a solution is worth: lower (overflow, wirelength) is better, compared in that order.
+    """The quality of a solution: lower (overflow, wirelength) is better, compared in that order.
 
     Attributes:
         overflow: sum over the edges inside layers of max(0, demand − capacity), in tracks.
-        max_overflow: the largest of these.
+        max_overflow: the largest of these, in tracks.
         wirelength: sum over the nets of the number of edges used, a via counting 1.
         vias: how many of these edges are vias.
         connected: whether every net's route joins all its pins.
-        joined: connections made between pins: for each net its Gcells with pins, less the parts
-            that its route leaves them in. A net's two-pin tasks, all joined, make one part.
-        tasks: connections to be made, one less than the Gcells with pins of each net.
+        joined: connections made between pins: for each net the number of its pin Gcells minus the
+            number of connected parts that they are left in; summed over the nets.
+        tasks: connections needed: for each net one less than its pin Gcells; summed over the nets.
         disconnected: the names of the nets whose route does not join all their pins.
     """
 
@@ -186,11 +187,11 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
     """Judges a solution by the rules of the ISPD 2008 contest's evaluator, which the paper uses.
 
     Args:
-        problem: whose capacities count; its grid and nets must be those of the solution.
+        problem: the problem whose capacities count; grid and nets must be those of the solution's.
         solution: the routes.
 
     Returns:
-        The figures.
+        Its quality.
 
     Raises:
         InputError: the solution belongs to a problem with another grid or other nets.
@@ -221,7 +222,7 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
 
 
 def _edge_demand(problem: Problem, solution: Solution) -> NDArray[np.int64]:
-    """(E,) as :attr:`Solution.edge_demand`, with the widths and spacings of ``problem``."""
+    """(E,) :attr:`Solution.edge_demand`, but with the widths and spacings of ``problem``."""
     net, edge = solution.uses
     gcell, axis = np.divmod(edge, AXES)
     tracks = problem.net_demand[net, gcell % problem.grid[2]].astype(np.int64)
@@ -231,10 +232,10 @@ def _edge_demand(problem: Problem, solution: Solution) -> NDArray[np.int64]:
 
 
 def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The net of every pin Gcell, and the connected part of the net's route that it lies in.
+    """(pin Gcells,) twice: the net of each pin Gcell, and the connected part that it lies in.
 
-    One graph holds all nets: its vertices are the pairs of a net and a Gcell with one of the net's
-    pins or edges.
+    One graph holds all nets: its vertices are pairs of a net and a Gcell where the net has a pin or
+    an edge.
     """
     net, edge = solution.uses
     near, far = problem.topology.ends(edge)

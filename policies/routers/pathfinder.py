@@ -12,7 +12,7 @@ ways. A route goes in rounds, each of three kinds of passes over the nets:
   and as soon as a pass gains little the next round begins.
 
 The best solution of all passes counts. Nets of few pins get a cheapest tree of all there are
-(:func:`marouting.trees.steiner.cheapest_tree`), in a box around their pins and their old tree.
+(:func:`marouting.trees.exact_tree.exact_tree`), in a box around their pins and their old tree.
 Larger ones grow pin by pin, the nearest to the tree first, from another pin each time; then every
 part between two branchings or pins is replaced by a cheapest way between what it leaves apart.
 """
@@ -27,16 +27,8 @@ from numpy.typing import NDArray
 from marouting import Problem, Solution
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
-from marouting.trees.steiner import (
-    CLOSED,
-    Lattice,
-    Search,
-    cheapest_tree,
-    make_lattice,
-    make_search,
-    set_cost,
-    set_size,
-)
+from marouting.trees.exact_tree import Search, exact_tree, make_search
+from marouting.trees.lattice import CLOSED, Lattice, make_lattice, set_cost, set_size
 from policies.learned.config import MOST, check
 
 UNIT = 256
@@ -413,7 +405,7 @@ def _join_all(chip: _Chip, run: Any, lattice: Lattice, s: Search, low: Any, net:
             s.start[group], s.group[group] = point, group
             group += 1
     s.goal[goal] = 1
-    cost = cheapest_tree(lattice, s, group, group, _draw(run))
+    cost = exact_tree(lattice, s, group, group, _draw(run))
     s.goal[goal] = 0
     for i in range(group):
         s.group[i] = 0
@@ -435,7 +427,7 @@ def _grow(chip: _Chip, run: Any, lattice: Lattice, s: Search, draft: _Draft, net
             if joined > 0:
                 s.goal[point] = 1
                 _bound(lattice, s, wide(1), point, wide(0))
-                cost = cheapest_tree(lattice, s, size, wide(1), _draw(run))
+                cost = exact_tree(lattice, s, size, wide(1), _draw(run))
                 s.goal[point] = 0
                 if cost == CLOSED:
                     break
@@ -563,7 +555,7 @@ def _mend(run: Any, lattice: Lattice, s: Search, draft: _Draft, root: int) -> in
                     s.start[i] = s.start[near + i]
                 for i in range(near):
                     s.start[starts + i] = draft.key[keys + i]
-            saved -= cheapest_tree(lattice, s, starts, wide(1), _draw(run))
+            saved -= exact_tree(lattice, s, starts, wide(1), _draw(run))
             for i in range(starts, both):
                 s.goal[s.start[i]] = 0
         else:
