@@ -9,15 +9,18 @@ import gymnasium
 
 from marouting import global_routing_v0, vector
 from marouting._version import __version__
-from marouting.config import EnvOptions
 from marouting.errors import InputError
 from marouting.game.engine import Engine
+from marouting.game.observation import Observation, PaperObservation
+from marouting.game.reward import PaperReward, Reward
 from marouting.generator import generate
 from marouting.make import make
+from marouting.options import EnvOptions
 from marouting.problem.grid import Move
 from marouting.problem.net import Adjustment, Net, Pin
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Evaluation, Solution, evaluate
+from marouting.registry import register
 from marouting.search.astar import sequential_astar
 
 __all__ = [
@@ -28,14 +31,19 @@ __all__ = [
     "InputError",
     "Move",
     "Net",
+    "Observation",
+    "PaperObservation",
+    "PaperReward",
     "Pin",
     "Problem",
+    "Reward",
     "Solution",
     "__version__",
     "evaluate",
     "generate",
     "global_routing_v0",
     "make",
+    "register",
     "sequential_astar",
     "vector",
 ]

@@ -1,127 +1,40 @@
-"""Options: dataclasses are the schema and the one place of defaults, YAML and keywords fill them.
+"""From plain data to checked options: YAML, dataclasses as schemas, and pieces by name.
 
-What a configuration may hold is what the dataclass says, strictly typed; an unknown key names the
-nearest one there is.
+What a configuration may hold is what a dataclass says, strictly typed, and the dataclass is the one
+place of the defaults. An unknown key is an error that names the nearest key there is.
+
+A **piece** is a part that users may bring themselves, named in a configuration as its kind says in
+:mod:`marouting.registry`::
+
+    reward: {kind: paper, reached: 10}
+    reward: {kind: "my_package.rewards:Selfless", share: 0.5}
+
+The options of a piece are the fields of its class if that is a dataclass, the fields of its nested
+dataclass ``Options`` if it has one, and the keyword parameters of its constructor otherwise.
 """
 
+import dataclasses
 import difflib
 import functools
+import inspect
 import json
 import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast, get_args, get_type_hints
+from typing import Annotated, Any, TypeVar, cast, get_args, get_type_hints
 
 import yaml
-from pydantic import ConfigDict, Discriminator, Tag, TypeAdapter, ValidationError
+from pydantic import PlainValidator, Tag, TypeAdapter, ValidationError
+from pydantic.errors import PydanticUserError
 
 from marouting.errors import InputError
 from marouting.files import unusable
-from marouting.game.engine import Engine, NetOrder, Overflow, TurnOrder
-from marouting.game.observation import PaperObservation
-from marouting.game.reward import PaperReward
-from marouting.generator import GeneratorOptions
-from marouting.problem.problem import Problem
-from marouting.trees.decomposition import Decomposition
+from marouting.registry import lookup, name_of, names
 
-Agents = Literal["single", "multi"]
-RenderMode = Literal["ansi", "rgb_array", "human"]
-
-SMALL = GeneratorOptions(nets=10, reduced_edges=0)
-"""What an environment plays when it is given no problem: 10 nets on 8×8×2.
-
-No edges are reduced: that takes a search, and compiling it would double the time that a first
-``env()`` takes on a new machine."""
-
-
-def _kind_of_source(value: Any) -> str:
-    if isinstance(value, Mapping | GeneratorOptions):
-        return "generator"
-    return "files" if isinstance(value, list | tuple) else "file"
-
-
-ProblemSource = Annotated[
-    Annotated[str, Tag("file")]
-    | Annotated[tuple[str, ...], Tag("files")]
-    | Annotated[GeneratorOptions, Tag("generator")],
-    Discriminator(_kind_of_source),
-]
-_TAGS = ("file", "files", "generator")
-
-
-@dataclass(frozen=True, kw_only=True)
-class GameOptions:
-    """The options of every face of the environment; the defaults are the paper's.
-
-    Attributes:
-        problem: a ``.gr`` file, a folder of them, a list of both, or what the generator takes
-            (:class:`marouting.generator.GeneratorOptions`). An environment plays one problem. A
-            generator with ``seed: null`` draws a new problem at every reset.
-        turn_order: ``sequential``, a net routes to its end before the next starts (the paper), or
-            ``round_robin``, one step each. None: ``sequential`` for one agent, ``round_robin`` for
-            many.
-        net_order: ``half_perimeter`` (largest first, as the authors' code), ``half_perimeter_up``
-            or ``file``.
-        max_steps: steps after which a task fails, the paper's T_max. None: 50 as in the paper, or
-            twice X + Y where that is more.
-        overflow: ``forbidden``, a move across a full edge is blocked (the paper), or ``allowed``,
-            at ``reward.overflow_price``.
-        decomposition: what tasks a net's pins are cut into, along a tree: ``mst``, a minimum
-            spanning tree (the paper), or ``steiner``, a rectilinear Steiner tree.
-        observation: the paper's 12 numbers; see
-        :class:`marouting.game.observation.PaperObservation`.
-        reward: the paper's +100 and −1; see :class:`marouting.game.reward.PaperReward`.
-        mask_in_observation: whether an observation is ``{"observation", "action_mask"}``; the
-            mask is in ``info["action_mask"]`` either way.
-        render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
-    """
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    problem: ProblemSource = SMALL
-    turn_order: TurnOrder | None = None
-    net_order: NetOrder = "half_perimeter"
-    max_steps: int | None = None
-    overflow: Overflow = "forbidden"
-    decomposition: Decomposition = "mst"
-    observation: PaperObservation = field(default_factory=PaperObservation)
-    reward: PaperReward = field(default_factory=PaperReward)
-    mask_in_observation: bool = False
-    render_mode: RenderMode | None = None
-
-    def engine(self, problems: Sequence[Problem], turn_order: TurnOrder) -> Engine:
-        """The engine that plays problems by these options; raises InputError if it cannot.
-
-        Args:
-            problems: what to play, whatever ``problem`` says.
-            turn_order: the order where the options leave it open.
-        """
-        return Engine(
-            problems,
-            turn_order=self.turn_order or turn_order,
-            net_order=self.net_order,
-            max_steps=self.max_steps,
-            overflow=self.overflow,
-            decomposition=self.decomposition,
-        )
-
-
-ORDERS: dict[Agents, TurnOrder] = {"single": "sequential", "multi": "round_robin"}
-"""The turn order of each face, where the options leave it open."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class EnvOptions(GameOptions):
-    """The part ``env:`` of a configuration: the game's options and the face to play it through.
-
-    Attributes:
-        agents: ``single``, one player moves all nets (Gymnasium; the paper), or ``multi``, every
-            net is an agent (PettingZoo).
-    """
-
-    agents: Agents = "single"
+MOST = 2**31 - 1
+"""The largest count: compiled code and arrays take no arbitrary integers."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -188,25 +101,29 @@ Schema = TypeVar("Schema")
 
 
 def build(schema: type[Schema], raw: Mapping[str, Any], where: str = "") -> Schema:
-    """Fills a dataclass from plain data, strictly: no key too many, no type but the schema's.
+    """Fills a dataclass from plain data, strictly: only its keys, only the types it declares.
 
     Args:
         schema: the dataclass.
         raw: plain data, as from YAML.
-        where: what the message of an error starts with: the file, or the key that leads here.
+        where: what an error message starts with: the file, or the key that leads here.
 
     Raises:
         InputError: names the key, what was expected and what was found.
     """
     try:
         # In JSON a list can be a tuple and an integer a float, and nothing else is converted.
-        text = json.dumps(raw, default=_plain)
+        text = json.dumps(raw, default=_jsonable)
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(one_line(f"{_prefix(where)}expected plain data: {error}")) from None
     try:
         built: Schema = _adapter(cast(Any, schema)).validate_json(text, strict=True)
     except ValidationError as error:
         raise InputError(one_line(_prefix(where) + _explain(schema, error))) from None
+    except PydanticUserError as error:
+        reason = str(error).splitlines()[0]
+        what = f"{_prefix(where)}{schema.__name__} cannot be configured"
+        raise InputError(f"{what}: {reason}") from None
     return built
 
 
@@ -215,8 +132,10 @@ def _adapter(schema: Any) -> TypeAdapter[Any]:
     return TypeAdapter(schema)
 
 
-def _plain(value: Any) -> Any:
-    """What JSON does not know: paths, NumPy's numbers, dataclasses."""
+def _jsonable(value: Any) -> Any:
+    """What JSON does not know: paths, NumPy's numbers, dataclasses, pieces."""
+    if isinstance(value, Piece):
+        return plain(value)
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if is_dataclass(value) and not isinstance(value, type):
@@ -226,8 +145,239 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{value!r} is not")
 
 
+# --- pieces ---------------------------------------------------------------------------------------
+
+_CONTEXT = {"network": 2, "learner": 1}
+"""How many arguments the constructor of a piece is given before its options."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A piece that a configuration names, before it is made.
+
+    Attributes:
+        kind: one of :data:`marouting.registry.KINDS`.
+        name: a registered name or ``module:Class``.
+        cls: the class.
+        options: checked, with the defaults filled in: the piece itself where its class is a
+            dataclass, an instance of the class's ``Options`` where it has them, otherwise keyword
+            arguments by name.
+        given: whether the piece is an object that was handed over ready made.
+    """
+
+    kind: str
+    name: str
+    cls: type[Any]
+    options: Any
+    given: bool = False
+
+    def make(self, *context: Any) -> Any:
+        """The piece.
+
+        Args:
+            *context: what its kind is made for: a network gets the shape of an observation and the
+                number of outputs, a learner its :class:`policies.learned.learner.Setup`.
+        """
+        if self.given:
+            return self.options
+        if isinstance(self.options, self.cls):
+            return dataclasses.replace(self.options)
+        if isinstance(self.options, Mapping):
+            return self.cls(*context, **self.options)
+        return self.cls(*context, self.options)
+
+
+Named = Annotated[Piece, PlainValidator(lambda value: value)]
+"""The type of a field that holds a piece; :func:`take_pieces` makes one of what stands there."""
+
+
+def piece_field(kind: str, name: str | None = None) -> Any:
+    """A field of a schema for a piece of a kind.
+
+    Args:
+        kind: one of :data:`marouting.registry.KINDS`.
+        name: the piece that the field holds by default; None: the first one registered.
+    """
+    return field(default=None, metadata={"kind": kind, "name": name})
+
+
+def take_pieces(options: Any) -> None:
+    """Replaces names, mappings and objects in the piece fields of a schema by pieces.
+
+    Called by a schema's ``__post_init__``.
+
+    Raises:
+        InputError: names the key and what was expected.
+    """
+    for f in fields(options):
+        if "kind" in f.metadata:
+            taken = piece(f.metadata["kind"], getattr(options, f.name), f.metadata["name"], f.name)
+            object.__setattr__(options, f.name, taken)
+
+
+def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> Piece:
+    """A piece from what a configuration or an argument holds.
+
+    Args:
+        kind: one of :data:`marouting.registry.KINDS`.
+        raw: a name or ``module:Class``; a mapping with the key ``kind`` for the name, all others
+            being options; a piece; None, for the default; or an object that is the piece.
+        default: the name where none is given; None: the first one registered.
+        where: what an error message starts with.
+
+    Raises:
+        InputError: names the key, what was expected and what was found.
+    """
+    if isinstance(raw, Piece):
+        return raw
+    if raw is not None and not isinstance(raw, str | Mapping):
+        return Piece(kind, name_of(kind, type(raw)), type(raw), raw, given=True)
+    plainly: dict[str, Any] = {"kind": raw} if isinstance(raw, str) else dict(raw or {})
+    name = plainly.pop("kind", None) or default or names(kind)[0]
+    if not isinstance(name, str):
+        raise InputError(f"{_prefix(where)}kind: expected a name, found {name!r}")
+    cls = lookup(kind, name, where)
+    schema, varied = _options_of(kind, cast(Any, cls))
+    known = [f.name for f in fields(schema)]
+    unknown = [key for key in plainly if key not in known]
+    try:
+        if unknown and not varied:
+            raise InputError(one_line(_unknown_key(str(unknown[0]), known)))
+        options = build(schema, {k: v for k, v in plainly.items() if k not in unknown})
+    except InputError as error:
+        raise InputError(f"{where}.{error}" if where else str(error)) from None
+    if schema.__name__ == _KEYWORDS:
+        keywords = {key: getattr(options, key) for key in known}
+        return Piece(kind, name, cls, keywords | {key: plainly[key] for key in unknown})
+    return Piece(kind, name, cls, options)
+
+
+_KEYWORDS = "Keywords"
+
+
+@functools.cache
+def _options_of(kind: str, cls: type[Any]) -> tuple[type[Any], bool]:
+    """The dataclass of a class's options, and whether others may come with them."""
+    if is_dataclass(cls):
+        return cls, False
+    options = getattr(cls, "Options", None)
+    if isinstance(options, type) and is_dataclass(options):
+        return options, False
+    try:
+        parameters = list(inspect.signature(cls).parameters.values())
+        hints = get_type_hints(cls.__init__, include_extras=True)
+    except (TypeError, ValueError, NameError):
+        return dataclasses.make_dataclass(_KEYWORDS, []), True
+    declared: list[Any] = []
+    for parameter in parameters[_CONTEXT.get(kind, 0) :]:
+        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            continue
+        hint = hints.get(parameter.name, Any)
+        if parameter.default is parameter.empty:
+            declared.append((parameter.name, hint))
+        else:
+            default = field(default_factory=functools.partial(_same, parameter.default))
+            declared.append((parameter.name, hint, default))
+    varied = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
+    return dataclasses.make_dataclass(_KEYWORDS, declared, kw_only=True), varied
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def plain(value: Any) -> Any:
+    """A configuration as plain data, such as YAML and JSON hold.
+
+    A piece becomes a mapping of its options, with its name under ``kind``.
+
+    Raises:
+        InputError: a piece was handed over as an object whose options cannot be told.
+    """
+    if isinstance(value, Piece):
+        options = value.options
+        if value.given and not is_dataclass(options):
+            raise InputError(
+                f"{value.kind}: expected a name or module:Class with its options, to write it "
+                f"down; found an object of {value.name}"
+            )
+        return {"kind": value.name, **plain(options)}
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    return value
+
+
+# --- changes and checks ---------------------------------------------------------------------------
+
+
+def check(name: str, holds: object, expected: str) -> None:
+    """Raises InputError, ``name: expected …``, unless a condition holds."""
+    if not holds:
+        raise InputError(f"{name}: expected {expected}")
+
+
+def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """Plain data with single keys changed.
+
+    Args:
+        raw: plain data, as from YAML.
+        overrides: ``key=value`` as in :func:`policies.learned.config.load_config`.
+
+    Raises:
+        InputError: an override is none.
+    """
+    changed = dict(raw)
+    for given in overrides:
+        key, equals, value = given.partition("=")
+        if not equals or not key:
+            raise InputError(one_line(f"{given}: expected key=value"))
+        *parts, last = key.split(".")
+        place = changed
+        for part in parts:
+            inner = place.get(part)
+            # A copy: by YAML's anchors a mapping can stand in several places.
+            place[part] = dict(inner) if isinstance(inner, Mapping) else {}
+            place = place[part]
+        place[last] = parse_yaml(value, given)
+    return changed
+
+
+def check_same(mine: Mapping[str, Any], kept: Mapping[str, Any], where: Path) -> None:
+    """Raises InputError, naming the key, unless two configurations in plain data are the same.
+
+    Args:
+        mine: what is asked for.
+        kept: what was started with.
+        where: the file that keeps it.
+    """
+    found, expected = _flat(mine), _flat(kept)
+    # A key may be there in one of them only, as those of a problem's files or its generator.
+    for key in dict.fromkeys((*expected, *found)):
+        if expected.get(key) != found.get(key):
+            raise InputError(
+                f"{key}: expected {expected.get(key)!r}, as in {where}, found {found.get(key)!r}"
+            )
+
+
+def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as one, keys joined by dots; sequences as tuples."""
+    flat: dict[str, Any] = {}
+    for key, value in nested.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{key}.")
+        elif isinstance(value, Sequence) and not isinstance(value, str):
+            flat[prefix + key] = tuple(value)
+        else:
+            flat[prefix + key] = value
+    return flat
+
+
 def one_line(text: str) -> str:
-    """A text without its line breaks, which keys and paths may hold."""
+    """A text without its line breaks, which keys and paths may contain."""
     return " ".join(text.splitlines())
 
 
@@ -235,18 +385,22 @@ def _prefix(where: str) -> str:
     return f"{where}: " if where else ""
 
 
+def _unknown_key(key: str, known: Sequence[str]) -> str:
+    close = difflib.get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
+    expected = f"did you mean {close[0]}?" if close else f"expected one of {', '.join(known)}"
+    return f"{key}: unknown key; {expected}"
+
+
 def _explain(schema: type, error: ValidationError) -> str:
     """The first error of a validation as one line."""
     first = error.errors(include_url=False)[0]
-    # A tag stands behind the field that it belongs to; elsewhere it is a key like any other.
+    # What a union is told apart by stands in the path as if it were a key.
+    tags = {hint.tag for hint in _flatten(schema) if isinstance(hint, Tag)}
     loc = [str(part) for part in first["loc"]]
-    path = [p for i, p in enumerate(loc) if not (p in _TAGS and i and loc[i - 1] == "problem")]
+    path = [p for i, p in enumerate(loc) if not (p in tags and i and loc[i - 1] == "problem")]
     key = ".".join(path)
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-        known = _keys(schema, path[:-1])
-        close = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
-        expected = f"did you mean {close[0]}?" if close else f"expected one of {', '.join(known)}"
-        return f"{key}: unknown key; {expected}"
+        return _unknown_key(key, _keys(schema, path[:-1]))
     message = first["msg"].replace("\n", " ")
     message = message.removeprefix("Value error, ").replace("Input should be", "expected")
     found = f", found {first['input']!r}"[:200] if first["type"] != "value_error" else ""
@@ -256,13 +410,18 @@ def _explain(schema: type, error: ValidationError) -> str:
 def _keys(schema: Any, path: list[str]) -> list[str]:
     """The keys of the dataclass that a path of keys leads to."""
     for name in path:
-        schema = get_type_hints(schema).get(name)
-        schema = next((t for t in _flatten(schema) if is_dataclass(t)), None)
+        schema = get_type_hints(schema, include_extras=True).get(name)
+        schema = next(
+            (t for t in _flatten(schema) if isinstance(t, type) and is_dataclass(t)), None
+        )
         if schema is None:
             return []
     return [f.name for f in fields(schema)]
 
 
 def _flatten(hint: Any) -> list[Any]:
-    """A type hint and all hints inside it."""
-    return [hint, *(inner for arg in get_args(hint) for inner in _flatten(arg))]
+    """A type hint and all hints inside it; of a dataclass also those of its fields."""
+    inner = list(get_args(hint))
+    if isinstance(hint, type) and is_dataclass(hint):
+        inner += get_type_hints(hint, include_extras=True).values()
+    return [hint, *(deeper for one in inner for deeper in _flatten(one))]

@@ -21,7 +21,7 @@ terminates when all its tasks are joined and is truncated when its last task has
 failed; its last info holds the `metrics`. All the rules: :mod:`marouting.game.engine`.
 
 The options of `env`, `raw_env` and `parallel_env` are the fields of
-:class:`marouting.config.GameOptions`; the problem may be a `Problem`, a `.gr` file, or what
+:class:`marouting.options.GameOptions`; the problem may be a `Problem`, a `.gr` file, or what
 :func:`marouting.generate` takes as a mapping.
 
 ## Version history
@@ -46,7 +46,7 @@ def env(problem: Source = None, **options: Any) -> AECEnv:
 
     Args:
         problem: see :data:`marouting.source.Source`.
-        **options: the fields of :class:`marouting.config.GameOptions`.
+        **options: the fields of :class:`marouting.options.GameOptions`.
 
     Raises:
         InputError: an option or a problem that cannot be used.

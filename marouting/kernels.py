@@ -1,28 +1,116 @@
-"""How hot loops are compiled, and what their arrays are indexed with."""
+"""How hot loops are compiled: the one place for numba's options, and for its disk cache.
 
+Compiled code is kept on disk. Numba considers it fresh as long as the one source file of the
+function has not changed, although functions of other files are compiled into it. Here it is fresh
+as long as no source file of the package, or of this one, has changed (:func:`stamp`): after an
+upgrade, or an edit of a rule, every loop that contains the rule is compiled again.
+
+Some of numba's options and attributes used here are private. Where a release of numba lacks them,
+the functions are compiled without them: slower, with the same results.
+"""
+
+import functools
+import hashlib
+import sys
+import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import llvmlite
+import numba
 import numpy as np
 from numba import njit, typeof
 
-compiled = njit(cache=True, nogil=True, _nrt=False)  # type: ignore[call-overload]
-"""How kernels are compiled: to disk, and without counting references to arrays. No kernel
-allocates; counting at every call of a rule of the game would take ten times as long as the rule."""
+_NO_REFERENCE_COUNTS = {"_nrt": False}
+_PRIVATE = {"forceinline", "no_cpython_wrapper", "no_cfunc_wrapper", *_NO_REFERENCE_COUNTS}
+"""Options that numba does not document."""
 
-inlined = njit(  # type: ignore[call-overload]
-    cache=True, _nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True
+
+def _known(options: dict[str, Any]) -> dict[str, Any]:
+    """The options without the private ones, unless numba knows them all."""
+    try:
+        from numba.core.compiler import Flags
+        from numba.core.cpu import CPUTargetOptions
+
+        CPUTargetOptions.parse_as_flags(Flags(), options)  # type: ignore[no-untyped-call]
+    except (ImportError, AttributeError, KeyError):
+        return {name: value for name, value in options.items() if name not in _PRIVATE}
+    return options
+
+
+def _decorator(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """A decorator that compiles a function with these options, and keeps the result on disk."""
+
+    def compile_with(function: Callable[..., Any]) -> Any:
+        known = _known(options)
+        try:
+            dispatcher = njit(cache=True, **known)(function)
+            # Numba compares this with what it finds on disk.
+            dispatcher._cache._cache_file._source_stamp = stamp(function.__module__)
+        except (RuntimeError, AttributeError) as error:
+            # There is nowhere to write, or numba's cache has changed its form: without it, stale
+            # code cannot be told from fresh code.
+            _warn_once(str(error))
+            return njit(**known)(function)
+        return dispatcher
+
+    return compile_with
+
+
+@functools.cache
+def _warn_once(reason: str) -> None:
+    warnings.warn(f"compiled code is not kept on disk: {reason}", RuntimeWarning, stacklevel=2)
+
+
+@functools.cache
+def stamp(module: str) -> str:
+    """What tells compiled code of one version of the sources from that of another.
+
+    Args:
+        module: the name of the module that a compiled function is defined in.
+
+    Returns:
+        A digest of the sources of the module's top-level package and of this package, and of the
+        versions of numba and llvmlite.
+    """
+    digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
+    for name in dict.fromkeys((__name__.partition(".")[0], module.partition(".")[0])):
+        source = getattr(sys.modules.get(name), "__file__", None)
+        if source is None:
+            continue
+        path = Path(source)
+        for file in sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]:
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+compiled = _decorator(nogil=True, **_NO_REFERENCE_COUNTS)
+"""For kernels that allocate nothing: compiled to disk, without the interpreter's lock, and without
+counting references to arrays. Counting at every call of a rule would take ten times as long as the
+rule."""
+
+inlined = _decorator(
+    forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **_NO_REFERENCE_COUNTS
 )
-"""For functions inside the loops of others: a call would hand over a dozen arrays. They have no
-entry from Python, which takes as long to compile as they do."""
+"""For functions inside the loops of kernels: a call would hand over a dozen arrays. They cannot be
+called from Python: the code for that takes as long to compile as the functions themselves."""
+
+allocating = _decorator(nogil=True, error_model="numpy")
+"""For kernels that make arrays. They divide as NumPy does: a check of every divisor for zero keeps
+loops from being vectorised."""
+
+threaded = _decorator(error_model="numpy", parallel=True)
+"""The same, with loops over ``numba.prange`` shared among numba's threads. Numba's cache does not
+look at options, so a threaded kernel has to be a function of its own."""
 
 
 @inlined
 def wide(index: Any) -> int:
-    """An index out of an array as int64.
+    """An index from an array as int64.
 
-    Numba compiles a function anew for every combination of integer types that it is called with;
-    widened where they come out of arrays, all indices have one type.
+    Numba compiles a function anew for every combination of integer types that it is called with.
+    Widened where they come out of arrays, all indices have one type.
     """
     return np.int64(index)  # type: ignore[return-value]
 
@@ -31,8 +119,8 @@ def wide(index: Any) -> int:
 def place(index: Any) -> int:
     """An index that is not negative, as int64.
 
-    Numba lets a negative index count from the end, and looking for one takes as long as the rest
-    of an access.
+    Numba lets a negative index count from the end; the check for one takes as long as the rest of
+    an access.
     """
     return np.int64(np.uint32(index))  # type: ignore[return-value]
 
@@ -40,11 +128,17 @@ def place(index: Any) -> int:
 def bound(kernel: Any, *examples: Any) -> Callable[..., Any]:
     """The machine code of a compiled function, for arguments of the types of the examples.
 
-    Numba looks up the types of all arguments at every call, which for the engine's tuples takes
-    several times as long as a move. What is returned looks up nothing: it has to be called with
-    the types, dimensions and memory layouts of the examples.
+    Numba looks up the types of all arguments at every call. For the engine's tuples this takes
+    several times as long as a move.
+
+    Args:
+        kernel: a compiled function.
+        *examples: arguments whose types, dimensions and memory layouts all calls will share.
+
+    Returns:
+        A function that looks nothing up; the kernel itself where numba does not give one away.
     """
     signature = tuple(map(typeof, examples))
     kernel.compile(signature)
-    code: Callable[..., Any] = kernel.overloads[signature].entry_point
+    code: Callable[..., Any] = getattr(kernel.overloads[signature], "entry_point", kernel)
     return code

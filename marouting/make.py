@@ -5,9 +5,10 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from marouting.config import EnvOptions, build, read_yaml
+from marouting.config import build, read_yaml
 from marouting.env.single import GlobalRoutingSingle
 from marouting.errors import InputError
+from marouting.options import EnvOptions
 
 
 def make(config: str | os.PathLike[str] | Mapping[str, Any] | Any) -> Any:
@@ -18,7 +19,7 @@ def make(config: str | os.PathLike[str] | Mapping[str, Any] | Any) -> Any:
 
     Args:
         config: path to a YAML file, a mapping with a key ``env``, an
-            :class:`marouting.config.EnvOptions`, or an object that has one as ``env``. All other
+            :class:`marouting.options.EnvOptions`, or an object that has one as ``env``. All other
             parts of the configuration are left to :mod:`policies`.
 
     Returns:

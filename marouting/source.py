@@ -5,9 +5,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from marouting.config import SMALL, GameOptions, build
+from marouting.config import build
 from marouting.errors import InputError
 from marouting.generator import GeneratorOptions, generate_from
+from marouting.options import SMALL, GameOptions
 from marouting.problem.problem import Problem
 
 Source = (

@@ -95,7 +95,7 @@ class Agent:
     status: str = "ACTIVE"
     crossing: str = "NONE"
     ending: str = "NONE"
-    overflow: int = 0
+    added_overflow: int = 0
 
 
 @dataclass
@@ -182,14 +182,14 @@ class Game:
         """One agent's move, the end of its task and the beginning of its next."""
         agent = self.agents[n]
         edge = self.way(n, move)
-        agent.overflow = 0
+        agent.added_overflow = 0
         if edge is None:
             agent.crossing = "BLOCKED"
         else:
             before = self.overflow_of(edge)
             agent.crossing = "OWN" if n in self.users[edge] else "NEW"
             self.users[edge].add(n)
-            agent.overflow = self.overflow_of(edge) - before
+            agent.added_overflow = self.overflow_of(edge) - before
             agent.at = edge[1] if agent.at == edge[0] else edge[0]
         agent.steps += 1
         self.steps += 1
@@ -226,7 +226,7 @@ class Game:
         """Every active agent moves once; in sequential order only the one whose turn it is."""
         assert self.turn is not None
         for agent in self.agents:  # what those did who do not move now is forgotten
-            agent.crossing, agent.ending, agent.overflow = "NONE", "NONE", 0
+            agent.crossing, agent.ending, agent.added_overflow = "NONE", "NONE", 0
         for n in [self.turn] if self.turn_order == "sequential" else self.active():
             self.go(n, moves[n])
         if self.agents[self.turn].status != "ACTIVE":

@@ -22,10 +22,10 @@ from hypothesis import strategies as st
 
 import marouting
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
-from marouting.config import build
+from marouting.config import build, override
 from policies.cli.main import status
 from policies.experiment import ExperimentConfig, load_experiment
-from policies.learned.config import Config, DQNOptions, TrainOptions, load_config, override
+from policies.learned.config import Config, DQNOptions, TrainOptions, load_config
 from policies.learned.router import DQNRouter, QPolicy
 from policies.learned.run import write_config
 from policies.routers import registry as routers

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from reference import Game, contested, edge_number, gcell_of, random_moves
 
 from marouting import Adjustment, Engine, InputError, Move, Net, Pin, Problem, evaluate
-from marouting.game.engine import NOBODY, Crossing, Ending, Status
+from marouting.game.state import NOBODY, Crossing, Ending, Status
 from marouting.problem.problem import UNLIMITED
 
 E, W, N, S, U, D = Move
@@ -39,7 +39,7 @@ def compare(engine: Engine, game: Game) -> None:
     for name, kind in (("status", Status), ("crossing", Crossing), ("ending", Ending)):
         found = [kind(value).name for value in records[name].tolist()]
         assert found == [getattr(a, name) for a in agents], name
-    for name in ("overflow", "joined", "steps"):
+    for name in ("added_overflow", "joined", "steps"):
         assert records[name].tolist() == [getattr(a, name) for a in agents], name
 
     turn = engine.games[0]["agent"]
@@ -273,7 +273,7 @@ def test_turns_of_a_cycle_are_one_step_of_all(
         at_once.step(moves)
         for name in one_by_one.agents.dtype.names or ():
             # Whoever was out of the game before did not move: their last move is no matter.
-            of = active if name in ("crossing", "ending", "overflow") else ...
+            of = active if name in ("crossing", "ending", "added_overflow") else ...
             np.testing.assert_array_equal(
                 one_by_one.agents[name][of], at_once.agents[name][of], err_msg=name
             )
@@ -382,11 +382,11 @@ def test_reaching_the_target_with_the_last_step_is_joined() -> None:
 def test_overflow_is_counted_beyond_capacity_only() -> None:
     engine = Engine([ROW], overflow="allowed", net_order="file", turn_order="round_robin")
     play(engine, E, E)  # B, then A, over the same edge of capacity 1
-    assert engine.agents[0, 1]["overflow"] == 1
+    assert engine.agents[0, 1]["added_overflow"] == 1
     assert engine.metrics().overflow == 1
     assert engine.masks(*engine.pairs(everyone=True)).tolist() == [[1, 1, 0, 0, 1, 0]] * 2
     play(engine, W)  # A goes back over its own edge: nothing more
-    assert engine.agents[0, 1]["overflow"] == 0
+    assert engine.agents[0, 1]["added_overflow"] == 0
     assert engine.metrics().overflow == 1
 
 

@@ -34,7 +34,7 @@ from marouting import (
     generate,
     global_routing_v0,
 )
-from marouting.game.engine import NOBODY, Ending, Status
+from marouting.game.state import NOBODY, Dynamic, Ending, Status
 
 E, W, N, S, U, D = Move
 seeds = st.integers(0, 2**32)
@@ -83,7 +83,7 @@ def expected_rewards(engine: Engine, price: float = 0.0, own_edge: float = -1.0)
             reward = 100.0
         else:
             reward = own_edge if record["crossing"] == 3 else -1.0
-        rewards.append(reward - price * float(record["overflow"]))
+        rewards.append(reward - price * float(record["added_overflow"]))
     return rewards
 
 
@@ -141,7 +141,7 @@ def play_side_by_side(
         seen, rewards, terminations, truncations, infos = parallel.step(actions)
 
         # The same moves one after the other.
-        in_turn = list(actions) if engine.turn_order == "round_robin" else [names[turn]]
+        in_turn = list(actions) if not engine.static.sequential else [names[turn]]
         paid, ended = dict.fromkeys(actions, 0.0), {}
         for _ in in_turn:
             agent = aec.agent_selection
@@ -213,7 +213,7 @@ def test_observations_are_those_of_the_model(
             assert observation.dtype == np.float32
             assert observation.tolist() == expected_observation(engine, game, n)
         assert env.infos[env.agent_selection]["action_mask"].tolist() == game.mask(game.turn)
-        move = int(random_moves(env._face.engine, rng)[0, game.turn])
+        move = int(random_moves(env.engine, rng)[0, game.turn])
         mover = env.agent_selection
         env.step(move)
         game.step(move)
@@ -521,9 +521,11 @@ class Two:
         out[:, 1] = engine.agents["joined"][problems, agents]
 
 
-def doubled(agents: Any) -> Any:
-    """A reward: twice the task's steps."""
-    return (2 * agents["steps"]).astype(np.float32)
+def doubled(game: Engine, before: Dynamic, movers: NDArray[np.int32]) -> Any:
+    """A reward: twice the steps of the mover's task."""
+    del before
+    mine = np.arange(game.nets.shape[1]) == movers[:, None]
+    return np.where(mine, 2.0 * game.agents["steps"], 0.0)
 
 
 def test_own_observation_and_reward() -> None:
@@ -712,7 +714,7 @@ def test_make(config: Any, kind: type) -> None:
     assert isinstance(env, kind)
     env.reset(seed=0)
     # Left open, one player takes net after net, and many move in turns.
-    order = env.unwrapped._face.engine.turn_order
+    order = env.unwrapped.engine.rules.turn_order
     assert order == ("sequential" if kind is gymnasium.Env else "round_robin")
 
 
@@ -745,7 +747,7 @@ def test_make_from_a_file(tmp_path: Path) -> None:
     ("options", "expected"),
     [
         ({"turn_ordr": "sequential"}, "turn_ordr: unknown key; did you mean turn_order?"),
-        ({"zzz": 1}, "zzz: unknown key; expected one of problem, turn_order,"),
+        ({"zzz": 1}, "zzz: unknown key; expected one of turn_order, net_order,"),
         ({"problem": {"netz": 3}}, "problem.netz: unknown key; did you mean nets?"),
         ({"reward": {"reachd": 1.0}}, "reward.reachd: unknown key; did you mean reached?"),
         ({"observation": {"via": 1}}, "observation.via: unknown key; "),

@@ -19,7 +19,7 @@ from marouting import (
     global_routing_v0,
     sequential_astar,
 )
-from marouting.game.engine import NOBODY
+from marouting.game.state import NOBODY
 from marouting.search.astar import AStar
 from marouting.search.route_follower import RouteFollower
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
@@ -31,7 +31,7 @@ LONG = 10**6  # steps a task: more than any way needs
 def played(engine: Engine, solutions: list[Solution]) -> list[Solution]:
     """The solutions of a game whose agents follow solutions, all of its problems at once."""
     guide = RouteFollower(engine, solutions)
-    everyone = engine.turn_order == "round_robin"
+    everyone = not engine.static.sequential
     while (engine.games["agent"] != NOBODY).any():
         m, n = engine.pairs(everyone=everyone)
         moves = guide.moves(m, n)

@@ -23,7 +23,7 @@ from marouting import (
     generate,
     sequential_astar,
 )
-from marouting.game.engine import NOBODY, Ending, Status
+from marouting.game.state import NOBODY, Ending, Status
 from marouting.problem.grid import OFF_GRID
 from marouting.search.astar import AStar
 from marouting.search.bounded import search_buffers, shortest_path
@@ -509,5 +509,5 @@ def test_options_that_there_are_not(options: Any) -> None:
     (problem,) = generate(1, nets=3)
     with pytest.raises(InputError, match=f"{next(iter(options))}: expected one of"):
         sequential_astar(problem, **options)
-    with pytest.raises(InputError, match="net_order: expected a number a net"):
+    with pytest.raises(InputError, match="net_order: expected one number per net"):
         sequential_astar(problem, np.arange(2))

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 import marouting
 from marouting import InputError, global_routing_v0
-from marouting.game.engine import TurnOrder
 from marouting.game.observation import PaperObservation
+from marouting.game.options import TurnOrder
 from marouting.game.reward import PaperReward
 from marouting.vector import BatchEnv
 
@@ -150,8 +150,8 @@ class Plain:
     def write(self, *arguments: Any) -> None:
         self._piece.write(*arguments)
 
-    def __call__(self, agents: Any) -> Any:
-        return self._piece(agents)
+    def __call__(self, *arguments: Any) -> Any:
+        return self._piece(*arguments)
 
 
 def test_injected_pieces_are_as_good_as_the_compiled_ones() -> None:

@@ -2,33 +2,28 @@
 
 from typing import Any
 
-import numpy as np
 from gymnasium import Space
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 from pettingzoo import AECEnv
 
-from marouting.config import ORDERS
-from marouting.env.base import INT8, METADATA, BaseGame, GameMethods, checked_move
-from marouting.game.engine import NOBODY, Status
+from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
+from marouting.game.state import NOBODY
+from marouting.options import ORDERS
 from marouting.problem.grid import MOVES
 from marouting.source import Source
-
-# Plain numbers compare many times quicker than members of an IntEnum.
-_ACTIVE, _TERMINATED = int(Status.ACTIVE), int(Status.TERMINATED)
-
-_MASK = 1, MOVES
 
 
 class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
     """Global routing with every net an agent, one move at a time.
 
-    An agent's observation and mask are those of the moment it is selected; its reward is that of
-    its own last move. See :mod:`marouting.global_routing_v0` for spaces and options.
+    An agent's observation and mask are those of the moment it is selected. Its reward is what its
+    own last move paid it and what others' moves have paid it since. See
+    :mod:`marouting.global_routing_v0` for spaces and options.
 
     Args:
         problem: see :data:`marouting.source.Source`.
-        **options: the fields of :class:`marouting.config.GameOptions`.
+        **options: the fields of :class:`marouting.options.GameOptions`.
     """
 
     metadata = METADATA
@@ -75,7 +70,8 @@ class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
             for agent, mask in zip(self.agents, self._game.masks(), strict=True)
         }
         self._skip_agent_selection: str | None = None
-        self._rewarded = self.agents[0]
+        self._paid = self._game.player.paid
+        self._mover = self.agents[0]
         self.agent_selection = self._game.names[engine.games[0]["agent"]]
 
     def observe(self, agent: str) -> Any:
@@ -95,23 +91,39 @@ class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
             if agent in self.infos:  # others may have taken capacity since its info was made
                 self.infos[agent] = game.info(game.mask(self._number[agent]), over=False)
             return
-        mask = np.empty(_MASK, INT8)
-        following, status = game.engine.play_turn(checked_move(action), mask)
-
-        # Only the mover gets a reward; the last mover's is over.
-        if self._rewarded in self.rewards:
-            self.rewards[self._rewarded] = 0.0
-        self._rewarded = agent
-        reward = game.reward(self._number[agent])
-        self.rewards[agent] = self._cumulative_rewards[agent] = reward
-        if status == _ACTIVE:
+        player, number = game.player, self._number[agent]
+        buffers = player.buffers
+        buffers.actions[0, 0] = checked_move(action)
+        player.step()
+        self._pay(agent, buffers.reward.item())
+        terminated, truncated = buffers.terminated.item(), buffers.truncated.item()
+        following = buffers.agents.item()
+        if not (terminated or truncated):
             agent = self.agent_selection = game.names[following]
-            self.infos[agent] = {"action_mask": mask[0]}
+            self.infos[agent] = {"action_mask": buffers.mask[0, 0].copy()}
         else:
-            self.terminations[agent] = status == _TERMINATED
-            self.truncations[agent] = status != _TERMINATED
-            self.infos[agent] = game.info(mask[0], over=True)
+            self.terminations[agent] = terminated
+            self.truncations[agent] = truncated
+            self.infos[agent] = game.info(game.mask(number), over=True)
             # The agent is selected once more, to be taken off the list, before the next one.
             self._skip_agent_selection = None if following == NOBODY else game.names[following]
         if self.render_mode == "human":
             self.render()
+
+    def _pay(self, mover: str, reward: float) -> None:
+        """Sets what the move paid, and adds it to what each agent has got since its own last move.
+
+        Args:
+            mover: the agent that moved.
+            reward: what it got, where the reward pays only the agent that moves.
+        """
+        self._cumulative_rewards[mover] = 0.0
+        if self._paid is None:
+            if self._mover in self.rewards:
+                self.rewards[self._mover] = 0.0
+            self.rewards[mover] = self._cumulative_rewards[mover] = reward
+            self._mover = mover
+            return
+        for agent in self.agents:
+            self.rewards[agent] = self._paid[0, self._number[agent]].item()
+        self._accumulate_rewards()

@@ -11,18 +11,19 @@ from gymnasium.spaces import Box, Dict, MultiBinary
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from marouting.config import GameOptions, build
-from marouting.game.engine import NOBODY, Engine, Status, TurnOrder
-from marouting.game.observation import Observation, nets_on_edges, state, state_space, writer
-from marouting.game.reward import Reward, payer
+from marouting.game.engine import Engine
+from marouting.game.observation import nets_on_edges, state, state_space
+from marouting.game.options import TurnOrder
+from marouting.game.state import NOBODY, Status
 from marouting.generator import GeneratorOptions
+from marouting.options import game_options
+from marouting.player import Player
 from marouting.problem.grid import MOVES
 from marouting.problem.net import MAX_NUMBER
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Scene, Window, ansi, rgb_array
 from marouting.source import Source, checked_source, load_problem
-from marouting.vector import Arrays, Board
 
 METADATA: dict[str, Any] = {
     "name": "global_routing_v0",
@@ -30,9 +31,6 @@ METADATA: dict[str, Any] = {
     "render_fps": 10,
     "is_parallelizable": True,
 }
-
-# As types of arrays to be made: NumPy looks these up no more.
-FLOAT32, INT8 = np.dtype(np.float32), np.dtype(np.int8)
 
 _MOVES = range(MOVES)
 
@@ -43,8 +41,15 @@ class BaseGame:
     Args:
         problem: what to play.
         turn_order: the order if the options leave it open.
-        options: the fields of :class:`marouting.config.GameOptions`; ``observation`` and
+        options: the fields of :class:`marouting.options.GameOptions`; ``observation`` and
             ``reward`` may also be any object of their protocol.
+        everyone: whether all agents move in a step, or the one whose turn it is.
+
+    Attributes:
+        engine: the game.
+        player: what plays it.
+        names: of the engine's agents.
+        everyone: names of all nets.
 
     Raises:
         InputError: an option or a problem that cannot be used.
@@ -52,19 +57,19 @@ class BaseGame:
 
     metadata = METADATA
 
-    def __init__(self, problem: Source, turn_order: TurnOrder, options: Mapping[str, Any]) -> None:
-        plain = dict(options)
-        # Pieces of other classes are injected as they are; everything else goes by the schema.
-        pieces = {
-            name: plain.pop(name)
-            for name in ("observation", "reward")
-            if name in plain and not isinstance(plain[name], Mapping)
-        }
-        checked = build(GameOptions, plain)
-        self._observation: Observation = pieces.get("observation", checked.observation)
-        self._reward: Reward = pieces.get("reward", checked.reward)
-        self._options = checked
-        self._turn_order: TurnOrder = turn_order
+    def __init__(
+        self,
+        problem: Source,
+        turn_order: TurnOrder,
+        options: Mapping[str, Any],
+        *,
+        everyone: bool = False,
+    ) -> None:
+        checked = game_options(options)
+        self._rules = checked if checked.turn_order else replace(checked, turn_order=turn_order)
+        self._observation = checked.observation.make()
+        self._reward = checked.reward.make()
+        self._together = everyone
         self.render_mode = checked.render_mode
         self.masked = checked.mask_in_observation
         self._window = Window()
@@ -76,20 +81,16 @@ class BaseGame:
             self._drawn = source
             source = replace(source, seed=0)
         self._play(load_problem(source))
-        problems, overflow = self.engine.problems, checked.overflow == "allowed"
+        problems, overflow = self.engine.problems, self.engine.static.overflow_allowed
         self._box = self._observation.space(problems, overflow)
-        self._one = np.zeros(1, np.int32), np.empty((1, 1), np.int32)
-        self._paid = np.empty(1, np.float32)
-        self._row = 1, *self._box.shape
         self.state_space: Box = state_space(problems, overflow)
 
     def _play(self, problem: Problem) -> None:
         """Sets up the game of a problem."""
-        self.engine = self._options.engine([problem], self._turn_order)
-        self.names = [f"net_{net}" for net in self.engine.nets[0]]  # of the engine's agents
+        self.engine = Engine([problem], self._rules)
+        self.player = Player(self.engine, self._observation, self._reward, everyone=self._together)
+        self.names = [f"net_{net}" for net in self.engine.nets[0]]
         self.everyone = [f"net_{net}" for net in range(len(problem.nets))]
-        self._write = writer(self._observation, self.engine)
-        self._pay = payer(self._reward, self.engine)
 
     def restart(self, seed: int | None) -> None:
         """A new episode; a new problem where one is to be drawn for every episode."""
@@ -98,8 +99,7 @@ class BaseGame:
         if self._drawn is not None:
             number = int(self._rng.integers(MAX_NUMBER))
             self._play(load_problem(replace(self._drawn, seed=number)))
-        else:
-            self.engine.reset()
+        self.player.reset()
 
     @property
     def problem(self) -> Problem:
@@ -114,39 +114,29 @@ class BaseGame:
             return box
         return Dict({"observation": box, "action_mask": MultiBinary(MOVES)})
 
-    def board(self) -> Board:
-        """The game to be played through arrays."""
-        arrays = Arrays.of(*self.engine.nets.shape, *self._box.shape)
-        return Board(self.engine, self._observation, self._reward, arrays)
-
     def masks(self) -> NDArray[np.int8]:
         """(N, 6) int8, fresh action masks of all agents."""
         return self.engine.masks(*self.engine.pairs(everyone=True))
 
     def observation(self, agent: int) -> Any:
         """A fresh observation of one agent in the form that the options ask for."""
-        problems, agents = self._one
-        agents[0, 0] = agent
-        out = np.empty(self._row, FLOAT32)
-        self._write(problems, agents, out)
+        buffers = self.player.buffers
+        if not self._together and buffers.agents[0, 0] == agent:
+            return self.seen(buffers.obs[0, 0].copy(), buffers.mask[0, 0])
+        problems, agents = np.zeros(1, np.int32), np.full(1, agent, np.int32)
+        out = np.empty((1, *self._box.shape), np.float32)
+        self._observation.write(self.engine, problems, agents, out)
         return self.seen(out[0], self.mask(agent)) if self.masked else out[0]
 
     def mask(self, agent: int) -> NDArray[np.int8]:
         """(6,) int8, a fresh action mask of one agent."""
-        problems, agents = self._one
-        agents[0, 0] = agent
-        return self.engine.masks(problems, agents[0])[0]
+        return self.engine.masks(np.zeros(1, np.int32), np.full(1, agent, np.int32))[0]
 
     def seen(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
         """An observation and its mask in the form that the options ask for."""
-        return {"observation": observation, "action_mask": mask} if self.masked else observation
-
-    def reward(self, agent: int) -> float:
-        """The reward of an agent's last move."""
-        problems, agents = self._one
-        agents[0, 0] = agent
-        self._pay(problems, agents, self._paid)
-        return self._paid.item()
+        if self.masked:
+            return {"observation": observation, "action_mask": mask.copy()}
+        return observation
 
     def info(self, mask: NDArray[np.int8], over: bool) -> dict[str, Any]:
         """An agent's info: its mask, and the metrics as they stand when its episode is over."""

@@ -13,8 +13,8 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from marouting.config import ORDERS
 from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
+from marouting.options import ORDERS
 from marouting.problem.grid import MOVES
 from marouting.source import Source
 
@@ -27,15 +27,14 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv, EzPickle):
 
     Args:
         problem: see :data:`marouting.source.Source`.
-        **options: the fields of :class:`marouting.config.GameOptions`.
+        **options: the fields of :class:`marouting.options.GameOptions`.
     """
 
     metadata = METADATA
 
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
-        self._game = BaseGame(problem, ORDERS["multi"], options)
-        self._board = self._game.board()
+        self._game = BaseGame(problem, ORDERS["multi"], options, everyone=True)
         self.render_mode = self._game.render_mode
         self.state_space = self._game.state_space
         self.possible_agents = list(self._game.everyone)
@@ -64,18 +63,15 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv, EzPickle):
         """
         del options
         self._game.restart(seed)
-        if self._board.engine is not self._game.engine:  # another problem
-            self._board = self._game.board()
-        self._board.reset()
         self.agents = list(self._game.names)
         self._numbers = np.arange(len(self.agents))  # of the agents in the game
         return self._look()
 
     def _look(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Fresh observations and infos of the agents that are in the game."""
-        arrays, numbers, agents = self._board.arrays, self._numbers, self.agents
-        seen: Any = arrays.observation[0].take(numbers, axis=0)
-        masks = arrays.mask[0].take(numbers, axis=0)
+        buffers, numbers, agents = self._game.player.buffers, self._numbers, self.agents
+        seen: Any = buffers.obs[0].take(numbers, axis=0)
+        masks = buffers.mask[0].take(numbers, axis=0)
         infos = [{"action_mask": mask} for mask in masks]
         if self._game.masked:
             seen = [self._game.seen(*both) for both in zip(seen, masks, strict=True)]
@@ -99,17 +95,19 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv, EzPickle):
             KeyError: an agent's action is missing.
             ValueError: an action is none of the six moves.
         """
-        arrays, agents, numbers = self._board.arrays, self.agents, self._numbers
-        arrays.moves[0, numbers] = _moves([actions[agent] for agent in agents], agents)
-        self._board.step(restart=False)
+        agents, numbers, player = self.agents, self._numbers, self._game.player
+        buffers = player.buffers
+        buffers.actions[0, numbers] = _moves([actions[agent] for agent in agents], agents)
+        player.step()
 
         observations, infos = self._look()
         terminated, truncated, active = (
-            flags[0].take(numbers) for flags in (arrays.terminated, arrays.truncated, arrays.active)
+            flags[0].take(numbers)
+            for flags in (buffers.terminated, buffers.truncated, buffers.active)
         )
         ended = dict(zip(agents, terminated.tolist(), strict=True))
         cut = dict(zip(agents, truncated.tolist(), strict=True))
-        rewards = dict(zip(agents, arrays.reward[0].take(numbers).tolist(), strict=True))
+        rewards = dict(zip(agents, buffers.reward[0].take(numbers).tolist(), strict=True))
         if not active.all():
             metrics = self._game.metrics()
             for k in np.flatnonzero(~active):

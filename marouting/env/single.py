@@ -3,14 +3,12 @@
 from typing import Any
 
 import gymnasium
-import numpy as np
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
-from numpy.typing import NDArray
 
-from marouting.config import ORDERS
 from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
-from marouting.game.engine import NOBODY
+from marouting.game.state import NOBODY
+from marouting.options import ORDERS
 from marouting.problem.grid import MOVES
 from marouting.source import Source
 
@@ -19,13 +17,14 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any], EzPickle):
     """Global routing as one agent's game: every step moves the net whose turn it is.
 
     The observation is that of the net to move. The episode terminates when all tasks of all nets
-    are joined, and is truncated when all have ended and some failed. ``info`` holds the net's
+    are joined, and is truncated when all have ended and some failed. The reward is the sum of what
+    a move pays all nets. ``info`` holds the net's
     ``action_mask`` and ``net``, and at the end the ``metrics``.
 
     Args:
         problem: see :data:`marouting.source.Source`.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
-        **options: the other fields of :class:`marouting.config.GameOptions`.
+        **options: the other fields of :class:`marouting.options.GameOptions`.
     """
 
     metadata = METADATA
@@ -51,17 +50,18 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any], EzPickle):
         del options
         super().reset(seed=seed)
         self._game.restart(seed)
-        self._net = int(self._game.engine.games[0]["agent"])
         if self.render_mode == "human":
             self.render()
-        return self._look(self._game.mask(self._net), over=False)
+        return self._look()
 
-    def _look(self, mask: NDArray[np.int8], over: bool) -> tuple[Any, dict[str, Any]]:
-        """Observation and info of the net to move; at the end, of the one that moved last."""
+    def _look(self) -> tuple[Any, dict[str, Any]]:
+        """Observation and info of the net to move."""
         game = self._game
-        info = game.info(mask, over)
-        info["net"] = game.names[self._net]
-        return game.observation(self._net), info
+        buffers = game.player.buffers
+        self._net = buffers.agents.item()
+        mask = buffers.mask[0, 0].copy()
+        info = {"action_mask": mask, "net": game.names[self._net]}
+        return game.seen(buffers.obs[0, 0].copy(), mask), info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Moves the net whose turn it is.
@@ -69,18 +69,20 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any], EzPickle):
         Raises:
             ValueError: the action is none of the six moves.
         """
-        engine = self._game.engine
-        masks = np.empty((1, MOVES), np.int8)
-        following, _ = engine.play_turn(checked_move(action), masks)
-        mask = masks[0]
-        reward = self._game.reward(self._net)
-        over = following == NOBODY
-        if not over and following != self._net:
-            self._net = following
-            mask = self._game.mask(following)  # what came back may be that of a net that is done
-        now = engine.metrics()
-        joined = over and now.joined == now.tasks
+        game = self._game
+        buffers = game.player.buffers
+        buffers.actions[0, 0] = checked_move(action)
+        game.player.step()
+        reward = buffers.reward.item()
+        over = buffers.agents.item() == NOBODY
         if self.render_mode == "human":
             self.render()
-        seen, info = self._look(mask, over)
-        return seen, reward, joined, over and not joined, info
+        if not over:
+            seen, info = self._look()
+            return seen, reward, False, False, info
+        # At the end, what the net that moved last sees.
+        info = game.info(game.mask(self._net), over=True)
+        info["net"] = game.names[self._net]
+        now = game.engine.metrics()
+        joined = now.joined == now.tasks
+        return game.observation(self._net), reward, joined, not joined, info

@@ -1,1 +1,6 @@
-"""The game: its state, its rules, what agents see and get."""
+"""The game: its state, its rules, what agents see and what moves pay."""
+
+from marouting.registry import register
+
+register("observation", "paper", "marouting.game.observation:PaperObservation")
+register("reward", "paper", "marouting.game.reward:PaperReward")

@@ -1,10 +1,34 @@
 """What an agent sees, and the global state.
 
-An observation is a piece to inject: anything with the two methods of :class:`Observation` can take
-the place of the paper's.
+An observation is a piece that users can bring (:func:`marouting.register`): an object with the two
+methods of :class:`Observation`. All faces of the environment, the batch and trainings show it.
+
+A worked example: the paper's 12 numbers, and the number of agents that still route::
+
+    import numpy as np
+    from gymnasium.spaces import Box
+    from marouting import PaperObservation
+
+    class CountingObservation:
+        def __init__(self) -> None:
+            self.paper = PaperObservation()
+
+        def space(self, problems, overflow):
+            inner = self.paper.space(problems, overflow)
+            most = max(len(problem.nets) for problem in problems)
+            return Box(np.append(inner.low, 0), np.append(inner.high, most), dtype=np.float32)
+
+        def write(self, engine, problems, agents, out):
+            self.paper.write(engine, problems, agents, out[:, :-1])
+            out[:, -1] = np.where(agents < 0, 0, engine.games["active"][problems])
+
+    env = marouting.global_routing_v0.env(observation=CountingObservation())
+
+In YAML, with the class in ``my_pieces.py``::
+
+    observation: {kind: "my_pieces:CountingObservation"}
 """
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -14,25 +38,25 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.game.engine import NOBODY, Dynamic, Engine, Static, Status, Write
-from marouting.kernels import bound, compiled, inlined, place, wide
+from marouting.game.engine import Engine
+from marouting.game.state import NOBODY, Dynamic, Static, Status
+from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS, Grid
 from marouting.problem.problem import Problem
 
 
 class Observation(Protocol):
-    """What an agent sees of the game.
-
-    One with a method ``bind(engine)`` that returns a :data:`marouting.game.engine.Write` is asked
-    for that instead of ``write``, wherever it is called over and over.
-    """
+    """What an agent sees of the game."""
 
     def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
-        """The space of one agent's observation: float32, one dimension, equal for all agents.
+        """The space of one agent's observation.
 
         Args:
             problems: the problems that will be played.
             overflow: whether an edge may be crossed without remaining capacity.
+
+        Returns:
+            A float32 box of any shape S, the same for all agents.
         """
         ...
 
@@ -43,7 +67,16 @@ class Observation(Protocol):
         agents: NDArray[np.integer],
         out: NDArray[np.float32],
     ) -> None:
-        """Fills ``out`` (K, F) with the observations of K agents; zeros for NOBODY."""
+        """Writes what K agents see.
+
+        Args:
+            engine: the games; see :class:`marouting.game.engine.Engine` for what there is to read.
+            problems: (K,) int32, the problem of each agent: ``engine.agents[problems, agents]`` are
+                their records, ``engine.dynamic.remaining[problems]`` (K, E) the capacities left.
+            agents: (K,) int32, their numbers; NOBODY (−1) for rows to be filled with zeros.
+            out: (K, *S) float32 to be filled. An agent whose task has just ended is also asked for
+                where it arrived.
+        """
         ...
 
 
@@ -91,14 +124,6 @@ class PaperObservation:
         """Fills ``out`` (K, 12); see :class:`Observation`."""
         _paper(engine.static, engine.dynamic, self.via_capacity, problems, agents, out)
 
-    def bind(self, engine: Engine) -> Write:
-        """A quicker :meth:`write` of one engine, see :func:`marouting.kernels.bound`."""
-        static, dynamic, shown = engine.static, engine.dynamic, self.via_capacity
-        problems, agents = np.empty(0, np.int32), np.empty((0, 0), np.int32)
-        out = np.empty((0, 2 * AXES + MOVES), np.float32)
-        code = bound(_paper_all, static, dynamic, shown, problems, agents, out)
-        return functools.partial(code, static, dynamic, shown)
-
 
 @inlined
 def _room(static: Static, dynamic: Dynamic, m: int, cell: int, move: int) -> Any:
@@ -143,31 +168,6 @@ def _paper(
 ) -> None:
     for i in range(len(problems)):
         write_paper(static, dynamic, via_capacity, place(problems[i]), wide(agents[i]), out, i)
-
-
-@compiled
-def _paper_all(
-    static: Static, dynamic: Dynamic, via_capacity: float, problems: Any, agents: Any, out: Any
-) -> None:
-    for i in range(agents.shape[0]):
-        m = place(problems[i])
-        for k in range(agents.shape[1]):
-            n, row = wide(agents[i, k]), i * agents.shape[1] + k
-            write_paper(static, dynamic, via_capacity, m, n, out, row)
-
-
-def writer(observation: Observation, engine: Engine) -> Write:
-    """What fills observations of an engine quickest."""
-    bind = getattr(observation, "bind", None)
-    if bind is not None:
-        return bind(engine)
-
-    def write(
-        problems: NDArray[np.int32], agents: NDArray[np.int32], out: NDArray[np.float32]
-    ) -> None:
-        observation.write(engine, np.repeat(problems, agents.shape[1]), agents.ravel(), out)
-
-    return write
 
 
 CHANNELS = AXES + 2

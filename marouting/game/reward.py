@@ -1,7 +1,32 @@
-"""What an agent gets for a move.
+"""What a move pays.
 
-A reward is a piece to inject: any callable of this form can take the place of the paper's. What
-routes are judged by (overflow, wirelength, tasks joined) does not depend on it.
+A reward is a piece that users can bring (:func:`marouting.register`). It is asked about every
+single move, in all faces of the environment, in the batch and in trainings alike, and it may pay
+any agent of the problem for it. What routes are judged by (overflow, wirelength, tasks joined) does
+not depend on it.
+
+Where several agents move in one step, their moves are carried out and paid one after the other, in
+turn order; an agent's reward of the step is the sum of what all these moves paid it. In the AEC
+environment what others' moves pay an agent accumulates until its turn, as PettingZoo defines. The
+Gymnasium environment's one player moves all nets and gets what all of them are paid.
+
+A worked example: every net of a problem gets the change in the problem's wirelength and overflow::
+
+    import numpy as np
+
+    class TeamReward:
+        def __init__(self, price: float = 10.0) -> None:
+            self.price = price
+
+        def __call__(self, game, before, movers):
+            now, then = game.games, before.games  # (M,) records
+            change = then["wirelength"] - now["wirelength"]
+            change = change + self.price * (then["overflow"] - now["overflow"])
+            return np.broadcast_to(change[:, None], game.agents.shape)
+
+    env = marouting.global_routing_v0.env(reward=TeamReward(price=5))
+
+In YAML, with the class in ``my_rewards.py``: ``reward: {kind: "my_rewards:TeamReward", price: 5}``.
 """
 
 import functools
@@ -11,26 +36,30 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.engine import NOBODY, Crossing, Ending, Engine, Write
-from marouting.kernels import bound, compiled, inlined, place
+from marouting.game.engine import Engine
+from marouting.game.state import NOBODY, Crossing, Dynamic, Ending
+from marouting.kernels import inlined, place
 
 
 class Reward(Protocol):
-    """What agents get for their last moves.
+    """What agents are paid for moves."""
 
-    One with a method ``bind(engine)`` that returns a :data:`marouting.game.engine.Write` is asked
-    for that instead, wherever it is called over and over.
-    """
-
-    def __call__(self, agents: Any) -> Any:
-        """Rewards of the agents' last moves.
+    def __call__(
+        self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
+    ) -> NDArray[np.floating]:
+        """What one move in each of M problems pays the N agents of each.
 
         Args:
-            agents: AGENT records (:data:`marouting.game.engine.AGENT`) of any shape, or one of
-                them, after the move and before or after it is settled.
+            game: the games after the moves: ``game.agents`` (M, N) and ``game.games`` (M,) are the
+                records :data:`marouting.game.state.AGENT` and :data:`marouting.game.state.GAME`,
+                ``game.dynamic`` all that changes, ``game.static`` what does not. An agent whose
+                task has ended stands where it arrived; its next task has not begun.
+            before: the same arrays as ``game.dynamic`` as they were before the moves; to be read.
+            movers: (M,) int32, the agent that moved in each problem, NOBODY (−1) where none did.
 
         Returns:
-            float32 of the same shape; 0 for an agent that did not move.
+            (M, N) rewards, any float dtype. Rows of problems in which nobody moved, and agents
+            that were done before the move, are paid nothing, whatever stands there.
         """
         ...
 
@@ -39,12 +68,14 @@ class Reward(Protocol):
 class PaperReward:
     """+100 for reaching the target pin, −1 for any other move (paper, equation for R(a, s')).
 
+    Only the agent that moves is paid.
+
     Attributes:
         reached: for the move that reaches the task's target.
         step: for any other move, blocked ones included.
-        own_edge: for a move that ends no task along an edge that the net used before. The paper's
-            −1 charges it like any other; 0 makes it free, as it is in wirelength.
-        overflow_price: taken off for every unit of overflow that the move adds; it matters only
+        own_edge: for a move that ends no task along an edge that the net used before. The paper
+            charges −1, as for any move; 0 makes it free, as it is in wirelength.
+        overflow_price: subtracted for every unit of overflow that the move adds; it matters only
             where overflow is allowed.
     """
 
@@ -57,62 +88,29 @@ class PaperReward:
 
     @functools.cached_property
     def table(self) -> NDArray[np.float32]:
-        """(4, 3) reward by Crossing and Ending."""
+        """(4, 3) float32, the reward by Crossing and Ending, overflow apart."""
         table = np.full((len(Crossing), len(Ending)), self.step, np.float32)
         table[Crossing.OWN] = self.own_edge
         table[:, Ending.JOINED] = self.reached
         table[Crossing.NONE] = 0
         return table
 
-    def __call__(self, agents: Any) -> Any:
-        """Rewards of the agents' last moves; see :class:`Reward`."""
-        reward = self.table[agents["crossing"], agents["ending"]]
-        if self.overflow_price:
-            price = np.float32(self.overflow_price)
-            reward = reward - price * agents["overflow"].astype(np.float32)
-        return reward
-
-    def bind(self, engine: Engine) -> Write:
-        """A quicker way to pay agents of one engine, see :func:`marouting.kernels.bound`."""
-        records, table, price = engine.agents, self.table, self.overflow_price
-        problems, agents = np.empty(0, np.int32), np.empty((0, 0), np.int32)
-        out = np.empty(0, np.float32)
-        code = bound(_paper, records, table, price, problems, agents, out)
-        return functools.partial(code, records, table, price)
+    def __call__(
+        self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
+    ) -> NDArray[np.floating]:
+        """What the moves pay; see :class:`Reward`."""
+        del before
+        paid = np.zeros(game.agents.shape, np.float32)
+        moved = np.flatnonzero(movers != NOBODY)
+        agent = game.agents[moved, movers[moved]]
+        own = self.table[agent["crossing"], agent["ending"]]
+        own = own - np.float32(self.overflow_price) * agent["added_overflow"].astype(np.float32)
+        paid[moved, movers[moved]] = own
+        return paid
 
 
 @inlined
 def paper_reward(table: Any, overflow_price: float, agent: Any) -> Any:
     """:class:`PaperReward` of an AGENT record's last move, float32."""
     reward = table[place(agent.crossing), place(agent.ending)]
-    return reward - np.float32(overflow_price) * np.float32(agent.overflow)
-
-
-@compiled
-def _paper(
-    records: Any, table: Any, overflow_price: float, problems: Any, agents: Any, out: Any
-) -> None:
-    for i in range(agents.shape[0]):
-        m = place(problems[i])
-        for k in range(agents.shape[1]):
-            row = i * agents.shape[1] + k
-            if agents[i, k] == NOBODY:
-                out[row] = 0
-            else:
-                out[row] = paper_reward(table, overflow_price, records[m, place(agents[i, k])])
-
-
-def payer(reward: Reward, engine: Engine) -> Write:
-    """What fills in rewards of an engine's agents quickest: 0 for one that did not move."""
-    bind = getattr(reward, "bind", None)
-    if bind is not None:
-        return bind(engine)
-
-    def pay(
-        problems: NDArray[np.int32], agents: NDArray[np.int32], out: NDArray[np.float32]
-    ) -> None:
-        records = engine.agents[problems[:, None], agents]
-        still = (agents == NOBODY) | (records["crossing"] == Crossing.NONE)
-        out[:] = np.where(still, 0, reward(records)).ravel()
-
-    return pay
+    return reward - np.float32(overflow_price) * np.float32(agent.added_overflow)

@@ -14,20 +14,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.engine import (
-    AGENT,
-    GAME,
-    NOBODY,
-    Crossing,
-    Dynamic,
-    Engine,
-    NetOrder,
-    Static,
-    Status,
-    begin_task,
-    move_agent,
-    static_state,
-)
+from marouting.game.engine import Engine
+from marouting.game.options import NetOrder, RuleOptions
+from marouting.game.rules import begin_task, move_agent
+from marouting.game.setup import static_state
+from marouting.game.state import AGENT, GAME, NOBODY, Crossing, Dynamic, Static, Status
 from marouting.kernels import compiled, wide
 from marouting.problem.problem import Problem, check_choice
 from marouting.problem.solution import Solution
@@ -165,8 +156,8 @@ def sequential_astar(
 
     Args:
         problem: the problem to route.
-        net_order: which nets come first, see :class:`marouting.game.engine.Engine`; or (nets,)
-            integers, smallest first.
+        net_order: which nets come first, see :class:`marouting.game.options.RuleOptions`; or
+            (nets,) integers, smallest first.
         target: where a task's path ends: ``pin``, at the task's other pin (the paper); ``tree``, at
             the nearest Gcell of the net's route so far.
         decomposition: how nets are cut into tasks, see
@@ -184,15 +175,14 @@ def sequential_astar(
     tasks = len(gcells) - len(problem.nets)
     uses, size, turn = np.empty(_EDGES_PER_TASK * tasks + grid.edges, np.int64), 0, 0
     if tasks:
-        static, (nets,) = static_state(
-            (problem,),
-            grid,
-            net_order,
-            decomposition,
-            sequential=True,
-            overflow=True,
+        rules = RuleOptions(
+            net_order=net_order if isinstance(net_order, str) else "file",
+            overflow="allowed",
+            decomposition=decomposition,
             max_steps=grid.gcells,  # as long as a path without a loop can be
         )
+        ranks = None if isinstance(net_order, str) else net_order
+        static, (nets,) = static_state((problem,), rules, ranks)
         dynamic = Dynamic(
             remaining=static.capacity.copy(),
             used=np.zeros((1, 1, (grid.edges + 7) // 8), np.uint8),

@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.game.engine import NOBODY, Dynamic, Engine, Static, Status, may_cross, uses
+from marouting.game.engine import Engine
+from marouting.game.rules import may_cross, uses
+from marouting.game.state import NOBODY, Dynamic, Static, Status
 from marouting.kernels import compiled, place, wide
 from marouting.problem.grid import MOVES
 from marouting.problem.solution import Solution

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from policies.learned.config import check
+from marouting.config import check
 
 
 @dataclass(frozen=True)

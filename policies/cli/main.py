@@ -143,8 +143,8 @@ def _router(
     config: Path | None,
     overrides: Sequence[str],
 ) -> "Router":
-    from marouting.config import read_yaml
-    from policies.learned.config import load_config, override
+    from marouting.config import override, read_yaml
+    from policies.learned.config import load_config
 
     given = [] if seed is None or not has_seed(name) else [f"seed={seed}"]
     if name != "dqn":

@@ -7,8 +7,8 @@ from typing import Any, get_args
 import click
 
 from marouting import Problem, Solution
-from marouting.config import Agents, EnvOptions
 from marouting.generator import GeneratorOptions
+from marouting.options import Agents, EnvOptions
 from marouting.source import load_problem
 from policies import figures
 from policies.cli.tables import show

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem
-from marouting.config import build, read_yaml
+from marouting.config import build, check, override, read_yaml
+from marouting.config import plain as as_plain
 from marouting.files import unusable
 from marouting.source import load_problems
 from policies.experiment.study import Study
-from policies.learned.config import Config, check, override
+from policies.learned.config import Config
 from policies.results.statistics import ALL
 from policies.routers.registry import ROUTERS, has_seed, is_seeded, schema, unknown
 
@@ -141,7 +142,7 @@ class Training:
         raw = {} if self.config is None else read_yaml(self.config)
         quiet = {"train": {"figures": False, "tensorboard": False}}
         told = {"env": self.env, "dqn": self.dqn, "train": self.train}
-        plain = asdict(build(Config, _merged(_merged(raw, quiet), told), where))
+        plain = as_plain(build(Config, _merged(_merged(raw, quiet), told), where))
         del plain["env"]["problem"]
         return {"stack": self.stack, **{part: plain[part] for part in ("env", "dqn", "train")}}
 

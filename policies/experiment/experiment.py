@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from marouting import InputError, Problem, Solution
-from marouting.config import read_yaml
+from marouting.config import check, check_same, read_yaml
 from marouting.files import write_text
 from marouting.source import load_problems
 from policies.cli.progress import progress_bar
@@ -34,7 +34,6 @@ from policies.experiment.folder import (
 from policies.experiment.part import Part
 from policies.experiment.processes import cores, work_on
 from policies.experiment.study import Study, StudyColumn
-from policies.learned.config import check, check_same
 from policies.results.statistics import ALL, Row, add_gaps, baseline, by_set, summarise
 from policies.results.utilisation import problem_type
 from policies.routers.registry import unknown

@@ -7,7 +7,7 @@ case study, of the discount factor, of the burn-in memory and of the solutions.
 from dataclasses import dataclass, field
 from typing import Literal
 
-from policies.learned.config import check
+from marouting.config import check
 
 Panel = Literal[
     "edges",

@@ -4,16 +4,12 @@
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from marouting.config import EnvOptions, build, one_line, parse_yaml, read_yaml
-from marouting.errors import InputError
-
-MOST = 2**31 - 1
-"""The largest count: compiled code and arrays take no arbitrary integers."""
+from marouting.config import MOST, build, check, override, read_yaml
+from marouting.options import EnvOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,12 +143,6 @@ class Config:
         check("seed", 0 <= self.seed < 2**63, "a number from 0")
 
 
-def check(name: str, holds: object, expected: str) -> None:
-    """Raises InputError unless a condition holds."""
-    if not holds:
-        raise InputError(f"{name}: expected {expected}")
-
-
 def load_config(path: str | os.PathLike[str] | None, overrides: Sequence[str] = ()) -> Config:
     """Reads a configuration and changes single keys of it.
 
@@ -165,59 +155,3 @@ def load_config(path: str | os.PathLike[str] | None, overrides: Sequence[str] = 
     """
     raw = {} if path is None else read_yaml(path)
     return build(Config, override(raw, overrides), "" if path is None else os.fspath(path))
-
-
-def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """Plain data with single keys changed.
-
-    Args:
-        raw: plain data, as from YAML.
-        overrides: ``key=value`` as in :func:`load_config`.
-
-    Raises:
-        InputError: an override is none.
-    """
-    changed = dict(raw)
-    for given in overrides:
-        key, equals, value = given.partition("=")
-        if not equals or not key:
-            raise InputError(one_line(f"{given}: expected key=value"))
-        *parts, last = key.split(".")
-        place = changed
-        for part in parts:
-            inner = place.get(part)
-            # A copy: by YAML's anchors a mapping can stand in several places.
-            place[part] = dict(inner) if isinstance(inner, Mapping) else {}
-            place = place[part]
-        place[last] = parse_yaml(value, given)
-    return changed
-
-
-def check_same(mine: Mapping[str, Any], kept: Mapping[str, Any], where: Path) -> None:
-    """Raises InputError, naming the key, unless two configurations in plain data are the same.
-
-    Args:
-        mine: what is asked for.
-        kept: what was started with.
-        where: the file that keeps it.
-    """
-    found, expected = _flat(mine), _flat(kept)
-    # A key may be there in one of them only, as those of a problem's files or its generator.
-    for key in dict.fromkeys((*expected, *found)):
-        if expected.get(key) != found.get(key):
-            raise InputError(
-                f"{key}: expected {expected.get(key)!r}, as in {where}, found {found.get(key)!r}"
-            )
-
-
-def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested mappings as one, keys joined by dots; sequences as tuples."""
-    flat: dict[str, Any] = {}
-    for key, value in nested.items():
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{prefix}{key}.")
-        elif isinstance(value, Sequence) and not isinstance(value, str):
-            flat[prefix + key] = tuple(value)
-        else:
-            flat[prefix + key] = value
-    return flat

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from marouting.game.engine import Dynamic, Static
+from marouting.game.state import Dynamic, Static
 from policies.learned.compiled.small_gemm import product
 from policies.learned.dqn import DQN, Rule
 from policies.learned.replay import GOES_ON, MASK, MOVE, REWARD, pack

@@ -9,9 +9,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from marouting import EnvOptions, InputError, Problem, Solution
-from marouting.config import ORDERS, build
-from marouting.game.engine import NOBODY
+from marouting import Engine, EnvOptions, InputError, Problem, Solution
+from marouting.config import build
+from marouting.game.state import NOBODY
+from marouting.options import ORDERS
 from marouting.problem.grid import MOVES
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config
@@ -95,14 +96,15 @@ class QPolicy:
         """
         env = self.env
         everyone = env.agents == "multi"
-        engine = env.engine([problem], ORDERS[env.agents])
-        (features,) = env.observation.space(engine.problems, env.overflow == "allowed").shape
+        engine = Engine([problem], env, turn_order=env.turn_order or ORDERS[env.agents])
+        seen_as = env.observation.make()
+        (features,) = seen_as.space(engine.problems, env.overflow == "allowed").shape
         if features != self.sizes[0]:
             raise InputError(f"checkpoint: expected {features} inputs, found {self.sizes[0]}")
         while engine.games[0]["agent"] != NOBODY:
             pairs = engine.pairs(everyone)
             seen = np.empty((len(pairs[1]), features), np.float32)
-            env.observation.write(engine, *pairs, seen)
+            seen_as.write(engine, *pairs, seen)
             moves = self.moves(seen, engine.masks(*pairs))
             engine.step(moves[None] if everyone else moves)
         return engine.solution()

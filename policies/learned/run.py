@@ -30,11 +30,12 @@ import torch
 import yaml
 
 from marouting import InputError, Solution, evaluate
+from marouting.config import check_same, plain
 from marouting.files import write_text, writing
 from marouting.source import load_problems
 from policies.cli.progress import progress_bar
 from policies.learned.checkpoint import read_checkpoint
-from policies.learned.config import Config, check_same, load_config
+from policies.learned.config import Config, load_config
 from policies.learned.logs import Logs
 from policies.learned.trainer import Episode, Trainer
 from policies.routers.astar import AStarRouter
@@ -55,8 +56,7 @@ def row(router: str, solution: Solution, seconds: float) -> Row:
 
 def write_config(config: Config, path: Path) -> None:
     """Writes a whole configuration as YAML."""
-    plain = json.loads(json.dumps(asdict(config)))
-    write_text(path, yaml.safe_dump(plain, sort_keys=False))
+    write_text(path, yaml.safe_dump(plain(config), sort_keys=False))
 
 
 def _save(state: Mapping[str, Any], path: Path) -> None:
@@ -109,7 +109,7 @@ class Run:
         """A resumed run has the configuration that it started with."""
         kept = load_config(self.folder / CONFIG)
         mine = replace(self.config, out=kept.out)
-        check_same(asdict(mine), asdict(kept), self.folder / CONFIG)
+        check_same(plain(mine), plain(kept), self.folder / CONFIG)
 
     def _load(self) -> None:
         path = self.folder / CHECKPOINT

@@ -13,22 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.engine import (
-    NOBODY,
-    Crossing,
-    Dynamic,
-    Ending,
-    Engine,
-    Static,
-    Status,
+from marouting.game.engine import Engine
+from marouting.game.observation import PaperObservation, write_paper
+from marouting.game.reward import PaperReward, paper_reward
+from marouting.game.rules import (
     move_everyone,
     move_player,
     settle_everyone,
     settle_player,
     write_mask,
 )
-from marouting.game.observation import PaperObservation, write_paper
-from marouting.game.reward import PaperReward, paper_reward
+from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Static, Status
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import MOVES
 from policies.learned.streams import uniform
@@ -185,7 +180,7 @@ class Stack:
         keys: NDArray[np.uint64],
     ) -> None:
         self.engine = engine
-        (features,) = observation.space(engine.problems, engine.static.overflow).shape
+        (features,) = observation.space(engine.problems, engine.static.overflow_allowed).shape
         problems, agents = engine.nets.shape
         shape = (problems, agents if everyone else 1)
         asked = engine.pairs(everyone)[1].reshape(shape)

@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from marouting import InputError, Problem, Solution
-from marouting.config import ORDERS
-from marouting.game.engine import NOBODY, Engine
+from marouting.config import plain
+from marouting.game.engine import Engine
+from marouting.game.state import NOBODY
+from marouting.options import ORDERS
 from marouting.problem.grid import MOVES
 from policies.learned.burn_in import guide, solution_files
 from policies.learned.checkpoint import FORMAT
@@ -92,14 +94,16 @@ class Trainer:
         use_threads(config.train.threads)
         env, dqn = config.env, config.dqn
         _ = solution_files(dqn.burn_in, self.names)  # whether they are there
-        engine = env.engine(list(problems.values()), ORDERS[env.agents])
+        engine = Engine(
+            list(problems.values()), env, turn_order=env.turn_order or ORDERS[env.agents]
+        )
         self._whole = engine  # of all problems, those too that have left the stack
         self.stack = Stack(
             engine,
             everyone=env.agents == "multi",
             masked=dqn.masking,
-            observation=env.observation,
-            reward=env.reward,
+            observation=env.observation.make(),
+            reward=env.reward.make(),
             keys=keys(config.seed, self.names, "explore"),
         )
         count, _, features = self.stack.lanes.seen.shape
@@ -276,7 +280,7 @@ class Trainer:
 
     def policy(self) -> dict[str, Any]:
         """What it takes to play with the networks: plain data and tensors."""
-        env = asdict(self.config.env)
+        env = plain(self.config.env)
         del env["problem"]
         return {
             "format": FORMAT,

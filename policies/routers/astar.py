@@ -7,10 +7,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from marouting import Problem, Solution, evaluate, sequential_astar
-from marouting.game.engine import NetOrder
+from marouting.config import MOST, check
+from marouting.game.options import NetOrder
 from marouting.search.astar import Target
 from marouting.trees.decomposition import Decomposition
-from policies.learned.config import MOST, check
 
 
 @dataclass(frozen=True)

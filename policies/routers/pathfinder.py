@@ -25,11 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import Problem, Solution
+from marouting.config import MOST, check
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree, make_search
 from marouting.trees.lattice import CLOSED, Lattice, make_lattice, set_cost, set_size
-from policies.learned.config import MOST, check
 
 UNIT = 256
 """Cost of an edge inside a layer: costs are whole numbers, prices are parts of an edge."""

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from marouting import Engine, InputError, Problem, Solution
-from marouting.game.engine import NOBODY
+from marouting.game.state import NOBODY
 
 
 class RandomPolicy:

@@ -1,0 +1,165 @@
+"""Setting up the game: the constant arrays of a batch of problems."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.errors import InputError
+from marouting.game.options import NetOrder, RuleOptions
+from marouting.game.state import NOBODY, Static
+from marouting.kernels import compiled, wide
+from marouting.problem.grid import OFF_GRID, VIA_AXIS, Grid
+from marouting.problem.problem import UNLIMITED, Problem
+from marouting.trees.decomposition import two_pin_tasks
+
+
+def static_state(
+    problems: Sequence[Problem],
+    rules: RuleOptions,
+    ranks: NDArray[np.integer] | None = None,
+) -> tuple[Static, NDArray[np.int32]]:
+    """The constant arrays of a batch of problems with one grid shape.
+
+    Args:
+        problems: M problems.
+        rules: what they are played by.
+        ranks: (nets,) numbers, the net with the least comes first; None: ``rules.net_order``.
+
+    Returns:
+        The arrays, and (M, N) int32, the net of every agent (NOBODY where there is none). Nets
+        whose pins all lie in one Gcell are no agents.
+
+    Raises:
+        InputError: no problem, unequal grids, a problem without anything to route, demands that do
+            not fit into 32 bits, or not one rank per net.
+    """
+    if not problems:
+        raise InputError("problems: expected at least one")
+    if any(problem.grid != problems[0].grid for problem in problems):
+        shapes = sorted({problem.grid for problem in problems})
+        raise InputError(f"problems: expected one grid shape, found {shapes}")
+    if ranks is not None and any(np.shape(ranks) != (len(p.nets),) for p in problems):
+        raise InputError(f"net_order: expected one number per net, found shape {np.shape(ranks)}")
+    grid = Grid.of(problems[0].grid)
+    overflow = rules.overflow == "allowed"
+    pins = [problem.flat_pin_gcells for problem in problems]
+    counts = [np.count_nonzero(first[1:] - first[:-1] > 1) for first, _ in pins]
+    for m, count in enumerate(counts):
+        if not count:
+            raise InputError(f"problem {m}: expected a net with pins in two Gcells or more")
+    shape = len(problems), max(counts)
+    agent_net, order = np.empty((2, *shape), np.int32)
+    first = np.zeros((shape[0], shape[1] + 1), np.int32)
+    demand = np.zeros((*shape, grid.shape[2]), np.int32)
+    size = np.empty(shape[1], np.int32)
+    tasks = [two_pin_tasks(problem, rules.decomposition) for problem in problems]
+    for m, (problem, count) in enumerate(zip(problems, counts, strict=True)):
+        first[m, 0] = first[m - 1, -1]  # 0 for the first problem
+        most = _agents(
+            *pins[m],
+            tasks[m],
+            grid.position,
+            problem.net_demand,
+            agent_net[m],
+            first[m],
+            demand[m],
+            size,
+        )
+        if overflow and most > UNLIMITED:
+            raise InputError(f"problem {m}: expected demands that add up to at most {UNLIMITED}")
+        order[m, :count] = _turns(
+            size[:count], agent_net[m, :count], rules.net_order if ranks is None else ranks
+        )
+        order[m, count:] = NOBODY
+    static = Static(
+        neighbour=grid.neighbour,
+        edge=np.where(grid.edge == OFF_GRID, np.int32(grid.edges - 1), grid.edge),
+        exits=np.packbits(grid.edge != OFF_GRID, axis=1, bitorder="little")[:, 0],
+        position=grid.position,
+        capacity=np.array([problem.capacity for problem in problems]),
+        demand=demand,
+        tasks=np.concatenate([table[:, 1:] for table in tasks]),
+        first=first,
+        order=order,
+        sequential=rules.turn_order != "round_robin",
+        overflow_allowed=overflow,
+        max_steps=rules.steps_per_task(problems[0].grid),
+    )
+    return static, agent_net
+
+
+@compiled
+def _agents(
+    pins: Any,
+    gcells: Any,
+    tasks: Any,
+    position: Any,
+    net_demand: Any,
+    nets: Any,
+    first: Any,
+    demand: Any,
+    half_perimeter: Any,
+) -> int:
+    """The agents of a problem: the nets with pins in two Gcells or more.
+
+    Args:
+        pins: (nets + 1,) and
+        gcells: (Gcells,), see :attr:`marouting.problem.problem.Problem.flat_pin_gcells`.
+        tasks: (K, 3), see :func:`marouting.trees.decomposition.two_pin_tasks`.
+        position: (G, 3).
+        net_demand: (nets, Z).
+        nets: (N,) filled with the net of every agent, NOBODY where there is none.
+        first: (N + 1,) filled as in :class:`Static`; the first entry is there.
+        demand: (N, Z) filled as in :class:`Static`.
+        half_perimeter: (N,) filled with width and height of the box around every agent's pins.
+
+    Returns:
+        The demand on an edge that every agent uses, in its most demanding layer at most.
+    """
+    n = most = task = 0
+    for net in range(len(pins) - 1):
+        if pins[net + 1] - pins[net] < 2:
+            continue
+        nets[n] = net
+        before = task
+        while task < len(tasks) and tasks[task, 0] == net:
+            task += 1
+        first[n + 1] = first[n] + task - before
+        half_perimeter[n] = 0
+        for axis in range(VIA_AXIS):
+            least = largest = position[gcells[pins[net]], axis]
+            for pin in range(pins[net] + 1, pins[net + 1]):
+                at = position[gcells[pin], axis]
+                if at < least:
+                    least = at
+                elif at > largest:
+                    largest = at
+            half_perimeter[n] += largest - least
+        worst = wide(0)
+        for layer in range(demand.shape[1]):
+            demand[n, layer] = net_demand[net, layer]
+            if demand[n, layer] > worst:
+                worst = wide(demand[n, layer])
+        most += worst
+        n += 1
+    for absent in range(n, len(nets)):
+        nets[absent] = NOBODY
+        first[absent + 1] = first[n]
+    return most
+
+
+def _turns(
+    half_perimeter: NDArray[np.int32],
+    nets: NDArray[np.int32],
+    net_order: NetOrder | NDArray[np.integer],
+) -> NDArray[np.int64]:
+    """Agents in turn order, given (N,) the half-perimeters of their nets, and the nets."""
+    if not isinstance(net_order, str):
+        return np.argsort(net_order[nets], kind="stable")
+    if net_order == "file":
+        return np.arange(len(half_perimeter))
+    if net_order == "half_perimeter":
+        half_perimeter = -half_perimeter
+    return np.argsort(half_perimeter, kind="stable")

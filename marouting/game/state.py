@@ -1,0 +1,111 @@
+"""The state of the game: what never changes during an episode, and what does.
+
+M problems of N agents on one grid shape are held in plain arrays with the problem as the first
+axis: G Gcells, E edges, Z layers, K tasks in all. :mod:`marouting.game.rules` is the only code that
+changes them.
+"""
+
+import enum
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.problem.grid import MOVES
+
+NOBODY = -1
+"""Whose turn it is when the episode is over; also the action of a net that does not move."""
+
+
+class Status(enum.IntEnum):
+    """Where an agent stands in its episode."""
+
+    ACTIVE = 0  #: still has a task to walk
+    TERMINATED = 1  #: all tasks joined
+    TRUNCATED = 2  #: all tasks ended, at least one of them failed
+    ABSENT = 3  #: no net: fills up the row of a problem with fewer nets than its batch
+
+
+class Crossing(enum.IntEnum):
+    """What an agent's last move did."""
+
+    NONE = 0  #: the agent did not move
+    BLOCKED = 1  #: no capacity or off the grid: it stayed
+    NEW = 2  #: crossed an edge that the net now uses
+    OWN = 3  #: crossed an edge that the net used before
+
+
+class Ending(enum.IntEnum):
+    """What an agent's last move did to its task."""
+
+    NONE = 0  #: the task goes on
+    JOINED = 1  #: the target pin is reached
+    FAILED = 2  #: the steps are used up
+
+
+AGENT = np.dtype(
+    [
+        ("cell", np.int32),  # Gcell the agent stands in
+        ("target", np.int32),  # Gcell of the task's target pin
+        ("task", np.int32),  # row of the task in the table of tasks
+        ("steps", np.int32),  # steps taken in this task
+        ("joined", np.int32),  # tasks joined so far
+        ("added_overflow", np.int32),  # overflow that the last move added
+        ("status", np.int8),  # Status
+        ("crossing", np.int8),  # Crossing of the last move
+        ("ending", np.int8),  # Ending of the last move
+    ],
+    align=True,
+)
+"""One agent's state; the engine holds (M, N) of them."""
+
+GAME = np.dtype(
+    [
+        ("turn", np.int32),  # place in the turn order of the agent to move
+        ("agent", np.int32),  # the agent to move, or NOBODY
+        ("active", np.int32),  # agents still active
+        ("joined", np.int32),  # tasks joined
+        ("steps", np.int32),  # moves made
+        ("overflow", np.int64),  # overflow of all edges
+        ("wirelength", np.int64),  # edges used, summed over the nets
+    ],
+    align=True,
+)
+"""One problem's state; the engine holds (M,) of them."""
+
+
+class Static(NamedTuple):
+    """What does not change during an episode."""
+
+    neighbour: NDArray[np.int32]  # (G, 6) Gcell that a move leads to, or OFF_GRID
+    edge: NDArray[np.int32]  # (G, 6) edge that a move crosses; off the grid E - 1, which is none
+    exits: NDArray[np.uint8]  # (G,) bit per move: it stays on the grid
+    position: NDArray[np.int32]  # (G, 3) x, y, z of a Gcell
+    capacity: NDArray[np.int32]  # (M, E) capacity of every edge
+    demand: NDArray[np.int32]  # (M, N, Z) demand of an agent on an edge of a layer
+    tasks: NDArray[np.int32]  # (K, 2) start and target Gcell of every task
+    first: NDArray[np.int32]  # (M, N + 1) first task of an agent; the next agent's ends it
+    order: NDArray[np.int32]  # (M, N) agents in turn order, NOBODY after the last
+    sequential: bool
+    overflow_allowed: bool  # may an edge without remaining capacity be crossed
+    max_steps: int  # steps after which a task fails
+
+
+class Dynamic(NamedTuple):
+    """What changes during an episode."""
+
+    remaining: NDArray[np.int32]  # (M, E) capacity less demand
+    used: NDArray[np.uint8]  # (M, N, ceil(E / 8)) bit e % 8 of byte e // 8: the net uses edge e
+    agents: NDArray[Any]  # (M, N) AGENT
+    games: NDArray[Any]  # (M,) GAME
+
+
+MASKS = np.array(
+    [
+        [free >> move & 1 for move in range(MOVES)] if free else [1] * MOVES
+        for free in range(1 << MOVES)
+    ],
+    np.int8,
+)
+"""(64, 6) the action masks of all sets of free moves, a bit each. An agent that is boxed in gets
+all ones, every move being blocked: a mask is never all zero."""

@@ -1,0 +1,98 @@
+"""The options of an environment: the part ``env:`` of a configuration."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Tag
+
+from marouting.config import Named, build, piece_field, take_pieces
+from marouting.game.options import RuleOptions, TurnOrder
+from marouting.generator import GeneratorOptions
+
+Agents = Literal["single", "multi"]
+RenderMode = Literal["ansi", "rgb_array", "human"]
+
+SMALL = GeneratorOptions(nets=10, reduced_edges=0)
+"""What an environment plays when it is given no problem: 10 nets on 8×8×2.
+
+No edges are reduced: that takes a search, and compiling it would double the time that a first
+``env()`` takes on a new machine."""
+
+
+def _kind_of_source(value: Any) -> str:
+    if isinstance(value, Mapping | GeneratorOptions):
+        return "generator"
+    return "files" if isinstance(value, list | tuple) else "file"
+
+
+ProblemSource = Annotated[
+    Annotated[str, Tag("file")]
+    | Annotated[tuple[str, ...], Tag("files")]
+    | Annotated[GeneratorOptions, Tag("generator")],
+    Discriminator(_kind_of_source),
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GameOptions(RuleOptions):
+    """The options of every face of the environment; the defaults are the paper's.
+
+    The options of the rules come from :class:`marouting.game.options.RuleOptions`.
+
+    Attributes:
+        problem: a ``.gr`` file, a folder of them, a list of both, or what the generator takes
+            (:class:`marouting.generator.GeneratorOptions`). An environment plays one problem. A
+            generator with ``seed: null`` draws a new problem at every reset.
+        observation: what agents see: the name of a registered observation, ``module:Class``, a
+            mapping with the name under ``kind`` and its options beside it, or an object. See
+            :mod:`marouting.game.observation`.
+        reward: what moves pay, given likewise. See :mod:`marouting.game.reward`.
+        mask_in_observation: whether an observation is ``{"observation", "action_mask"}``; the
+            mask is in ``info["action_mask"]`` either way.
+        render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
+    """
+
+    problem: ProblemSource = SMALL
+    observation: Named = piece_field("observation", "paper")
+    reward: Named = piece_field("reward", "paper")
+    mask_in_observation: bool = False
+    render_mode: RenderMode | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        take_pieces(self)
+
+
+ORDERS: dict[Agents, TurnOrder] = {"single": "sequential", "multi": "round_robin"}
+"""The turn order of each face, where the options leave it open."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvOptions(GameOptions):
+    """The part ``env:`` of a configuration: the game's options and the face to play it through.
+
+    Attributes:
+        agents: ``single``, one player moves all nets (Gymnasium; the paper), or ``multi``, every
+            net is an agent (PettingZoo).
+    """
+
+    agents: Agents = "single"
+
+
+def game_options(options: Mapping[str, Any]) -> GameOptions:
+    """Checks options that were given as keywords.
+
+    Args:
+        options: fields of :class:`GameOptions`; ``observation`` and ``reward`` may also be objects.
+
+    Raises:
+        InputError: names the option and what was expected.
+    """
+    plain = dict(options)
+    pieces = {
+        name: plain.pop(name)
+        for name in ("observation", "reward")
+        if not isinstance(plain.get(name), Mapping | str | None)
+    }
+    return replace(build(GameOptions, plain), **pieces)

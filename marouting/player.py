@@ -1,0 +1,540 @@
+"""The array player: games played through arrays, M problems at once.
+
+:class:`marouting.vector.BatchEnv`, the faces of the environment and trainings all stand on it.
+With the paper's observation and reward a whole step is one compiled call. With pieces that users
+bring, the moves are carried out turn by turn, so that a reward is asked about each of them.
+
+What a learner needs, and what :class:`StepBuffers` therefore tells: that a task ended with the
+step, and how; what the agent saw where it arrived, to bootstrap from, before the next task put it
+elsewhere; and in ``sequential`` order, if asked for, the row of the player only. The transition of
+a row that ``acted`` goes from the ``obs`` before the step to ``final_obs`` if its task ended, else
+to the ``obs`` after the step.
+"""
+
+import copy
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.game.engine import Engine
+from marouting.game.observation import Observation, PaperObservation, write_paper
+from marouting.game.reward import PaperReward, Reward, paper_reward
+from marouting.game.rules import (
+    free_moves,
+    move_agent,
+    move_everyone,
+    move_player,
+    pass_turn,
+    reset_problem,
+    settle_agent,
+    settle_turns,
+    wait,
+)
+from marouting.game.state import (
+    AGENT,
+    GAME,
+    MASKS,
+    NOBODY,
+    Crossing,
+    Dynamic,
+    Ending,
+    Static,
+    Status,
+)
+from marouting.kernels import bound, compiled, inlined, place, wide
+from marouting.problem.grid import MOVES
+
+
+class StepBuffers(NamedTuple):
+    """What goes into a step of M problems, and what comes out of it.
+
+    Each problem has K rows: all its N agents, or only the agent whose turn it is (K = 1). S is the
+    shape of an observation.
+    """
+
+    agents: NDArray[np.int32]  # (M, K) the agent of each row, NOBODY for none
+    obs: NDArray[np.float32]  # (M, K, *S) what it sees now; zeros for none
+    mask: NDArray[np.int8]  # (M, K, 6) its moves that cross an edge now; never all zero
+    actions: NDArray[np.int8]  # (M, K) in: the moves to make, NOBODY for none
+    acted: NDArray[np.bool_]  # (M, K) whether the row's agent moved in the step
+    reward: NDArray[np.float32]  # (M, K) what the step paid it; if K = 1, what it paid all agents
+    ending: NDArray[np.int8]  # (M, K) Ending of the agent's task in the step
+    final_obs: NDArray[np.float32]  # (M, K, *S) where a task ended: what the agent saw there
+    final_mask: NDArray[np.int8]  # (M, K, 6) likewise
+    terminated: NDArray[np.bool_]  # (M, K) the agent's tasks are all joined
+    truncated: NDArray[np.bool_]  # (M, K) the agent's tasks have all ended, and some failed
+    active: NDArray[np.bool_]  # (M, K) rows whose agent can move next
+    over: NDArray[np.bool_]  # (M,) episodes that ended with the step
+    total: NDArray[np.float64]  # (M,) rewards of all agents in the episode so far
+    final: NDArray[Any]  # (M,) GAME as it was when the problem's last episode ended
+
+    @classmethod
+    def of(cls, problems: int, rows: int, shape: tuple[int, ...]) -> "StepBuffers":
+        """Buffers of that size."""
+        each = problems, rows
+        return cls(
+            agents=np.full(each, NOBODY, np.int32),
+            obs=np.zeros((*each, *shape), np.float32),
+            mask=np.ones((*each, MOVES), np.int8),
+            actions=np.full(each, NOBODY, np.int8),
+            acted=np.zeros(each, np.bool_),
+            reward=np.zeros(each, np.float32),
+            ending=np.zeros(each, np.int8),
+            final_obs=np.zeros((*each, *shape), np.float32),
+            final_mask=np.ones((*each, MOVES), np.int8),
+            terminated=np.zeros(each, np.bool_),
+            truncated=np.zeros(each, np.bool_),
+            active=np.zeros(each, np.bool_),
+            over=np.zeros(problems, np.bool_),
+            total=np.zeros(problems),
+            final=np.zeros(problems, GAME),
+        )
+
+
+class Known(NamedTuple):
+    """What the compiled step has to know of the pieces."""
+
+    everyone: bool  # whether the rows are all agents, or the one whose turn it is
+    masks: bool  # whether to write masks
+    observation: bool  # whether the observation is the paper's
+    reward: bool  # whether the reward is
+    via_capacity: float  # see PaperObservation
+    prices: NDArray[np.float32]  # (4, 3) see PaperReward.table
+    overflow_price: float  # see PaperReward
+
+
+class Saved(NamedTuple):
+    """How the games of a player stood."""
+
+    dynamic: Dynamic
+    buffers: StepBuffers
+
+
+class Player:
+    """Plays the games of an engine through arrays.
+
+    Args:
+        engine: the games.
+        observation: what agents see.
+        reward: what moves pay.
+        everyone: whether all agents have a row, or only the one whose turn it is.
+        masks: whether masks are wanted; otherwise they stay as they are.
+        buffers: the arrays to use; None: new ones.
+
+    Attributes:
+        engine: the games.
+        observation: what agents see.
+        reward: what moves pay.
+        everyone: whether all agents have a row.
+        buffers: see :class:`StepBuffers`.
+        known: what the compiled step knows of the pieces.
+        paid: (M, N) float32, what the last step paid every agent, where the reward is not the
+            paper's; None with the paper's, which pays only the agent that moves.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        observation: Observation,
+        reward: Reward,
+        *,
+        everyone: bool = True,
+        masks: bool = True,
+        buffers: StepBuffers | None = None,
+    ) -> None:
+        self.engine, self.observation, self.reward = engine, observation, reward
+        self.everyone = everyone
+        problems, agents = engine.nets.shape
+        if buffers is None:
+            shape = observation.space(engine.problems, engine.static.overflow_allowed).shape
+            buffers = StepBuffers.of(problems, agents if everyone else 1, shape)
+        self.buffers = buffers
+        looks = observation if type(observation) is PaperObservation else PaperObservation()
+        pays = reward if type(reward) is PaperReward else PaperReward()
+        self.known = Known(
+            everyone,
+            masks,
+            looks is observation,
+            pays is reward,
+            looks.via_capacity,
+            pays.table,
+            pays.overflow_price,
+        )
+        self._bind()
+
+    @property
+    def compiled(self) -> bool:
+        """Whether a whole step is one compiled call: the observation and reward are the paper's."""
+        return self.known.observation and self.known.reward
+
+    def _bind(self) -> None:
+        """Prepares the calls: the arrays are others now."""
+        engine, buffers = self.engine, self.buffers
+        # Masks are written in pairs of bytes: that is quicker.
+        self.kernel_buffers = buffers._replace(
+            mask=buffers.mask.view(np.int16), final_mask=buffers.final_mask.view(np.int16)
+        )
+        if self.everyone:
+            buffers.agents[:] = engine.pairs(everyone=True)[1].reshape(engine.nets.shape)
+        own_reward = not self.known.reward
+        self.paid = np.zeros(engine.nets.shape, np.float32) if own_reward else None
+        self._before = engine.save() if own_reward else None
+        if self.compiled:
+            # The kernel's other arguments are arrays of any size: an observation of one dimension.
+            self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
+            self._step = bound(_step, *self._arguments, True)
+        else:
+            self._arrived = np.zeros(engine.nets.shape, AGENT)
+
+    def reset(self, which: NDArray[np.bool_] | None = None) -> None:
+        """Starts the episodes of all problems, or of those where ``which`` (M,) is true."""
+        if which is None:
+            which = np.ones(len(self.buffers.over), np.bool_)
+        if self.compiled:
+            _start(*self._arguments, which)
+            return
+        self._start(which)
+        self._look(which)
+
+    def step(self, restart: bool = False) -> None:
+        """Moves agents by ``buffers.actions``, in turn order, and fills the other arrays.
+
+        Args:
+            restart: whether a problem whose episode ended with the step before starts its next one
+                instead.
+        """
+        if self.compiled:
+            self._step(*self._arguments, restart)
+        else:
+            self._step_by_turns(restart)
+
+    def part(self, which: NDArray[np.integer]) -> "Player":
+        """A player of some of the problems (indices), which goes on from how they stand."""
+        part = copy.copy(self)
+        part.engine = self.engine.part(which)
+        part.buffers = StepBuffers._make(array[which] for array in self.buffers)
+        part._bind()
+        return part
+
+    def save(self) -> Saved:
+        """A copy of how all games stand, for :meth:`restore`."""
+        return Saved(self.engine.save(), StepBuffers._make(a.copy() for a in self.buffers))
+
+    def restore(self, saved: Saved) -> None:
+        """Puts all games back to how they stood; raises ValueError for those of another size."""
+        self.engine.restore(saved.dynamic)
+        for name in StepBuffers._fields:
+            getattr(self.buffers, name)[...] = getattr(saved.buffers, name)
+        self._mirror(slice(None))
+
+    # --- any pieces ---------------------------------------------------------------------------
+
+    def _mirror(self, which: Any) -> None:
+        """Copies the games of some problems to where a reward finds what was before a move."""
+        if self._before is not None:
+            for name in Dynamic._fields:
+                getattr(self._before, name)[which] = getattr(self.engine.dynamic, name)[which]
+
+    def _start(self, which: NDArray[np.bool_]) -> None:
+        """Starts episodes: nobody has acted in them."""
+        b = self.buffers
+        self.engine.reset(which)
+        self._mirror(which)
+        b.acted[which] = b.over[which] = b.terminated[which] = b.truncated[which] = False
+        b.reward[which] = b.total[which] = b.ending[which] = 0
+
+    def _step_by_turns(self, restart: bool) -> None:
+        b, engine = self.buffers, self.engine
+        begins = b.over & restart
+        playing = engine.games["active"] > 0
+        asked = engine.games["agent"].copy()
+        if begins.any():
+            self._start(begins)
+        _forget(engine.dynamic)
+        if self.paid is None:
+            paid = np.zeros(engine.nets.shape, np.float32)
+        else:
+            paid = self.paid
+            paid[:] = 0
+        for movers, moves in self._turns(begins):
+            _move(engine.static, engine.dynamic, movers, moves)
+            before = engine.dynamic if self._before is None else self._before
+            paid += self._pay(before, movers)
+            _settle(engine.static, engine.dynamic, before, movers, moves, self._arrived)
+        rows = np.arange(len(asked))
+        if self.everyone:
+            b.reward[:] = paid
+            taken: Any = ...
+        else:
+            b.reward[:, 0] = paid.sum(axis=1)
+            taken = rows, asked
+        agents = engine.agents[taken].reshape(b.acted.shape)
+        nobody = begins if self.everyone else begins | (asked == NOBODY)
+        b.acted[:] = (agents["crossing"] != Crossing.NONE) & ~nobody[:, None]
+        b.ending[:] = np.where(b.acted, agents["ending"], Ending.NONE)
+        b.total[:] += b.reward.sum(axis=1, dtype=np.float64)
+        self._look_back(b.ending != Ending.NONE, asked)
+        _pass_turns(engine.static, engine.dynamic, self.everyone, begins)
+        b.over[:] = ~begins & playing & (engine.games["active"] == 0)
+        b.final[b.over] = engine.games[b.over]
+        self._look(np.ones(len(begins), np.bool_), asked)
+
+    def _turns(self, begins: NDArray[np.bool_]) -> Iterator[tuple[Any, Any]]:
+        """(M,) who moves next in each problem, NOBODY for nobody, and (M,) their moves."""
+        engine, actions = self.engine, self.buffers.actions
+        rows = np.arange(len(begins))
+        in_turn = self.everyone and not engine.static.sequential
+        for k in range(engine.nets.shape[1] if in_turn else 1):
+            movers = engine.static.order[:, k] if in_turn else engine.games["agent"]
+            moves = actions[rows, movers] if self.everyone else actions[:, 0]
+            active = engine.agents["status"][rows, movers] == Status.ACTIVE
+            moving = (movers != NOBODY) & active & (moves != NOBODY) & ~begins
+            if moving.any():
+                yield np.where(moving, movers, NOBODY).astype(np.int32), moves
+
+    def _pay(self, before: Dynamic, movers: NDArray[np.int32]) -> NDArray[np.float32]:
+        """(M, N) float32, what moves pay; raises ValueError for a reward of another shape."""
+        paid = np.asarray(self.reward(self.engine, before, movers), np.float32)
+        if paid.shape != self.engine.nets.shape:
+            raise ValueError(
+                f"reward: expected shape {self.engine.nets.shape}, found {paid.shape} from "
+                f"{type(self.reward).__name__}"
+            )
+        if self._before is None:  # the paper's: only those that moved are paid
+            return paid
+        playing = before.agents["status"] == Status.ACTIVE
+        return np.where(playing & (movers != NOBODY)[:, None], paid, np.float32(0))
+
+    def _look_back(self, ended: NDArray[np.bool_], asked: NDArray[np.int32]) -> None:
+        """Writes what agents whose tasks ended saw where they arrived."""
+        if not ended.any():
+            return
+        b, engine = self.buffers, self.engine
+        problems, rows = np.nonzero(ended)
+        agents = rows if self.everyone else asked[problems]
+        place_of = problems, agents
+        settled = engine.agents[place_of]
+        engine.agents[place_of] = self._arrived[place_of]
+        problems, agents = problems.astype(np.int32), agents.astype(np.int32)
+        out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
+        self.observation.write(engine, problems, agents, out)
+        b.final_obs[ended] = out
+        if self.known.masks:
+            b.final_mask[ended] = engine.masks(problems, agents)
+        engine.agents[place_of] = settled
+
+    def _look(self, which: NDArray[np.bool_], asked: NDArray[np.int32] | None = None) -> None:
+        """Writes what agents see now, and how they stand."""
+        b, engine = self.buffers, self.engine
+        if self.everyone:
+            status = engine.agents["status"]
+            b.active[:] = status == Status.ACTIVE
+            b.terminated[:] = status == Status.TERMINATED
+            b.truncated[:] = status == Status.TRUNCATED
+        else:
+            b.agents[:, 0] = engine.games["agent"]
+            b.active[:] = b.agents != NOBODY
+            last = b.agents[:, 0] if asked is None else asked
+            moved = last != NOBODY  # a game that is over stays as its last move left it
+            status = engine.agents["status"][np.arange(len(last)), last][:, None]
+            b.terminated[moved] = status[moved] == Status.TERMINATED
+            b.truncated[moved] = status[moved] == Status.TRUNCATED
+        chosen = np.flatnonzero(which)
+        problems = np.repeat(chosen, b.agents.shape[1]).astype(np.int32)
+        agents = b.agents[chosen].ravel()
+        out = np.empty((len(agents), *b.obs.shape[2:]), np.float32)
+        self.observation.write(engine, problems, agents, out)
+        b.obs[chosen] = out.reshape(b.obs[chosen].shape)
+        if self.known.masks:
+            b.mask[chosen] = engine.masks(problems, agents).reshape(b.mask[chosen].shape)
+
+
+@compiled
+def _forget(dynamic: Dynamic) -> None:
+    for m in range(dynamic.agents.shape[0]):
+        for n in range(dynamic.agents.shape[1]):
+            wait(dynamic, m, n)
+
+
+@compiled
+def _move(static: Static, dynamic: Dynamic, movers: Any, moves: Any) -> None:
+    for m in range(len(movers)):
+        if movers[m] != NOBODY:
+            move_agent(static, dynamic, m, place(movers[m]), place(moves[m]))
+
+
+@compiled
+def _settle(
+    static: Static, dynamic: Dynamic, before: Dynamic, movers: Any, moves: Any, arrived: Any
+) -> None:
+    """Settles the agents that moved; keeps where they arrived, and ``before`` up to date."""
+    for m in range(len(movers)):
+        if movers[m] == NOBODY:
+            continue
+        n = place(movers[m])
+        edge = place(static.edge[place(before.agents[m, n].cell), place(moves[m])])
+        arrived[m, n] = dynamic.agents[m, n]
+        settle_agent(static, dynamic, m, n)
+        before.remaining[m, edge] = dynamic.remaining[m, edge]
+        before.used[m, n, edge >> 3] = dynamic.used[m, n, edge >> 3]
+        before.agents[m, n] = dynamic.agents[m, n]
+        before.games[m] = dynamic.games[m]
+
+
+@compiled
+def _pass_turns(static: Static, dynamic: Dynamic, everyone: bool, begins: Any) -> None:
+    for m in range(len(begins)):
+        if begins[m]:
+            continue
+        if everyone:
+            settle_turns(static, dynamic, m)
+        elif dynamic.games[m].agent != NOBODY:
+            pass_turn(static, dynamic, m)
+
+
+# --- the paper's pieces ---------------------------------------------------------------------------
+
+_MASKS = MASKS.view(np.int16)
+"""(64, 3) :data:`marouting.game.state.MASKS` in pairs of bytes."""
+
+
+@inlined
+def _write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
+    free = free_moves(static, dynamic, m, n)
+    for pair in range(_MASKS.shape[1]):
+        out[m, row, pair] = _MASKS[free, pair]
+
+
+@inlined
+def _take_stock(
+    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int
+) -> Any:
+    """After the move of an agent, before it settles: what came of it; returns the reward."""
+    agent = dynamic.agents[m, n]
+    reward = paper_reward(known.prices, known.overflow_price, agent)
+    b.acted[m, row] = agent.crossing != Crossing.NONE
+    b.reward[m, row] = reward
+    b.ending[m, row] = agent.ending
+    if agent.ending != Ending.NONE:
+        write_paper(static, dynamic, known.via_capacity, m, n, b.final_obs[m], row)
+        if known.masks:
+            _write_mask(static, dynamic, m, n, b.final_mask, row)
+    return reward
+
+
+@inlined
+def _look(
+    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int
+) -> None:
+    """What an agent sees now."""
+    free = wide(0)
+    if known.masks:
+        free = free_moves(static, dynamic, m, n)
+    write_paper(static, dynamic, known.via_capacity, m, n, b.obs[m], row)
+    if known.masks:
+        for pair in range(_MASKS.shape[1]):
+            b.mask[m, row, pair] = _MASKS[free, pair]
+
+
+@inlined
+def _look_at_player(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+    """What the agent whose turn it is sees; zeros, and a mask of ones, if the episode is over."""
+    player = wide(dynamic.games[m].agent)
+    b.agents[m, 0] = player
+    b.active[m, 0] = player != NOBODY
+    if player == NOBODY:
+        write_paper(static, dynamic, known.via_capacity, m, player, b.obs[m], 0)
+        for pair in range(_MASKS.shape[1]):
+            b.mask[m, 0, pair] = _MASKS[0, pair]
+    else:
+        _look(static, dynamic, b, known, m, place(player), 0)
+
+
+@inlined
+def start_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+    """Starts an episode of a problem."""
+    reset_problem(static, dynamic, m)
+    b.over[m] = False
+    b.total[m] = 0
+    for row in range(b.agents.shape[1]):
+        b.acted[m, row] = b.terminated[m, row] = b.truncated[m, row] = False
+        b.reward[m, row] = 0
+        b.ending[m, row] = Ending.NONE
+    if not known.everyone:
+        _look_at_player(static, dynamic, b, known, m)
+        return
+    for n in range(b.agents.shape[1]):
+        b.active[m, n] = dynamic.agents[m, n].status == Status.ACTIVE
+        if b.active[m, n]:
+            _look(static, dynamic, b, known, m, n, n)
+
+
+@inlined
+def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+    """A step of one problem, with the paper's observation and reward.
+
+    Args:
+        static: the game.
+        dynamic: how it stands.
+        b: the buffers, with masks in pairs of bytes: (M, K, 3) int16.
+        known: what is known of the pieces.
+        m: the problem.
+    """
+    game = dynamic.games[m]
+    playing = game.active > 0
+    total = b.total[m]
+    if known.everyone:
+        move_everyone(static, dynamic, m, b.actions)
+        for n in range(b.agents.shape[1]):
+            # In one loop, agent by agent: all of it is at hand then.
+            if dynamic.agents[m, n].status == Status.ABSENT:
+                continue
+            total += _take_stock(static, dynamic, b, known, m, n, n)
+            settle_agent(static, dynamic, m, n)
+            status = dynamic.agents[m, n].status
+            b.terminated[m, n] = status == Status.TERMINATED
+            b.truncated[m, n] = status == Status.TRUNCATED
+            b.active[m, n] = status == Status.ACTIVE
+            _look(static, dynamic, b, known, m, n, n)
+        settle_turns(static, dynamic, m)
+    else:
+        mover = wide(game.agent)
+        move_player(static, dynamic, m, wide(b.actions[m, 0]))
+        if mover == NOBODY:
+            b.acted[m, 0] = False
+            b.reward[m, 0] = 0
+            b.ending[m, 0] = Ending.NONE
+        else:
+            n = place(mover)
+            total += _take_stock(static, dynamic, b, known, m, n, 0)
+            settle_agent(static, dynamic, m, n)
+            pass_turn(static, dynamic, m)
+            status = dynamic.agents[m, n].status
+            b.terminated[m, 0] = status == Status.TERMINATED
+            b.truncated[m, 0] = status == Status.TRUNCATED
+        _look_at_player(static, dynamic, b, known, m)
+    b.total[m] = total
+    b.over[m] = playing and game.active == 0
+    if b.over[m]:
+        b.final[m].overflow = game.overflow
+        b.final[m].wirelength = game.wirelength
+        b.final[m].joined = game.joined
+        b.final[m].steps = game.steps
+
+
+@compiled
+def _start(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, which: Any) -> None:
+    for m in range(len(which)):
+        if which[m]:
+            start_problem(static, dynamic, b, known, m)
+
+
+@compiled
+def _step(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, restart: bool) -> None:
+    for m in range(len(b.over)):
+        if restart and b.over[m]:
+            start_problem(static, dynamic, b, known, m)
+        else:
+            step_problem(static, dynamic, b, known, m)

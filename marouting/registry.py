@@ -1,0 +1,116 @@
+"""Pieces by name: where a configuration says what to use, this finds the class.
+
+Users can bring five kinds of pieces: what agents see (``observation``), what moves pay
+(``reward``), what routes a problem (``router``), what learns (``learner``), and the networks that
+it learns with (``network``). Wherever a name of one stands, ``module:Class`` may stand as well.
+
+A name comes from one of two places:
+
+* :func:`register`, called by the package itself and by users;
+* an entry point of an installed package, in the group ``marouting.KIND``::
+
+      [project.entry-points."marouting.reward"]
+      selfless = "my_package.rewards:Selfless"
+"""
+
+import difflib
+import functools
+import importlib
+from importlib import metadata
+from typing import Any
+
+from marouting.errors import InputError
+
+KINDS = ("observation", "reward", "router", "network", "learner")
+"""What can be registered."""
+
+_registered: dict[str, dict[str, type[Any] | str]] = {kind: {} for kind in KINDS}
+
+
+def register(kind: str, name: str, cls: type[Any] | str) -> None:
+    """Gives a class a name that configurations and commands can use.
+
+    Args:
+        kind: one of :data:`KINDS`.
+        name: the name; registering it again replaces the class.
+        cls: the class, or ``module:Class``, which is imported when it is first used.
+
+    Raises:
+        InputError: there is no such kind, or the name contains a colon.
+    """
+    _check_kind(kind)
+    if not name or ":" in name:
+        raise InputError(f"{kind}: expected a name without a colon, found {name!r}")
+    _registered[kind][name] = cls
+
+
+def names(kind: str) -> tuple[str, ...]:
+    """All names of a kind: the registered ones, then those of installed packages."""
+    _check_kind(kind)
+    return tuple(dict.fromkeys((*_registered[kind], *_entry_points(kind))))
+
+
+def lookup(kind: str, name: str, where: str = "") -> type[Any]:
+    """The class that a name stands for.
+
+    Args:
+        kind: one of :data:`KINDS`.
+        name: a name of :func:`names`, or ``module:Class``.
+        where: what an error message starts with: the file or key that holds the name.
+
+    Raises:
+        InputError: the name is unknown, or what it names cannot be imported or is no class.
+    """
+    _check_kind(kind)
+    prefix = f"{where}: " if where else ""
+    found = _registered[kind].get(name)
+    if found is None and name in (points := _entry_points(kind)):
+        found = points[name]
+    if found is None:
+        if ":" not in name:
+            close = difflib.get_close_matches(name, names(kind), n=1)
+            nearest = f"did you mean {close[0]}? " if close else ""
+            raise InputError(
+                f"{prefix}unknown {kind} {name!r}; {nearest}"
+                f"expected module:Class or one of {', '.join(names(kind))}"
+            )
+        found = name
+    return _imported(found, prefix) if isinstance(found, str) else found
+
+
+def name_of(kind: str, cls: type[Any]) -> str:
+    """The name of a class: a registered one, or ``module:Class``."""
+    path = f"{cls.__module__}:{cls.__qualname__}"
+    for name, found in _registered[kind].items():
+        if found is cls or found == path:
+            return name
+    return path
+
+
+def _check_kind(kind: str) -> None:
+    if kind not in KINDS:
+        raise InputError(f"kind: expected one of {', '.join(KINDS)}, found {kind!r}")
+
+
+@functools.cache
+def _entry_points(kind: str) -> dict[str, str]:
+    """``module:Class`` by name, of the packages that were installed when this was first asked."""
+    return {point.name: point.value for point in metadata.entry_points(group=f"marouting.{kind}")}
+
+
+def _imported(path: str, prefix: str) -> type[Any]:
+    """The class at ``module:Class``."""
+    module, _, qualified = path.partition(":")
+    try:
+        found: Any = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
+            raise  # the module is there and lacks a library of its own
+        raise InputError(f"{prefix}{path}: there is no module {error.name}") from None
+    except ValueError:
+        raise InputError(f"{prefix}{path}: expected module:Class") from None
+    for part in qualified.split("."):
+        found = getattr(found, part, None)
+    if not isinstance(found, type):
+        raise InputError(f"{prefix}{path}: there is no class {qualified} in {module}")
+    return found

@@ -1,0 +1,341 @@
+"""Own observations and rewards: the same in every face, in the batch and for the array player.
+
+One game is played in AEC; the moves are played again in the Parallel and Gymnasium environments and
+in the batch, and everything that agents see and get is compared. Pieces by name: registered ones,
+``module:Class`` and objects.
+"""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.spaces import Box
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from reference import contested
+
+import marouting
+from marouting import (
+    Engine,
+    EnvOptions,
+    InputError,
+    PaperObservation,
+    PaperReward,
+    Problem,
+    global_routing_v0,
+    registry,
+)
+from marouting.config import plain
+from marouting.game.state import NOBODY, Dynamic, Ending
+from marouting.options import GameOptions
+from marouting.player import Player
+from marouting.vector import BatchEnv
+
+HERE = __name__
+
+
+class Crowd:
+    """The paper's numbers, how many nets still route, and where all others stand."""
+
+    def __init__(self, scale: float = 1.0) -> None:
+        self.paper, self.scale = PaperObservation(), scale
+
+    def space(self, problems: Any, overflow: bool) -> Box:
+        size = self.paper.space(problems, overflow).shape[0] + 2
+        return Box(-np.inf, np.inf, (size,), np.float32)
+
+    def write(
+        self, engine: Engine, problems: NDArray[Any], agents: NDArray[Any], out: NDArray[Any]
+    ) -> None:
+        self.paper.write(engine, problems, agents, out[:, :-2])
+        there = agents != NOBODY
+        out[:, -2] = there * self.scale * (engine.agents["status"] == 0).sum(axis=1)[problems]
+        out[:, -1] = there * engine.agents["cell"].sum(axis=1)[problems]
+
+
+class Picture:
+    """An observation of two dimensions: the distance to the target, and the remaining capacity."""
+
+    def space(self, problems: Any, overflow: bool) -> Box:
+        del problems, overflow
+        return Box(-np.inf, np.inf, (2, 3), np.float32)
+
+    def write(
+        self, engine: Engine, problems: NDArray[Any], agents: NDArray[Any], out: NDArray[Any]
+    ) -> None:
+        seen = np.zeros((len(agents), 12), np.float32)
+        PaperObservation().write(engine, problems, agents, seen)
+        out[:, 0], out[:, 1] = seen[:, 3:6], seen[:, 6:9]
+
+
+class Team:
+    """Every net gets the change in wirelength and overflow, and what tells the states apart."""
+
+    def __init__(self, price: float = 10.0, share: float = 1.0) -> None:
+        self.price, self.share = price, share
+
+    def __call__(self, game: Engine, before: Dynamic, movers: NDArray[np.int32]) -> Any:
+        now, then = game.games, before.games
+        change = then["wirelength"] - now["wirelength"]
+        change = change + self.price * (then["overflow"] - now["overflow"])
+        # Where everybody stands, before and after, and what is left: nothing of it may differ.
+        seen = game.agents["cell"].sum(axis=1) - 2.0 * before.agents["cell"].sum(axis=1)
+        left = game.dynamic.remaining.sum(axis=1) - before.remaining.sum(axis=1)
+        used = game.dynamic.used.sum(axis=(1, 2)) - before.used.sum(axis=(1, 2), dtype=np.int64)
+        whole = change + seen / 64 + left / 4 + used / 8
+        number = np.arange(game.nets.shape[1])
+        return self.share * whole[:, None] + number + 100.0 * (number == movers[:, None])
+
+
+def walk(problem: Problem, seed: int, **options: Any) -> dict[str, Any]:
+    """A game in AEC by random moves: moves, observations at every turn, rewards of every move."""
+    env = global_routing_v0.raw_env(problem, **options)
+    env.reset()
+    rng = np.random.default_rng(seed)
+    turns, total = [], dict.fromkeys(env.agents, 0.0)
+    for agent in env.agent_iter():
+        obs, reward, terminated, truncated, info = env.last()
+        total[agent] += reward
+        if terminated or truncated:
+            env.step(None)
+            continue
+        move = int(rng.choice(np.flatnonzero(info["action_mask"])))
+        turn = {"agent": agent, "obs": obs, "mask": info["action_mask"], "move": move}
+        env.step(move)
+        turns.append({**turn, "rewards": dict(env.rewards), "over": env.terminations[agent]})
+    return {"turns": turns, "total": total, "metrics": env.metrics()}
+
+
+def rounds(turns: list[dict[str, Any]], sequential: bool) -> list[list[dict[str, Any]]]:
+    """Turns as rounds, in which every agent that is left moves once."""
+    if sequential:
+        return [[turn] for turn in turns]
+    found: list[list[dict[str, Any]]] = []
+    for turn in turns:
+        if not found or turn["agent"] in {other["agent"] for other in found[-1]}:
+            found.append([])
+        found[-1].append(turn)
+    return found
+
+
+PIECES: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "team": {"reward": {"kind": f"{HERE}:Team", "price": 3}},
+    "crowd": {"observation": {"kind": f"{HERE}:Crowd", "scale": 2}},
+    "both": {"observation": f"{HERE}:Crowd", "reward": Team(share=0.5)},
+    "picture": {"observation": Picture(), "reward": Team()},
+}
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    contested(max_nets=6),
+    st.sampled_from(sorted(PIECES)),
+    st.sampled_from(["sequential", "round_robin"]),
+    st.sampled_from(["forbidden", "allowed"]),
+    st.integers(0, 1000),
+)
+def test_the_same_moves_give_the_same_everywhere(
+    problem: Problem, pieces: str, order: Any, overflow: Any, seed: int
+) -> None:
+    options = {**PIECES[pieces], "turn_order": order, "overflow": overflow, "max_steps": 6}
+    game = walk(problem, seed, **options)
+    turns = game["turns"]
+
+    # Parallel, and the batch: the rewards of a step are those of all its moves.
+    parallel = global_routing_v0.parallel_env(problem, **options)
+    seen, infos = parallel.reset()
+    batch = BatchEnv([problem, problem], threads=2, autoreset=False, **options)
+    rows, info = batch.reset()
+    names = list(parallel.agents)
+    for moves in rounds(turns, order == "sequential"):
+        first = moves[0]
+        np.testing.assert_array_equal(seen[first["agent"]], first["obs"])
+        np.testing.assert_array_equal(infos[first["agent"]]["action_mask"], first["mask"])
+        actions = dict.fromkeys(parallel.agents, 0)
+        actions |= {turn["agent"]: turn["move"] for turn in moves}
+        asked = list(parallel.agents)
+        seen, rewards, terminated, _, infos = parallel.step(actions)
+        paid = {a: sum(turn["rewards"].get(a, 0.0) for turn in moves) for a in asked}
+        assert rewards == pytest.approx(paid, rel=1e-5, abs=1e-4)
+        assert all(terminated[turn["agent"]] == turn["over"] for turn in moves)
+        numbers = [names.index(agent) for agent in asked]
+        array = np.full((2, len(names)), NOBODY)
+        array[:, numbers] = [actions[agent] for agent in asked]
+        rows, reward, _, _, info = batch.step(array)
+        for m in (0, 1):
+            assert reward[m, numbers].tolist() == pytest.approx(list(rewards.values()), rel=1e-5)
+            for number, agent in zip(numbers, asked, strict=True):
+                np.testing.assert_array_equal(rows[m, number], seen[agent])
+                mask = infos[agent]["action_mask"]
+                np.testing.assert_array_equal(info["action_mask"][m, number], mask)
+    assert not parallel.agents
+    assert parallel.metrics() == game["metrics"]
+
+    # Gymnasium: one player, who gets what all nets are paid.
+    env = gymnasium.make(marouting.ENVIRONMENT_ID, problem=problem, **options).unwrapped
+    obs, info = env.reset()
+    over = False
+    for turn in turns:
+        assert info["net"] == turn["agent"]
+        np.testing.assert_array_equal(obs, turn["obs"])
+        np.testing.assert_array_equal(info["action_mask"], turn["mask"])
+        obs, single, terminated, truncated, info = env.step(turn["move"])  # type: ignore[assignment]
+        assert single == pytest.approx(sum(turn["rewards"].values()), rel=1e-5, abs=1e-4)
+        over = terminated or truncated
+    assert over
+
+    # In AEC what others' moves pay accumulates until an agent's turn; nothing of it is lost.
+    for agent, total in game["total"].items():
+        paid = sum(turn["rewards"].get(agent, 0.0) for turn in turns)
+        assert total == pytest.approx(paid, rel=1e-5, abs=1e-3)
+
+
+def test_a_team_reward_accumulates_in_aec() -> None:
+    problem = marouting.generate(1, grid=(4, 4, 2), nets=4, seed=1, reduced_edges=0)[0]
+
+    def one_each(game: Engine, before: Dynamic, movers: NDArray[np.int32]) -> Any:
+        del before, movers
+        return np.full(game.nets.shape, -1.0)
+
+    parallel = global_routing_v0.parallel_env(problem, reward=one_each)
+    parallel.reset()
+    count = len(parallel.agents)
+    _, rewards, *_ = parallel.step(dict.fromkeys(parallel.agents, 4))
+    assert set(rewards.values()) == {-float(count)}
+    aec = global_routing_v0.env(problem, reward=one_each)
+    aec.reset()
+    for turn in range(2 * count):
+        _, reward, *_ = aec.last()
+        assert reward == -min(turn, count)
+        aec.step(4 if turn < count else 5)
+
+
+@settings(deadline=None, max_examples=20)
+@given(contested(max_nets=6), st.booleans(), st.booleans(), st.integers(0, 1000))
+def test_any_pieces_play_as_the_compiled_ones(
+    problem: Problem, everyone: bool, sequential: bool, seed: int
+) -> None:
+    """The turn-by-turn player against the compiled one, in all it writes."""
+
+    class Seen(PaperObservation):
+        """Known to nobody, like any subclass."""
+
+    class Paid(PaperReward):
+        """Likewise."""
+
+    order = "sequential" if sequential else "round_robin"
+    engines = [Engine([problem] * 3, turn_order=order, max_steps=5) for _ in range(4)]
+    paper, reward = PaperObservation(), PaperReward(own_edge=-0.5)
+    players = [
+        Player(engines[0], paper, reward, everyone=everyone),
+        Player(engines[1], Seen(), reward, everyone=everyone),
+        Player(engines[2], paper, Paid(own_edge=-0.5), everyone=everyone),
+        Player(engines[3], Seen(), Paid(own_edge=-0.5), everyone=everyone),
+    ]
+    assert [player.compiled for player in players] == [True, False, False, False]
+    rng = np.random.default_rng(seed)
+    for player in players:
+        player.reset()
+    saved: Any = None
+    for step in range(60):
+        actions = rng.integers(-1, 6, players[0].buffers.actions.shape)
+        for player in players:
+            player.buffers.actions[:] = actions
+            player.step(restart=step > 30)
+        expected = players[0].buffers
+        ended = expected.ending != Ending.NONE
+        for player in players[1:]:
+            found = player.buffers
+            for name in expected._fields:
+                of: Any = ended if name in ("final_obs", "final_mask") else ...
+                mine, theirs = getattr(found, name)[of], getattr(expected, name)[of]
+                if name == "final":
+                    mine, theirs = mine.tolist(), theirs.tolist()
+                    mine = [[row[i] for i in (3, 4, 5, 6)] for row in mine]
+                    theirs = [[row[i] for i in (3, 4, 5, 6)] for row in theirs]
+                np.testing.assert_array_equal(mine, theirs, err_msg=name)
+        if step == 40:
+            saved = [player.save() for player in players]
+    for player, kept in zip(players, saved, strict=True):
+        before = player.buffers.obs.copy()
+        player.restore(kept)
+        assert player.engine.games["steps"].tolist() == kept.dynamic.games["steps"].tolist()
+        again = Player(player.engine, player.observation, player.reward, everyone=everyone)
+        again.buffers.obs[:] = before
+        again.restore(kept)
+        np.testing.assert_array_equal(again.buffers.obs, kept.buffers.obs)
+
+
+def test_rewards_are_only_paid_to_those_who_play() -> None:
+    problems = marouting.generate(2, grid=(4, 4, 2), nets=4, seed=3, reduced_edges=0)
+
+    def everybody(game: Engine, before: Dynamic, movers: NDArray[np.int32]) -> Any:
+        del before, movers
+        return np.ones(game.nets.shape)
+
+    env = BatchEnv(problems, reward=everybody, max_steps=2, autoreset=False)
+    env.reset()
+    for _ in range(12):
+        active = env.engine.agents["status"] == 0
+        _, reward, *_ = env.step(np.zeros((2, env.num_agents), int))
+        assert not reward[~active].any()
+        assert reward[active].all()
+
+
+def test_a_reward_of_another_shape_is_refused() -> None:
+    env = global_routing_v0.parallel_env(reward=lambda *_: np.zeros(3))
+    env.reset()
+    with pytest.raises(ValueError, match=r"reward: expected shape \(1, 10\), found \(3,\)"):
+        env.step(dict.fromkeys(env.agents, 0))
+
+
+# --- names ----------------------------------------------------------------------------------------
+
+
+def test_a_registered_name_stands_wherever_a_piece_does() -> None:
+    marouting.register("reward", "team-of-this-test", Team)
+    marouting.register("observation", "crowd-of-this-test", f"{HERE}:Crowd")
+    assert "team-of-this-test" in registry.names("reward")
+    options = {"reward": {"kind": "team-of-this-test", "share": 2}}
+    env = marouting.make({"env": {**options, "observation": "crowd-of-this-test"}})
+    assert env.observation_space.shape == (14,)
+    checked = EnvOptions(**options)  # type: ignore[arg-type]
+    assert plain(checked)["reward"] == {"kind": "team-of-this-test", "price": 10.0, "share": 2.0}
+    assert plain(checked)["observation"] == {"kind": "paper", "via_capacity": 10.0}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"reward": "papre"}, "reward: unknown reward 'papre'; did you mean paper?"),
+        ({"reward": {"kind": "paper", "reach": 1}}, "reward.reach: unknown key; did you mean"),
+        ({"reward": {"kind": f"{HERE}:Team", "prise": 1}}, "reward.prise: unknown key; did you"),
+        ({"reward": {"kind": f"{HERE}:Team", "price": "x"}}, "reward.price: expected a valid num"),
+        ({"reward": f"{HERE}:Nothing"}, "there is no class Nothing"),
+        ({"reward": "nowhere.at_all:Team"}, "there is no module nowhere"),
+        ({"observation": {"kind": 3}}, "observation: kind: expected a name, found 3"),
+        ({"observation": {"via_capacity": -1}}, "via_capacity: expected a number from 0"),
+    ],
+)
+def test_pieces_that_cannot_be_had(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=r"^[^\n]*$") as caught:
+        global_routing_v0.parallel_env(**options)
+    assert message in str(caught.value)
+
+
+def test_an_object_without_a_name_cannot_be_written_down() -> None:
+    class Own:
+        def __call__(self, *_: Any) -> Any: ...
+
+    with pytest.raises(InputError, match="reward: expected a name or module:Class"):
+        plain(GameOptions(reward=Own()))  # type: ignore[arg-type]
+
+
+def test_kinds_and_names_are_checked() -> None:
+    with pytest.raises(InputError, match="kind: expected one of observation, reward"):
+        marouting.register("rewards", "x", Team)
+    with pytest.raises(InputError, match="expected a name without a colon"):
+        marouting.register("reward", "a:b", Team)
