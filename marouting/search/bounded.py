@@ -65,7 +65,7 @@ def search_buffers(grid: Grid) -> SearchBuffers:
     return SearchBuffers(plain_buffers(grid), walls, np.empty(g, np.int8))
 
 
-@inlined
+@compiled
 def _look_around(
     static: Static, dynamic: Dynamic, s: SearchBuffers, m: int, n: int, source: int, budget: int
 ) -> int:
@@ -135,7 +135,7 @@ def _walls_ahead(s: SearchBuffers, cell: int, walls: int) -> int:
     return depth if 0 <= depth < walls else walls
 
 
-@inlined
+@compiled
 def _bounded_astar(
     static: Static,
     dynamic: Dynamic,
