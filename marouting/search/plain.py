@@ -189,7 +189,7 @@ def cheaper_cost(
 def push(
     static: Static, s: PlainBuffers, entries: int, cell: int, move: int, cost: int, f: int
 ) -> int:
-    """Enters the Gcell that a move leads to into the open list; returns the number of entries."""
+    """Adds the Gcell that a move leads to to the open list; returns the new number of entries."""
     beside = place(static.neighbour[cell, move])
     node = s.nodes[beside]
     node.stamp = s.search[0]
@@ -203,11 +203,11 @@ def push(
 
 @inlined
 def pop(s: PlainBuffers, f: int) -> tuple[int, int]:
-    """Takes the next Gcell to open out of the open list; returns it and its f.
+    """Takes the next Gcell to open from the open list; returns it and its f.
 
     Args:
-        s: the search; a goal can be reached, so that the list is never empty.
-        f: that of the Gcell opened last: no less than it is left.
+        s: the search; every Gcell can be reached, so the list does not run empty before a goal.
+        f: the f of the Gcell opened last; none in the list is lower.
     """
     while True:
         while s.head[f & _RING] == _EMPTY:
