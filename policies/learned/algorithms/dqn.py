@@ -23,7 +23,8 @@ from marouting.config import MOST, Named, check, piece_field, take_pieces
 from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned.exploration import Exploration
-from policies.learned.learner import Before, Learner, Setup, look_after
+from policies.learned.learner import Learner, Setup, look_after
+from policies.learned.memory.before import Before
 from policies.learned.memory.prioritised import Prioritised
 from policies.learned.memory.replay import Replay
 from policies.learned.networks.adam import Adam
@@ -129,15 +130,6 @@ class DQN(Learner):
         self.target = self.networks.flat[:, : None if o.target_period else 0].clone()
         self._burning_in = False
         self.bind()
-
-    @classmethod
-    def start(cls, setup: Setup, options: DQNOptions) -> Learner:
-        """The compiled learner where it applies, else this one."""
-        from policies.learned.compiled.dqn import FusedDQN, obstacle
-
-        reason = obstacle(setup, options)
-        check("fused", not options.fused or reason is None, f"false: {reason}")
-        return cls(setup, options) if reason or options.fused is False else FusedDQN(setup, options)
 
     def _stack(self) -> Stack:
         seeds = self.setup.network_keys("weights").astype(np.int64).tolist()

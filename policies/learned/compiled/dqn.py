@@ -10,6 +10,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from marouting.config import check
 from marouting.game.observation import write_paper
 from marouting.game.rules import write_mask
 from marouting.game.state import Dynamic, Ending, Static
@@ -27,7 +28,7 @@ from policies.learned.compiled.gradient import (
     units_of,
 )
 from policies.learned.exploration import choose
-from policies.learned.learner import Setup
+from policies.learned.learner import Learner, Setup
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
 from policies.learned.networks.mlp import MLP
 
@@ -173,6 +174,18 @@ class FusedDQN(DQN):
     def __init__(self, setup: Setup, options: DQNOptions) -> None:
         super().__init__(setup, options)
         self.path = "fused"
+
+    @classmethod
+    def start(cls, setup: Setup, options: DQNOptions) -> Learner:
+        """This learner where it applies, else the one in torch.
+
+        Raises:
+            InputError: ``fused`` is true and :func:`obstacle` says why it does not apply.
+        """
+        reason = obstacle(setup, options)
+        check("fused", not options.fused or reason is None, f"false: {reason}")
+        plain = reason is not None or options.fused is False
+        return DQN(setup, options) if plain else cls(setup, options)
 
     def bind(self) -> None:
         """Renews what refers to the rows."""
