@@ -23,7 +23,7 @@ from marouting.config import MOST, Named, check, piece_field, take_pieces
 from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned.exploration import Exploration
-from policies.learned.learner import Learner, Setup, look_after
+from policies.learned.learner import Learner, Setup
 from policies.learned.memory.before import Before
 from policies.learned.memory.prioritised import Prioritised
 from policies.learned.memory.replay import Replay
@@ -170,7 +170,6 @@ class DQN(Learner):
                 player.buffers, self._values(before.obs), self.options.masking
             )
             player.step()
-            look_after(player, before)
             self.memory.add(before, player.buffers)
             self.owed += self._games(player.buffers.acted).sum(axis=(1, 2))
             due = self.owed // self.options.steps_per_update
@@ -181,7 +180,6 @@ class DQN(Learner):
 
     def observe(self, player: Player, before: Before) -> None:
         """See :meth:`policies.learned.learner.Learner.observe`."""
-        look_after(player, before)
         self.memory.add(before, player.buffers)
         self._burning_in = True
 

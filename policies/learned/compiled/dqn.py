@@ -11,10 +11,8 @@ from numba import prange
 from numpy.typing import NDArray
 
 from marouting.config import check
-from marouting.game.observation import write_paper
-from marouting.game.rules import write_mask
 from marouting.game.state import Dynamic, Ending, Static
-from marouting.kernels import allocating, threaded, wide
+from marouting.kernels import allocating, threaded
 from marouting.player import Known, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
 from policies.learned.algorithms.dqn import DQN, DQNOptions
@@ -73,15 +71,7 @@ def _remember(play: Play, nets: Networks, n: int, m: int, k: int, mover: int) ->
     """Stores the transition of a row that acted."""
     b = play.buffers
     rows, row, features = nets.store[n], nets.stored[n] % nets.store.shape[1], nets.sizes[0]
-    ended = b.ending[m, k] != Ending.NONE
-    if not ended and b.agents[m, k] != mover:
-        # The turn has passed: what the mover saw where it arrived is nowhere yet.
-        write_paper(
-            play.static, play.dynamic, play.known.via_capacity, m, wide(mover), b.final_obs[m], k
-        )
-        if nets.masks:
-            write_mask(play.static, play.dynamic, m, wide(mover), b.final_mask[m], k)
-        ended = True
+    ended = b.ending[m, k] != Ending.NONE or b.agents[m, k] != mover
     for f in range(features):
         rows[row, f] = play.before[m, k, f]
         rows[row, features + f] = b.final_obs[m, k, f] if ended else b.obs[m, k, f]
