@@ -11,6 +11,7 @@ import pytest
 
 import marouting
 import policies
+from marouting import registry
 
 ROOT = Path(marouting.__file__).parent
 FILES = sorted(ROOT.rglob("*.py"))
@@ -189,3 +190,13 @@ def test_rooms_import_only_from_below(order: Sequence[str]) -> None:
     assert not upward(graph(POLICIES), order)
     rooms = [name for room in order for name in room.split()]
     assert all(any(f"policies.{room}" == name for name in modules(POLICIES)) for room in rooms)
+
+
+@pytest.mark.parametrize("room", ["routers", "results", "figures", "experiment", "cli"])
+def test_no_learner_is_named_outside_its_room(room: str) -> None:
+    learners = set(registry.names("learner"))
+    assert "dqn" in learners
+    for file in (POLICIES / room).rglob("*.py"):
+        nodes = ast.walk(ast.parse(file.read_text("utf-8")))
+        constants = {node.value for node in nodes if isinstance(node, ast.Constant)}
+        assert not learners & constants, file
