@@ -1,9 +1,12 @@
-"""The house has two floors: ``marouting`` stands without ``policies`` and without torch."""
+"""The house: two floors, of which ``marouting`` stands without the other and without torch; rooms
+that know only those below them; no circles among files."""
 
 import ast
+import graphlib
 import subprocess
 import sys
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +18,43 @@ FILES = sorted(ROOT.rglob("*.py"))
 UPSTAIRS = {"policies", "torch"}
 OPTIONAL = {"matplotlib"}
 """What a window may import when it opens, and nothing before."""
+
+ROOMS = {
+    "marouting": (
+        ("_version", "errors", "files", "kernels", "registry", "config"),
+        ("problem",),
+        ("trees",),
+        ("game",),
+        ("search",),
+        ("generator",),
+        ("options", "source"),
+        ("player",),
+        ("render",),
+        ("env",),
+        ("vector", "global_routing_v0", "make"),
+        ("",),  # the package's own __init__.py
+    ),
+    "policies": (
+        ("routers",),
+        ("results",),
+        ("figures",),
+        ("learned.rows", "learned.streams", "learned.threads", "learned.checkpoint"),
+        ("learned.networks", "learned.memory", "learned.exploration"),
+        ("learned.learner",),
+        ("learned.algorithms",),
+        ("learned.compiled",),
+        ("learned.burn_in", "learned.config", "learned.policy"),
+        ("learned.trainer",),
+        ("learned.logs", "learned.router", "learned.run"),
+        ("learned",),
+        ("experiment",),
+        ("bench",),
+        ("cli",),
+        ("",),
+    ),
+}
+"""For each package its rooms, bottom to top, and the folders or files in each. A file may import
+from its own room and from those below."""
 
 
 def imports(tree: ast.AST) -> Iterator[str]:
@@ -47,6 +87,70 @@ def at_import(tree: ast.Module) -> Iterator[str]:
         waiting += ast.iter_child_nodes(node)
 
 
+def modules(package: str) -> dict[str, Path]:
+    """The files of a package by the dotted names of their modules."""
+    root = ROOT.parent / package
+    found = {}
+    for file in sorted(root.rglob("*.py")):
+        parts = file.relative_to(root.parent).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    return found
+
+
+def imported_modules(source: str, module: str, known: Collection[str]) -> set[str]:
+    """The known modules that a module imports: in functions and for types only as well.
+
+    The packages on the way to a module are not counted, although Python imports them too.
+
+    Args:
+        source: the module's text.
+        module: its dotted name, with ``.__init__`` if it is a package.
+        known: dotted names of modules.
+    """
+    names = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = module.split(".")[: -node.level] if node.level else []
+            origin = ".".join(base + ([node.module] if node.module else []))
+            inside = [f"{origin}.{alias.name}" for alias in node.names]
+            names += [name if name in known else origin for name in inside]
+        elif (
+            isinstance(node, ast.Call)
+            and ast.unparse(node.func) in ("__import__", "importlib.import_module", "import_module")
+            and node.args
+            and isinstance(node.args[0], ast.Constant)
+        ):
+            names.append(str(node.args[0].value))
+    return set(names) & set(known)
+
+
+def import_graph(package: str) -> dict[str, set[str]]:
+    """For each module of a package the modules of the same package that it imports."""
+    known = modules(package)
+    return {
+        name: imported_modules(
+            file.read_text(encoding="utf-8"),
+            f"{name}.__init__" if file.name == "__init__.py" else name,
+            known,
+        )
+        for name, file in known.items()
+    }
+
+
+def room_of(module: str) -> int | None:
+    """The room that a module lies in, counted from the bottom; None for one without a room."""
+    package, _, name = module.partition(".")
+    found = None
+    for i, room in enumerate(ROOMS[package]):
+        for known in room:
+            inside = name == known or (known and name.startswith(f"{known}."))
+            if inside and (found is None or len(known) > len(found[1])):
+                found = i, known
+    return found and found[0]
+
+
 def test_there_is_something_to_look_at() -> None:
     assert {"engine.py", "problem.py", "make.py"} <= {file.name for file in FILES}
     found = set(imports(ast.parse("def f():\n    import torch.nn\n    from policies import x")))
@@ -58,6 +162,46 @@ def test_nothing_from_upstairs(file: Path) -> None:
     tree = ast.parse(file.read_text(encoding="utf-8"))
     assert not UPSTAIRS & set(imports(tree))
     assert not OPTIONAL & set(at_import(tree))
+
+
+def test_no_import_is_overlooked() -> None:
+    known = {"p", "p.a", "p.b", "p.b.c", "p.b.d"}
+    source = """
+        import numpy, p.a
+        if TYPE_CHECKING:
+            from p.b import c, Name
+        def late():
+            from .d import Name
+            import_module("p")
+    """
+    found = imported_modules(textwrap.dedent(source), "p.b.c", known)
+    assert found == {"p.a", "p.b.c", "p.b", "p.b.d", "p"}
+    assert imported_modules("from . import d", "p.b.__init__", known) == {"p.b.d"}
+    graph = import_graph("marouting")
+    assert "marouting.search.plain" in graph["marouting.search.bounded"]
+    assert "marouting.vector" in graph["marouting"]
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_no_files_import_each_other_in_a_circle(package: str) -> None:
+    try:
+        graphlib.TopologicalSorter(import_graph(package)).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail("a circle, each imported by the next: " + ", ".join(error.args[1]))
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_rooms_import_only_from_rooms_below(package: str) -> None:
+    graph = import_graph(package)
+    rooms = {module: room_of(module) for module in graph}
+    assert [module for module, room in rooms.items() if room is None] == []
+    upwards = [
+        f"{module} imports {other}"
+        for module, others in graph.items()
+        for other in others
+        if rooms[other] > rooms[module]  # type: ignore[operator]
+    ]
+    assert upwards == []
 
 
 def test_dependencies_are_the_declared_ones() -> None:
@@ -73,9 +217,9 @@ def test_dependencies_are_the_declared_ones() -> None:
         "scipy",
     }
     allowed = declared | OPTIONAL | {"marouting"} | sys.stdlib_module_names
-    found = {name for file in FILES for name in imports(ast.parse(file.read_text("utf-8")))}
-    # The registry imports what users name.
-    assert found <= allowed | {"?"}
+    for file in FILES:
+        named = {"?"} if file == ROOT / "registry.py" else set()  # it imports what users name
+        assert set(imports(ast.parse(file.read_text("utf-8")))) <= allowed | named
 
 
 @pytest.mark.parametrize(

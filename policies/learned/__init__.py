@@ -1,1 +1,1 @@
-"""Routers that learn."""
+"""Routers that learn: networks, memories, algorithms, and the training that runs them."""

@@ -27,7 +27,8 @@ from marouting.game.state import Ending
 from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned.exploration import Exploration
-from policies.learned.learner import Before, Learner, Setup
+from policies.learned.learner import Learner, Setup
+from policies.learned.memory.before import Before
 from policies.learned.memory.rollout import LONGEST, Rollout, shuffled
 from policies.learned.networks.adam import Adam
 from policies.learned.networks.stack import Stack, View

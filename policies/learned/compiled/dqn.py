@@ -10,10 +10,9 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from marouting.game.observation import write_paper
-from marouting.game.rules import write_mask
+from marouting.config import check
 from marouting.game.state import Dynamic, Ending, Static
-from marouting.kernels import allocating, threaded, wide
+from marouting.kernels import allocating, threaded
 from marouting.player import Known, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
 from policies.learned.algorithms.dqn import DQN, DQNOptions
@@ -27,7 +26,7 @@ from policies.learned.compiled.gradient import (
     units_of,
 )
 from policies.learned.exploration import choose
-from policies.learned.learner import Setup
+from policies.learned.learner import Learner, Setup
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
 from policies.learned.networks.mlp import MLP
 
@@ -72,15 +71,7 @@ def _remember(play: Play, nets: Networks, n: int, m: int, k: int, mover: int) ->
     """Stores the transition of a row that acted."""
     b = play.buffers
     rows, row, features = nets.store[n], nets.stored[n] % nets.store.shape[1], nets.sizes[0]
-    ended = b.ending[m, k] != Ending.NONE
-    if not ended and b.agents[m, k] != mover:
-        # The turn has passed: what the mover saw where it arrived is nowhere yet.
-        write_paper(
-            play.static, play.dynamic, play.known.via_capacity, m, wide(mover), b.final_obs[m], k
-        )
-        if nets.masks:
-            write_mask(play.static, play.dynamic, m, wide(mover), b.final_mask[m], k)
-        ended = True
+    ended = b.ending[m, k] != Ending.NONE or b.agents[m, k] != mover
     for f in range(features):
         rows[row, f] = play.before[m, k, f]
         rows[row, features + f] = b.final_obs[m, k, f] if ended else b.obs[m, k, f]
@@ -147,6 +138,23 @@ def _play_threaded(steps: int, play: Play, nets: Networks, rule: StepRule) -> No
         _play_network(n, steps, play, nets, rule)
 
 
+@allocating
+def _walk(
+    static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers, known: Known,
+    sizes: NDArray[np.int64], weights: NDArray[np.float32], masking: bool,
+) -> None:  # fmt: skip
+    """:meth:`FusedDQN.walk` by the network with the weights (P,)."""
+    values = np.empty((*b.agents.shape, MOVES), np.float32)
+    activations = np.empty(units_of(sizes) * b.agents.size, np.float32)
+    keys, counters = np.zeros(len(b.over), np.uint64), np.zeros(len(b.over), np.int64)
+    never = np.zeros(len(b.over))  # a random move
+    while b.active.any():
+        q_values(sizes, weights, b.obs, activations, values)
+        for m in range(len(b.over)):
+            choose(keys, counters, never, b.active, b.mask, values, masking, b.actions, m)
+            step_problem(static, dynamic, kernel_buffers, known, m)
+
+
 class FusedDQN(DQN):
     """:class:`policies.learned.algorithms.dqn.DQN`, one network after the other in compiled code.
 
@@ -156,6 +164,18 @@ class FusedDQN(DQN):
     def __init__(self, setup: Setup, options: DQNOptions) -> None:
         super().__init__(setup, options)
         self.path = "fused"
+
+    @classmethod
+    def start(cls, setup: Setup, options: DQNOptions) -> Learner:
+        """This learner where it applies, else the one in torch.
+
+        Raises:
+            InputError: ``fused`` is true and :func:`obstacle` says why it does not apply.
+        """
+        reason = obstacle(setup, options)
+        check("fused", not options.fused or reason is None, f"false: {reason}")
+        plain = reason is not None or options.fused is False
+        return DQN(setup, options) if plain else cls(setup, options)
 
     def bind(self) -> None:
         """Renews what refers to the rows."""
@@ -200,6 +220,15 @@ class FusedDQN(DQN):
         run = _play_threaded if self.setup.threads > 1 else _play
         run(steps, play, self._nets, self._rule)
         self._counted()
+
+    def walk(self, player: Player, network: int) -> None:
+        """See :meth:`policies.learned.learner.Learner.walk`."""
+        weights = self.networks.flat.numpy()[network]
+        engine = player.engine
+        _walk(
+            engine.static, engine.dynamic, player.buffers, player.kernel_buffers, player.known,
+            self._nets.sizes, weights, self.options.masking,
+        )  # fmt: skip
 
     def learn(self, due: NDArray[np.int64]) -> None:
         """See :meth:`policies.learned.algorithms.dqn.DQN.learn`."""
