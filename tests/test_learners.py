@@ -917,7 +917,7 @@ def test_the_fused_dqn_is_chosen_where_it_applies() -> None:
     setup = setup_of(player, ["a"])
 
     def path(setup: Setup = setup, **options: Any) -> str:
-        return DQN.start(setup, options_of("dqn", **options)).path
+        return FusedDQN.start(setup, options_of("dqn", **options)).path
 
     own = setup_of(player_of([tiny()], multi=False, observation=Telling()), ["a"])
     dueling = piece("network", {"kind": "mlp", "dueling": True})
@@ -945,7 +945,7 @@ LEARNERS: dict[str, tuple[str, dict[str, Any]]] = {
     "dqn, torch": ("dqn", {"fused": False, "steps_per_update": 3}),
     "dqn, all switches": (
         "dqn",
-        {"double": True, "n_step": 3, "prioritised": True, "masking": True},
+        {"double": True, "n_step": 3, "prioritised": True, "masking": True, "steps_per_update": 3},
     ),
     "ppo": ("ppo", {}),
     "ppo, central": ("ppo", {"critic": "central", "masking": False}),
@@ -958,7 +958,7 @@ def started(name: str, multi: bool, **changes: Any) -> tuple[Learner, Player]:
     a, b = tiny(nets=4), tiny(1, nets=2)
     player = player_of([a, a, b, b], multi)
     setup = setup_of(player, ["a", "b"], **changes)
-    start: Any = PPO.start if kind == "ppo" else DQN.start
+    start: Any = PPO.start if kind == "ppo" else FusedDQN.start
     return start(setup, options_of(kind, **options)), player
 
 
@@ -1004,21 +1004,29 @@ def test_a_network_plays_the_same_when_others_have_left(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", LEARNERS)
-def test_saved_networks_are_ordinary_modules_that_play_greedily(name: str) -> None:
-    learner, player = started(name, True)
+@pytest.mark.parametrize("multi", [False, True])
+def test_saved_networks_are_ordinary_modules_that_walk_alike(name: str, multi: bool) -> None:
+    learner, player = started(name, multi)
     play(learner, player, 10)
-    rng = np.random.default_rng(0)
-    obs = rng.normal(size=(30, FEATURES)).astype(np.float32)
-    mask = rng.integers(2, size=(30, MOVES), dtype=np.int8)
-    mask[:, 0] |= ~mask.any(axis=1)
+    problems = [tiny(7, nets=5), tiny(8, nets=3)]
     for row, weights in enumerate(learner.weights()):
+        walked, other = player_of(problems, multi), player_of(problems, multi)
+        learner.walk(walked, row)
         module = learner.network(learner.options, (FEATURES,))
         module.load_state_dict(weights)
-        with torch.no_grad():
-            outputs = module(torch.from_numpy(obs)).numpy()
-        if learner.options.masking:
-            outputs[mask == 0] = -np.inf
-        assert np.array_equal(learner.greedy(row, obs, mask), outputs.argmax(axis=1))
+        now = other.buffers
+        while now.active.any():
+            with torch.no_grad():
+                outputs = module(torch.from_numpy(now.obs.reshape(-1, FEATURES)))
+            values = outputs.numpy().reshape(now.mask.shape)
+            if learner.options.masking:
+                values = np.where(now.mask == 0, -np.inf, values)
+            now.actions[:] = np.where(now.active, values.argmax(axis=2), -1)
+            other.step()
+        assert other.engine.games["steps"].min() > 0
+        for m in range(2):
+            assert walked.engine.solution(m) == other.engine.solution(m)
+            assert walked.engine.metrics(m) == other.engine.metrics(m)
 
 
 # --- PPO ------------------------------------------------------------------------------------------
