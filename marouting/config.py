@@ -230,6 +230,8 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> P
     """
     if isinstance(raw, Piece):
         return raw
+    if isinstance(raw, bool | int | float | list | tuple):
+        raise InputError(f"{_prefix(where)}expected a name, options with kind, or a piece")
     if raw is not None and not isinstance(raw, str | Mapping):
         return Piece(kind, name_of(kind, type(raw)), type(raw), raw, given=True)
     plainly: dict[str, Any] = {"kind": raw} if isinstance(raw, str) else dict(raw or {})

@@ -489,11 +489,13 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known,
         move_everyone(static, dynamic, m, b.actions)
         for n in range(b.agents.shape[1]):
             # In one loop, agent by agent: all of it is at hand then.
-            if dynamic.agents[m, n].status == Status.ABSENT:
+            agent = dynamic.agents[m, n]
+            if agent.status == Status.ABSENT:
                 continue
             total += _take_stock(static, dynamic, b, known, m, n, n)
-            settle_agent(static, dynamic, m, n)
-            status = dynamic.agents[m, n].status
+            if agent.ending != Ending.NONE:
+                settle_agent(static, dynamic, m, n)
+            status = agent.status
             b.terminated[m, n] = status == Status.TERMINATED
             b.truncated[m, n] = status == Status.TRUNCATED
             b.active[m, n] = status == Status.ACTIVE

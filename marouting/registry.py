@@ -50,6 +50,15 @@ def names(kind: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*_registered[kind], *_entry_points(kind))))
 
 
+def registered() -> list[tuple[str, str, str]]:
+    """What was registered in this process: arguments of :func:`register` for another process."""
+    return [
+        (kind, name, cls if isinstance(cls, str) else f"{cls.__module__}:{cls.__qualname__}")
+        for kind, known in _registered.items()
+        for name, cls in known.items()
+    ]
+
+
 def lookup(kind: str, name: str, where: str = "") -> type[Any]:
     """The class that a name stands for.
 

@@ -23,21 +23,31 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from marouting import InputError, Problem, Solution, evaluate, generate
+from marouting import (
+    InputError,
+    Problem,
+    Solution,
+    evaluate,
+    generate,
+    register,
+    sequential_astar,
+)
 from policies import figures
 from policies.cli.main import status
-from policies.experiment import COLUMNS, Experiment, load_experiment, load_sets
+from policies.experiment import Experiment, load_experiment, load_sets
 from policies.experiment.processes import work_on
 from policies.figures import plot
 from policies.learned.config import load_config
 from policies.learned.router import QPolicy
 from policies.learned.trainer import Trainer
+from policies.results.rows import COLUMNS
 from policies.results.statistics import (
     add_gaps,
     by_router,
     by_set,
-    joined_wirelength,
     mean_interval,
+    mean_overflow,
+    mean_wirelength,
     rank,
     share_interval,
     summarise,
@@ -45,7 +55,7 @@ from policies.results.statistics import (
 from policies.results.utilisation import histogram_counts, utilisation_maps
 from policies.routers.astar import AStarRouter
 from policies.routers.random import RandomRouter
-from policies.routers.registry import ROUTERS, has_seed, is_seeded, make_router
+from policies.routers.registry import is_seeded, make_router, router_piece
 
 ROOT = Path(__file__).resolve().parents[1]
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -108,7 +118,7 @@ def everything(folder: Path, **keys: Any) -> Path:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a whole experiment, made with two processes."""
     config = load_experiment(everything(tmp_path_factory.mktemp("experiment")))
-    Experiment(config, progress=False).execute()
+    Experiment(config).execute()
     return Path(config.out)
 
 
@@ -309,7 +319,7 @@ def test_results_are_there_of_the_routers_that_are_done(
 
     monkeypatch.setattr("policies.experiment.experiment.work_on", without_trainings)
     with pytest.raises(KeyboardInterrupt):
-        Experiment(config, progress=False).execute()
+        Experiment(config).execute()
     there = results(Path(config.out))
     assert there == [row for row in results(finished) if row["kind"] != "dqn"]
     summary = json.loads((Path(config.out) / "summary.json").read_text())
@@ -319,7 +329,7 @@ def test_results_are_there_of_the_routers_that_are_done(
 @pytest.mark.usefixtures("_undrawn")
 def test_one_process_finds_the_same_as_two(finished: Path, tmp_path: Path) -> None:
     config = load_experiment(everything(tmp_path), ["jobs=1"])
-    summary = Experiment(config, progress=False).execute()
+    summary = Experiment(config).execute()
     assert outcome(tmp_path / "out") == outcome(finished)
     kept = json.loads((finished / "summary.json").read_text())
     assert untimed(json.loads(json.dumps(summary["sets"]))) == untimed(kept["sets"])
@@ -332,7 +342,7 @@ def test_a_trained_policy_can_take_part(finished: Path, tmp_path: Path) -> None:
     problems = [str(trained / "problems")]
     routers = {"walk": {"router": "dqn", "checkpoint": str(trained / "policy.pt")}}
     config = write_config(tmp_path / "c.yaml", problems={"two": problems}, routers=routers)
-    summary = Experiment(load_experiment(config, ["seeds=[0, 1]"]), progress=False).execute()
+    summary = Experiment(load_experiment(config, ["seeds=[0, 1]"])).execute()
     assert [row["seeds"] for row in summary["sets"]["two"]] == [1]
     for path in sorted((trained / "problems").iterdir()):
         problem = Problem.read(path)
@@ -354,14 +364,14 @@ def test_nothing_is_done_twice(
     config = load_experiment(folder / "config.yaml", [f"out={folder}", "jobs=1"])
     with monkeypatch.context() as patch:
         patch.setattr("policies.experiment.experiment.work_on", None)
-        Experiment(config, progress=False).execute()
+        Experiment(config).execute()
     assert outcome(folder) == outcome(finished)
     # And when some of it is missing, that is done, and no more.
     lost = ["small/astar/problem_001.json", "small/dqn.seed0/problem_000.json"]
     before = {path: path.stat().st_mtime_ns for path in (folder / "rows").rglob("*.json")}
     for name in lost:
         (folder / "rows" / name).unlink()
-    Experiment(config, progress=False).execute()
+    Experiment(config).execute()
     assert outcome(folder) == outcome(finished)
     after = {path: path.stat().st_mtime_ns for path in (folder / "rows").rglob("*.json")}
     changed = {
@@ -373,9 +383,9 @@ def test_nothing_is_done_twice(
 def test_problems_are_those_it_started_with(tmp_path: Path) -> None:
     """Even if they were random ones, or their files are gone."""
     config = write_config(tmp_path / "c.yaml", problems={"any": {**SMALL, "seed": None}})
-    Experiment(load_experiment(config), progress=False)
+    Experiment(load_experiment(config))
     kept = {path.name: path.read_text() for path in (tmp_path / "out/problems/any").iterdir()}
-    again = Experiment(load_experiment(config), progress=False)
+    again = Experiment(load_experiment(config))
     assert again.sets["any"] == {
         f"problem_{i:03d}": Problem.read(tmp_path / f"out/problems/any/problem_{i:03d}.gr")
         for i in range(3)
@@ -395,7 +405,7 @@ LONG = {
 
 def test_processes_end_with_the_experiment(tmp_path: Path) -> None:
     config = write_config(tmp_path / "c.yaml", routers={"dqn": LONG})
-    whole = Experiment(load_experiment(config), progress=False)
+    whole = Experiment(load_experiment(config))
     others = set(multiprocessing.active_children())
     work = work_on(whole.parts, 2, 1)
     assert next(work) == []
@@ -406,14 +416,14 @@ def test_processes_end_with_the_experiment(tmp_path: Path) -> None:
     next(work)
     for process in set(multiprocessing.active_children()) - others:
         process.kill()
-    with pytest.raises(InputError, match="a process at work was killed"):
+    with pytest.raises(InputError, match="a process was killed"):
         next(work)
     assert not set(multiprocessing.active_children()) - others
 
 
 def test_threads_of_the_processes_are_set_for_them_alone(tmp_path: Path) -> None:
     before = dict(os.environ)
-    experiment_of = Experiment(load_experiment(write_config(tmp_path / "c.yaml")), progress=False)
+    experiment_of = Experiment(load_experiment(write_config(tmp_path / "c.yaml")))
     assert sum(map(len, work_on(experiment_of.parts, 1, 3))) == 3
     assert dict(os.environ) == before
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
@@ -440,7 +450,7 @@ def test_an_experiment_stopped_anywhere_goes_on_as_if_not(
     for folder in (whole, stopped):
         folder.mkdir()
         write_config(folder / "c.yaml", **keys)
-    Experiment(load_experiment(whole / "c.yaml"), progress=False).execute()
+    Experiment(load_experiment(whole / "c.yaml")).execute()
     command = [sys.executable, "-m", "policies.cli.main", "experiment", str(stopped / "c.yaml")]
     runs = stopped / "out"
     for stop in itertools.count(1):
@@ -689,7 +699,7 @@ def test_routers_seeds_and_sets_come_and_go(here: Path, refused: Callable[..., s
     config = write_config(here / "c.yaml", routers=routers, seeds=[3])
 
     def run(*changes: str) -> set[tuple[Any, ...]]:
-        Experiment(load_experiment(config, changes), progress=False).execute()
+        Experiment(load_experiment(config, changes)).execute()
         return names_and_seeds(here / "out")
 
     small = {("small", "a", None), ("small", "r", 3)}
@@ -712,13 +722,13 @@ def test_routers_seeds_and_sets_come_and_go(here: Path, refused: Callable[..., s
     assert run() == small
     assert run(other) == both
     assert {path: path.stat().st_mtime_ns for path in rows} == rows
-    everything_so_far = Experiment(load_experiment(here / "out" / "config.yaml"), progress=False)
+    everything_so_far = Experiment(load_experiment(here / "out" / "config.yaml"))
     assert set(everything_so_far.sets) == {"small", "other"}
 
 
 def test_a_folder_that_holds_problems_of_a_new_set(here: Path, refused: Callable[..., str]) -> None:
     config = write_config(here / "c.yaml", routers=ASTAR)
-    Experiment(load_experiment(config), progress=False)
+    Experiment(load_experiment(config))
     (here / "out" / "problems" / "other").mkdir()
     shutil.copy("4.gr", here / "out" / "problems" / "other" / "4.gr")
     said = refused("experiment", config, "problems.other={nets: 2}")
@@ -850,13 +860,13 @@ def test_studies_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, 
         assert sorted(after.get_data().values) == [n for n in used if n < 10**6]
 
         routers = by_router(rows[name])
-        order = np.argsort(joined_wirelength(routers["astar"]), kind="stable")
-        for axes, of in ((lengths, joined_wirelength), (overflows, plot.overflow)):
+        order = np.argsort(mean_wirelength(routers["astar"]), kind="stable")
+        for axes, of in ((lengths, mean_wirelength), (overflows, mean_overflow)):
             lines = {line.get_label().split(" (")[0]: line for line in axes.get_lines()}
             assert list(lines) == ["astar", "dqn", "random"]  # A*, the column's, the reference
             for router, line in lines.items():
                 np.testing.assert_array_equal(line.get_ydata(), of(routers[router])[order])
-        less = joined_wirelength(routers["astar"]) - joined_wirelength(routers["dqn"])
+        less = mean_wirelength(routers["astar"]) - mean_wirelength(routers["dqn"])
         assert sum(bar.get_height() for bar in decrease.patches) == (~np.isnan(less)).sum()
         logs = (finished / "runs" / name / "dqn.seed0").glob("*/metrics.jsonl")
         entries = [json.loads(line) for log in logs for line in log.read_text().splitlines()]
@@ -898,7 +908,7 @@ def test_a_study_of_mean_rewards(here: Path, drawn: dict[str, Any]) -> None:
     column = {"router": "wide", "beside": ["slim"]}
     study = {"panels": ["mean_reward"], "columns": {"width": column, "one": {"router": "slim"}}}
     config = write_config(here / "c.yaml", routers=routers, seeds=[0, 3], studies={"w": study})
-    Experiment(load_experiment(config), progress=False).execute()
+    Experiment(load_experiment(config)).execute()
 
     def mean(router: str) -> list[float]:
         by_episode: dict[int, list[float]] = {}
@@ -923,12 +933,12 @@ def test_studies_can_change_and_follow_the_routers(here: Path) -> None:
     keys = {"routers": routers, "studies": {"orders": study, "second": study}}
     config = write_config(here / "c.yaml", **keys)
     changes = ["routers.b=null", "studies.second.columns={B: {router: b}}"]
-    first = Experiment(load_experiment(config, changes), progress=False)
+    first = Experiment(load_experiment(config, changes))
     assert list(first.config.studies) == ["orders"]
     assert list(first.config.studies["orders"].columns) == ["0"]
     first.execute()
     before = outcome(here / "out")
-    again = Experiment(load_experiment(config, ["routers.b=null", "studies={}"]), progress=False)
+    again = Experiment(load_experiment(config, ["routers.b=null", "studies={}"]))
     again.execute()
     assert outcome(here / "out") == before
     assert load_experiment(here / "out" / "config.yaml") == again.config
@@ -941,7 +951,7 @@ def test_a_study_shows_every_router_once_and_any_title(here: Path, drawn: dict[s
     study = {"panels": ["wirelength"], "columns": columns}
     keys = {"routers": routers, "reference": "p", "studies": {"s": study}}
     config = write_config(here / "c.yaml", **keys)
-    Experiment(load_experiment(config), progress=False).execute()
+    Experiment(load_experiment(config)).execute()
     shown = [[line.get_label() for line in axes.get_lines()] for axes in drawn["s"].axes]
     assert shown == [["a", "p"], ["a", "p"], ["a", "astar", "p"]]
     drawn["s"].canvas.draw()
@@ -973,7 +983,7 @@ def test_rewards_of_a_study_that_are_gone(
     shutil.copytree(finished, tmp_path / "out")
     shutil.rmtree(tmp_path / "out" / "runs")
     said = refused("plot", tmp_path / "out")
-    assert f"{Path('runs') / 'small' / 'dqn.seed0'}: expected folders of trainings" in said
+    assert f"{Path('runs') / 'small' / 'dqn.seed0'}: expected run folders" in said
 
 
 def test_a_study_without_anything_to_compare() -> None:
@@ -981,7 +991,7 @@ def test_a_study_without_anything_to_compare() -> None:
     problem = generate(1, grid=(4, 4, 2), nets=3)[0]
     nothing = {"astar": np.array([9.0]), "dqn": np.array([math.nan])}
     solution = AStarRouter().route(problem)
-    column = figures.Column(
+    column = figures.ColumnData(
         problem, solution, solution, nothing, {"astar": np.zeros(1)}, {"p": [-3.0, -1]}, {}
     )
     drawn = figures.study({"A": column}, ("decrease", "reward"))
@@ -1074,7 +1084,7 @@ def test_a_training_is_that_of_its_file_but_for_what_stands_here(here: Path) -> 
     told = config.routers["dqn"]
     assert told["env"]["max_steps"] == 9
     assert told["env"]["reward"] == {
-        "reached": 100.0, "step": -2.0, "own_edge": 0.0, "overflow_price": 0.0
+        "kind": "paper", "reached": 100.0, "step": -2.0, "own_edge": 0.0, "overflow_price": 0.0
     }  # fmt: skip
     assert "problem" not in told["env"]
     assert (told["dqn"]["gamma"], told["dqn"]["masking"]) == (0.5, True)
@@ -1091,13 +1101,74 @@ def test_routers_are_made_from_plain_options() -> None:
         make_router("astar", {"net_ordr": "file"}, "there")
     with pytest.raises(InputError, match="did you mean pathfinder"):
         make_router("pathfindr", {})
-    for name in ROUTERS:
-        assert make_router(name, {}).name == name
-    assert [name for name in ROUTERS if has_seed(name) and is_seeded(name, {})] == [
-        "random",
-        "pathfinder",
-        "dqn",
-    ]
+    own = ("astar", "random", "pathfinder", "optimal")
+    seeded = [name for name in own if is_seeded(router_piece(name, {}))]
+    assert seeded == ["random", "pathfinder"]
+    assert is_seeded(router_piece("astar", {"best_of": 2}))
+
+
+MINE = """
+import marouting
+
+class Mine:
+    def __init__(self, *, order: str, again: int = 1, seed: int = 0) -> None:
+        self.order, self.again, self.seed = order, again, seed
+
+    def route(self, problem):
+        assert (self.again, self.seed in (0, 3)) == (2, True)
+        return marouting.sequential_astar(problem, self.order)
+
+class Elsewhere:
+    def route(self, problem):
+        return marouting.sequential_astar(problem, "half_perimeter_up")
+
+class Neither:
+    pass
+"""
+"""A module with routers, as a user writes one."""
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_own_routers_stand_in_an_experiment(
+    here: Path, refused: Callable[..., str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As module:Class and by registered names; other processes find them too."""
+    (here / "my_routers.py").write_text(MINE)
+    register("router", "elsewhere-of-this-test", "my_routers:Elsewhere")
+    routers = {
+        **ASTAR,
+        "mine": {"router": "my_routers:Mine", "order": "file", "again": 2},
+        "named": {"router": "elsewhere-of-this-test"},
+    }
+    problems = {"s": {**SMALL, "nets": 9}}
+    config = write_config(here / "c.yaml", routers=routers, problems=problems, seeds=[0, 3])
+    assert status(["experiment", str(config)]) == 0
+    kept = yaml.safe_load((here / "out" / "config.yaml").read_text())["routers"]
+    assert kept["mine"] == {
+        "router": "my_routers:Mine", "only": None, "order": "file", "again": 2
+    }  # fmt: skip
+    rows = json.loads((here / "out" / "results.json").read_text())
+    assert len(rows) == 3 * (1 + 2 + 1)
+    for path in (here / "out" / "problems" / "s").iterdir():
+        problem = Problem.read(path)
+        for name, order in (("mine.seed3", "file"), ("named", "half_perimeter_up")):
+            file = here / "out" / "solutions" / "s" / f"{path.stem}.{name}.solution"
+            assert Solution.read(file, problem) == sequential_astar(problem, order)
+    capsys.readouterr()
+    for router, said in (
+        ({"router": "my_routers:Mine"}, "routers.mine: order: "),
+        ({"router": "my_routers:Mine", "order": 3}, "routers.mine: order: "),
+        ({"router": "my_routers:Mine", "order": "x", "agian": 1}, "did you mean again?"),
+        ({"router": "my_routers:Neither"}, "expected a class with a method route, or a learner"),
+        ({"router": "my_routers:Nowhere"}, "there is no class Nowhere in my_routers"),
+        ({"router": "no_module:Mine"}, "there is no module no_module"),
+        (
+            {"router": "elsewhere-of-test"},
+            "did you mean elsewhere-of-this-test? expected one of astar, ",
+        ),
+    ):
+        write_config(config, routers={"mine": router}, out="another")
+        assert said in refused("experiment", config)
 
 
 def test_route_takes_options_of_any_router(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -1209,11 +1280,11 @@ def test_a_reference_with_seeds_meets_every_seed(worked: list[dict[str, Any]]) -
 
 
 def test_what_nobody_joins_has_no_wirelength(worked: list[dict[str, Any]]) -> None:
-    lengths = {name: joined_wirelength(own) for name, own in by_router(worked).items()}
+    lengths = {name: mean_wirelength(own) for name, own in by_router(worked).items()}
     np.testing.assert_array_equal(lengths["dqn"], [102, 92, 79])
     for own in worked:
         own["joined"] = 0
-    assert np.isnan(joined_wirelength(by_router(worked)["astar"])).all()
+    assert np.isnan(mean_wirelength(by_router(worked)["astar"])).all()
 
 
 def test_sets_are_taken_together_for_routers_that_are_for_all(
@@ -1261,7 +1332,7 @@ def test_the_yardstick_takes_other_problems(here: Path) -> None:
         (here / "mine" / name).mkdir(parents=True)
         shutil.copy("4.gr", here / "mine" / name)
     config = ROOT / "configs" / "yardstick.yaml"
-    experiment = Experiment(load_experiment(config, ["problems=mine", "out=o"]), progress=False)
+    experiment = Experiment(load_experiment(config, ["problems=mine", "out=o"]))
     assert list(experiment.sets) == ["x", "y"]
 
 

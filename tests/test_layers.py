@@ -1,14 +1,16 @@
 """The house has two floors: ``marouting`` stands without ``policies`` and without torch."""
 
 import ast
+import graphlib
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pytest
 
 import marouting
+import policies
 
 ROOT = Path(marouting.__file__).parent
 FILES = sorted(ROOT.rglob("*.py"))
@@ -73,9 +75,9 @@ def test_dependencies_are_the_declared_ones() -> None:
         "scipy",
     }
     allowed = declared | OPTIONAL | {"marouting"} | sys.stdlib_module_names
-    found = {name for file in FILES for name in imports(ast.parse(file.read_text("utf-8")))}
-    # The registry imports what users name.
-    assert found <= allowed | {"?"}
+    for file in FILES:
+        named = {"?"} if file == ROOT / "registry.py" else set()  # it imports what users name
+        assert set(imports(ast.parse(file.read_text("utf-8")))) <= allowed | named
 
 
 @pytest.mark.parametrize(
@@ -94,3 +96,96 @@ def test_a_fresh_process_loads_nothing_from_upstairs(use: str) -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
     )
     assert done.stdout.strip() == "[]"
+
+
+# --- no circles, and rooms that know only those below them ----------------------------------------
+
+POLICIES = Path(policies.__file__).parent
+ORDERS = (
+    ("routers", "results", "figures", "learned", "experiment", "bench", "cli"),
+    ("learned.networks learned.memory", "learned.algorithms learned.compiled", "learned.trainer"),
+    ("learned.trainer", "learned.run learned.router"),
+)
+"""Rooms of ``policies`` from bottom to top; those in one string stand side by side."""
+
+
+def modules(root: Path) -> dict[str, Path]:
+    """The files of a package by the module's name."""
+    named = {}
+    for file in sorted(root.rglob("*.py")):
+        parts = file.relative_to(root.parent).with_suffix("").parts
+        named[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    return named
+
+
+def arrows(source: str, known: Collection[str]) -> set[str]:
+    """The known modules that a piece of source imports: in functions and for types as well."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, "expected imports by the whole name"
+            inside = {f"{node.module}.{alias.name}" for alias in node.names}
+            # A package itself is meant only where something is taken that is no module of it.
+            found |= inside & set(known)
+            found |= {str(node.module)} if inside - set(known) else set()
+    return found & set(known)
+
+
+def upward(found: Mapping[str, Iterable[str]], order: Sequence[str]) -> list[str]:
+    """The imports that go from a room to one above it."""
+
+    def level(module: str) -> int | None:
+        rooms = (room.split() for room in order)
+        return next(
+            (
+                number
+                for number, names in enumerate(rooms)
+                if any(f"{module}.".startswith(f"policies.{name}.") for name in names)
+            ),
+            None,
+        )
+
+    def goes_up(low: int | None, high: int | None) -> bool:
+        return low is not None and high is not None and low < high
+
+    return [
+        f"{module} imports {other}"
+        for module, others in found.items()
+        for other in others
+        if goes_up(level(module), level(other))
+    ]
+
+
+def graph(root: Path) -> dict[str, set[str]]:
+    files = modules(root)
+    return {name: arrows(file.read_text("utf-8"), files) for name, file in files.items()}
+
+
+def test_circles_and_upward_imports_are_seen() -> None:
+    known = ["policies.cli", "policies.cli.a", "policies.routers", "policies.routers.b"]
+    source = (
+        "def f():\n    from policies.routers import b\n"
+        "if TYPE_CHECKING:\n    import policies.cli.a\n"
+        "from policies.cli import anything"
+    )
+    assert arrows(source, known) == {"policies.routers.b", "policies.cli.a", "policies.cli"}
+    wrong = {"policies.routers.b": {"policies.cli.a"}, "policies.cli.a": {"policies.routers.b"}}
+    assert upward(wrong, ORDERS[0]) == ["policies.routers.b imports policies.cli.a"]
+    with pytest.raises(graphlib.CycleError):
+        graphlib.TopologicalSorter(wrong).prepare()
+
+
+@pytest.mark.parametrize("root", [ROOT, POLICIES], ids=lambda root: root.name)
+def test_no_circles_among_files(root: Path) -> None:
+    found = graph(root)
+    assert len(found) > 20
+    graphlib.TopologicalSorter(found).prepare()  # a CycleError names the files of a circle
+
+
+@pytest.mark.parametrize("order", ORDERS, ids=["rooms", "learned", "training"])
+def test_rooms_import_only_from_below(order: Sequence[str]) -> None:
+    assert not upward(graph(POLICIES), order)
+    rooms = [name for room in order for name in room.split()]
+    assert all(any(f"policies.{room}" == name for name in modules(POLICIES)) for room in rooms)

@@ -1,4 +1,4 @@
-"""The proven optimum and its trees: against enumeration, by hand, and against published optima."""
+"""The proven optimum and its trees: enumeration, worked examples and published optima."""
 
 import csv
 import functools
@@ -22,16 +22,17 @@ from marouting.config import build
 from marouting.problem.grid import AXES, VIA_AXIS, Grid
 from marouting.trees.steiner import steiner_length
 from policies.routers.base import Router, solve
-from policies.routers.optimal import MOST_PINS, OptimalRouter, Optimum
+from policies.routers.optimal import OptimalRouter, Optimum
+from policies.routers.optimal.priced_tree import NEVER, Across, Window, cheapest_priced_tree
+from policies.routers.optimal.router import MOST_PINS
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
-from policies.routers.priced_tree import NEVER, Across, Window, cheapest_priced_tree
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data" / "liao2019"
 
 Shape = tuple[int, int, int]
 Costs = NDArray[np.int64]
 
-# With at most 12 edges: few enough to look at every set of them.
+# With at most 12 edges: few enough to enumerate all sets of edges.
 TINY: tuple[Shape, ...] = ((3, 3, 1), (2, 2, 2), (4, 2, 1), (1, 4, 2), (3, 2, 1), (5, 1, 1))
 
 
@@ -43,9 +44,9 @@ class Sets:
 
     Attributes:
         edge: (m,) the edges.
-        member: (2^m, m) which are in a set.
-        part: (2^m, Gcells) the lowest Gcell that a Gcell is joined with.
-        tree: (2^m,) whether the edges make one tree.
+        member: (2^m, m) which edges are in a set.
+        part: (2^m, Gcells) the lowest Gcell connected to a Gcell.
+        tree: (2^m,) whether the edges form one tree.
         leaf: (2^m, Gcells) whether one edge of the set ends at the Gcell.
     """
 
@@ -76,12 +77,12 @@ class Sets:
         return np.all(part == part[:, :1], axis=1)
 
     def trees(self, pins: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which sets are trees that join the pins and end nowhere else."""
+        """Which sets are trees that join the pins and whose leaves are pins."""
         elsewhere = np.setdiff1d(np.arange(self.leaf.shape[1]), pins)
         return self.tree & self.joins(pins) & ~self.leaf[:, elsewhere].any(axis=1)
 
     def cost(self, price: Costs) -> NDArray[np.float64]:
-        """What every set costs; infinite with an edge that must not be used."""
+        """The cost of every set; infinite if it contains an edge that must not be used."""
         own = price.reshape(-1)[self.edge].astype(float)
         own[own >= NEVER] = np.inf
         return np.where(self.member, own, 0.0).sum(axis=1)
@@ -93,7 +94,7 @@ def sets(shape: Shape) -> Sets:
 
 
 def least_cost(shape: Shape, price: Costs, pins: NDArray[np.int64]) -> int:
-    """What the cheapest set of edges that joins the pins costs."""
+    """The cost of the cheapest set of edges that joins the pins."""
     least = sets(shape).cost(price)[sets(shape).joins(pins)].min()
     return NEVER if np.isinf(least) else int(least)
 
@@ -104,7 +105,7 @@ def best_of_all(problem: Problem) -> tuple[int, int]:
     wire = every.edge % AXES != VIA_AXIS
     edge = every.edge[wire]
     layer = edge // AXES % problem.grid[2]
-    found = {(0,) * len(edge): 0}  # least length by what is taken of the edges
+    found = {(0,) * len(edge): 0}  # least length for each demand on the edges
     for net, pins in enumerate(problem.pin_gcells):
         if len(pins) == 1:
             continue
@@ -125,7 +126,7 @@ def best_of_all(problem: Problem) -> tuple[int, int]:
 
 @st.composite
 def priced(draw: st.DrawFn, cheapest: int = 0) -> tuple[Shape, Costs, NDArray[np.int64]]:
-    """A tiny grid, what its edges cost (some must not be used), and pins."""
+    """A tiny grid, the prices of its edges (some must not be used), and pins."""
     shape = draw(st.sampled_from(TINY))
     grid = Grid.of(shape)
     cost = st.one_of(st.integers(cheapest, 4), st.integers(cheapest, 10**9), st.just(NEVER))
@@ -137,7 +138,7 @@ def priced(draw: st.DrawFn, cheapest: int = 0) -> tuple[Shape, Costs, NDArray[np
 
 
 def joined(shape: Shape, edges: NDArray[np.int64], pins: NDArray[np.int64]) -> nx.Graph:
-    """The edges as a graph, in which the pins are joined."""
+    """The edges as a graph, checked to join the pins."""
     assert np.array_equal(edges, np.unique(edges))
     assert Grid.of(shape).exists[edges].all()
     near, far = Grid.of(shape).ends(edges)
@@ -164,7 +165,9 @@ def test_no_set_of_edges_is_cheaper(case: tuple[Shape, Costs, NDArray[np.int64]]
 
 @settings(deadline=None)
 @given(priced(cheapest=1))
-def test_what_costs_something_is_a_tree(case: tuple[Shape, Costs, NDArray[np.int64]]) -> None:
+def test_the_result_is_a_tree_if_no_edge_is_free(
+    case: tuple[Shape, Costs, NDArray[np.int64]],
+) -> None:
     shape, price, pins = case
     cost, edges = cheapest_priced_tree(price, pins)
     if cost < NEVER:
@@ -220,7 +223,7 @@ def test_trees_across_every_edge(case: tuple[Shape, Costs, NDArray[np.int64]]) -
             for own, other in parts
         )
         assert across.cost[edge] == min(expected, NEVER)
-        # That is why it is worked out: no tree that uses the edge is cheaper.
+        # The property that the router relies on: no tree that uses the edge is cheaper.
         assert across.cost[edge] <= costs[trees & every.member[:, place]].min(initial=np.inf)
         if expected < NEVER:
             tree = across.tree(edge)
@@ -241,7 +244,7 @@ def test_windows(data: st.DataObject) -> None:
     low, high = position[pins, :2].min(axis=0) - margin, position[pins, :2].max(axis=0) + margin
     within = np.all((position[:, :2] >= low) & (position[:, :2] <= high), axis=1)
     assert np.prod(window.shape) == np.count_nonzero(within)
-    # The Gcells in it keep their order, and so do its edges; none leads out of it.
+    # Gcells and edges in the window keep their order; no edge leaves it.
     assert window.inside(np.flatnonzero(within)).tolist() == list(range(np.count_nonzero(within)))
     price = np.where(grid.exists, np.arange(grid.edges), NEVER)
     cut = window.cut(price.reshape(*shape, AXES)).reshape(-1)
@@ -252,13 +255,13 @@ def test_windows(data: st.DataObject) -> None:
     assert np.array_equal(window.outside(own), edges[within[near] & within[far]])
 
 
-def test_cutting_leaves_the_costs_alone() -> None:
+def test_cutting_does_not_change_the_prices() -> None:
     price = np.ones((3, 3, 1, AXES), np.int64)
     Window((3, 3, 1), (0, 0), (2, 2)).cut(price)
     assert (price == 1).all()
 
 
-# --- by hand --------------------------------------------------------------------------------------
+# --- worked examples ------------------------------------------------------------------------------
 
 
 def plane(nets: dict[str, list[tuple[int, int]]], grid: tuple[int, int], **options: Any) -> Problem:
@@ -271,7 +274,7 @@ def plane(nets: dict[str, list[tuple[int, int]]], grid: tuple[int, int], **optio
 
 
 def proven(problem: Problem, router: OptimalRouter | None = None) -> Optimum:
-    """What the router says, as far as the evaluator can tell."""
+    """The router's result, checked by the evaluator."""
     optimum = (router or OptimalRouter()).solve(problem)
     judged = evaluate(problem, optimum.solution)
     assert judged.connected
@@ -298,18 +301,18 @@ def optimum_of(problem: Problem) -> tuple[int, int]:
 
 
 def test_least_overflow_comes_before_length() -> None:
-    """Along the row below, each of two nets takes two edges more; above there is room for one."""
+    """Two nets take a detour of two edges each, one along the row above and one below."""
     problem = plane({name: [(0, 1), (3, 1)] for name in "abc"}, (4, 3))
     assert optimum_of(problem) == (0, 13)
 
 
 def test_overflow_where_there_is_no_other_way() -> None:
-    """Three nets through two edges of capacity 1: two too many in each."""
+    """Three nets share two edges of capacity 1: two too many on each."""
     assert optimum_of(plane({name: [(0, 0), (2, 0)] for name in "abc"}, (3, 1))) == (4, 6)
 
 
 def test_nets_of_different_widths() -> None:
-    """With spacing 1 a width of 2 takes 3 of 5 tracks: beside it there is room for width 1."""
+    """With spacing 1, width 2 takes 3 of 5 tracks and leaves room for width 1."""
     nets = {"wide": [(0, 0), (2, 0)], "wider": [(0, 0), (2, 0)], "thin": [(0, 0), (2, 0)]}
     problem = plane(
         nets, (3, 2), vertical_capacity=(5,), horizontal_capacity=(5,), min_spacing=(1,)
@@ -320,7 +323,7 @@ def test_nets_of_different_widths() -> None:
 
 
 def test_overflow_of_one_wide_net() -> None:
-    """No edge is wide enough; no solution with less overflow than that of its two edges counts."""
+    """No edge is wide enough, so the net overflows on two edges at least."""
     problem = plane({"wide": [(0, 0), (2, 0)]}, (3, 2))
     [net] = problem.nets
     huge = replace(problem, nets=(replace(net, min_width=10**9),))
@@ -328,7 +331,7 @@ def test_overflow_of_one_wide_net() -> None:
 
 
 def test_layers_that_take_vias_only() -> None:
-    """Wires in the third layer alone: every net climbs two vias at either end."""
+    """Only the third layer has capacity, so every net has to climb to it at both ends."""
     problem = Problem(
         grid=(3, 2, 3),
         vertical_capacity=(0, 0, 1),
@@ -352,8 +355,8 @@ def test_nets_that_need_no_route() -> None:
     assert optimum_of(plane({**dot, "net": [(0, 0), (0, 1)]}, (2, 2))) == (0, 1)
 
 
-def test_a_net_without_a_way_of_its_own() -> None:
-    """Between the columns there is no capacity: each net overflows once, in any row."""
+def test_a_net_that_cannot_avoid_overflow() -> None:
+    """There is no capacity between the columns: each net overflows once, in any row."""
     nets = {name: [(0, y), (1, y)] for y, name in enumerate("ab")}
     assert optimum_of(plane(nets, (2, 2), horizontal_capacity=(0,))) == (2, 2)
 
@@ -377,7 +380,7 @@ def test_no_combination_of_trees_is_better(problem: Problem) -> None:
 
 
 def crowded(seed: int) -> Problem:
-    """Nets of very different widths on a tiny grid: what prices alone cannot settle."""
+    """Nets of very different widths on a tiny grid, which prices often cannot settle."""
     rng = np.random.default_rng(seed)
     grid = TINY[rng.integers(3)]
     capacity = (tuple(rng.integers(1, 6, grid[2]).tolist()) for _ in range(2))
@@ -395,15 +398,15 @@ def crowded(seed: int) -> Problem:
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_nets_of_any_width_in_each_others_way(seed: int) -> None:
+def test_competing_nets_of_different_widths(seed: int) -> None:
     problem = crowded(seed)
     assert optimum_of(problem) == best_of_all(problem)
 
 
 @pytest.mark.parametrize("factor", [1000, 10**6])
 @pytest.mark.parametrize("seed", range(6))
-def test_nothing_false_is_proven_with_large_numbers(seed: int, factor: int) -> None:
-    """In these the solver's tolerances are whole tracks."""
+def test_large_numbers_do_not_lead_to_false_proofs(seed: int, factor: int) -> None:
+    """With numbers this large the solver's tolerances amount to whole tracks."""
     small = crowded(seed)
     problem = replace(
         small,
@@ -422,7 +425,7 @@ def test_nothing_false_is_proven_with_large_numbers(seed: int, factor: int) -> N
 
 
 def shortest(problem: Problem) -> int:
-    """The least wirelength if every edge that has room for a net alone had room for all."""
+    """The least wirelength if every edge with room for one net had room for all."""
     total = 0
     for net, pins in enumerate(problem.pin_gcells):
         layer = np.arange(problem.topology.edges) // AXES % problem.grid[2]
@@ -435,7 +438,7 @@ def shortest(problem: Problem) -> int:
 @settings(deadline=None, max_examples=10, suppress_health_check=[HealthCheck.too_slow])
 @given(st.one_of(problems(max_side=4), contested(max_nets=8)))
 def test_bounds_grow_towards_the_optimum(problem: Problem) -> None:
-    """From the nets' shortest trees by the relaxation; all solutions lie above."""
+    """Shortest trees bound less than the relaxation, and that less than the optimum."""
     best = optimum_of(problem)
     first = proven(problem, OptimalRouter(time_limit=0.0))
     relaxed = proven(problem, OptimalRouter(bound="relaxation"))
@@ -452,7 +455,7 @@ def test_bounds_grow_towards_the_optimum(problem: Problem) -> None:
 
 @settings(deadline=None, max_examples=10)
 @given(contested(max_nets=4))
-def test_with_room_for_all_the_bound_is_that_of_steiner_trees(problem: Problem) -> None:
+def test_without_congestion_the_bound_is_that_of_steiner_trees(problem: Problem) -> None:
     room = (1000,) * problem.grid[2]
     problem = replace(problem, vertical_capacity=room, horizontal_capacity=room, adjustments=())
     found = proven(problem, OptimalRouter(time_limit=0.0))
@@ -460,8 +463,8 @@ def test_with_room_for_all_the_bound_is_that_of_steiner_trees(problem: Problem) 
     assert optimum_of(problem) == (0, steiner_length(problem).sum())
 
 
-def test_it_is_never_behind_the_first_trees_of_negotiated_congestion() -> None:
-    """Far too full, where prices would take minutes to find as much."""
+def test_never_worse_than_the_first_pass_of_negotiated_congestion() -> None:
+    """On a problem so congested that prices would take minutes to get as far."""
     problem = generate(1, (32, 32, 2), nets=640, max_pins=5, capacity=10, seed=1)[0]
     found = proven(problem, OptimalRouter(bound="relaxation", time_limit=3.0))
     first = PathfinderRouter(PathfinderOptions(seconds=0.0)).route(problem)
@@ -469,8 +472,8 @@ def test_it_is_never_behind_the_first_trees_of_negotiated_congestion() -> None:
     assert (found.overflow, found.wirelength) <= (figures.overflow, figures.wirelength)
 
 
-def test_time_limit_of_nothing_leaves_a_gap() -> None:
-    problem = generate(1, capacity=1, seed=0)[0]  # far too tight
+def test_a_time_limit_of_zero_leaves_a_gap() -> None:
+    problem = generate(1, capacity=1, seed=0)[0]  # far too little capacity
     found = proven(problem, OptimalRouter(time_limit=0.0))
     assert (found.status, found.gap) == ("time limit", math.inf)
     assert found.report["gap"] is None
@@ -479,8 +482,8 @@ def test_time_limit_of_nothing_leaves_a_gap() -> None:
     assert found.bound_wirelength < proven(problem).wirelength <= found.wirelength
 
 
-def test_a_relaxation_counts_some_pins_of_large_nets() -> None:
-    """A comb of 40 pins: no bound of all of them, but a valid one, and a solution."""
+def test_the_relaxation_counts_only_some_pins_of_large_nets() -> None:
+    """40 pins are too many for a full proof, but the bound is valid and there is a solution."""
     rng = np.random.default_rng(0)
     pins = tuple(Pin(int(x), int(y), 1) for x, y in rng.integers(0, 12, (40, 2)))
     problem = plane({"small": [(0, 0), (5, 5)]}, (12, 12))
@@ -491,7 +494,7 @@ def test_a_relaxation_counts_some_pins_of_large_nets() -> None:
     assert found.status == "relaxation"
     spread = [len(cells) for cells in problem.pin_gcells]
     assert max(spread) > MOST_PINS
-    # MOST_PINS pins far from one another, and the ten edges of the small net.
+    # MOST_PINS pins far apart, and the ten edges of the small net.
     assert 10 + 22 < found.bound_wirelength < found.wirelength
 
 
@@ -499,14 +502,14 @@ def test_a_relaxation_counts_some_pins_of_large_nets() -> None:
 
 
 @pytest.mark.parametrize("pins", [25, 900])
-def test_too_large_in_one_plain_line(pins: int) -> None:
+def test_too_large_is_reported_in_one_line(pins: int) -> None:
     problem = plane({"large": [(i % 40, i // 40) for i in range(pins)]}, (40, 40))
     with pytest.raises(InputError) as raised:
         OptimalRouter(time_limit=0.0).solve(problem)
     message = str(raised.value)
     assert message.startswith("problem: too large to prove an optimum: expected at most 10^")
     assert f"1 nets with up to {pins} pins on 1600 Gcells" in message
-    assert message.endswith("bound=relaxation")
+    assert message.endswith("use bound=relaxation to get a bound only")
     assert "\n" not in message
 
 

@@ -1,4 +1,4 @@
-"""Negotiated congestion: by hand, against A*, and against the published optima."""
+"""Negotiated congestion: worked examples, against A*, and against published optima."""
 
 import csv
 import itertools
@@ -25,7 +25,7 @@ from marouting import (
     generate,
     sequential_astar,
 )
-from marouting.config import build, read_yaml
+from marouting.config import build, piece, read_yaml
 from marouting.trees.steiner import EXACT_PINS, steiner_length
 from policies.routers.base import Router
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter, Routed
@@ -37,7 +37,7 @@ IBM01 = DATA / "ispd98" / "ibm01.modified.txt"
 
 
 def router(**options: Any) -> PathfinderRouter:
-    """Without a limit of time, so that the machine has no part in the result."""
+    """Without a time limit, so that results do not depend on the machine."""
     return PathfinderRouter(PathfinderOptions(**{"seconds": None, **options}))
 
 
@@ -58,9 +58,9 @@ def figures(problem: Problem, solution: Solution) -> tuple[int, int]:
 
 
 def check_routed(problem: Problem, routed: Routed) -> None:
-    """The solution is the best of the history, and what it says of itself is so."""
+    """The solution is valid and is the best in the history."""
     overflow, wirelength = figures(problem, routed.solution)
-    # A solution made anew looks at its edges: they must be those of the grid, sorted, each once.
+    # The constructor checks that the edges are in the grid, sorted and unique.
     assert routed.solution == Solution(problem, routed.solution.edges)
     assert len(routed.history) == routed.iterations
     if routed.history:
@@ -68,24 +68,24 @@ def check_routed(problem: Problem, routed: Routed) -> None:
         assert best == (overflow, wirelength)
 
 
-# By hand
+# Worked examples
 
 
 def test_two_nets_want_one_corridor() -> None:
-    """One of them goes round it, whichever comes first."""
+    """One of them takes a detour, whichever comes first."""
     problem = plane({"small": [(1, 0), (3, 0)], "large": [(0, 0), (4, 0)]}, (5, 2))
     assert figures(problem, router().route(problem)) == (0, 8)
 
 
 def test_a_longer_net_makes_room() -> None:
-    """Both have two ways of length 4, and one of each leads along the other's shortest."""
+    """Some shortest routes of net a use edges that b or c needs."""
     nets = {"a": [(0, 0), (2, 2)], "b": [(0, 0), (2, 0)], "c": [(2, 0), (2, 2)]}
     problem = plane(nets, (3, 3))
     assert figures(problem, router().route(problem)) == (0, 8)
 
 
-def test_what_no_order_of_nets_can_do() -> None:
-    """Sequential A* overflows in every order: someone has to leave a shortest way for others."""
+def test_solves_what_sequential_routing_cannot_in_any_order() -> None:
+    """Sequential A* overflows in every order: some net has to give up its shortest route."""
     nets = {"a": [(2, 1), (1, 2)], "b": [(2, 2), (1, 0)], "c": [(1, 1), (2, 0)]}
     problem = plane(nets, (3, 3))
     for order in itertools.permutations(problem.nets):
@@ -95,21 +95,21 @@ def test_what_no_order_of_nets_can_do() -> None:
 
 
 def test_overflow_where_there_is_no_other_way() -> None:
-    """Three nets through one edge of capacity 1, the only one: two too many."""
+    """Three nets share the only row, of capacity 1: two too many on both edges."""
     nets = {name: [(0, 0), (2, 0)] for name in "abc"}
     problem = plane(nets, (3, 1))
     assert figures(problem, router().route(problem)) == (4, 6)
 
 
 def test_least_overflow_comes_before_length() -> None:
-    """Along the row below, each of two nets takes two edges more; above there is room for one."""
+    """Two nets take a detour of two edges each, one along the row above and one below."""
     nets = {name: [(0, 1), (3, 1)] for name in "abc"}
     problem = plane(nets, (4, 3))
     assert figures(problem, router().route(problem)) == (0, 13)
 
 
 def test_wide_nets_take_more() -> None:
-    """With spacing 1 a width of 2 takes 3 of 5 tracks: beside it there is room for width 1."""
+    """With spacing 1, width 2 takes 3 of 5 tracks and leaves room for width 1."""
     nets = {"wide": [(0, 0), (2, 0)], "wider": [(0, 0), (2, 0)], "thin": [(0, 0), (2, 0)]}
     problem = plane(
         nets, (3, 2), vertical_capacity=(5,), horizontal_capacity=(5,), min_spacing=(1,)
@@ -121,14 +121,14 @@ def test_wide_nets_take_more() -> None:
     assert figures(problem, router().route(problem)) == (0, 8)
 
 
-def test_a_net_crosses_its_own_edges_for_nothing() -> None:
-    """Four pins in a comb of capacity 1: the spine is used once."""
+def test_a_net_uses_an_edge_only_once() -> None:
+    """Four pins in a comb of capacity 1: the edges of the spine count once."""
     problem = plane({"comb": [(0, 0), (1, 1), (2, 1), (3, 0)]}, (4, 2))
     assert figures(problem, router().route(problem)) == (0, 5)
 
 
 def test_layers_of_one_direction() -> None:
-    """Along x in layer 1 and along y in layer 2: a bend takes two vias."""
+    """Layer 1 runs along x and layer 2 along y: the route needs two vias."""
     problem = Problem(
         grid=(4, 3, 2),
         vertical_capacity=(0, 1),
@@ -159,7 +159,7 @@ def test_demand_differs_between_layers() -> None:
 
 @pytest.mark.parametrize(("via_weight", "vias"), [(0.0, 2), (0.5, 2), (2.0, 0)])
 def test_weight_of_vias(via_weight: float, vias: int) -> None:
-    """A full edge: round it within the layer, two edges more, or over it by two vias."""
+    """Around a blocked edge: a detour of two more edges in the layer, or two vias over it."""
     problem = Problem(
         grid=(2, 2, 2),
         vertical_capacity=(1, 1),
@@ -177,7 +177,7 @@ def test_weight_of_vias(via_weight: float, vias: int) -> None:
 
 
 def test_boxes_and_memory_grow() -> None:
-    """A wall that leads far round: to the grid's other end, beyond what there is room for first."""
+    """A wall forces a detour to the far end of the grid, beyond the memory reserved at first."""
     wall = tuple(Adjustment(0, y, 1, 1, y, 1, 0) for y in range(90))
     problem = plane({"round": [(0, 0), (1, 0)]}, (60, 91), adjustments=wall)
     assert figures(problem, router().route(problem)) == (0, 181)
@@ -189,7 +189,7 @@ def test_nothing_to_route() -> None:
     assert (figures(problem, routed.solution), routed.iterations) == ((0, 0), 0)
 
 
-# What always holds
+# Properties
 
 
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
@@ -233,7 +233,7 @@ def test_every_net_is_joined_and_the_best_is_kept(
     st.integers(0, 2**31),
 )
 def test_never_worse_than_sequential_astar(options: dict[str, Any], seed: int) -> None:
-    """On generated problems. It does not follow from how the router works: nothing looks at A*."""
+    """Observed on generated problems; the method itself does not guarantee it."""
     [problem] = generate(1, **options, seed=seed)
     routed = router(patience=3).solve(problem)
     check_routed(problem, routed)
@@ -278,7 +278,7 @@ def test_limit_of_passes() -> None:
 
 
 def test_limit_of_time_leaves_every_net_joined() -> None:
-    """However little time there is: the first pass is made, and what comes first of the others."""
+    """Even without any time the first pass is completed, and passes are those without a limit."""
     problem = generate(1, nets=80, max_pins=5)[0]  # far too much for its grid
     routed = router(seconds=0.0).solve(problem)
     check_routed(problem, routed)
@@ -305,6 +305,8 @@ def test_is_a_router() -> None:
     made: Router = PathfinderRouter()
     assert made.name == "pathfinder"
     problem = congested()
+    named = {"kind": "policies.routers.pathfinder:PathfinderRouter", "passes": 3, "seconds": None}
+    assert piece("router", named).make().route(problem) == router(passes=3).route(problem)
     assert router(passes=3).route(problem) == router(passes=3).solve(problem).solution
 
 
@@ -370,7 +372,7 @@ def published() -> Iterator[tuple[dict[str, str], Path]]:
 
 
 def gap(row: dict[str, str], path: Path) -> float:
-    """How much longer than the optimum, as a share; the problem is routed without overflow."""
+    """The share by which the wirelength exceeds the optimum; the overflow is optimal."""
     problem = Problem.read(path)
     overflow, wirelength = figures(problem, router().route(problem))
     assert overflow == int(row["optimal_overflow"])
@@ -387,7 +389,7 @@ def test_published_problems_one_of_each_set() -> None:
     first = {row["set"]: (row, path) for row, path in published()}
     gaps = [gap(row, path) for row, path in first.values()]
     assert len(gaps) == 10
-    assert min(gaps) >= 0  # the optimum is one
+    assert min(gaps) >= 0  # nothing is better than the optimum
     assert np.mean(gaps) <= 0.001
 
 
@@ -411,7 +413,7 @@ def ibm01() -> Problem:
 
 @pytest.mark.slow
 def test_ibm01_is_shorter_than_published() -> None:
-    """BoxRouter 2.0 (Cho et al. 2007) needs 63 611 without overflow, vias left out."""
+    """BoxRouter 2.0 (Cho et al. 2007) needs 63 611 edges without overflow, not counting vias."""
     problem = ibm01()
     judged = evaluate(problem, router(via_weight=0.01, passes=40).route(problem))
     assert judged.connected
@@ -421,5 +423,5 @@ def test_ibm01_is_shorter_than_published() -> None:
 
 @pytest.mark.slow
 def test_steiner_trees_of_ibm01_are_as_short_as_published() -> None:
-    """FLUTE's trees have 60 149 in all."""
+    """FLUTE's trees have 60 149 edges in total."""
     assert 60_000 <= steiner_length(ibm01()).sum() <= 60_149 * 1.001

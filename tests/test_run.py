@@ -87,7 +87,7 @@ def outcome(folder: Path) -> dict[str, Any]:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a whole run, without the figures."""
     folder = tmp_path_factory.mktemp("runs") / "deep" / "run"
-    Run(config_in(folder, tensorboard=True), progress=False).execute()
+    Run(config_in(folder, tensorboard=True)).execute()
     return folder
 
 
@@ -158,7 +158,7 @@ def test_results_are_those_of_the_solutions(finished: Path) -> None:
 
 def test_figures_are_pictures(tmp_path: Path) -> None:
     config = config_in(tmp_path / "run", 2, problem=replace(PROBLEMS, count=1), figures=True)
-    Run(config, progress=False).execute()
+    Run(config).execute()
     figures = tmp_path / "run" / "figures"
     kinds = ("heat_maps", "histogram", "edges", "solution_2d", "solution_3d")
     expected = {"reward.png", "reward_log.png"} | {
@@ -204,7 +204,7 @@ def test_policy_file_plays(finished: Path) -> None:
 
 
 def test_the_same_configuration_gives_the_same_run(finished: Path, tmp_path: Path) -> None:
-    Run(config_in(tmp_path / "run"), progress=False).execute()
+    Run(config_in(tmp_path / "run")).execute()
     assert outcome(tmp_path / "run") == outcome(finished)
 
 
@@ -227,7 +227,7 @@ def test_a_run_killed_anywhere_goes_on_as_if_not(
     options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, folder = tmp_path / "whole", tmp_path / "killed"
-    Run(config_in(whole, 8, **options), progress=False).execute()
+    Run(config_in(whole, 8, **options)).execute()
     write = Logs.write
     left = 0
 
@@ -244,21 +244,21 @@ def test_a_run_killed_anywhere_goes_on_as_if_not(
     for resume, (seconds, writes) in enumerate([(3600.0, 3), (0.0, 3), (3600.0, 5), (0.0, 2)]):
         left = writes
         config = config_in(folder, 8, **options)
-        run = Run(config, resume=resume > 0, progress=False)
+        run = Run(config, resume=resume > 0)
         run.config = replace(config, train=replace(config.train, checkpoint_seconds=seconds))
         with pytest.raises(Killed):
             run.execute()
         assert (folder / "checkpoint.pt").exists() == (resume > 0)
         assert not (folder / "result.json").exists()
     monkeypatch.undo()
-    Run(config_in(folder, 8, **options), resume=True, progress=False).execute()
+    Run(config_in(folder, 8, **options), resume=True).execute()
     assert outcome(folder) == outcome(whole)
     if options.get("tensorboard"):  # every episode once, those before the kills as well
         events = EventAccumulator(str(folder / "tensorboard"))
         events.Reload()
         assert [event.step for event in events.Scalars("reward/problem_000")] == list(range(8))
     # Once more: there is nothing left to do, and nothing changes.
-    Run(config_in(folder, 8, **options), resume=True, progress=False).execute()
+    Run(config_in(folder, 8, **options), resume=True).execute()
     assert outcome(folder) == outcome(whole)
 
 
@@ -276,7 +276,7 @@ def test_an_interrupt_waits_for_the_end_of_a_step(
 ) -> None:
     """Ctrl-C in the middle of steps, where moves are made and learned from, or in burn-in."""
     whole, folder = tmp_path / "whole", tmp_path / "stopped"
-    Run(config_in(whole), progress=False).execute()
+    Run(config_in(whole)).execute()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     for owner, method, calls in (
         (Trainer, "burn_in", 1),
@@ -294,14 +294,14 @@ def test_an_interrupt_waits_for_the_end_of_a_step(
             return original(self, *arguments)
 
         monkeypatch.setattr(owner, method, interrupted)
-        run = Run(config_in(folder), resume=method != "burn_in", progress=False)
+        run = Run(config_in(folder), resume=method != "burn_in")
         with pytest.raises(KeyboardInterrupt):
             run.execute()
         monkeypatch.undo()
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
         assert (folder / "checkpoint.pt").exists()
         assert not (folder / "result.json").exists()
-    Run(config_in(folder), resume=True, progress=False).execute()
+    Run(config_in(folder), resume=True).execute()
     assert outcome(folder) == outcome(whole)
 
 
@@ -314,13 +314,13 @@ def test_a_second_interrupt_does_not_wait(tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(Trainer, "burn_in", twice)
     with pytest.raises(KeyboardInterrupt):
-        Run(config_in(tmp_path / "run"), progress=False).execute()
+        Run(config_in(tmp_path / "run")).execute()
     assert not (tmp_path / "run" / "checkpoint.pt").exists()
 
 
 def test_a_run_in_another_thread(tmp_path: Path) -> None:
     """Where no signal handler can be set."""
-    run = Run(config_in(tmp_path / "run", 2), progress=False)
+    run = Run(config_in(tmp_path / "run", 2))
     thread = threading.Thread(target=run.execute)
     thread.start()
     thread.join()
@@ -363,7 +363,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("long")
     config = config_in(folder / "run", LONG, checkpoint_seconds=0.1)
     (folder / "config.yaml").write_text(yaml.safe_dump(json.loads(json.dumps(asdict(config)))))
-    Run(config, progress=False).execute()
+    Run(config).execute()
     return folder
 
 
@@ -421,10 +421,10 @@ def test_problems_of_an_aborted_start_are_not_taken_for_the_runs(tmp_path: Path)
     other = tmp_path / "run" / "problems" / "other.gr"
     generate(1, grid=(4, 4, 2), nets=2)[0].write(other)
     with pytest.raises(InputError, match=r"problems: expected no problems but this run's, .*other"):
-        Run(config, progress=False)
+        Run(config)
     assert not (tmp_path / "run" / "config.yaml").exists()
     other.rename(other.with_name("problem_000.gr"))  # of the run's own name: written over
-    Run(config, progress=False).execute()
+    Run(config).execute()
 
 
 def test_the_order_of_files_does_not_matter_to_a_resumed_run(tmp_path: Path) -> None:
@@ -433,18 +433,18 @@ def test_the_order_of_files_does_not_matter_to_a_resumed_run(tmp_path: Path) -> 
         files.append(tmp_path / f"{name}.gr")
         generate(1, grid=(4, 4, 2), nets=2, seed=seed)[0].write(files[-1])
     config = config_in(tmp_path / "run", 2, problem=tuple(map(str, files)))
-    first = Run(config, progress=False).execute()
-    again = Run(config, resume=True, progress=False).execute()
+    first = Run(config).execute()
+    again = Run(config, resume=True).execute()
     assert [row["problem"] for row in first] == ["a", "a", "a-b", "a-b", "b", "b"]
     assert [row["wirelength"] for row in again] == [row["wirelength"] for row in first]
 
 
 def test_resume_takes_another_place_of_the_folder(tmp_path: Path) -> None:
     config = config_in(tmp_path / "run", 3)
-    Run(config, progress=False).execute()
+    Run(config).execute()
     before = outcome(tmp_path / "run")
     (tmp_path / "run").rename(tmp_path / "moved")
-    Run(replace(config, out=str(tmp_path / "moved")), resume=True, progress=False).execute()
+    Run(replace(config, out=str(tmp_path / "moved")), resume=True).execute()
     assert outcome(tmp_path / "moved") == before
     assert not (tmp_path / "run").exists()
 
@@ -465,7 +465,7 @@ OTHERS: dict[str, dict[str, Any]] = {
 @pytest.fixture(scope="module")
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("short") / "run"
-    Run(config_in(folder, 3), progress=False).execute()
+    Run(config_in(folder, 3)).execute()
     return folder
 
 
@@ -486,7 +486,7 @@ def test_resume_with_another_configuration_is_refused(
     seed = options.pop("seed", 0)
     config = replace(config_in(short, **{"episodes": 3, **options}), seed=seed)
     with pytest.raises(InputError) as caught:
-        Run(config, resume=True, progress=False)
+        Run(config, resume=True)
     assert str(caught.value).startswith(f"{key}: expected ")
     assert str(short / "config.yaml") in str(caught.value)
     assert snapshot(short) == before
@@ -495,24 +495,24 @@ def test_resume_with_another_configuration_is_refused(
 def test_resume_of_files_with_a_generator_is_refused(tmp_path: Path) -> None:
     generate(1, grid=(4, 4, 2), nets=3)[0].write(tmp_path / "a.gr")
     config = config_in(tmp_path / "run", 2, problem=str(tmp_path / "a.gr"))
-    Run(config, progress=False).execute()
+    Run(config).execute()
     with pytest.raises(InputError, match=r"^env\.problem: expected '.*a\.gr'"):
-        Run(config_in(tmp_path / "run", 2), resume=True, progress=False)
+        Run(config_in(tmp_path / "run", 2), resume=True)
     (tmp_path / "a.gr").unlink()  # the run folder has its own
-    Run(config, resume=True, progress=False).execute()
+    Run(config, resume=True).execute()
 
 
 def test_a_folder_with_a_run_is_refused(short: Path) -> None:
     before = snapshot(short)
     with pytest.raises(InputError, match="holds a run") as caught:
-        Run(config_in(short, 3), progress=False)
+        Run(config_in(short, 3))
     assert str(short) in str(caught.value)
     assert snapshot(short) == before
 
 
 def test_clear_removes_a_run_and_nothing_else(tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    Run(config_in(folder, 2, tensorboard=True), progress=False).execute()
+    Run(config_in(folder, 2, tensorboard=True)).execute()
     (folder / "mine.txt").write_text("mine")
     clear(folder)
     assert [path.name for path in folder.iterdir()] == ["mine.txt"]
@@ -593,7 +593,7 @@ def test_resume_from_a_damaged_checkpoint_is_refused(
     damage(folder / "checkpoint.pt")
     before = snapshot(folder)
     with pytest.raises(InputError) as caught:
-        Run(config_in(folder, 3), resume=True, progress=False).execute()
+        Run(config_in(folder, 3), resume=True).execute()
     assert str(folder) in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
     assert "InputError" not in str(caught.value)
@@ -606,7 +606,7 @@ def test_a_folder_that_cannot_be_made_is_refused(depth: int, tmp_path: Path) -> 
     (tmp_path / "file").write_text("a file")
     folder = tmp_path / "file" if depth == 1 else tmp_path / "file" / "run"
     with pytest.raises(InputError, match="cannot be written") as caught:
-        Run(config_in(folder, 2), progress=False)
+        Run(config_in(folder, 2))
     assert str(folder) in str(caught.value)
     assert snapshot(tmp_path) == {"file": b"a file"}
 
@@ -615,5 +615,5 @@ def test_a_metrics_file_that_cannot_be_written_is_refused(tmp_path: Path) -> Non
     folder = tmp_path / "run"
     (folder / "metrics.jsonl").mkdir(parents=True)
     with pytest.raises(InputError, match=r"metrics\.jsonl: cannot be written"):
-        Run(config_in(folder, 2), progress=False).execute()
+        Run(config_in(folder, 2)).execute()
     assert list((folder / "metrics.jsonl").iterdir()) == []

@@ -1,4 +1,4 @@
-"""The growth of time: what is measured, how exponents are fitted, the figure."""
+"""How time grows with size: what is measured, how exponents are fitted, the figure."""
 
 import json
 from pathlib import Path
@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from marouting import InputError, evaluate, sequential_astar
+from policies import figures
 from policies.bench import scaling
 from policies.figures.plot import plot
+from policies.results.scaling import exponents
 
 WORKS = [scaling.STEP, scaling.ASTAR, scaling.EVALUATE]
 
@@ -37,9 +39,9 @@ def test_pins_are_all_over_window_and_grid() -> None:
 
 
 def test_what_is_measured() -> None:
-    seen: list[scaling.Row] = []
+    seen: list[scaling.Timing] = []
     report = scaling.measure((4, 6), (3, 9), 7, budget=0.0, seed=5, progress=seen.append)
-    rows = [scaling.Row(**row) for row in report["rows"]]
+    rows = [scaling.Timing(**row) for row in report["rows"]]
     assert rows == seen
     assert json.loads(json.dumps(report)) == report
     expected = [("near pins", 4, 12, 5), ("near pins", 6, 28, 5)]
@@ -59,7 +61,7 @@ def test_what_is_measured() -> None:
             assert row.edges == np.abs(pins[:, 0] - pins[:, 1]).sum()
         else:
             assert row.edges == evaluate(problem, sequential_astar(problem)).wirelength
-    assert report["exponents"] == scaling.exponents(report["rows"])
+    assert report["exponents"] == exponents(report["rows"])
 
 
 def rows_of(powers: dict[tuple[str, str], float]) -> list[dict[str, Any]]:
@@ -73,7 +75,7 @@ def rows_of(powers: dict[tuple[str, str], float]) -> list[dict[str, Any]]:
 
 def test_exponents_of_exact_powers() -> None:
     powers = {("a", "A*"): 1.0, ("a", "other"): 1.5, ("b", "A*"): 0.25}
-    found = scaling.exponents(rows_of(powers))
+    found = exponents(rows_of(powers))
     assert {(f, w): p for f, works in found.items() for w, p in works.items()} == pytest.approx(
         powers
     )
@@ -81,7 +83,7 @@ def test_exponents_of_exact_powers() -> None:
 
 def test_figure() -> None:
     rows = rows_of({("a", "A*"): 1.0, ("a", "other"): 1.5, ("b", "A*"): 0.25})
-    figure = scaling.draw(rows, "growth")
+    figure = figures.scaling(rows, "title")
     assert [axes.get_title() for axes in figure.axes] == ["a", "b"]
     for axes in figure.axes:
         assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
@@ -112,24 +114,24 @@ def test_figure() -> None:
         ({"large": 1}, "large: expected a side from 2, found 1"),
     ],
 )
-def test_sizes_that_no_growth_can_be_told_from(bad: dict[str, Any], expected: str) -> None:
+def test_sizes_that_do_not_differ_are_refused(bad: dict[str, Any], expected: str) -> None:
     with pytest.raises(InputError, match=expected):
         scaling.measure(**bad)
 
 
 def test_no_figure_of_nothing() -> None:
-    with pytest.raises(InputError, match="expected at least one panel"):
-        scaling.draw([])
+    with pytest.raises(InputError, match="expected at least one row"):
+        figures.scaling([])
 
 
 def test_the_figure_of_a_bench_file(tmp_path: Path) -> None:
     rows = scaling.measure((2, 4), (2, 6), 4, budget=0.0)["rows"]
-    report = {"machine": {"date": "2026-11-21"}, "growth": rows}
+    report = {"machine": {"date": "2026-11-21"}, "scaling": rows}
     (tmp_path / "speed.json").write_text(json.dumps(report))
     (picture,) = plot([tmp_path / "speed.json"])
-    assert picture == tmp_path / "figures" / "growth.png"
+    assert picture == tmp_path / "figures" / "scaling.png"
     assert picture.read_bytes().startswith(b"\x89PNG")
-    for bad in ("{}", "[1]", "growth"):
+    for bad in ("{}", "[1]", "scaling"):
         (tmp_path / "bad.json").write_text(bad)
         with pytest.raises(InputError, match=r"bad\.json: expected what marouting bench"):
             plot([tmp_path / "bad.json"])

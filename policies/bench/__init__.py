@@ -19,7 +19,7 @@ import torch
 from marouting import InputError
 from policies.bench.environment import batch, faces, jumanji, large, start
 from policies.bench.measure import Bench, Measurement
-from policies.bench.search import growth, search
+from policies.bench.search import search, time_scaling
 from policies.bench.training import training
 
 __all__ = ["SECTIONS", "Bench", "Measurement", "machine", "run"]
@@ -31,7 +31,7 @@ SECTIONS: Mapping[str, Callable[[Bench], Iterator[Measurement]]] = {
     "large": large,
     "search": search,
     "training": training,
-    "growth": growth,
+    "scaling": time_scaling,
     "jumanji": jumanji,
 }
 """What can be measured, by name."""

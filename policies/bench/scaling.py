@@ -16,18 +16,17 @@ below 1; at the large end tables outgrow the caches, and an edge takes longer.
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from marouting import InputError, Net, Pin, Problem, Solution, evaluate, sequential_astar
 from marouting.problem.grid import Move
 from marouting.vector import BatchEnv
-from policies import figures
+from policies.results.scaling import exponents
 
 SIDE, NETS, CAPACITY = 8, 50, 5
 """The paper's problems: columns and rows of Gcells, nets, capacity of an edge."""
@@ -41,8 +40,8 @@ STEP, ASTAR, EVALUATE = "step of the environment", "A*", "evaluation"
 
 
 @dataclass(frozen=True)
-class Measurement:
-    """One measurement.
+class Timing:
+    """One measurement: how long some work on one problem took.
 
     Attributes:
         family: of the problem, one of the three above.
@@ -188,7 +187,7 @@ def measure(
     *,
     budget: float = 0.5,
     seed: int = 0,
-    progress: Callable[[Measurement], None] | None = None,
+    progress: Callable[[Timing], None] | None = None,
 ) -> dict[str, Any]:
     """Measures all families, on one core.
 
@@ -201,11 +200,11 @@ def measure(
         progress: called with every row as it is there.
 
     Returns:
-        Plain data: ``rows``, the fields of :class:`Measurement` each, and ``exponents`` as of
-        :func:`exponents`.
+        Plain data: ``rows``, the fields of :class:`Timing` each, and ``exponents`` as of
+        :func:`policies.results.scaling.exponents`.
 
     Raises:
-        InputError: sizes that no growth can be told from.
+        InputError: the sizes do not differ, or are too small.
     """
     for name, sizes, least in (("sides", sides, 2), ("counts", counts, 1)):
         if len(set(sizes)) < 2 or min(sizes) < least:
@@ -217,7 +216,7 @@ def measure(
     for family, on in _families(sides, counts, large, seed):
         for work, edges, seconds in _measured(on, budget):
             capacity = on.horizontal_capacity[0]
-            row = Measurement(family, work, on.grid[0], len(on.nets), capacity, edges, seconds)
+            row = Timing(family, work, on.grid[0], len(on.nets), capacity, edges, seconds)
             rows.append(asdict(row))
             if progress is not None:
                 progress(row)
@@ -228,50 +227,3 @@ def _compile() -> None:
     """Has everything compiled before anything is timed."""
     for _ in _measured(problem(2, 1, 1), 0.0):
         pass
-
-
-def exponents(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
-    """By family and work, p where time grows as edges to the power of p.
-
-    A line through the logarithms of both, by least squares.
-    """
-    return {
-        family: {work: _exponent(points) for work, points in curves.items()}
-        for family, curves in _curves(rows).items()
-    }
-
-
-def _exponent(points: NDArray[np.float64]) -> float:
-    edges, seconds = np.log(points)
-    return float(np.polyfit(edges, seconds, 1)[0])
-
-
-def _curves(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, NDArray[np.float64]]]:
-    """By family and work, (2, sizes) edges and seconds, edges ascending."""
-    points: dict[str, dict[str, list[tuple[float, float]]]] = {}
-    for row in rows:
-        of = points.setdefault(row["family"], {}).setdefault(row["work"], [])
-        of.append((row["edges"], row["seconds"]))
-    return {
-        family: {work: np.array(sorted(found), np.float64).T for work, found in curves.items()}
-        for family, curves in points.items()
-    }
-
-
-def draw(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
-    """The growth of time with routed edges, a panel a family.
-
-    Args:
-        rows: as :func:`measure` returns them.
-        title: the title.
-
-    Raises:
-        InputError: there is no row.
-    """
-    panels = {
-        family: {
-            f"{work}: exponent {_exponent(points):.2f}": points for work, points in curves.items()
-        }
-        for family, curves in _curves(rows).items()
-    }
-    return figures.growth(panels, "routed edges", "time [s]", title)

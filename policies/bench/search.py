@@ -9,6 +9,7 @@ from marouting import Problem, generate, sequential_astar
 from marouting.problem.grid import Grid
 from marouting.trees.decomposition import two_pin_tasks
 from policies.bench.measure import Bench, Measurement, Work
+from policies.bench.scaling import measure
 
 
 def _graph(problem: Problem) -> Any:
@@ -82,12 +83,10 @@ def search(bench: Bench) -> Iterator[Measurement]:
     )
 
 
-def growth(bench: Bench) -> Iterator[Measurement]:
+def time_scaling(bench: Bench) -> Iterator[Measurement]:
     """How time grows with routed edges (:mod:`policies.bench.scaling`)."""
-    from policies.bench.scaling import measure
-
     found = measure(budget=0.1 * bench.repeats)
-    bench.details["growth"] = found["rows"]
+    bench.details["scaling"] = found["rows"]
     for family, works in found["exponents"].items():
         for work, exponent in works.items():
             name = f"{work}, {family}: exponent of time over routed edges"

@@ -1,10 +1,12 @@
 """The command line: ``marouting COMMAND``.
 
 Results go to standard output, progress and messages to standard error. The exit status is 0 when
-done, 2 for input that cannot be used (one line says which file, line or key, and what was
-expected), 130 when interrupted. The heavy libraries are imported by the commands that need them.
+a command is done, 2 for input that cannot be used (one line names the file, line or key and says
+what was expected), and 130 for an interrupt. Heavy libraries are imported by the commands that need
+them.
 """
 
+import contextlib
 import json
 import sys
 import time
@@ -20,51 +22,68 @@ except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
 from marouting import InputError, Problem, Solution, __version__, evaluate
+from marouting.config import override, read_yaml
 from marouting.files import check_writable, write_text
 from marouting.generator import ReducedPer
 from marouting.problem.ispd import FORMATS, Format
+from marouting.registry import names
 from policies.routers.base import solve
-from policies.routers.registry import ROUTERS, has_seed, make_router
+from policies.routers.registry import has_seed, is_learner, make_router, router_names
 
 if TYPE_CHECKING:
-    from policies.learned.config import Config
-    from policies.learned.trainer import Episode
     from policies.routers.base import Router
 
 GridShape = click.Tuple([int, int, int])
+
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object instead of text."
+)
+overrides_argument = click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
 
 
 @click.group(no_args_is_help=False, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="marouting")
 def cli() -> None:
-    """Multi-agent global routing: every net is an agent on one shared capacity grid."""
+    """Multi-agent global routing: every net is an agent on one shared capacity grid.
+
+    Each command explains its options: marouting COMMAND --help.
+    """
 
 
 @cli.command()
 @click.option("--count", default=1, show_default=True, help="Number of problems.")
 @click.option(
-    "--grid", type=GridShape, default=(8, 8, 2), show_default=True, help="Columns, rows, layers."
+    "--grid",
+    type=GridShape,
+    default=(8, 8, 2),
+    show_default=True,
+    help="Size of the grid: columns, rows and layers, in Gcells.",
 )
-@click.option("--nets", default=50, show_default=True, help="Nets a problem.")
-@click.option("--max-pins", default=2, show_default=True, help="Pins a net, at most.")
-@click.option("--capacity", default=5, show_default=True, help="Capacity of an edge.")
+@click.option("--nets", default=50, show_default=True, help="Nets per problem.")
+@click.option("--max-pins", default=2, show_default=True, help="Largest number of pins per net.")
+@click.option("--capacity", default=5, show_default=True, help="Capacity of an edge, in tracks.")
 @click.option(
-    "--reduced-edges", default=3, show_default=True, help="How many of the busiest edges to reduce."
+    "--reduced-edges",
+    default=3,
+    show_default=True,
+    help="Number of busiest edges whose capacity is reduced.",
 )
 @click.option(
-    "--reduced-capacity", type=int, help="Their capacity.  [default: two less than --capacity]"
+    "--reduced-capacity",
+    type=int,
+    help="Capacity of these edges, in tracks.  [default: two less than --capacity]",
 )
 @click.option(
     "--reduced-per",
     type=click.Choice(get_args(ReducedPer)),
     default="problem",
     show_default=True,
-    help="Whose A* solutions tell which are the busiest: each problem's own, or the set's.",
+    help="Whether edges are the busiest in the A* solution of each problem, or of all problems.",
 )
-@click.option("--seed", default=0, show_default=True, help="Where the random numbers start.")
+@click.option("--seed", default=0, show_default=True, help="Seed of the random numbers.")
 @click.option("--out", type=Path, required=True, help="Folder for the .gr files.")
 def generate(out: Path, **options: Any) -> None:
-    """Generate problems: OUT/problem_000.gr and so on."""
+    """Generate random problems: OUT/problem_000.gr and so on."""
     from marouting.generator import GeneratorOptions
     from marouting.source import load_problems
 
@@ -77,12 +96,18 @@ def generate(out: Path, **options: Any) -> None:
 @cli.command()
 @click.argument("problem", type=Path)
 @click.argument("out", type=Path)
-@click.option("--format", type=click.Choice(FORMATS), default="ispd2008", show_default=True)
+@click.option(
+    "--format",
+    type=click.Choice(FORMATS),
+    default="ispd2008",
+    show_default=True,
+    help="Format of OUT.",
+)
 def convert(problem: Path, out: Path, format: Format) -> None:
-    """Write a problem to OUT in another format.
+    """Write PROBLEM to OUT in another format.
 
-    The format of PROBLEM is told by its header. OUT is read as the same problem; a format that
-    cannot hold it is refused.
+    The format of PROBLEM is recognised by its header. Reading OUT gives the same problem; a format
+    that cannot hold it is refused.
     """
     loaded = Problem.read(problem)
     loaded.write(out, format)
@@ -92,17 +117,31 @@ def convert(problem: Path, out: Path, format: Format) -> None:
 
 @cli.command()
 @click.argument("problem", type=Path)
-@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
-@click.option("--router", type=click.Choice(ROUTERS), default="astar", show_default=True)
-@click.option("--checkpoint", type=Path, help="A trained policy for the router dqn.")
+@overrides_argument
 @click.option(
-    "--config", type=Path, help="A file of the router's options; for dqn, of what it trains."
+    "--router",
+    metavar="NAME",
+    default="astar",
+    show_default=True,
+    help=f"What routes the problem: {', '.join(router_names())}, or module:Class.",
 )
 @click.option(
-    "--seed", type=int, help="Where random numbers start.  [default: 0, or as in --config]"
+    "--checkpoint",
+    type=Path,
+    help="File of a trained policy; without it, a learner is trained on the problem.",
 )
-@click.option("--out", type=Path, help="File for the solution.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option(
+    "--config",
+    type=Path,
+    help="YAML file of the router's options, or of a learner's training; without it, the defaults.",
+)
+@click.option(
+    "--seed",
+    type=int,
+    help="Seed of a router's random numbers.  [default: 0, or as in --config]",
+)
+@click.option("--out", type=Path, help="File for the solution; without it, none is written.")
+@json_option
 def route(
     problem: Path,
     overrides: tuple[str, ...],
@@ -113,67 +152,56 @@ def route(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Route a problem and judge the solution.
+    """Route PROBLEM and evaluate the solution.
 
-    KEY=VALUE changes options of the router (net_order=file; for optimal on a large
-    problem bound=relaxation time_limit=60). Without --checkpoint the router dqn trains on the
-    problem, as the paper does; its options are the keys of its configuration (train.episodes=200).
+    KEY=VALUE changes an option of the router, such as net_order=file, or time_limit=60 (seconds)
+    for optimal. A learner walks with the policy of --checkpoint, or is trained on the problem, as
+    in the paper; its options are the keys of a training's configuration, such as
+    train.episodes=200.
     """
-    if router != "dqn" and checkpoint:
-        raise InputError("--checkpoint: expected --router dqn with it")
+    learner = is_learner(router, "--router")
+    if checkpoint and not learner:
+        expected = " or ".join(names("learner"))
+        raise InputError(f"--checkpoint: expected a learner with it: --router {expected}")
     if checkpoint and (config or overrides):
         raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
     loaded = Problem.read(problem)
     if out is not None:
         check_writable(out)
-    solver = _router(router, seed, checkpoint, problem.stem, config, overrides)
-    started = time.perf_counter()
-    solution, report = solve(solver, loaded)
-    seconds = time.perf_counter() - started
+    with contextlib.ExitStack() as stack:
+        if learner:
+            solver = _learned(seed, checkpoint, problem.stem, config, overrides, stack)
+        else:
+            given = [] if seed is None or not has_seed(router) else [f"seed={seed}"]
+            options = override({} if config is None else read_yaml(config), [*given, *overrides])
+            where = f"--router {router}" if config is None else str(config)
+            solver = make_router(router, options, where)
+        started = time.perf_counter()
+        solution, report = solve(solver, loaded)
+        seconds = time.perf_counter() - started
     if out is not None:
         solution.write(out)
     _report(router, loaded, solution, seconds, as_json, report)
 
 
-def _router(
-    name: str,
+def _learned(
     seed: int | None,
     checkpoint: Path | None,
     problem: str,
     config: Path | None,
     overrides: Sequence[str],
+    stack: contextlib.ExitStack,
 ) -> "Router":
-    from marouting.config import override, read_yaml
+    """A learner as a router, with a progress bar for its training until the stack is closed."""
+    from policies.cli.progress import training_bar
     from policies.learned.config import load_config
-
-    given = [] if seed is None or not has_seed(name) else [f"seed={seed}"]
-    if name != "dqn":
-        options = {} if config is None else read_yaml(config)
-        where = f"--router {name}" if config is None else str(config)
-        return make_router(name, override(options, [*given, *overrides]), where)
     from policies.learned.router import DQNRouter
 
-    settings = load_config(config, [*given, *overrides])
-    return DQNRouter(settings, checkpoint, _counter(settings), network=problem)
-
-
-def _counter(config: "Config") -> Any:
-    """What shows the progress of a training without a run folder, on standard error."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    if not sys.stderr.isatty():
-        return None
-    progress = Progress(console=Console(stderr=True), transient=True)
-    task = progress.add_task("training", total=config.train.episodes)
-    progress.start()
-
-    def watch(episodes: "list[Episode]") -> None:
-        progress.update(task, advance=len(episodes))
-        if episodes[-1].episode + 1 == config.train.episodes:
-            progress.stop()
-
-    return watch
+    settings = load_config(config, [*([] if seed is None else [f"seed={seed}"]), *overrides])
+    watch = None
+    if checkpoint is None:
+        watch = stack.enter_context(training_bar(0, settings.train.episodes))
+    return DQNRouter(settings, checkpoint, watch, network=problem)
 
 
 def _report(
@@ -214,9 +242,9 @@ def _report(
 @cli.command("evaluate")
 @click.argument("problem", type=Path)
 @click.argument("solution", type=Path)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option
 def evaluate_command(problem: Path, solution: Path, as_json: bool) -> None:
-    """Judge a solution file by the rules of the ISPD 2008 evaluator."""
+    """Evaluate a solution file by the rules of the ISPD 2008 contest's evaluator."""
     loaded = Problem.read(problem)
     routes = Solution.read(solution, loaded)
     started = time.perf_counter()
@@ -226,13 +254,19 @@ def evaluate_command(problem: Path, solution: Path, as_json: bool) -> None:
 
 @cli.command()
 @click.argument("config", type=Path)
-@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
-@click.option("--resume", type=Path, help="Go on with the run in this folder.")
+@overrides_argument
+@click.option(
+    "--resume",
+    type=Path,
+    help="Run folder of a training to continue.  [default: a new training, in the folder `out`]",
+)
 def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None:
-    """Train a DQN on every problem of CONFIG; KEY=VALUE changes keys of it.
+    """Train a learner on the problems of CONFIG, a YAML file.
 
-    Everything goes into the run folder, the key `out`.
+    KEY=VALUE changes a key of CONFIG, such as train.episodes=200. Everything is written to the run
+    folder, the key `out`.
     """
+    from policies.cli.progress import training_bar
     from policies.cli.tables import show
     from policies.learned.config import load_config
     from policies.learned.run import Run
@@ -243,23 +277,29 @@ def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None
     if resume is not None:
         settings = replace(settings, out=str(resume))
     run = Run(settings, resume=resume is not None)
-    show(run.execute(), str(run.folder))
+    with training_bar(*run.episodes) as watch:
+        rows = run.execute(watch)
+    show(rows, str(run.folder))
 
 
 @cli.command()
 @click.argument("config", type=Path)
-@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
-@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+@overrides_argument
+@json_option
 def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
-    """Compare routers on sets of problems, as CONFIG says; KEY=VALUE changes keys of it.
+    """Compare routers on sets of problems, as CONFIG, a YAML file, describes.
 
-    Everything goes into the folder of the experiment, the key `out`. One that was stopped, or
-    killed, goes on when the same command is given again.
+    KEY=VALUE changes a key of CONFIG, such as seeds=[0,1,2]. Everything is written to the folder of
+    the experiment, the key `out`. An experiment that was stopped or killed continues when the same
+    command is given again.
     """
+    from policies.cli.progress import experiment_bar
     from policies.cli.tables import show_experiment
     from policies.experiment import Experiment, load_experiment
 
-    summary = Experiment(load_experiment(config, overrides)).execute()
+    task = Experiment(load_experiment(config, overrides))
+    with experiment_bar(str(task.folder)) as watch:
+        summary = task.execute(watch)
     if as_json:
         click.echo(json.dumps(summary))
     else:
@@ -268,11 +308,17 @@ def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
 
 @cli.command()
 @click.argument("paths", nargs=-1, required=True, type=Path, metavar="RUN_OR_FILE...")
-@click.option("--out", type=Path, help="Folder for the figures.")
+@click.option(
+    "--out",
+    type=Path,
+    help="Folder for the figures.  [default: `figures`, inside a folder or beside a file]",
+)
 def plot(paths: tuple[Path, ...], out: Path | None) -> None:
-    """Draw the figures of runs, experiments, metrics.jsonl, bench files, or .gr and solution files.
+    """Draw figures of runs, experiments and files.
 
-    A .gr file is drawn with the solution files that follow it, or with sequential A*'s solution.
+    Draws run folders, experiment folders, metrics.jsonl files, files of marouting bench --out, and
+    .gr files, each with the solution files that follow it, or with sequential A*'s solution if none
+    follows. Prints the paths of the pictures.
     """
     from policies.figures.plot import plot as draw
 
@@ -282,11 +328,17 @@ def plot(paths: tuple[Path, ...], out: Path | None) -> None:
 
 @cli.command()
 @click.argument("sections", nargs=-1, metavar="[SECTION]...")
-@click.option("--repeats", default=7, show_default=True, help="Of every measurement.")
-@click.option("--threads", default=2, show_default=True, help="Where several threads work.")
-@click.option("--against", type=click.Choice(["jumanji"]), help="Another library to compare with.")
-@click.option("--out", type=Path, help="File for the figures, JSON.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--repeats", default=7, show_default=True, help="Repeats of every measurement.")
+@click.option(
+    "--threads", default=2, show_default=True, help="Threads of the multi-threaded measurements."
+)
+@click.option(
+    "--against",
+    type=click.Choice(["jumanji"]),
+    help="Library to compare with; without it, none.",
+)
+@click.option("--out", type=Path, help="JSON file for the results; without it, none is written.")
+@json_option
 def bench(
     sections: tuple[str, ...],
     repeats: int,
@@ -295,9 +347,10 @@ def bench(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Measure speed, as ratios to comparators that run in turns with it.
+    """Measure speed, as ratios to comparators that run in turns with the code.
 
-    Without SECTION everything is measured, which takes several minutes.
+    SECTION is one of start, batch, faces, large, search, training and scaling; without it
+    everything is measured, which takes several minutes.
     """
     from policies.bench import SECTIONS, Bench, Measurement, run
     from policies.cli.tables import number, show_speed
@@ -325,10 +378,14 @@ def bench(
 
 @cli.command()
 @click.option(
-    "--out", type=Path, default=Path("quickstart"), show_default=True, help="Folder for the result."
+    "--out",
+    type=Path,
+    default=Path("quickstart"),
+    show_default=True,
+    help="Folder for the results.",
 )
 def quickstart(out: Path) -> None:
-    """Route, train and draw a small problem in about a minute."""
+    """Route a small problem, train on it and draw it, in about a minute."""
     from policies.cli.quickstart import run
 
     run(out)
@@ -341,6 +398,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def status(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line; returns the exit status."""
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))  # for module:Class, wherever the command itself lies
     try:
         cli.main(args=arguments, prog_name="marouting", standalone_mode=False)
     except InputError as error:

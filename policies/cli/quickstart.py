@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import click
 
@@ -11,11 +11,14 @@ from marouting.generator import GeneratorOptions
 from marouting.options import Agents, EnvOptions
 from marouting.source import load_problem
 from policies import figures
+from policies.cli.progress import training_bar
 from policies.cli.tables import show
 from policies.figures.plot import reward_figures, run_figures
 from policies.learned.config import Config, DQNOptions, TrainOptions
 from policies.learned.router import DQNRouter
-from policies.learned.run import Run, clear, row
+from policies.learned.run import Run, clear
+from policies.results.rows import Row, solution_row
+from policies.results.run_folder import solution_file
 from policies.routers.astar import AStarRouter
 from policies.routers.random import RandomRouter
 
@@ -36,7 +39,7 @@ def run(out: Path) -> None:
         started = time.perf_counter()
         solutions[router.name] = router.route(problem)
         seconds = time.perf_counter() - started
-        rows.append(row(router.name, solutions[router.name], seconds))
+        rows.append({"router": router.name, **solution_row(solutions[router.name], seconds)})
     del solutions["random"]  # a tangle that shows nothing
     games: dict[str, Agents] = {"dqn, one agent": "single", "dqn, every net an agent": "multi"}
     for name, agents in games.items():
@@ -68,7 +71,7 @@ def _compile() -> None:
         DQNRouter(config).route(tiny)
 
 
-def _train(problem: Problem, out: Path, agents: Agents) -> tuple[dict[str, Any], Solution]:
+def _train(problem: Problem, out: Path, agents: Agents) -> tuple[Row, Solution]:
     """A short training in a run folder: its row of the table, without the problem, and routes."""
     folder = out / agents
     clear(folder)
@@ -78,6 +81,8 @@ def _train(problem: Problem, out: Path, agents: Agents) -> tuple[dict[str, Any],
         dqn=DQNOptions(gamma=0.95, target_period=1000),
         train=TrainOptions(episodes=EPISODES, figures=False),
     )
-    (result,) = [r for r in Run(config).execute() if r["router"] == "dqn"]
+    training = Run(config)
+    with training_bar(*training.episodes) as watch:
+        (result,) = [row for row in training.execute(watch) if row["router"] == "dqn"]
     del result["problem"]
-    return result, Solution.read(folder / "solutions" / "problem.dqn.solution", problem)
+    return result, Solution.read(solution_file(folder, "problem", "dqn"), problem)

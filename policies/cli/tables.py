@@ -1,7 +1,10 @@
-"""Tables that compare routers."""
+"""Tables on standard output that compare routers and speeds, as wide as the terminal or 80 columns.
 
-import sys
-from collections.abc import Mapping, Sequence
+Names may wrap; figures never do. A table with more columns than fit is cut into several.
+"""
+
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import click
@@ -9,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-COLUMNS = (
+HEADINGS = (
     ("problem", "problem"),
     ("router", "router"),
     ("overflow", "overflow"),
@@ -17,101 +20,173 @@ COLUMNS = (
     ("joined", "tasks joined"),
     ("seconds", "seconds"),
 )
+"""The columns of a row that :func:`show` prints, with their headings."""
+
+_NAME = 24
+"""The width of a column of names, at most; longer names wrap."""
 
 
 def show(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Prints rows as ``result.json`` holds them to standard output.
+    """Prints rows of results.
 
-    Where nets stayed open, less wirelength is no merit: the tasks joined stand beside it. A column
-    that no row has is left out.
+    Less wirelength is no merit where nets stayed open, so the number of tasks joined stands beside
+    it. A column that no row has is left out.
     """
-    table = Table(title=title, box=SIMPLE_HEAD, title_justify="left")
-    columns = [(key, heading) for key, heading in COLUMNS if any(key in row for row in rows)]
-    for _, heading in columns:
-        left = heading in ("problem", "router")
-        table.add_column(heading, justify="left" if left else "right", no_wrap=True)
-    for row in rows:
-        joined = f"{row['joined']}/{row['tasks']}"
-        shown = {**row, "joined": joined, "seconds": f"{row['seconds']:.2f}"}
-        table.add_row(*(str(shown[key]) for key, _ in columns))
-    Console().print(table)
-
-
-def show_speed(report: Mapping[str, Any]) -> None:
-    """Prints what :func:`policies.bench.run` measured to standard output, a few lines a row."""
-    click.echo(", ".join(f"{key} {value}" for key, value in report["machine"].items() if value))
-    for row in report["rows"]:
-        threads = f", {row['threads']} threads" if row["threads"] > 1 else ""
-        target = f"; target {row['target']}" if row["target"] else ""
-        click.echo(f"\n{row['name']}{threads}")
-        click.echo(f"    {number(row['value'])} {row['unit']}, best {number(row['best'])}{target}")
-        if row["ratio"] is not None:
-            against = f"{row['comparator']} ({number(row['against'])})"
-            click.echo(f"    {row['ratio']:.3g} × {against}")
+    shown = [
+        {**row, "joined": f"{row['joined']}/{row['tasks']}", "seconds": f"{row['seconds']:.2f}"}
+        for row in rows
+    ]
+    columns = {
+        heading: [str(row[key]) for row in shown]
+        for key, heading in HEADINGS
+        if all(key in row for row in shown)
+    }
+    names = ["problem", "router"] if "problem" in columns else ["router"]
+    _print(title, columns, names)
 
 
 def show_experiment(summary: Mapping[str, Any]) -> None:
-    """Prints what :meth:`policies.experiment.Experiment.execute` found to standard output.
+    """Prints the summary that :meth:`policies.experiment.Experiment.execute` returns.
 
-    A table for each set, and of several one for the routers that are for all of them.
+    One comparison for each set, and if there are several one of all problems together, of the
+    routers that are for all sets.
     """
-    # Wide enough for any row where there is no terminal to fit into.
-    console = Console(width=None if sys.stdout.isatty() else 140)
     reference = summary["reference"]
-    headings = ["router", "overflow", "problems\nwithout", "open", "wirelength", "gap\n%"]
-    headings += ["less WL\n% of problems", "A*\nW/T/L"]
-    headings += [f"{reference}\nW/T/L"] if reference else []
     for name, rows in summary["sets"].items():
         title = f"{name}: {rows[0]['problems']} problems"
         if name in summary["types"]:
             title += "".join(f", {n} of Type {type}" for type, n in summary["types"][name].items())
-        table = Table(title=title, box=SIMPLE_HEAD, title_justify="left")
-        for heading in (*headings, "seconds"):
-            right = heading != "router"
-            table.add_column(heading, justify="right" if right else "left", no_wrap=not right)
-        for row in rows:
-            gap, less = row["gap"], row["lower_wirelength"]
-            few = f" ({gap['problems']})" if gap and gap["problems"] < row["problems"] else ""
-            table.add_row(
-                row["router"],
-                f"{row['overflow']:.6g}",
-                f"{row['zero_overflow']:.4g}",
-                f"{row['open']:.6g}",
-                _estimate(row["wirelength"], 1),
-                _estimate(gap, 2) + few if gap else "",
-                f"{less['percent']:.1f} [{less['low']:.0f}, {less['high']:.0f}]" if less else "",
-                _record(row["astar"]),
-                *([_record(row["reference"])] if reference else []),
-                "" if row["seconds"] is None else f"{row['seconds']:.3g}",
-            )
-        console.print(table)
-    console.print(_NOTES, highlight=False)
+        columns = {
+            "router": [row["router"] for row in rows],
+            "overflow": [f"{row['overflow']:.6g}" for row in rows],
+            "problems\nwithout": [f"{row['zero_overflow']:.4g}" for row in rows],
+            "open": [f"{row['open']:.6g}" for row in rows],
+            "wirelength": [_estimate(row["wirelength"], 1) for row in rows],
+            "gap\n%": [_gap(row) for row in rows],
+            "less WL\n% of problems": [_share(row["lower_wirelength"]) for row in rows],
+            "A*\nW/T/L": [_record(row["astar"]) for row in rows],
+        }
+        if reference:
+            heading = textwrap.fill(reference, _NAME)
+            columns[f"{heading}\nW/T/L"] = [_record(row["reference"]) for row in rows]
+        columns["seconds"] = [
+            "" if row["seconds"] is None else f"{row['seconds']:.3g}" for row in rows
+        ]
+        _print(title, columns, ["router"])
+    click.echo(_wrapped(_NOTES))
 
 
 _NOTES = (
-    "overflow, open connections: of all problems; without: problems with neither. wirelength, gap: "
-    "mean over the problems ± half of its 95 % interval (Student's t); the gap is to the proven "
-    "optimum, on the problems (how many) where overflow and open connections are the optimum's. "
-    "less WL: problems with less wirelength than A* [95 % interval, Wilson]. W/T/L: wins, ties and "
-    "losses by open connections, then overflow, then wirelength. seconds: median a problem. All of "
-    "it is averaged over the seeds first. Type II: A* uses up an edge that had "
-    "capacity (the paper's partial edge depletion)."
+    "overflow, open (two-pin tasks not joined): totals over the problems. problems without: those "
+    "with neither. wirelength, gap: means over the problems ± half the 95 % interval (Student's "
+    "t). The gap is to the proven optimum, on the problems (their number in brackets) that have "
+    "the optimum's overflow and open tasks. less WL: share of problems with less wirelength than "
+    "A* [95 % interval, Wilson]. W/T/L: wins, ties and losses by open tasks, then overflow, then "
+    "wirelength. seconds: median time per problem. Everything is averaged over the seeds first. "
+    "Type II: A* uses up the capacity of an edge (the paper's partial edge depletion)."
 )
 
 
-def _estimate(of: Mapping[str, Any], digits: int) -> str:
-    if of["high"] is None:
-        return f"{of['mean']:.{digits}f}"
-    return f"{of['mean']:.{digits}f} ± {of['high'] - of['mean']:.{digits}f}"
-
-
-def _record(record: Mapping[str, float] | None) -> str:
-    return "/".join(f"{count:.3g}" for count in record.values()) if record else ""
+def show_speed(report: Mapping[str, Any]) -> None:
+    """Prints what :func:`policies.bench.run` measured, a few lines for each figure."""
+    machine = report["machine"].items()
+    click.echo(_wrapped(", ".join(f"{key} {value}" for key, value in machine if value)))
+    for row in report["rows"]:
+        threads = f", {row['threads']} threads" if row["threads"] > 1 else ""
+        target = f"; target {row['target']}" if row["target"] else ""
+        click.echo(_wrapped(f"\n{row['name']}{threads}"))
+        figures = f"{number(row['value'])} {row['unit']}, best {number(row['best'])}{target}"
+        click.echo(_wrapped(figures, "    "))
+        if row["ratio"] is not None:
+            against = f"{row['ratio']:.3g} × {row['comparator']} ({number(row['against'])})"
+            click.echo(_wrapped(against, "    "))
 
 
 def number(value: float) -> str:
-    """A figure with three digits that count, thousands apart."""
+    """A figure with three significant digits, thousands apart by a space that does not break."""
     if value >= 1000:
         digits = 3 - len(f"{value:.0f}")
-        return f"{round(value, digits):,.0f}".replace(",", " ")
+        return f"{round(value, digits):,.0f}".replace(",", "\N{NO-BREAK SPACE}")
     return f"{value:.3g}"
+
+
+def _print(title: str, columns: Mapping[str, Sequence[str]], names: Sequence[str]) -> None:
+    """Prints columns by heading; those of names, on the left, stand in every piece."""
+    console = Console(markup=False, emoji=False, highlight=False)
+    click.echo(f"{_wrapped(title)}\n")
+    for headings in _pieces(columns, names, console.width):
+        table = Table(box=SIMPLE_HEAD, show_edge=False)
+        for heading in headings:
+            if heading in names:
+                table.add_column(heading, max_width=_NAME, overflow="fold")
+            else:
+                table.add_column(heading, justify="right", no_wrap=True)
+        for cells in zip(*(columns[heading] for heading in headings), strict=True):
+            table.add_row(*cells)
+        console.print(table)
+        click.echo()
+
+
+def _pieces(
+    columns: Mapping[str, Sequence[str]], names: Sequence[str], width: int
+) -> Iterator[list[str]]:
+    """The headings of each table, so that no table is wider than the console."""
+
+    def wide(heading: str) -> int:
+        longest = max(map(len, (*heading.split("\n"), *columns[heading])))
+        return min(longest, _NAME) if heading in names else longest
+
+    def fits(headings: Iterable[str]) -> bool:
+        # Two spaces of padding each, and one between two columns.
+        return sum(wide(heading) + 3 for heading in headings) - 1 <= width
+
+    piece = list(names)
+    for heading in columns:
+        if heading in names:
+            continue
+        if len(piece) > len(names) and not fits([*piece, heading]):
+            yield piece
+            piece = list(names)
+        piece.append(heading)
+    yield piece
+
+
+def _wrapped(text: str, indent: str = "") -> str:
+    """A text in lines that the console holds; indented, with more of it in further lines."""
+    lines = [
+        textwrap.fill(
+            line,
+            Console().width,
+            initial_indent=indent,
+            subsequent_indent=2 * indent,
+            break_on_hyphens=False,
+        )
+        for line in text.split("\n")
+    ]
+    return "\n".join(lines)
+
+
+def _estimate(estimate: Mapping[str, Any], digits: int) -> str:
+    """A mean, and half its interval where it has one."""
+    if estimate["high"] is None:
+        return f"{estimate['mean']:.{digits}f}"
+    return f"{estimate['mean']:.{digits}f} ± {estimate['high'] - estimate['mean']:.{digits}f}"
+
+
+def _gap(row: Mapping[str, Any]) -> str:
+    """The gap to the optimum, with the number of problems unless it is known on all of them."""
+    gap = row["gap"]
+    if not gap:
+        return ""
+    few = f" ({gap['problems']})" if gap["problems"] < row["problems"] else ""
+    return _estimate(gap, 2) + few
+
+
+def _share(share: Mapping[str, float] | None) -> str:
+    """A percentage and its interval."""
+    return f"{share['percent']:.1f} [{share['low']:.0f}, {share['high']:.0f}]" if share else ""
+
+
+def _record(record: Mapping[str, float] | None) -> str:
+    """Wins, ties and losses."""
+    return "/".join(f"{count:.6g}" for count in record.values()) if record else ""

@@ -1,4 +1,4 @@
-"""What an experiment is told: sets of problems, routers, seeds, figures."""
+"""The configuration of an experiment: sets of problems, routers, seeds, figures."""
 
 import csv
 import os
@@ -9,17 +9,23 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem
-from marouting.config import build, check, override, read_yaml
-from marouting.config import plain as as_plain
+from marouting.config import build, check, override, plain, read_yaml
 from marouting.files import unusable
 from marouting.source import load_problems
-from policies.experiment.study import Study
 from policies.learned.config import Config
 from policies.results.statistics import ALL
-from policies.routers.registry import ROUTERS, has_seed, is_seeded, schema, unknown
+from policies.results.study import Study
+from policies.routers.registry import (
+    has_seed,
+    is_learner,
+    is_seeded,
+    router_names,
+    router_piece,
+    unknown,
+)
 
 PUBLISHED = "published"
-"""The router of an entry whose rows are not routed but read from a file."""
+"""The ``router`` of an entry whose rows are read from a file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,20 +33,21 @@ class ExperimentConfig:
     """An experiment, as a YAML file holds it; ``configs/yardstick.yaml`` explains the keys.
 
     Attributes:
-        out: the folder of the experiment; it may hold an experiment with the same routers and
-            sets, or others, which then goes on.
-        seeds: one run of each router that draws random numbers for every seed.
-        jobs: processes at work; None: one a core.
+        out: the folder of the experiment. An experiment that it holds already is continued, with
+            the same routers and sets or with others.
+        seeds: a router that draws random numbers is run once for each seed.
+        jobs: the number of processes; None stands for one per core.
         reference: the name of a router that all others are compared with, besides A*.
-        problems: problem sources by the set's name (as ``env.problem`` of a training); or a
-            folder, whose ``.gr`` files are a set and whose folders with such files are one each.
-        routers: options by the name that tables call the router, with the keys ``router``, a name
-            of :data:`policies.routers.registry.ROUTERS` or ``published``, and ``only``, the sets
-            that it is for; all the others are the router's own. For ``dqn`` see :class:`Training`,
-            for ``published`` :class:`Published`. What is left out is filled in. None in place of
-            the options leaves a router out: for ``routers.NAME=null`` on the command line.
-        studies: composed figures by their name, besides those of every set. Columns of routers that
-            are left out, or not done, are left out.
+        problems: problem sources by the set's name (as ``env.problem`` of a training); or a folder,
+            whose ``.gr`` files are a set, as are those of each folder in it.
+        routers: the routers' options, by the name that tables give the router. The key ``router``
+            says what routes: the name of a router, ``module:Class``, the name of a learner (see
+            :class:`Training`) or ``published`` (see :class:`Published`). The key ``only`` lists the
+            sets that the entry is for, by default all. All other keys are options of the router,
+            and those left out are filled in. None in place of the options leaves a router out, as
+            ``routers.NAME=null`` does on the command line.
+        studies: composed figures by name, besides the figures of every set. Columns of routers that
+            are left out or not finished are left out.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -73,7 +80,7 @@ class ExperimentConfig:
         check("routers", len(self.routers) > 0, "at least one")
         for name in self.problems if isinstance(self.problems, dict) else ():
             _check_set(name)
-        for name in self.routers:  # in files a dot and the seed follow
+        for name in self.routers:  # in file names, a dot and the seed follow
             check(f"routers.{name}", _is_name(name), "a name of letters, digits, _ and -")
         if self.reference is not None and self.reference not in self.routers:
             raise unknown("reference", self.reference, tuple(self.routers))
@@ -92,7 +99,7 @@ class ExperimentConfig:
 
     @property
     def entries(self) -> tuple["Entry", ...]:
-        """The routers; raises InputError for one that is none."""
+        """The routers; raises InputError if one of them is wrong."""
         return tuple(Entry.of(name, raw or {}) for name, raw in self.routers.items())
 
 
@@ -101,23 +108,24 @@ def _is_name(name: str) -> bool:
 
 
 def _check_set(name: str) -> None:
-    """Raises InputError unless files can carry the name of a set."""
+    """Raises InputError unless file names can carry the name of a set."""
     check(f"problems.{name}", re.fullmatch(r"\w[\w.-]*", name), "a name of letters, digits, _ - .")
-    check(f"problems.{name}", name != ALL, "another name: that is what all sets are called")
+    check(f"problems.{name}", name != ALL, "another name: all sets together are called this")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
-    """The options of an entry of the router ``dqn``: what to train, or a trained policy.
+    """The options of an entry whose ``router`` is a learner: what to train, or a trained policy.
 
     Attributes:
-        config: a training's configuration that the other keys change.
-        stack: problems that one process trains side by side. More than one save time on a GPU, not
-            on a processor. With ``dqn.shared`` it is all of a set.
-        env: keys of the game, as in a training's configuration; ``problem`` is the experiment's.
-        dqn: keys of the learner.
-        train: keys of the run. ``figures`` and ``tensorboard`` are off unless they stand here.
-        checkpoint: a trained policy, which walks; then nothing else stands here.
+        config: a YAML file with a training's configuration, which the other keys change.
+        stack: the number of problems that one process trains side by side. More than one save time
+            on a GPU, but not on a CPU. A learner shared by all problems takes a whole set.
+        env: keys of the game, as in a training's configuration; the experiment gives ``problem``.
+        dqn: options of the learner.
+        train: keys of the run; ``figures`` and ``tensorboard`` are off unless they are given here.
+        checkpoint: the file of a trained policy, which routes without any training; no other key
+            may then be given.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -136,19 +144,24 @@ class Training:
         check("checkpoint", not (self.checkpoint and told), "nothing to train beside it")
 
     def resolved(self, where: str) -> dict[str, Any]:
-        """The same with every key of the training; raises InputError for one that there is not."""
+        """The same options with every key of the training filled in; raises InputError."""
         if self.checkpoint:
             return {"checkpoint": self.checkpoint}
         raw = {} if self.config is None else read_yaml(self.config)
         quiet = {"train": {"figures": False, "tensorboard": False}}
         told = {"env": self.env, "dqn": self.dqn, "train": self.train}
-        plain = as_plain(build(Config, _merged(_merged(raw, quiet), told), where))
-        del plain["env"]["problem"]
-        return {"stack": self.stack, **{part: plain[part] for part in ("env", "dqn", "train")}}
+        raw = _merged(_merged(raw, quiet), told)
+        config: dict[str, Any] = plain(build(Config, raw, where))
+        del config["env"]["problem"]
+        return {"stack": self.stack, **{part: config[part] for part in PARTS}}
+
+
+PARTS = ("env", "dqn", "train")
+"""The parts of a training's configuration that an entry holds."""
 
 
 def _merged(raw: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain data in which ``more`` goes before ``raw``, key by key."""
+    """Plain data in which the keys of ``more`` replace those of ``raw``, at any depth."""
     merged = dict(raw)
     for key, value in more.items():
         inner = merged.get(key)
@@ -160,13 +173,13 @@ def _merged(raw: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Published:
-    """The options of an entry ``published``: results of others, not judged here.
+    """The options of an entry ``published``: results as others report them.
 
     Attributes:
         file: a CSV file with the columns ``set`` and ``problem``, and a row for every problem.
-        overflow: the column of the overflow.
-        wirelength: the column of the wirelength.
-        optimal: whether these are proven optima, which gaps are taken to.
+        overflow: the name of the overflow's column.
+        wirelength: the name of the wirelength's column.
+        optimal: whether these are proven optima, from which gaps are measured.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -206,28 +219,20 @@ class Entry:
     """A router of an experiment.
 
     Attributes:
-        name: what tables call it.
-        router: what it is.
-        only: the sets that it is for; None: all.
-        options: all other options, in plain data, defaults included.
+        name: the name that tables give it.
+        router: the name of a router or a learner, ``module:Class`` or ``published``.
+        only: the sets that it is for; None stands for all.
+        options: all other options as plain data, defaults included.
+        trains: whether it is a learner that is trained on the problems.
+        seeded: whether it is run for every seed.
     """
 
     name: str
     router: str
     only: tuple[str, ...] | None
     options: Mapping[str, Any]
-
-    @property
-    def trains(self) -> bool:
-        """Whether it is a DQN that is trained on the problems."""
-        return self.router == "dqn" and "checkpoint" not in self.options
-
-    @property
-    def seeded(self) -> bool:
-        """Whether it is run for every seed."""
-        if self.router in ("dqn", PUBLISHED):
-            return self.trains
-        return is_seeded(self.router, self.options)
+    trains: bool
+    seeded: bool
 
     @property
     def plain(self) -> dict[str, Any]:
@@ -236,26 +241,31 @@ class Entry:
 
     @staticmethod
     def of(name: str, raw: Mapping[str, Any]) -> "Entry":
-        """An entry of a configuration; raises InputError if it is none."""
+        """An entry of a configuration; raises InputError if it is wrong."""
         where = f"routers.{name}"
         options = dict(raw)
         router, only = options.pop("router", None), options.pop("only", None)
-        if router not in (*ROUTERS, PUBLISHED):
-            raise unknown(f"{where}: router", str(router), (*ROUTERS, PUBLISHED))
         if only is not None and not (
             isinstance(only, list | tuple) and only and all(isinstance(name, str) for name in only)
         ):
             raise InputError(f"{where}: only: expected a list of sets, found {only!r}")
-        if router == "dqn":
-            options = build(Training, options, where).resolved(where)
-        elif router == PUBLISHED:
+        trains = seeded = False
+        if router == PUBLISHED:
             options = asdict(build(Published, options, where))
+        elif not isinstance(router, str):
+            raise unknown(f"{where}: router", str(router), (*router_names(), PUBLISHED))
+        elif is_learner(router, f"{where}: router"):
+            options = build(Training, options, where).resolved(where)
+            trains = seeded = "checkpoint" not in options
         else:
             if "seed" in options and has_seed(router):
                 raise InputError(f"{where}: seed: expected none: the experiment has its seeds")
-            options = asdict(build(schema(router), options, where))
-            options.pop("seed", None)
-        return Entry(name, router, None if only is None else tuple(only), options)
+            seed = {"seed": 0} if has_seed(router) else {}
+            made = router_piece(router, {**options, **seed}, where)
+            seeded = is_seeded(made)
+            options = {key: value for key, value in plain(made).items() if key not in seed}
+            del options["kind"]
+        return Entry(name, router, None if only is None else tuple(only), options, trains, seeded)
 
 
 def load_experiment(
@@ -265,7 +275,7 @@ def load_experiment(
 
     Args:
         path: a YAML file.
-        overrides: as of :func:`policies.learned.config.load_config`.
+        overrides: ``key=value``, as :func:`marouting.config.override` takes them.
 
     Raises:
         InputError: names the file or key, what was expected and what was found.

@@ -1,9 +1,9 @@
-"""A whole experiment: its parts shared out among processes, its results gathered."""
+"""A whole experiment: its parts are distributed to processes, its results are collected."""
 
 import json
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,6 @@ from marouting import InputError, Problem, Solution
 from marouting.config import check, check_same, read_yaml
 from marouting.files import write_text
 from marouting.source import load_problems
-from policies.cli.progress import progress_bar
 from policies.experiment.config import (
     PUBLISHED,
     Entry,
@@ -23,50 +22,43 @@ from policies.experiment.config import (
     load_experiment,
     load_sets,
 )
-from policies.experiment.folder import (
-    CONFIG,
-    RESULTS,
-    SUMMARY,
-    read_rows,
-    solution_file,
-    to_csv,
-)
 from policies.experiment.part import Part
 from policies.experiment.processes import cores, work_on
-from policies.experiment.study import Study, StudyColumn
-from policies.results.statistics import ALL, Row, add_gaps, baseline, by_set, summarise
+from policies.results.experiment_folder import CONFIG, RESULTS, SUMMARY, solution_file
+from policies.results.rows import Row, read_rows, to_csv
+from policies.results.run_folder import METRICS
+from policies.results.statistics import ALL, add_gaps, baseline, by_set, summarise
+from policies.results.study import Study, StudyColumn
 from policies.results.utilisation import problem_type
 from policies.routers.registry import unknown
 
 
 class Experiment:
-    """An experiment in its folder, new or to go on with.
+    """An experiment in its folder, new or to be continued.
 
-    Its processes import the main module: a script that runs one needs the usual
+    Its processes import the main module, so a script that runs an experiment needs the usual
     ``if __name__ == "__main__":``.
 
     Args:
-        config: what to do, as :func:`load_experiment` gives it.
-        progress: whether to show a progress bar on standard error.
+        config: the configuration, as :func:`load_experiment` returns it.
 
     Raises:
         InputError: the configuration, a problem or the folder cannot be used, or the folder holds
-            something else.
+            another experiment.
     """
 
-    def __init__(self, config: ExperimentConfig, *, progress: bool = True) -> None:
+    def __init__(self, config: ExperimentConfig) -> None:
         self.config = config
         self.folder = Path(config.out)
-        self._progress = progress
         self.entries = config.entries
         before = self._before()
-        # In an order that does not depend on where they come from.
+        # In an order that does not depend on the source.
         self.sets = {name: dict(sorted(own.items())) for name, own in self._load(before).items()}
         for entry in self.entries:
             for name in entry.only or ():
                 if name not in self.sets:
                     raise unknown(f"routers.{entry.name}.only", name, tuple(self.sets))
-        # As far as it goes that can be told before there are results.
+        # What can be checked before there are results.
         for name, study in config.studies.items():
             taken = re.fullmatch(r"(.+)_(wirelength|overflow|decrease)", name)
             check(f"studies.{name}", not (taken and taken[1] in {*self.sets, ALL}), "another name")
@@ -75,7 +67,7 @@ class Experiment:
         self._keep(before)
 
     def _before(self) -> ExperimentConfig | None:
-        """All that the folder was asked for so far; raises InputError if it does not fit."""
+        """The configuration of all that the folder holds; raises InputError if it does not fit."""
         kept = self.folder / CONFIG
         if not kept.exists():
             return None
@@ -89,7 +81,7 @@ class Experiment:
     def _rows_depend_on(
         self, asked: ExperimentConfig, before: ExperimentConfig
     ) -> dict[str, dict[str, Any] | str]:
-        """What must stay: the problems of a set and the options of a router, of those in both."""
+        """What must not change: the problems and options of sets and routers that are in both."""
         routers = {
             name: {key: value for key, value in (options or {}).items() if key != "only"}
             for name, options in asked.routers.items()
@@ -123,7 +115,7 @@ class Experiment:
             check(f"{key}.beside", known, f"routers that are trained on {of}")
 
     def _load(self, before: ExperimentConfig | None) -> dict[str, dict[str, Problem]]:
-        """The sets, in the order of the configuration: what the folder holds stays as it is."""
+        """The sets, in the order of the configuration; what the folder holds is read from it."""
         folder = self.folder / "problems"
         if isinstance(self.config.problems, str):
             if before is None:
@@ -139,7 +131,7 @@ class Experiment:
         }
 
     def _keep(self, before: ExperimentConfig | None) -> None:
-        """Writes the problems that are new, and then the configuration of all that is there."""
+        """Writes the new problems, and then the configuration of all that the folder holds."""
         if before is None and (self.folder / "rows").exists():
             raise InputError(f"{self.folder}: holds rows without {CONFIG}: expected another out=")
         new = dict(self.sets)
@@ -152,7 +144,7 @@ class Experiment:
                 raise InputError(f"{path}: expected no problems but the experiment's")
         for part in self.parts:
             if part.entry.router == PUBLISHED and not part.rows.exists():
-                part.quote()  # complains now, not after hours
+                part.quote()  # raises an error now, not after hours
         for name, problems in new.items():
             for problem in problems:
                 problems[problem].write(self.folder / "problems" / name / f"{problem}.gr")
@@ -167,28 +159,37 @@ class Experiment:
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
-        """All the work, router by router: what takes long comes last."""
+        """All the work, router by router; routers that take long come last."""
         return tuple(
             Part(self.folder, name, entry, seed, share)
-            for entry in sorted(self.entries, key=lambda entry: _SLOW.get(entry.router, 0))
+            for entry in sorted(self.entries, key=_slowness)
             for name, own in self.sets.items()
             if entry.only is None or name in entry.only
             for seed in (self.config.seeds if entry.seeded else (None,))
             for share in _shares(entry, own)
         )
 
-    def execute(self) -> dict[str, Any]:
-        """Does what is left to do and writes the results; returns what ``summary.json`` holds.
+    def execute(self, watch: Callable[[float, int], Any] | None = None) -> dict[str, Any]:
+        """Does the work that is left and writes the results.
 
-        Whenever a router is done with all its problems, the results are written of those that are.
+        Whenever a router has finished all its problems, the results of all finished routers are
+        written.
+
+        Args:
+            watch: called about once a second with the number of problems routed so far, a training
+                under way counting as a fraction, and their number in all. A problem counts once for
+                each router and seed.
+
+        Returns:
+            What ``summary.json`` holds.
         """
         left = [part for part in self.parts if not part.rows.exists()]
         if left:
-            self._work(left)
+            self._work(left, watch)
         return self._write(self.entries)
 
     def _write(self, entries: Sequence[Entry]) -> dict[str, Any]:
-        """Writes the results of routers that are done; returns what ``summary.json`` holds."""
+        """Writes the results of finished routers; returns what ``summary.json`` holds."""
         rows = self._rows(entries)
         reference = self.config.reference
         if reference not in {entry.name for entry in entries}:
@@ -198,13 +199,13 @@ class Experiment:
         write_text(self.folder / RESULTS, json.dumps(rows, indent=1) + "\n")
         write_text(self.folder / "results.csv", to_csv(rows))
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=1) + "\n")
-        from policies.figures.plot import experiment_figures
+        from policies.figures.plot import experiment_figures  # matplotlib: not in the processes
 
         experiment_figures(self.folder)
         return summary
 
     def _types(self, rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-        """How many problems of each set are of the paper's types, by A*'s solutions."""
+        """By set, the number of problems of each of the paper's types, told by A*'s solutions."""
         types: dict[str, dict[str, int]] = {}
         for name, own in by_set(rows).items():
             astar = baseline(own)
@@ -218,10 +219,10 @@ class Experiment:
                 types[name][problem_type(routed, Solution.read(path, routed))] += 1
         return types
 
-    def _work(self, left: Sequence[Part]) -> None:
-        """Works on parts and shows how many of all problems are done."""
+    def _work(self, left: Sequence[Part], watch: Callable[[float, int], Any] | None) -> None:
+        """Works on parts; see :meth:`execute`."""
         trainings = {
-            part.run: (_Lines(part.run / "metrics.jsonl"), part.entry.options["train"])
+            part.run: (_Lines(part.run / METRICS), part.entry.options["train"])
             for part in left
             if part.entry.trains
         }
@@ -230,25 +231,22 @@ class Experiment:
         done = total - sum(len(part.problems) for part in left)
         missing = Counter(part.entry.name for part in left)
         written = 0  # routers in the results
-        with progress_bar("problems", shown=self._progress) as bar:
-            task = bar.add_task(str(self.folder), total=total, completed=done)
-            for parts in work_on(left, self.config.jobs or cores(), threads):
-                for part in parts:
-                    trainings.pop(part.run, None)
-                    done += len(part.problems)
-                missing -= Counter(part.entry.name for part in parts)
-                finished = [entry for entry in self.entries if not missing[entry.name]]
-                if missing and len(finished) > written:
-                    self._write(finished)
-                    written = len(finished)
+        for parts in work_on(left, self.config.jobs or cores(), threads):
+            for part in parts:
+                trainings.pop(part.run, None)
+                done += len(part.problems)
+            missing -= Counter(part.entry.name for part in parts)
+            finished = [entry for entry in self.entries if not missing[entry.name]]
+            if missing and len(finished) > written:
+                self._write(finished)
+                written = len(finished)
+            if watch is not None:
                 # A line is an episode of one problem.
-                begun = sum(
-                    lines.count() / train["episodes"] for lines, train in trainings.values()
-                )
-                bar.update(task, completed=done + begun)
+                begun = (lines.count() / train["episodes"] for lines, train in trainings.values())
+                watch(done + sum(begun), total)
 
     def _rows(self, entries: Sequence[Entry]) -> list[Row]:
-        """The rows of routers, by set, problem, router and seed in the configuration's order."""
+        """The rows of some routers, by set, problem, router and seed in the given order."""
         rows = {}
         names = {entry.name for entry in entries}
         for part in self.parts:
@@ -272,16 +270,16 @@ class Experiment:
 
 
 class _Lines:
-    """Counts the lines of a growing file without reading any twice."""
+    """Counts the lines of a growing file without reading any of them twice."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._read = self._count = 0
 
     def count(self) -> int:
-        """How many there are by now; 0 as long as there is no file."""
+        """The number of lines so far; 0 as long as there is no file."""
         try:
-            if self._path.stat().st_size < self._read:  # cut off by a training that goes on
+            if self._path.stat().st_size < self._read:  # cut off by a training that was resumed
                 self._read = self._count = 0
             with self._path.open("rb") as lines:
                 lines.seek(self._read)
@@ -293,19 +291,20 @@ class _Lines:
         return self._count
 
 
-_SLOW = {"optimal": 1, "dqn": 2}
-"""Routers that take longest, and the order that puts them last."""
+def _slowness(entry: Entry) -> int:
+    """The rank of a router by how long it takes: provers take long, trainings take longest."""
+    return 2 if entry.trains else int(entry.router == "optimal")
 
 
 def _shares(entry: Entry, problems: Mapping[str, Problem]) -> list[tuple[str, ...]]:
-    """The problems of a set, cut into what one process does at a time."""
+    """The problems of a set, in groups that one process does at a time."""
     if entry.router == PUBLISHED:
         return [tuple(problems)]
     if not entry.trains:
         return [(name,) for name in problems]
     grids: dict[tuple[int, int, int], list[str]] = {}
     for name, problem in problems.items():
-        grids.setdefault(problem.grid, []).append(name)  # a stack has one grid shape
+        grids.setdefault(problem.grid, []).append(name)  # a stack has only one grid shape
     size = entry.options["stack"]
     if entry.options["dqn"]["shared"]:
         if len(grids) > 1:

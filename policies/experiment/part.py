@@ -1,31 +1,31 @@
-"""A part of the work of an experiment, which a process of its own can do."""
+"""A part of an experiment's work, which one process can do."""
 
 import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from marouting import InputError, Problem, Solution, evaluate, generate
+from marouting import InputError, Problem, Solution, generate
 from marouting.config import build
 from marouting.files import write_text
-from policies.experiment.config import PUBLISHED, Entry, Published
-from policies.experiment.folder import COLUMNS, label, problem_file, read_rows, solution_file
+from policies.experiment.config import PARTS, PUBLISHED, Entry, Published
 from policies.learned.config import Config, load_config
-from policies.results.statistics import Row
+from policies.results import experiment_folder, run_folder
+from policies.results.rows import COLUMNS, Row, solution_row
 from policies.routers.base import Router, solve
-from policies.routers.registry import make_router
+from policies.routers.registry import is_learner, make_router
 
 
 @dataclass(frozen=True)
 class Part:
-    """Some problems of a set that one router routes, with one seed.
+    """Some problems of a set, for one router with one seed.
 
     Attributes:
-        folder: of the experiment.
+        folder: the experiment's folder.
         set: the set's name.
         entry: the router.
         seed: the seed; None for a router that draws no random numbers.
-        problems: names of the problems; the first is that of the part.
+        problems: the names of the problems; the part's files are named after the first.
     """
 
     folder: Path
@@ -36,29 +36,34 @@ class Part:
 
     @property
     def label(self) -> str:
-        """The router's name with the seed, as files carry it."""
-        return label(self.entry.name, self.seed)
+        """The router's name with the seed, as file names carry it."""
+        return experiment_folder.label(self.entry.name, self.seed)
 
     @property
     def rows(self) -> Path:
-        """The file with the rows: there when the part is done."""
-        return self.folder / "rows" / self.set / self.label / f"{self.problems[0]}.json"
+        """The file with the rows; it exists when the part is finished."""
+        return experiment_folder.rows_file(
+            self.folder, self.set, self.entry.name, self.seed, self.problems[0]
+        )
 
     @property
     def run(self) -> Path:
-        """The run folder of a training."""
-        return self.folder / "runs" / self.set / self.label / self.problems[0]
+        """The run folder, if the router is trained."""
+        runs = experiment_folder.runs_folder(self.folder, self.set, self.entry.name, self.seed)
+        return runs / self.problems[0]
 
     def problem(self, name: str) -> Path:
         """The file of a problem."""
-        return problem_file(self.folder, self.set, name)
+        return experiment_folder.problem_file(self.folder, self.set, name)
 
     def solution(self, name: str) -> Path:
         """The file for the solution of a problem."""
-        return solution_file(self.folder, self.set, name, self.entry.name, self.seed)
+        return experiment_folder.solution_file(
+            self.folder, self.set, name, self.entry.name, self.seed
+        )
 
     def work(self) -> None:
-        """Routes the problems; writes the solutions, and then the rows."""
+        """Routes the problems, writes the solutions, and then the rows."""
         try:
             if self.entry.router == PUBLISHED:
                 rows = self.quote()
@@ -93,50 +98,48 @@ class Part:
         solution, report = solve(router, problem)
         seconds = time.perf_counter() - started
         solution.write(self.solution(name))
-        figures = asdict(evaluate(problem, solution))
-        del figures["disconnected"]
         proven = report["status"] == "optimal" if "status" in report else None
-        return {"problem": name, **figures, "proven": proven, "seconds": round(seconds, 6)}
+        return {"problem": name, **solution_row(solution, seconds), "proven": proven}
 
     def _router(self, problem: str) -> Router:
-        if self.entry.router == "dqn":
-            from policies.learned.router import DQNRouter
+        if "checkpoint" in self.entry.options and is_learner(self.entry.router):
+            from policies.learned.router import DQNRouter  # torch: only if something learned
 
             return DQNRouter(checkpoint=self.entry.options["checkpoint"], network=problem)
         seed = {} if self.seed is None else {"seed": self.seed}
         return make_router(self.entry.router, {**self.entry.options, **seed})
 
     def _warm_up(self, router: Router) -> None:
-        """Routes a small problem once a process: compiling is no part of a router's time."""
+        """Routes a small problem, once per process, so that no time includes compiling."""
         if self.entry.name not in _warm:
             router.route(generate(1, (4, 4, 2), nets=6, capacity=1, reduced_edges=0)[0])
             _warm.add(self.entry.name)
 
     def _train(self) -> list[Row]:
-        from policies.learned import run as folders
+        from policies.learned.run import Run
 
-        kept = self.run / folders.CONFIG
-        if not (self.run / folders.POLICY).exists():
+        kept = self.run / run_folder.CONFIG
+        if not (self.run / run_folder.POLICY).exists():
             config = load_config(kept) if kept.exists() else self._training()
-            # The folder may have another name than when it was started.
+            # The folder may have been renamed since the training was started.
             config = replace(config, out=str(self.run))
-            folders.Run(config, resume=kept.exists(), progress=False).execute()
-        # The memories of what is done are no use to anybody, and large.
-        (self.run / folders.CHECKPOINT).unlink(missing_ok=True)
-        named = read_rows(self.run / folders.RESULT, {"router": str, "problem": str})
-        rows = [row for row in named if row["router"] == "dqn"]
+            Run(config, resume=kept.exists()).execute()
+        # The checkpoint of a finished training is large and of no use.
+        (self.run / run_folder.CHECKPOINT).unlink(missing_ok=True)
+        found = run_folder.read_result(self.run)
+        rows = [row for row in found if row["router"] == self.entry.router]
         for row in rows:
             name = row["problem"]
             problem = Problem.read(self.problem(name))
-            solution = Solution.read(self.run / "solutions" / f"{name}.dqn.solution", problem)
-            solution.write(self.solution(name))
+            file = run_folder.solution_file(self.run, name, self.entry.router)
+            Solution.read(file, problem).write(self.solution(name))
         return rows
 
     def _training(self) -> Config:
-        parts = {key: dict(self.entry.options[key]) for key in ("env", "dqn", "train")}
+        parts = {key: dict(self.entry.options[key]) for key in PARTS}
         parts["env"]["problem"] = [str(self.problem(name)) for name in self.problems]
         return build(Config, {"seed": self.seed, **parts})
 
 
 _warm: set[str] = set()
-"""The routers that this process has used."""
+"""The routers that this process has used already."""

@@ -1,4 +1,4 @@
-"""Work in processes of their own, which end with the one that started them, however it ends."""
+"""A pool of processes that ends with the process that started it, however that one ends."""
 
 import contextlib
 import multiprocessing
@@ -12,16 +12,17 @@ from multiprocessing.connection import Connection
 from typing import Any, Protocol, TypeVar
 
 from marouting.errors import InputError
+from marouting.registry import register, registered
 
 THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""What numba, torch and the libraries for linear algebra read when they are imported."""
+"""The variables that numba, torch and the linear algebra libraries read when imported."""
 
 
 class Work(Protocol):
-    """What a process can do; it has to be such that it can be pickled."""
+    """Work for a process; it must be possible to pickle."""
 
     def work(self) -> Any:
-        """Does it."""
+        """Does the work."""
         ...
 
 
@@ -29,35 +30,35 @@ Some = TypeVar("Some", bound=Work)
 
 
 def cores() -> int:
-    """The cores that this process may use."""
+    """The number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def work_on(parts: Sequence[Some], jobs: int, threads: int) -> Iterator[list[Some]]:
-    """Works on parts in processes of their own, in this order.
+    """Works on parts in a pool of processes, in the given order.
 
-    The processes import the main module: a script that calls this needs the usual
-    ``if __name__ == "__main__":``. When the iteration ends early, by an error or Ctrl-C, or this
-    process is killed, they end at once.
+    The processes import the main module, so a script that calls this needs the usual
+    ``if __name__ == "__main__":``. They end at once when the iteration ends early, by an error or
+    Ctrl-C, or when this process is killed.
 
     Args:
         parts: the work, one part or more.
-        jobs: processes at once, at most.
-        threads: that each process may take.
+        jobs: the largest number of processes.
+        threads: the number of threads that each process may use.
 
     Yields:
-        About every second the parts that have been done since.
+        About every second, the parts that have been finished since.
 
     Raises:
         InputError: a process was killed.
         Exception: whatever a part raises.
     """
     context = multiprocessing.get_context("spawn")
-    # Nothing is ever sent. That its one writing end is closed is what the processes wait for.
+    # Nothing is ever sent: the processes wait for the only writing end to be closed.
     lifeline, mine = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(min(jobs, len(parts)), context, _begin, (lifeline,))
+    pool = ProcessPoolExecutor(min(jobs, len(parts)), context, _begin, (lifeline, registered()))
     try:
         with _starting(threads):
             running = {pool.submit(part.work): part for part in parts}
@@ -68,8 +69,8 @@ def work_on(parts: Sequence[Some], jobs: int, threads: int) -> Iterator[list[Som
             yield [running.pop(future) for future in done]
     except BrokenProcessPool:
         raise InputError(
-            "a process at work was killed, perhaps for want of memory: expected fewer jobs at "
-            "once, or smaller ones"
+            "a process was killed, perhaps because memory ran out: expected fewer jobs at once, or "
+            "smaller problems"
         ) from None
     finally:
         mine.close()
@@ -79,7 +80,7 @@ def work_on(parts: Sequence[Some], jobs: int, threads: int) -> Iterator[list[Som
 
 @contextlib.contextmanager
 def _starting(threads: int) -> Iterator[None]:
-    """While processes are started: how many threads each takes, and no Ctrl-C in its imports."""
+    """Sets the threads of processes that start meanwhile, and blocks Ctrl-C in their imports."""
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, str(threads)))
     mask = getattr(signal, "pthread_sigmask", None)  # not on Windows
@@ -96,9 +97,11 @@ def _starting(threads: int) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _begin(lifeline: Connection) -> None:
-    """What a process does first."""
-    # Ctrl-C goes to all processes of a terminal; only the one that started the others answers it.
+def _begin(lifeline: Connection, pieces: Sequence[tuple[str, str, str]]) -> None:
+    """Prepares a process; it knows the same pieces by name as the one that started it."""
+    for piece in pieces:
+        register(*piece)
+    # Ctrl-C goes to all processes of a terminal; the one that started the others handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
 

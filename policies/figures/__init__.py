@@ -1,11 +1,11 @@
 """The paper's figures: edge utilisation, routed solutions, reward curves, comparisons of routers.
 
-Every function returns a :class:`matplotlib.figure.Figure` of its own and touches no global state
-of matplotlib, so figures can be made without a display and in threads; :func:`save` writes one.
+Every function returns a new :class:`matplotlib.figure.Figure` and touches no global state of
+matplotlib, so figures can be drawn without a display and in threads. :func:`save` writes one.
 Gcell (0, 0) lies at the lower left, and layers count from 1 as in the problem files.
 """
 
-from policies.figures.results import by_problem, decrease_histogram, growth, reward_curves
+from policies.figures.charts import by_problem, decrease_histogram, reward_curves, scaling
 from policies.figures.routes import (
     comparison,
     edges_before_after,
@@ -23,10 +23,10 @@ __all__ = [
     "comparison",
     "decrease_histogram",
     "edges_before_after",
-    "growth",
     "heat_maps",
     "reward_curves",
     "save",
+    "scaling",
     "solution_2d",
     "solution_3d",
     "study",

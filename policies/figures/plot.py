@@ -1,12 +1,13 @@
-"""The figures of a run, of an experiment, or of problem and solution files."""
+"""Writes the figures of a run, of an experiment, of a benchmark, or of problem and solution files.
+
+What the folders look like on disk is known to :mod:`policies.results`.
+"""
 
 import json
 import os
 import re
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,47 +16,18 @@ from numpy.typing import NDArray
 from marouting import InputError, Problem, Solution
 from marouting.files import unusable
 from policies import figures
-from policies.experiment import (
-    CONFIG,
-    RESULTS,
-    Study,
-    StudyColumn,
-    label,
-    load_experiment,
-    problem_file,
-    read_results,
-    solution_file,
-)
+from policies.results import experiment_folder, run_folder
+from policies.results.rows import Row
+from policies.results.run_folder import read_rewards
 from policies.results.statistics import (
-    Row,
     baseline,
     by_router,
     by_set,
-    joined_wirelength,
-    overflow,
+    mean_overflow,
+    mean_wirelength,
 )
+from policies.results.study import FigureOptions, Study, StudyColumn
 from policies.routers.astar import AStarRouter
-
-
-def read_rewards(metrics: Path) -> dict[str, list[float]]:
-    """The reward of every episode in a ``metrics.jsonl``, by problem; raises InputError."""
-    curves: dict[str, list[float]] = defaultdict(list)
-    try:
-        for number, line in enumerate(metrics.read_text(encoding="utf-8").splitlines(), 1):
-            try:
-                entry: Any = json.loads(line)
-                curves[str(entry["problem"])].append(float(entry["reward"]))
-            except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
-                raise InputError(
-                    f"{metrics}:{number}: expected an episode with problem and reward"
-                ) from None
-    except OSError as error:
-        raise unusable(metrics, "cannot be read", error) from None
-    except UnicodeDecodeError:
-        raise InputError(f"{metrics}: expected UTF-8 text") from None
-    if not curves:
-        raise InputError(f"{metrics}: expected at least one episode")
-    return curves
 
 
 def reward_figures(metrics: Path, folder: Path) -> list[Path]:
@@ -71,12 +43,12 @@ def reward_figures(metrics: Path, folder: Path) -> list[Path]:
 def problem_figures(
     problem: Problem, solutions: Mapping[str, Solution], folder: str | os.PathLike[str]
 ) -> list[Path]:
-    """Writes the figures of one problem and its solutions as PNG.
+    """Writes the figures of a problem and its solutions as PNG.
 
     Args:
-        problem: what was routed.
-        solutions: the solutions by router's name.
-        folder: where to; made when missing.
+        problem: the problem.
+        solutions: its solutions by the router's name.
+        folder: the folder for the figures; it is made if it does not exist.
 
     Returns:
         The files: for each router ``ROUTER_heat_maps.png``, ``ROUTER_histogram.png``,
@@ -114,27 +86,45 @@ def problem_figures(
 
 
 def run_figures(run: Path, folder: Path | None = None) -> list[Path]:
-    """Writes all figures of a run folder, as a rule into its ``figures/``; raises InputError."""
+    """Writes all figures of a run folder.
+
+    Args:
+        run: the run folder; of a training that is not finished, only the rewards are drawn.
+        folder: the folder for the figures; None stands for ``figures`` in the run folder.
+
+    Returns:
+        The pictures written.
+
+    Raises:
+        InputError: a file cannot be used, or the folder cannot be written to.
+    """
     folder = run / "figures" if folder is None else folder
-    written = reward_figures(run / "metrics.jsonl", folder)
+    written = reward_figures(run / run_folder.METRICS, folder)
+    finished = (run / run_folder.RESULT).exists()
+    rows = run_folder.read_result(run) if finished else []
     for path in sorted((run / "problems").glob("*.gr")):
         problem = Problem.read(path)
         solutions = {
-            router: Solution.read(file, problem)
-            for router in ("astar", "dqn")
-            if (file := run / "solutions" / f"{path.stem}.{router}.solution").exists()
+            row["router"]: Solution.read(file, problem)
+            for row in rows
+            if row["problem"] == path.stem
+            and (file := run_folder.solution_file(run, path.stem, row["router"])).exists()
         }
         written += problem_figures(problem, solutions, folder / path.stem)
     return written
 
 
 def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Path]:
-    """Writes the figures of an experiment's sets, as a rule into its ``figures/``.
+    """Writes the figures of an experiment.
+
+    Args:
+        experiment: the experiment's folder.
+        folder: the folder for the figures; None stands for ``figures`` in the experiment's.
 
     Returns:
-        For each set, and of several for ``all``: ``SET_wirelength.png`` and ``SET_overflow.png``,
-        problem by problem, and where A* is one of several routers ``SET_decrease.png``; for each
-        study ``STUDY.png``.
+        The pictures written. For each set, and for ``all`` if there are several:
+        ``SET_wirelength.png`` and ``SET_overflow.png``, problem by problem, and, where A* is one of
+        several routers, ``SET_decrease.png``; for each study ``STUDY.png``.
 
     Raises:
         InputError: there are no results, a file that a study shows is missing, or the folder cannot
@@ -147,23 +137,23 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
         figures.save(figure, folder / f"{name}.png")
         written.append(folder / f"{name}.png")
 
-    results = read_results(experiment)
+    results = experiment_folder.read_results(experiment)
     for name, rows in by_set(results).items():
         astar = baseline(rows)
-        # A* first: it has the paper's colour then.
+        # A* first: this gives it the paper's colour.
         routers = dict(sorted(by_router(rows).items(), key=lambda router: router[0] != astar))
-        lengths = {router: joined_wirelength(own) for router, own in routers.items()}
+        lengths = {router: mean_wirelength(own) for router, own in routers.items()}
         sort_by = astar or next(iter(routers))
         order = np.argsort(lengths[sort_by], kind="stable")
         title = f"{name}: {len(order)} problems"
         by = f"{sort_by}'s wirelength"
-        # What joins nothing has no figures to look at.
+        # A router that joins no problem completely has nothing to show.
         shown = {router: values for router, values in lengths.items() if not np.isnan(values).all()}
         if not shown:
             continue
         for quantity, unit, values in (
             ("wirelength", "edges", shown),
-            ("overflow", "tracks", {router: overflow(routers[router]) for router in shown}),
+            ("overflow", "tracks", {router: mean_overflow(routers[router]) for router in shown}),
         ):
             figure = figures.by_problem(values, order, f"{quantity} [{unit}]", by, title)
             write(figure, f"{name}_{quantity}")
@@ -174,10 +164,10 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
         }
         if astar is not None and decreases:
             write(figures.decrease_histogram(decreases, astar, title), f"{name}_decrease")
-    config = load_experiment(experiment / CONFIG)
-    for name, study in config.studies.items():
+    options = FigureOptions.read(experiment / experiment_folder.CONFIG)
+    for name, study in options.studies.items():
         found = {
-            title: _column(experiment, results, study, column, config.reference)
+            title: _column(experiment, results, study, column, options.reference)
             for title, column in study.columns.items()
         }
         if columns := {title: column for title, column in found.items() if column}:
@@ -186,7 +176,7 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
 
 
 CURVES = 10
-"""How many problems' rewards a composed figure shows (paper)."""
+"""How many problems a composed figure shows the rewards of (paper)."""
 
 
 def _column(
@@ -196,7 +186,7 @@ def _column(
     column: StudyColumn,
     reference: str | None,
 ) -> figures.ColumnData | None:
-    """What a column of a composed figure shows; None where its router or A* is not done.
+    """What a column of a composed figure shows; None if its router or A* is not finished.
 
     Raises:
         InputError: a file is missing.
@@ -209,7 +199,7 @@ def _column(
     if name is None or astar is None or column.router not in routers:
         return None
     own = routers[column.router]
-    # The paper's legend says what routes; a router's name tells apart what would be the same.
+    # The paper's legend names the kind of router; its entry's name tells two of a kind apart.
     first = next(iter(own.values()))[0]
     alike = {column.router, first["kind"]} & {astar, reference}
     title = column.router if alike else first["kind"]
@@ -217,19 +207,20 @@ def _column(
     if reference in routers:
         shown[reference] = routers[reference]
     chosen = column.problem or next(iter(own))[1]
-    problem = Problem.read(problem_file(experiment, name, chosen))
+    problem = Problem.read(experiment_folder.problem_file(experiment, name, chosen))
 
     def solution(router: str) -> Solution:
         seed = routers[router][name, chosen][0]["seed"]
-        return Solution.read(solution_file(experiment, name, chosen, router, seed), problem)
+        file = experiment_folder.solution_file(experiment, name, chosen, router, seed)
+        return Solution.read(file, problem)
 
     def rewards(router: str, seed: int) -> dict[str, list[float]]:
-        runs = experiment / "runs" / name / label(router, seed)
+        runs = experiment_folder.runs_folder(experiment, name, router, seed)
         found: dict[str, list[float]] = {}
-        for metrics in sorted(runs.glob("*/metrics.jsonl")):
+        for metrics in sorted(runs.glob(f"*/{run_folder.METRICS}")):
             found |= read_rewards(metrics)
         if not found:
-            raise InputError(f"{runs}: expected folders of trainings, with metrics.jsonl")
+            raise InputError(f"{runs}: expected run folders, with {run_folder.METRICS} in them")
         return found
 
     some: dict[str, list[float]] = {}
@@ -248,69 +239,72 @@ def _column(
         problem,
         solution(astar),
         solution(column.router),
-        {router: joined_wirelength(rows) for router, rows in shown.items()},
-        {router: overflow(rows) for router, rows in shown.items()},
+        {router: mean_wirelength(rows) for router, rows in shown.items()},
+        {router: mean_overflow(rows) for router, rows in shown.items()},
         some,
         means,
     )
 
 
-def growth_figure(bench: Path, folder: Path) -> Path:
-    """Draws how time grows with the size of problems, as ``marouting bench`` stored it.
+def scaling_figure(bench: Path, folder: Path) -> Path:
+    """Draws how time grows with the size of problems, as ``marouting bench`` measured it.
+
+    Args:
+        bench: the JSON file that ``marouting bench scaling --out`` wrote.
+        folder: the folder for ``scaling.png``.
 
     Raises:
-        InputError: the file cannot be read, or holds no such measurement.
+        InputError: the file cannot be read, or lacks the section ``scaling``.
     """
-    from policies.bench import scaling
-
     try:
         report = json.loads(bench.read_text(encoding="utf-8"))
-        figure = scaling.draw(report["growth"], f"measured {report['machine']['date']}")
+        figure = figures.scaling(report["scaling"], f"measured {report['machine']['date']}")
     except OSError as error:
         raise unusable(bench, "cannot be read", error) from None
     except (ValueError, KeyError, TypeError):
         raise InputError(
-            f"{bench}: expected what marouting bench --out stores, with the section growth"
+            f"{bench}: expected what marouting bench --out stores, with the section scaling"
         ) from None
-    path = folder / "growth.png"
+    path = folder / "scaling.png"
     figures.save(figure, path)
     return path
 
 
 def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> list[Path]:
-    """Draws what it is given.
+    """Draws folders and files, each in the way that suits it.
 
     Args:
-        paths: folders of runs and experiments; ``metrics.jsonl`` files; what ``marouting bench``
-            stored; ``.gr`` files, each drawn with the solution files that follow it, or with
-            sequential A*'s solution where none follows.
-        out: folder for the figures; None: ``figures`` in a folder, beside a file otherwise.
+        paths: folders of runs and experiments; ``metrics.jsonl`` files; files that ``marouting
+            bench`` wrote; ``.gr`` files, each drawn with the solution files that follow it, or with
+            sequential A*'s solution if none follows.
+        out: the folder for the figures; None stands for ``figures`` in a folder that is drawn, or
+            beside a file that is drawn.
 
     Returns:
         The pictures written.
 
     Raises:
-        InputError: a path is none of these, or cannot be used.
+        InputError: a path is none of these, or a file cannot be used.
     """
     written: list[Path] = []
     groups: list[tuple[Path, list[Path]]] = []
     for path in map(Path, paths):
         if path.is_dir():
-            if (path / RESULTS).exists():
+            if (path / experiment_folder.RESULTS).exists():
                 written += experiment_figures(path, out)
-            elif (path / "config.yaml").exists():
+            elif (path / run_folder.CONFIG).exists():
                 written += run_figures(path, out)
             else:
                 raise InputError(
-                    f"{path}: expected a run folder, with a config.yaml in it, or an "
-                    f"experiment's, with {RESULTS}"
+                    f"{path}: expected a run folder, with {run_folder.CONFIG} in it, or an "
+                    f"experiment's, with {experiment_folder.RESULTS}"
                 )
         elif not path.exists():
             raise InputError(f"{path}: expected a folder or a file, found nothing")
         elif path.suffix == ".jsonl":
             written += reward_figures(path, out or path.parent / "figures")
         elif path.suffix == ".json":
-            written.append(growth_figure(path, out or path.parent / "figures"))
+            written.append(scaling_figure(path, out or path.parent / "figures"))
         elif path.suffix == ".gr":
             groups.append((path, []))
         elif groups:
@@ -327,6 +321,6 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
 
 
 def _router(file: Path, problem: Path) -> str:
-    """What to call a solution: its file name without the problem's and the endings."""
+    """The name of a solution: its file's name without the problem's name and the suffix."""
     name = file.name.removeprefix(problem.stem).removesuffix(".solution").strip(".")
     return name or file.stem

@@ -33,14 +33,14 @@ from policies.results.utilisation import (
 def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
     """Maps of via, vertical and horizontal edge utilisation (paper, heat map figures).
 
-    As in the paper darker is less and lighter is more. An edge lies between two Gcells, and so
-    does its field: the field from y = 2 to y = 3 shows the edges from row 2 to row 3, summed over
-    the layers. Fields with an overflowed edge in any layer are outlined in red.
+    As in the paper, lighter colours mean higher utilisation. An edge lies between two Gcells, and
+    so does its field: the field from y = 2 to y = 3 shows the edges from row 2 to row 3, summed
+    over the layers. Fields with an overflowed edge in any layer are outlined in red.
 
     Args:
-        problem: whose capacities count.
+        problem: the problem, which gives the capacities.
         solution: the routes.
-        title: put before wirelength and overflow.
+        title: text before wirelength and overflow in the title.
 
     Returns:
         Three panels with colour bars: number of vias, and demand / capacity in %.
@@ -65,7 +65,7 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
 
 
 Direction = Literal["vias", "vertical", "horizontal"]
-"""Of edges: what a heat map shows."""
+"""The edges that a heat map shows."""
 
 _DIRECTIONS: dict[Direction, str] = {
     "vias": "edges between layers",
@@ -129,7 +129,7 @@ _NO_CAPACITY = "#BBBBBB"
 
 
 def map_notes(problem: Problem, solution: Solution) -> list[Patch]:
-    """What the marks in the :func:`heat_maps` mean, as far as there are any."""
+    """Legend entries for the marks that the :func:`heat_maps` of a solution have."""
     maps = utilisation_maps(problem, solution)
     notes = []
     if maps.vertical_overflow.any() or maps.horizontal_overflow.any():
@@ -141,15 +141,16 @@ def map_notes(problem: Problem, solution: Solution) -> list[Patch]:
 
 
 def utilisation_histogram(problem: Problem, solution: Solution, title: str = "") -> Figure:
-    """How many edges are used how far (paper, histograms beside the heat maps).
+    """The number of edges by utilisation (paper, histograms beside the heat maps).
 
     Args:
-        problem: whose capacities count; edges without capacity and vias are left out.
+        problem: the problem, which gives the capacities; edges without capacity and vias are left
+            out.
         solution: the routes.
-        title: put before wirelength and overflow.
+        title: text before wirelength and overflow in the title.
 
     Returns:
-        Bars for horizontal and vertical edges; the fully used and overflowed ones marked.
+        Bars for horizontal and vertical edges, with fully used and overflowed ones marked.
     """
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
@@ -170,7 +171,7 @@ def utilisation_histogram(problem: Problem, solution: Solution, title: str = "")
 
 
 def draw_histogram(axes: Axes, problem: Problem, solution: Solution) -> str:
-    """Draws :func:`utilisation_histogram` without title and legend; returns what to say of it."""
+    """Draws :func:`utilisation_histogram` without title and legend; returns a note for it."""
     counts = histogram_counts(problem, solution)
     bins = np.arange(12)
     for row, (label, colour, hatch) in enumerate(
@@ -204,12 +205,13 @@ def edges_before_after(problem: Problem, solution: Solution, title: str = "") ->
     """Capacity of every edge before (blue) and after (red) routing (paper, edge utilisation plot).
 
     Args:
-        problem: whose capacities count; edges without capacity and vias are left out.
+        problem: the problem, which gives the capacities; edges without capacity and vias are left
+            out.
         solution: the routes.
-        title: put before the type of the problem.
+        title: text before the type of the problem in the title.
 
     Returns:
-        One plot, edges in falling order of what remains, fully used ones pointed out.
+        One plot, edges in descending order of remaining capacity, with fully used ones marked.
     """
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
@@ -221,7 +223,7 @@ def edges_before_after(problem: Problem, solution: Solution, title: str = "") ->
 
 
 def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
-    """Draws :func:`edges_before_after`; the title says of what type the problem is."""
+    """Draws :func:`edges_before_after`; the title names the type of the problem."""
     edge = routable_edges(problem)
     before = problem.capacity[edge].astype(np.int64)
     after = before - demand_on(problem, solution)[edge]
@@ -286,7 +288,7 @@ def _edges(count: int) -> str:
 
 # Solutions --------------------------------------------------------------------------------------
 
-# The part of a Gcell's width that the tracks of its nets may take up, and one track at most.
+# The most that the tracks of all nets, and a single track, may take up of a Gcell's width.
 _SPREAD, _TRACK = 0.76, 0.12
 
 
@@ -295,11 +297,11 @@ class _Drawing(NamedTuple):
 
     Attributes:
         lines: for each layer (k, 2, 2) float64, the ends of its edges.
-        vias: (v, 2) float64, once a net and column of Gcells.
+        vias: (v, 2) float64, one for each net and column of Gcells.
         via_layers: (v, 2) int64, the lowest and highest layer each of them joins, from 0.
         pins: (p, 3) float64, x, y and layer from 0.
         overflowed: (o, 2, 3) float64, the ends of the overflowed edges, not shifted.
-        pitch: from a track to the next, in Gcells.
+        pitch: the distance between two tracks, in Gcells.
     """
 
     lines: tuple[NDArray[np.float64], ...]
@@ -311,10 +313,10 @@ class _Drawing(NamedTuple):
 
 
 def _tracks(problem: Problem, solution: Solution) -> NDArray[np.int64]:
-    """(nets,) a track for each net, such that no two nets in one column of Gcells share one.
+    """(nets,) int64, a track for each net, such that no two nets share one in a column of Gcells.
 
-    Long nets choose first and each takes the first free track, so the answer is deterministic and
-    needs few of them.
+    Long nets choose first and each takes the first free track, so the result is deterministic and
+    needs few tracks.
     """
     layers = problem.grid[2]
     columns = [
@@ -372,9 +374,9 @@ def solution_2d(problem: Problem, solution: Solution, title: str = "") -> Figure
     told apart.
 
     Args:
-        problem: what was routed.
+        problem: the problem.
         solution: the routes.
-        title: put before wirelength and overflow.
+        title: text before wirelength and overflow in the title.
 
     Returns:
         One drawing, with pins, vias and overflowed edges marked.
@@ -429,7 +431,7 @@ def draw_routes(axes: Axes, problem: Problem, solution: Solution, title: str, gc
 
 
 def solution_3d(problem: Problem, solution: Solution, title: str = "") -> Figure:
-    """The routes in space, layers above one another; the arguments of :func:`solution_2d`."""
+    """The routes in three dimensions, layer above layer; arguments as for :func:`solution_2d`."""
     columns, rows, layers = problem.grid
     figure = Figure(figsize=(9, 8), layout="constrained")
     # Three-dimensional axes have no type stubs.
@@ -473,7 +475,7 @@ def comparison(solutions: Mapping[str, Solution]) -> Figure:
         solutions: the solutions by router's name, all of one problem.
 
     Returns:
-        One drawing a router; wirelength and overflow stand in its title.
+        One drawing per router, with wirelength and overflow in its title.
 
     Raises:
         InputError: there is no solution, or one belongs to another problem.
@@ -500,7 +502,7 @@ def comparison(solutions: Mapping[str, Solution]) -> Figure:
 
 
 def _heading(problem: Problem, solution: Solution, title: str) -> str:
-    """Title, wirelength and overflow; and how many nets are not joined, where there are any."""
+    """Title, wirelength and overflow, and the number of nets not joined if there are any."""
     figures = evaluate(problem, solution)
     line = f"WL {figures.wirelength}, OF {figures.overflow}"
     if figures.disconnected:
@@ -540,7 +542,7 @@ def _legend(
     ncols: int,
     upright: bool = False,
 ) -> None:
-    """What the lines and marks of a drawing mean; vias are upright lines in three dimensions."""
+    """Adds a legend of lines and marks; vias are upright lines in three dimensions."""
     figure.legend(
         handles=route_notes(problem, solutions, upright),
         loc="outside lower center",
@@ -552,13 +554,13 @@ def _legend(
 
 
 SHIFTED = "nets are shifted within their Gcells to be told apart"
-"""What is to be said of every drawing of routes."""
+"""A note for the legend of every drawing of routes."""
 
 
 def route_notes(
     problem: Problem, solutions: Sequence[Solution], upright: bool = False
 ) -> list[Line2D | Patch]:
-    """What the lines and marks of a drawing of routes mean."""
+    """Legend entries for the lines and marks of a drawing of routes."""
     layers = problem.grid[2]
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=_layer_colour(z, layers), linewidth=2, label=f"layer {z + 1}")

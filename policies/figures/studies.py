@@ -1,6 +1,6 @@
-"""Composed figures: routers side by side, quantities below one another.
+"""Composed figures: routers side by side, quantities in rows.
 
-What they show is told by :class:`policies.experiment.Study`.
+:class:`policies.results.study.Study` describes one.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from marouting.errors import InputError
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
-from policies.experiment.study import Panel
-from policies.figures.results import (
+from policies.figures.charts import (
     decrease_bins,
     decrease_note,
     draw_by_problem,
@@ -35,20 +34,21 @@ from policies.figures.routes import (
     map_notes,
     route_notes,
 )
+from policies.results.study import Panel
 
 
 class ColumnData(NamedTuple):
-    """What a column of a composed figure shows: one router on one set of problems.
+    """The data of a column of a composed figure: one router on one set of problems.
 
     Attributes:
-        problem: the one problem that is shown.
-        astar: A*'s solution of it.
-        solution: the column's own.
-        wirelength: (problems,) float64 by router, A* first, the column's own second (unless it is
-            A* itself); NaN where connections stayed open.
-        overflow: (problems,) float64 of the same.
-        rewards: reward of each episode, by problem.
-        mean_rewards: the mean over problems and seeds of each episode's reward, by router.
+        problem: the problem that panels of one problem show.
+        astar: A*'s solution of this problem.
+        solution: the router's solution of this problem.
+        wirelength: (problems,) float64 by router, A* first and the column's router second (unless
+            it is A* itself); NaN where tasks stayed open.
+        overflow: (problems,) float64, by the same routers.
+        rewards: the reward of each episode, by problem.
+        mean_rewards: each episode's reward, averaged over problems and seeds, by router.
     """
 
     problem: Problem
@@ -61,18 +61,18 @@ class ColumnData(NamedTuple):
 
 
 def study(columns: Mapping[str, ColumnData], panels: Sequence[Panel]) -> Figure:
-    """Routers side by side, quantities below one another (paper, studies of γ and of the burn-in).
+    """Routers side by side, quantities in rows (paper, studies of γ and of the burn-in).
 
     Args:
-        columns: the routers by the column's title.
-        panels: the quantities.
+        columns: the data of each column, by its title.
+        panels: the quantity that each row shows.
 
     Returns:
-        A panel for each, with letters row by row. Decreases have the same axes in all columns, and
-        rewards the same range; problems rise by A*'s wirelength.
+        A panel for each column and quantity, lettered row by row. Decreases have the same axes in
+        all columns, and rewards the same range. Problems are sorted by A*'s wirelength.
 
     Raises:
-        InputError: there is nothing to show.
+        InputError: there is no column or no panel.
     """
     if not columns or not panels:
         raise InputError("study: expected at least one column and one panel")
@@ -93,7 +93,7 @@ def study(columns: Mapping[str, ColumnData], panels: Sequence[Panel]) -> Figure:
         note = axes.get_title()
         axes.set_title("")
         axes.set_title(f"({ascii_lowercase[index % 26]})", fontsize=10, loc="left")
-        # A configuration's titles may hold dollars, which are no formulas.
+        # A configuration's titles may contain dollar signs that do not mean formulas.
         axes.set_title("\n".join(filter(None, (title, note))), fontsize=10, parse_math=False)
         axes.xaxis.label.set_fontsize(9)
         axes.yaxis.label.set_fontsize(9)
@@ -192,7 +192,7 @@ def _reward_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     positive = everything[everything > 0]
     low, high = everything.min() - 1, everything.max() + 1
     if positive.size:
-        # The first episodes are left out as in the paper: their reward is negative, or nearly.
+        # As in the paper, the first episodes are left out: their reward is negative or small.
         high = 1.1 * positive.max()
         low = min(np.quantile(positive, 0.02), high / 10)
     for axes, column in zip(row, columns, strict=True):
@@ -206,7 +206,7 @@ def _reward_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
             axes.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
             axes.tick_params(axis="y", which="minor", labelsize=8)
             axes.set_ylabel("reward of an episode, logarithmic")
-        axes.set_title(f"{len(column.rewards)} problems at random")
+        axes.set_title(f"{len(column.rewards)} random problems")
 
 
 def _mean_reward_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
@@ -247,12 +247,12 @@ def _route_notes(column: ColumnData) -> Sequence[Artist]:
 
 
 class _Kind(NamedTuple):
-    """A kind of panels.
+    """A kind of panel.
 
     Attributes:
-        draw: draws a row of them.
-        size: width and height of one in inches.
-        notes: what the legend below all panels has to say of a column.
+        draw: draws a row of such panels.
+        size: the width and height of one panel in inches.
+        notes: entries of a column for the legend below all panels.
     """
 
     draw: _Draw

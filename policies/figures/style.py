@@ -1,4 +1,4 @@
-"""What all figures share: colours, and how they are written to files."""
+"""Colours, and writing figures to files."""
 
 import os
 from pathlib import Path
@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from marouting.errors import InputError
 from marouting.files import writing
 
-# Paul Tol's "vibrant" scheme: told apart in print and by colour-blind readers.
+# Paul Tol's "vibrant" scheme: distinct in print and for colour-blind readers.
 BLUE, RED, TEAL, ORANGE = "#0077BB", "#CC3311", "#009988", "#EE7733"
 MAGENTA, CYAN, INK = "#EE3377", "#33BBEE", "#202020"
 LINES = (BLUE, RED, TEAL, ORANGE, MAGENTA, CYAN, INK)
@@ -24,7 +24,7 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
 
     Args:
         figure: the figure.
-        path: the file; its suffix gives the format (``.png`` when it has none).
+        path: the file; its suffix gives the format (``.png`` if there is none).
 
     Raises:
         InputError: the file cannot be written, or matplotlib does not know the format.

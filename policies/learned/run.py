@@ -1,18 +1,6 @@
-"""A training and its run folder: logs, checkpoints, resume, solutions, figures.
+"""A training in its run folder: logs, checkpoints, resuming, solutions, figures.
 
-What a run folder holds:
-
-=====================  ==========================================================================
-config.yaml            the whole configuration, defaults included
-problems/NAME.gr       what was routed
-metrics.jsonl          a line for every episode (:class:`policies.learned.trainer.Episode`)
-tensorboard/           the same for TensorBoard
-checkpoint.pt          everything needed to go on
-policy.pt              the networks alone, when the training is finished
-solutions/NAME.*       the routes of the best episode (``dqn``) and of sequential A* (``astar``)
-result.json            a row for each problem and router
-figures/               pictures
-=====================  ==========================================================================
+The run folder is described in :mod:`policies.results.run_folder`.
 """
 
 import contextlib
@@ -21,37 +9,32 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 import yaml
 
-from marouting import InputError, Solution, evaluate
+from marouting import InputError
 from marouting.config import check_same, plain
 from marouting.files import write_text, writing
 from marouting.source import load_problems
-from policies.cli.progress import progress_bar
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
 from policies.learned.logs import Logs
 from policies.learned.trainer import Episode, Trainer
+from policies.results.rows import Row, solution_row
+from policies.results.run_folder import (
+    CHECKPOINT,
+    CONFIG,
+    METRICS,
+    POLICY,
+    RESULT,
+    solution_file,
+)
 from policies.routers.astar import AStarRouter
-
-CONFIG, METRICS, CHECKPOINT = "config.yaml", "metrics.jsonl", "checkpoint.pt"
-POLICY, RESULT = "policy.pt", "result.json"
-
-Row = dict[str, Any]
-"""One router on one problem, as ``result.json`` holds it."""
-
-
-def row(router: str, solution: Solution, seconds: float) -> Row:
-    """The figures of a solution under the names that all tables use."""
-    figures = asdict(evaluate(solution.problem, solution))
-    del figures["disconnected"]
-    return {"router": router, **figures, "seconds": round(seconds, 3)}
 
 
 def write_config(config: Config, path: Path) -> None:
@@ -70,16 +53,14 @@ class Run:
     Args:
         config: what to do; its ``out`` is the folder.
         resume: whether the folder holds a run to go on with; otherwise it must hold none.
-        progress: whether to show a progress bar on standard error.
 
     Raises:
         InputError: the folder, the configuration or a problem cannot be used.
     """
 
-    def __init__(self, config: Config, *, resume: bool = False, progress: bool = True) -> None:
+    def __init__(self, config: Config, *, resume: bool = False) -> None:
         self.config = config
         self.folder = Path(config.out)
-        self._progress = progress
         if resume:
             self._check_same()
         elif (self.folder / CONFIG).exists():
@@ -127,22 +108,33 @@ class Run:
     def _state(self) -> dict[str, Any]:
         return {**self.trainer.state(), "seconds": self._seconds, "logged": self._logged}
 
-    def execute(self) -> list[Row]:
-        """Trains to the end and writes everything; returns the rows of ``result.json``."""
+    @property
+    def episodes(self) -> tuple[int, int]:
+        """The episodes finished so far, and their number in all, of all problems together."""
+        total = self.config.train.episodes * len(self.problems)
+        return int(self.trainer.episodes.sum()), total
+
+    def execute(self, watch: Callable[[Sequence[Episode]], Any] | None = None) -> list[Row]:
+        """Trains to the end and writes everything.
+
+        Args:
+            watch: called with episodes as they finish, at least one at a time.
+
+        Returns:
+            The rows of ``result.json``.
+        """
         config, trainer = self.config, self.trainer
         started = time.monotonic() - self._seconds
         saved = time.monotonic()
         with (
             Logs(self.folder, self._logged, config.train.tensorboard) as logs,
-            progress_bar("episodes", shown=self._progress) as bar,
             _holding_interrupts() as interrupts,
         ):
-            total = config.train.episodes * len(self.problems)
-            task = bar.add_task("burn-in", total=total, completed=int(trainer.episodes.sum()))
             for episodes in trainer.run():
                 if episodes:
                     logs.write(episodes)
-                    bar.update(task, advance=len(episodes), description=_brief(episodes[-1]))
+                    if watch is not None:
+                        watch(episodes)
                 if interrupts or time.monotonic() - saved >= config.train.checkpoint_seconds:
                     self._seconds, self._logged = time.monotonic() - started, logs.flush()
                     _save(self._state(), self.folder / CHECKPOINT)
@@ -154,7 +146,7 @@ class Run:
         _save(self.trainer.policy(), self.folder / POLICY)
         _save(self._state(), self.folder / CHECKPOINT)
         if config.train.figures:
-            from policies.figures.plot import run_figures
+            from policies.figures.plot import run_figures  # matplotlib: only if it is wanted
 
             run_figures(self.folder)
         return rows
@@ -168,8 +160,8 @@ class Run:
             astar = AStarRouter().route(self.problems[name])
             seconds = time.perf_counter() - start
             for router, routed, spent in (("astar", astar, seconds), ("dqn", solution, each)):
-                routed.write(self.folder / "solutions" / f"{name}.{router}.solution")
-                rows.append({"problem": name, **row(router, routed, spent)})
+                routed.write(solution_file(self.folder, name, router))
+                rows.append({"problem": name, "router": router, **solution_row(routed, spent)})
         write_text(self.folder / RESULT, json.dumps(rows, indent=1) + "\n")
         return rows
 
@@ -207,10 +199,3 @@ def clear(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
     for name in ("problems", "solutions", "tensorboard", "figures"):
         shutil.rmtree(folder / name, ignore_errors=True)
-
-
-def _brief(episode: Episode) -> str:
-    return (
-        f"{episode.problem}: joined {episode.joined}/{episode.tasks}, "
-        f"WL {episode.wirelength}, reward {episode.reward:.0f}"
-    )

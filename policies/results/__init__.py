@@ -1,1 +1,1 @@
-"""What results say: statistics over rows, the use of edges."""
+"""Results as files on disk and what they say: rows, folders, statistics, use of edges."""

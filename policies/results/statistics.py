@@ -1,8 +1,8 @@
-"""What the rows of an experiment say: gaps, wins, means and their intervals.
+"""Statistics of an experiment's rows: gaps, wins, means and their intervals.
 
-A row (:class:`policies.experiment.Experiment`) is one router on one problem with one seed.
-Everything is first worked out for each row, then averaged over a problem's seeds, and then summed
-or averaged over the problems: intervals are over problems, spreads over seeds.
+A row is one router on one problem with one seed. Every figure is computed for each row, then
+averaged over a problem's seeds, and then summed or averaged over the problems. Intervals are taken
+over the problems, spreads over the seeds.
 """
 
 import itertools
@@ -16,32 +16,32 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-Row = dict[str, Any]
+from policies.results.rows import Row
 
 CONFIDENCE = 0.95
-"""Of all intervals."""
+"""The confidence level of all intervals."""
 
 ALL = "all"
-"""What all sets together are called; no set is."""
+"""The name of all sets together, which no set may have."""
 
 _Problems = Mapping[tuple[str, str], Sequence[Row]]
-"""The rows of one router: for each set and problem one a seed."""
+"""The rows of one router by set and problem, one for each seed."""
 
 
 def rank(row: Mapping[str, Any]) -> tuple[int, int, int]:
-    """What solutions are compared by, lower being better: open connections, overflow, wirelength.
+    """Open tasks, overflow and wirelength: solutions compare by these in turn, lower is better.
 
-    Published rows say nothing of open connections; they count as joined.
+    Published rows do not say how many two-pin tasks are open; all count as joined.
     """
-    open_connections = 0 if row["joined"] is None else row["tasks"] - row["joined"]
-    return open_connections, row["overflow"], row["wirelength"]
+    open_tasks = 0 if row["joined"] is None else row["tasks"] - row["joined"]
+    return open_tasks, row["overflow"], row["wirelength"]
 
 
 def add_gaps(rows: Sequence[Row]) -> None:
-    """Fills ``gap`` of every row: its wirelength above the proven optimum's, in %.
+    """Fills in ``gap`` of every row: its wirelength above the proven optimum's, in %.
 
-    None where no row of the problem is proven, or where the solution has open connections or
-    overflow that the optimum has not: then less wirelength is no merit.
+    The gap is None if no row of the problem is proven optimal, or if the solution has open tasks or
+    overflow that the optimum lacks: less wirelength is then no merit.
     """
     optimum: dict[tuple[str, str], Row] = {}
     for row in rows:
@@ -59,7 +59,7 @@ def mean_interval(values: NDArray[np.float64]) -> dict[str, float | None]:
     """The mean of (n,) values and its 95 % interval by Student's t.
 
     Returns:
-        ``mean``, ``low`` and ``high``; None for what so few values do not say.
+        ``mean``, ``low`` and ``high``; None where there are too few values.
     """
     count = len(values)
     mean = float(values.mean()) if count else None
@@ -78,7 +78,7 @@ def share_interval(share: float, count: int) -> tuple[float, float]:
 
 
 def by_router(rows: Sequence[Row]) -> dict[str, dict[tuple[str, str], list[Row]]]:
-    """The rows of every router, for each set and problem one a seed, in the order they come."""
+    """The rows by router, and then by set and problem, one for each seed, in their order."""
     grouped: dict[str, dict[tuple[str, str], list[Row]]] = defaultdict(lambda: defaultdict(list))
     for row in rows:
         grouped[row["router"]][row["set"], row["problem"]].append(row)
@@ -86,7 +86,7 @@ def by_router(rows: Sequence[Row]) -> dict[str, dict[tuple[str, str], list[Row]]
 
 
 def by_set(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The rows of every set; of several sets also ``all``, of the routers that are for all."""
+    """The rows by set; if there are several, also ``all``: those of the routers run on all sets."""
     grouped: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         grouped[row["set"]].append(row)
@@ -99,12 +99,12 @@ def by_set(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def baseline(rows: Sequence[Row]) -> str | None:
-    """The router that counts as A*: the first of kind ``astar``."""
+    """The router that others are compared with as A*: the first of kind ``astar``."""
     return next((row["router"] for row in rows if row["kind"] == "astar"), None)
 
 
-def joined_wirelength(problems: _Problems) -> NDArray[np.float64]:
-    """(problems,) wirelength, averaged over the seeds; NaN where connections stayed open."""
+def mean_wirelength(problems: _Problems) -> NDArray[np.float64]:
+    """(problems,) wirelength, averaged over the seeds; NaN where tasks stayed open."""
 
     def value(row: Row) -> float | None:
         return None if rank(row)[0] else row["wirelength"]
@@ -112,7 +112,7 @@ def joined_wirelength(problems: _Problems) -> NDArray[np.float64]:
     return _over_seeds(_values(problems, value))
 
 
-def overflow(problems: _Problems) -> NDArray[np.float64]:
+def mean_overflow(problems: _Problems) -> NDArray[np.float64]:
     """(problems,) overflow, averaged over the seeds."""
     return _over_seeds(_values(problems, lambda row: row["overflow"]))
 
@@ -125,10 +125,10 @@ def _values(problems: _Problems, value: Callable[[Row], float | None]) -> NDArra
 def _against(
     problems: _Problems, others: _Problems, value: Callable[[Row, Row], float]
 ) -> NDArray[np.float64]:
-    """(problems, seeds) a value of every row and the other router's, seed by seed."""
+    """(problems, seeds) a value of every row and the other router's row, seed by seed."""
 
     def pairs(rows: Sequence[Row], other: Sequence[Row]) -> list[tuple[Row, Row]]:
-        # A router without seeds has one row, which all seeds of the other stand against.
+        # A router without seeds has one row, which is compared with all seeds of the other.
         count = max(len(rows), len(other))
         cycles = itertools.cycle(rows), itertools.cycle(other)
         return list(itertools.islice(zip(*cycles, strict=False), count))
@@ -140,34 +140,36 @@ def _against(
 
 
 def _over_seeds(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(problems,) the means over the seeds, of those that are there."""
+    """(problems,) the means over the seeds, ignoring NaN."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of nothing but NaN
+        warnings.simplefilter("ignore", RuntimeWarning)  # a mean of nothing but NaN
         return np.asarray(np.nanmean(values, axis=1), np.float64)
 
 
 def summarise(rows: Sequence[Row], reference: str | None = None) -> list[dict[str, Any]]:
-    """One summary a router, in the order of the rows.
+    """A summary of each router, in the order of the rows.
 
     Args:
-        rows: of one set of problems, or of several taken as one; every router on all problems.
+        rows: the rows of one set of problems, or of several taken as one; every router must have
+            rows on all problems.
         reference: a router to compare all others with, besides A*.
 
     Returns:
         For each router:
 
-        ``router``, ``kind``, ``problems`` and ``seeds`` (how many);
-        ``overflow`` in all; ``zero_overflow``, the problems with none and every connection made;
-        ``open`` connections in all;
+        ``router``, ``kind``, and the numbers of ``problems`` and ``seeds``;
+        ``overflow``, the total in tracks; ``zero_overflow``, the number of problems without
+        overflow and without open tasks; ``open``, the total of open tasks;
         ``wirelength``: ``mean``, ``low`` and ``high`` (95 % by Student's t over the problems);
-        ``gap``: the same of the gap to the optimum in %, and ``problems``, on how many it is known;
+        ``gap``: the same for the gap to the optimum in %, and ``problems``, on how many it is
+        known;
         ``lower_wirelength``: ``percent`` of the problems with less wirelength than A* and no more
-        open connections (the paper's "DRL win"), ``low`` and ``high`` (95 % by Wilson's score);
+        open tasks (the paper's "DRL win"), ``low`` and ``high`` (95 % by Wilson's score);
         ``astar`` and ``reference``: ``wins``, ``ties`` and ``losses`` by :func:`rank`;
         ``seconds``: the median over the problems;
-        ``spread``: standard deviations over the seeds of the figures of the set; None for one seed.
+        ``spread``: standard deviations over the seeds of the set's figures; None for one seed.
 
-        None stands for what there is not. With several seeds counts need not be whole.
+        A figure that is not known is None. With several seeds, counts need not be whole numbers.
     """
     grouped = by_router(rows)
     astar = baseline(rows)
@@ -221,7 +223,7 @@ def _summary(
 
 
 def _is_lower(row: Row, other: Row) -> float:
-    """Whether a row has less wirelength than another and no more open connections."""
+    """Whether a row has less wirelength than another and no more open tasks."""
     return rank(row)[0] <= rank(other)[0] and row["wirelength"] < other["wirelength"]
 
 
@@ -240,19 +242,19 @@ def _record(problems: _Problems, others: _Problems) -> dict[str, float]:
 
 
 def _share(holds: NDArray[np.float64]) -> dict[str, float]:
-    """The percentage of problems (problems, seeds) for which something holds."""
+    """The share of problems where a condition (problems, seeds) holds, and its interval, in %."""
     share = float(_over_seeds(holds).mean())
     low, high = share_interval(share, len(holds))
     return {"percent": 100 * share, "low": 100 * low, "high": 100 * high}
 
 
 def _total(values: NDArray[np.floating | np.bool_]) -> float:
-    """The sum over (problems, seeds) of the means over the seeds; an int where it is whole."""
+    """The sum over the problems of the means over the seeds; an int if it is whole."""
     total = float(_over_seeds(values.astype(np.float64)).sum())
     return round(total) if math.isclose(total, round(total), abs_tol=1e-9) else total
 
 
 def _spread(of_seeds: NDArray[Any]) -> float | None:
-    """The standard deviation over (seeds,) figures; None where a seed has none."""
+    """The standard deviation of (seeds,) figures; None if one of them is NaN."""
     spread = float(np.std(of_seeds, ddof=1))
     return None if math.isnan(spread) else spread

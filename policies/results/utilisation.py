@@ -1,4 +1,4 @@
-"""How far the edges of a problem are used by a solution: the numbers behind the paper's figures."""
+"""How much of each edge's capacity a solution uses: the numbers behind the paper's figures."""
 
 from typing import Literal, NamedTuple
 
@@ -12,15 +12,15 @@ from marouting.problem.solution import Solution
 
 
 class UtilisationMaps(NamedTuple):
-    """How far the edges of each direction are used, all layers taken together.
+    """The utilisation of the edges in each direction, summed over all layers.
 
     Attributes:
-        via: (X, Y) int64, vias in use at each column of Gcells, counted once a net.
+        via: (X, Y) int64, vias in use at each column of Gcells, counted once per net.
         vertical: (X, Y − 1) float64, demand / capacity in % of the edges from row y to y + 1; NaN
-            where there is neither, infinite where there is demand without capacity.
+            where both are zero, infinite where there is demand without capacity.
         horizontal: (X − 1, Y) float64, the same from column x to x + 1.
-        vertical_overflow: (X, Y − 1) bool, whether one of the layers' edges overflows.
-        horizontal_overflow: (X − 1, Y) bool.
+        vertical_overflow: (X, Y − 1) bool, whether the edge overflows on any layer.
+        horizontal_overflow: (X − 1, Y) bool, likewise.
     """
 
     via: NDArray[np.int64]
@@ -31,7 +31,7 @@ class UtilisationMaps(NamedTuple):
 
 
 def utilisation_maps(problem: Problem, solution: Solution) -> UtilisationMaps:
-    """How far the edges of each direction are used; raises InputError for another grid."""
+    """The utilisation in each direction; raises InputError if the grids differ."""
     shape = (*problem.grid, AXES)
     demand = demand_on(problem, solution).reshape(shape)
     _, used = solution.uses
@@ -57,7 +57,7 @@ def utilisation_maps(problem: Problem, solution: Solution) -> UtilisationMaps:
 
 
 def histogram_counts(problem: Problem, solution: Solution) -> NDArray[np.int64]:
-    """Counts the edges by utilisation, vias and edges without capacity left out.
+    """Counts the edges by utilisation, without vias and edges that have no capacity.
 
     Returns:
         (2, 12) int64: horizontal and vertical edges with utilisation 0 to below 10 %, …, 90 to
@@ -71,7 +71,7 @@ def histogram_counts(problem: Problem, solution: Solution) -> NDArray[np.int64]:
 
 
 def depleted_edges(problem: Problem, solution: Solution) -> NDArray[np.int64]:
-    """The edges that had capacity and whose capacity the solution uses up (or exceeds).
+    """The edges with capacity whose capacity the solution uses up or exceeds.
 
     Returns:
         Sorted edge numbers, int64.
@@ -85,10 +85,10 @@ def problem_type(problem: Problem, solution: Solution) -> Literal["I", "II"]:
 
     Args:
         problem: the problem.
-        solution: sequential A*'s.
+        solution: sequential A*'s solution.
 
     Returns:
-        ``II`` if an edge that had capacity is fully used (partial edge depletion), otherwise ``I``.
+        ``II`` if the capacity of an edge is used up (partial edge depletion), otherwise ``I``.
     """
     return "II" if len(depleted_edges(problem, solution)) else "I"
 
@@ -103,11 +103,11 @@ def demand_on(problem: Problem, solution: Solution) -> NDArray[np.int64]:
 
 
 def stray_edges(problem: Problem, solution: Solution) -> int:
-    """How many edges without capacity are used all the same: overflow without utilisation."""
+    """The number of edges without capacity that are used: overflow that no percentage shows."""
     return int(np.count_nonzero((problem.capacity == 0) & (demand_on(problem, solution) > 0)))
 
 
 def routable_edges(problem: Problem) -> NDArray[np.int64]:
-    """(k,) int64, the numbers of the edges along x and y that have capacity, rising."""
+    """(k,) int64, the numbers of the edges along x and y that have capacity, ascending."""
     along = np.arange(len(problem.capacity)) % AXES != VIA_AXIS
     return np.flatnonzero(along & (problem.capacity > 0)).astype(np.int64)

@@ -1,4 +1,4 @@
-"""The paper's benchmark: nets one after the other along A* paths."""
+"""The paper's baseline: nets routed one after another along A* paths."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,17 +15,26 @@ from marouting.trees.decomposition import Decomposition
 
 @dataclass(frozen=True)
 class AStarRouter:
-    """Sequential A* (:mod:`marouting.search.astar`); the defaults are the paper's benchmark.
+    """Sequential A* (:mod:`marouting.search.astar`).
+
+    A* is due to Hart, Nilsson and Raphael, "A formal basis for the heuristic determination of
+    minimum cost paths", IEEE Transactions on Systems Science and Cybernetics 4, 1968. The defaults
+    give the paper's baseline.
 
     Attributes:
-        net_order: which nets come first: ``half_perimeter`` (the largest bounding box, as in the
-            authors' code), ``half_perimeter_up`` (the smallest), ``file``, or ``random``.
-        best_of: orders to try, of which the solution with the least overflow, and then the least
-            wirelength, is taken: that of ``net_order`` first, the others random.
-        target: where a task's path ends: ``pin``, at the task's other pin (the paper), or ``tree``,
-            at the nearest Gcell of what is routed of the net.
-        decomposition: of nets into tasks: ``mst`` (the paper) or ``steiner``.
-        seed: where random orders start.
+        net_order: which nets come first: ``half_perimeter``, those with the largest bounding box
+            (as in the authors' code); ``half_perimeter_up``, those with the smallest; ``file``,
+            the order in the problem; or ``random``.
+        best_of: number of orders to try, ``net_order`` first and then random ones. The solution
+            with the least overflow is taken, and among those the one with the least wirelength.
+        target: where the path of a two-pin task ends: ``pin``, at the task's other pin (the
+            paper), or ``tree``, at the nearest Gcell of the net's routed part.
+        decomposition: how nets are cut into two-pin tasks: ``mst``, along a minimum spanning tree
+            (the paper), or ``steiner``, along a Steiner tree.
+        seed: seed of the random orders.
+
+    Raises:
+        InputError: ``best_of`` or ``seed`` is out of range.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -43,15 +52,19 @@ class AStarRouter:
 
     @property
     def seeded(self) -> bool:
-        """Whether it draws random numbers."""
+        """Whether the router draws random numbers with these options."""
         return self.net_order == "random" or self.best_of > 1
 
     def route(self, problem: Problem) -> Solution:
-        """A solution with every net joined, with overflow where there is no other way."""
+        """Routes a problem.
+
+        Returns:
+            A solution in which every net is joined, with overflow where A* finds no way without.
+        """
         return min(self._routes(problem), key=_figures)
 
     def _routes(self, problem: Problem) -> Iterator[Solution]:
-        """The solutions of all orders."""
+        """The solution of each order."""
         rng = np.random.default_rng(self.seed)
         order: Any = self.net_order
         for _ in range(self.best_of):
@@ -64,6 +77,6 @@ class AStarRouter:
 
 
 def _figures(solution: Solution) -> tuple[int, int]:
-    """What is better is less."""
+    """Overflow and wirelength; the smaller tuple is better."""
     found = evaluate(solution.problem, solution)
     return found.overflow, found.wirelength

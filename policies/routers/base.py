@@ -1,4 +1,4 @@
-"""What routers and policies are."""
+"""The interfaces of routers and policies."""
 
 from typing import Any, Protocol, runtime_checkable
 
@@ -6,14 +6,14 @@ from marouting import Problem, Solution
 
 
 class Policy(Protocol):
-    """Chooses moves in any face of the environment."""
+    """Chooses moves in the environment, through any of its interfaces."""
 
     def act(self, observation: Any, mask: Any) -> int:
-        """A move.
+        """Chooses a move.
 
         Args:
-            observation: (F,) float32, what the agent sees.
-            mask: (6,) int8, the moves that cross an edge.
+            observation: float32, what the agent sees.
+            mask: (6,) int8, 1 for the moves that cross an edge.
 
         Returns:
             One of the six moves.
@@ -22,20 +22,22 @@ class Policy(Protocol):
 
 
 class Router(Protocol):
-    """Routes whole problems."""
+    """Routes whole problems.
 
-    @property
-    def name(self) -> str:
-        """What tables call it."""
-        ...
+    This method is all that a router needs to be used by its registered name or as ``module:Class``.
+    Its options are the fields of the class if it is a dataclass, those of its nested dataclass
+    ``Options`` if it has one, and the keyword arguments of its constructor otherwise. An experiment
+    runs a router with an option ``seed`` once for each seed, unless its options have an attribute
+    ``seeded`` that is false.
+    """
 
     def route(self, problem: Problem) -> Solution:
-        """A solution of the problem; nets that could not be joined stay open in it."""
+        """A solution of the problem, in which nets that could not be joined stay open."""
         ...
 
 
 class Routed(Protocol):
-    """A solution, and what its router has to say of it."""
+    """A solution and the router's report on it."""
 
     @property
     def solution(self) -> Solution:
@@ -44,24 +46,24 @@ class Routed(Protocol):
 
     @property
     def report(self) -> dict[str, Any]:
-        """Figures by name that no evaluator could tell, fit for JSON.
+        """Figures by name that cannot be seen from the solution, as plain data for JSON.
 
-        ``status`` is among them where something is proven: ``optimal`` if the solution is.
+        ``status`` is among them if the router proves something: ``optimal`` if the solution is.
         """
         ...
 
 
 @runtime_checkable
 class Reporter(Router, Protocol):
-    """A router that has more to give than a solution."""
+    """A router that reports more than the solution."""
 
     def solve(self, problem: Problem) -> Routed:
-        """The solution of :meth:`route`, and more."""
+        """The solution of :meth:`route` with a report."""
         ...
 
 
 def solve(router: Router, problem: Problem) -> tuple[Solution, dict[str, Any]]:
-    """A router's solution, and its report: empty from one that makes none."""
+    """A router's solution and its report, which is empty if the router makes none."""
     if not isinstance(router, Reporter):
         return router.route(problem), {}
     routed = router.solve(problem)

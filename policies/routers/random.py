@@ -1,4 +1,4 @@
-"""Random walks: what a router has to beat."""
+"""Random walks: the weakest baseline."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -10,28 +10,40 @@ from marouting.game.state import NOBODY
 
 
 class RandomPolicy:
-    """A move drawn uniformly from those that cross an edge.
+    """Draws each move uniformly from those that cross an edge.
 
     Args:
-        seed: where the random numbers start.
+        seed: seed of the random numbers, from 0.
     """
 
     def __init__(self, seed: int = 0) -> None:
         self._rng = np.random.default_rng(seed)
 
     def act(self, observation: object, mask: np.ndarray) -> int:
-        """A random move; the observation does not matter."""
+        """Draws a move.
+
+        Args:
+            observation: ignored.
+            mask: (6,) int8, nonzero for the moves that cross an edge; at least one is.
+
+        Returns:
+            The move, from 0 to 5.
+        """
         del observation
         return int(self._rng.choice(np.flatnonzero(mask)))
 
 
 @dataclass(frozen=True)
 class RandomRouter:
-    """Every net walks at random, sequentially, until its tasks are joined or have failed.
+    """Lets the nets walk at random, one after another, until each task is joined or has failed.
 
     Attributes:
-        seed: where the random numbers start; the same for the same routes.
-        max_steps: steps after which a task fails; None as in :class:`marouting.Engine`.
+        seed: seed of the random numbers; equal seeds give equal routes.
+        max_steps: steps after which a task fails; None for the default of
+            :class:`marouting.Engine`.
+
+    Raises:
+        InputError: ``seed`` is negative.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -45,7 +57,11 @@ class RandomRouter:
             raise InputError(f"seed: expected a number from 0, found {self.seed}")
 
     def route(self, problem: Problem) -> Solution:
-        """A solution in which few nets are joined, without overflow."""
+        """Routes a problem.
+
+        Returns:
+            A solution without overflow, in which usually few nets are joined.
+        """
         engine = Engine([problem], max_steps=self.max_steps)
         policy = RandomPolicy(self.seed)
         move = np.empty(1, np.int8)

@@ -1,91 +1,79 @@
-"""The routers by name, made from plain options: for the command line and for experiments.
+"""Routers by name with plain options, as the command line and experiments give them.
 
-A router's module is imported when the router is asked for; torch comes with ``dqn`` alone.
+A problem is routed by a registered router, by a registered learner, which is trained for it, or by
+``module:Class``, which names either.
 """
 
 import difflib
+import inspect
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from pkgutil import resolve_name
 from typing import Any
 
-from marouting.config import build
+from marouting.config import Piece, piece
 from marouting.errors import InputError
+from marouting.registry import lookup, names
 from policies.routers.base import Router
 
 
-@dataclass(frozen=True)
-class _Kind:
-    """Where a router is found, as ``module:name``.
-
-    Attributes:
-        router: its class.
-        options: the dataclass of its options, the one argument of the router; None: the router is
-            a dataclass of options itself.
-    """
-
-    router: str
-    options: str | None = None
-
-
-_ROOM = "policies.routers"
-_KINDS = {
-    "astar": _Kind(f"{_ROOM}.astar:AStarRouter"),
-    "random": _Kind(f"{_ROOM}.random:RandomRouter"),
-    "pathfinder": _Kind(
-        f"{_ROOM}.pathfinder:PathfinderRouter", f"{_ROOM}.pathfinder:PathfinderOptions"
-    ),
-    "optimal": _Kind(f"{_ROOM}.optimal:OptimalRouter"),
-    "dqn": _Kind("policies.learned.router:DQNRouter", "policies.learned.config:Config"),
-}
-
-ROUTERS = tuple(_KINDS)
-"""The names."""
+def router_names() -> tuple[str, ...]:
+    """The names of routers and learners, which are trained to route."""
+    return tuple(dict.fromkeys((*names("router"), *names("learner"))))
 
 
 def unknown(what: str, found: str, known: tuple[str, ...]) -> InputError:
-    """The InputError for a name that is none of those known: it suggests the nearest."""
+    """The InputError for an unknown name: it suggests the nearest and lists what there is."""
     close = difflib.get_close_matches(found, known, n=1)
-    expected = f"did you mean {close[0]}?" if close else f"expected one of {', '.join(known)}"
-    return InputError(f"{what}: unknown name {found!r}; {expected}")
+    nearest = f"did you mean {close[0]}? " if close else ""
+    return InputError(
+        f"{what}: unknown name {found!r}; {nearest}expected one of {', '.join(known)}"
+    )
 
 
-def schema(name: str) -> type[Any]:
-    """The dataclass of a router's options; raises InputError for an unknown name."""
-    if name not in _KINDS:
-        raise unknown("router", name, ROUTERS)
-    kind = _KINDS[name]
-    found: type[Any] = resolve_name(kind.options or kind.router)
-    return found
+def is_learner(name: str, where: str = "router") -> bool:
+    """Whether a name stands for a learner and not for a router.
+
+    Raises:
+        InputError: it stands for neither; the message starts with ``where``.
+    """
+    if name in names("learner"):
+        return True
+    if name not in names("router") and ":" not in name:
+        raise unknown(where, name, (*router_names(), "module:Class"))
+    cls = lookup("router", name, where)
+    if not hasattr(cls, "route") and not hasattr(cls, "start"):
+        raise InputError(f"{where}: {name}: expected a class with a method route, or a learner")
+    return not hasattr(cls, "route")
 
 
 def has_seed(name: str) -> bool:
-    """Whether ``seed`` is one of a router's options."""
-    return any(field.name == "seed" for field in fields(schema(name)))
+    """Whether a router has an option ``seed``."""
+    cls = lookup("router", name)
+    return "seed" in inspect.signature(getattr(cls, "Options", cls)).parameters
 
 
-def is_seeded(name: str, options: Mapping[str, Any]) -> bool:
-    """Whether a router draws random numbers, with these of its options.
-
-    One that does with some options alone has a property ``seeded``.
-    """
-    return has_seed(name) and getattr(build(schema(name), options), "seeded", True)
+def is_seeded(router: Piece) -> bool:
+    """Whether a router with these options draws random numbers."""
+    return has_seed(router.name) and bool(getattr(router.options, "seeded", True))
 
 
-def make_router(name: str, options: Mapping[str, Any], where: str = "") -> Router:
-    """A router from plain options, as from YAML.
+def router_piece(name: str, options: Mapping[str, Any], where: str = "") -> Piece:
+    """A router with its options checked, before it is made.
 
     Args:
-        name: one of ``ROUTERS``.
-        options: fields of its :func:`schema`; what is left out has the default there.
-        where: what the message of an error starts with.
+        name: a name of a router, or ``module:Class``.
+        options: the router's options as plain data; the others have their defaults.
+        where: what an error message starts with.
 
     Raises:
         InputError: an unknown router or option, or a value that the option does not take.
     """
-    built = build(schema(name), options, where)
-    kind = _KINDS[name]
-    if kind.options is not None:
-        built = resolve_name(kind.router)(built)
-    router: Router = built
+    try:
+        return piece("router", {**options, "kind": name})
+    except InputError as error:
+        raise InputError(f"{where}: {error}" if where else str(error)) from None
+
+
+def make_router(name: str, options: Mapping[str, Any], where: str = "") -> Router:
+    """A router from plain options; see :func:`router_piece`."""
+    router: Router = router_piece(name, options, where).make()
     return router

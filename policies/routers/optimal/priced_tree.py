@@ -1,12 +1,12 @@
-"""Cheapest trees that join the pins of a net on the grid, by dynamic programming.
+"""The cheapest tree that joins the pins of a net at given edge prices, by dynamic programming.
 
-A cheapest tree that joins some pins and one Gcell more either splits at that Gcell into two trees
-that share the pins, or reaches it along a cheapest path from where it does (Dreyfus and Wagner,
-"The Steiner problem in graphs", Networks 1, 1971). Time and memory double with every pin, and the
-splits triple.
+Consider a cheapest tree that joins a set of pins and one more Gcell. Either it splits at that
+Gcell into two trees that each join some of the pins, or it reaches the Gcell along a cheapest path
+from a Gcell where it splits (Dreyfus and Wagner, "The Steiner problem in graphs", Networks 1,
+1971). With every pin, memory doubles and time triples.
 
-Costs are whole numbers, one for each edge of a grid or of a rectangle cut out of it, as an array
-(X, Y, Z, 3) in the order of edge numbers (:mod:`marouting.problem.grid`).
+Prices are whole numbers from 0, one for each edge of a grid or of a rectangle cut out of it, as an
+int64 array (X, Y, Z, 3) in the order of edge numbers (:mod:`marouting.problem.grid`).
 """
 
 from dataclasses import dataclass
@@ -19,20 +19,20 @@ from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, VIA_AXIS, Move
 
 NEVER = 1 << 60
-"""The cost of an edge that must not be used, and of what cannot be joined; the costs of all other
-edges have to add up to less."""
+"""The price of an edge that must not be used, and the cost of a tree that does not exist. All
+other prices have to add up to less."""
 
 _PIN = -1
 _SPLIT = len(Move)
-"""What a table of ways holds: the move that ends the way to a Gcell, _PIN where a way begins, or
-_SPLIT and more, which says where a tree splits into that set of pins and the others."""
+"""Entries of the table ``way``: the last move on the way to a Gcell; _PIN where a way begins;
+_SPLIT + S where a tree splits into one for the pins in S and one for the others."""
 
 _EAST, _WEST, _NORTH, _SOUTH, _UP, _DOWN = map(int, Move)  # members are slow to compile
 
 
 @compiled
 def _shorter(cost: Any, way: Any, price: Any, here: int, there: int, edge: int, move: int) -> bool:
-    """Takes the way to ``here`` from the Gcell beside it if that is cheaper."""
+    """Takes the way to ``here`` from its neighbour ``there`` if it is cheaper; returns whether."""
     over = cost[there] + price[edge]
     if over >= cost[here]:
         return False
@@ -45,9 +45,9 @@ def _shorter(cost: Any, way: Any, price: Any, here: int, there: int, edge: int, 
 def _spread(cost: Any, way: Any, price: Any, columns: int, rows: int, layers: int) -> None:
     """Lowers costs (G,) along cheapest paths, in sweeps over the grid until nothing changes.
 
-    One sweep follows a path as far as it keeps to two of the four directions, vias included;
-    cheapest paths turn back rarely, so a few do. (Zhao, "A fast sweeping method for Eikonal
-    equations", Mathematics of Computation 74, 2005.)
+    One sweep follows a path as long as it keeps to two of the four directions, vias included.
+    Cheapest paths rarely turn back, so a few sweeps are enough (Zhao, "A fast sweeping method for
+    Eikonal equations", Mathematics of Computation 74, 2005).
     """
     changed = True
     while changed:
@@ -80,7 +80,7 @@ def _spread(cost: Any, way: Any, price: Any, columns: int, rows: int, layers: in
 
 @compiled
 def _join(price: Any, pins: Any, columns: int, rows: int, layers: int, cost: Any, way: Any) -> None:
-    """Fills the tables (2^pins, G): row S holds the trees that join the pins in the bits of S."""
+    """Fills the tables (2^pins, G); row S is for the pins whose bits are set in S."""
     gcells = cost.shape[1]
     for pin_set in range(1, cost.shape[0]):
         for cell in range(gcells):
@@ -92,7 +92,7 @@ def _join(price: Any, pins: Any, columns: int, rows: int, layers: int, cost: Any
                 if pin_set == 1 << pin:
                     cost[pin_set, pins[pin]] = 0
         part = rest
-        while part > 0:  # every set but the empty one of the pins beside the first
+        while part > 0:  # all nonempty sets of the pins other than the first
             for cell in range(gcells):
                 split = cost[part, cell] + cost[pin_set ^ part, cell]
                 if split < cost[pin_set, cell]:
@@ -104,7 +104,7 @@ def _join(price: Any, pins: Any, columns: int, rows: int, layers: int, cost: Any
 
 @compiled
 def _walk(way: Any, pin_set: int, cell: int, strides: Any, stack: Any, out: Any) -> int:
-    """Writes the edges of the tree that joins a set of pins and a Gcell; returns how many."""
+    """Writes the edges of the tree for a set of pins and a Gcell to ``out``; returns how many."""
     stack[0, 0], stack[0, 1] = pin_set, cell
     size, edges = 1, 0
     while size > 0:
@@ -126,14 +126,14 @@ def _walk(way: Any, pin_set: int, cell: int, strides: Any, stack: Any, out: Any)
 
 @compiled
 def _cross(price: Any, cost: Any, strides: Any, least: Any, split: Any) -> None:
-    """Writes what the cheapest tree across every edge costs, and the pins on its near side."""
+    """Finds the cheapest tree through each edge: its cost, and the pins on the near side."""
     everything = cost.shape[0] - 1
     for edge in range(len(price)):
         least[edge] = NEVER
         if price[edge] < NEVER:
             near = edge // AXES
             far = near + strides[edge % AXES]
-            # Without the edge the tree falls apart, and either part has pins.
+            # Without the edge the tree falls into two parts, and each has pins.
             for part in range(1, everything):
                 across = cost[part, near] + price[edge] + cost[everything ^ part, far]
                 if across < least[edge]:
@@ -142,7 +142,17 @@ def _cross(price: Any, cost: Any, strides: Any, least: Any, split: Any) -> None:
 
 
 class _Tables:
-    """The cheapest trees that join any of the pins and one Gcell more."""
+    """The cheapest trees for every set of the pins and every further Gcell.
+
+    Args:
+        price: as for :func:`cheapest_priced_tree`.
+        pins: likewise, but one pin suffices.
+
+    Attributes:
+        cost: (2^k, G) int64, the trees' costs; row S is for the pins whose bits are set in S.
+        way: (2^k, G) int32, how the trees are put together.
+        strides: (3,) how far a step along an axis leads in the numbers of Gcells.
+    """
 
     def __init__(self, price: NDArray[np.int64], pins: NDArray[np.int64]) -> None:
         columns, rows, layers, _ = price.shape
@@ -151,7 +161,7 @@ class _Tables:
         self.way = np.empty(shape, np.int32)
         self.strides = np.array((rows * layers, layers, 1))
         _join(price.reshape(-1), pins, columns, rows, layers, self.cost, self.way)
-        # Ways of no cost may meet: then the parts of a tree share edges.
+        # Where edges are free, the parts of a tree may share edges, so there may be more of them.
         self._edges = np.empty((2 * len(pins) + 1) * shape[1], np.int64)
         self._stack = np.empty((len(pins) + 2, 2), np.int64)
 
@@ -164,16 +174,16 @@ class _Tables:
 def cheapest_priced_tree(
     price: NDArray[np.int64], pins: NDArray[np.int64]
 ) -> tuple[int, NDArray[np.int64]]:
-    """The cheapest tree that joins two or more pins.
+    """The cheapest tree that joins two or more pins (Dreyfus and Wagner, 1971).
 
     Args:
-        price: (X, Y, Z, 3) cost of every edge from 0; NEVER for one that must not be used, those
-            that lead off the grid among them.
-        pins: (k,) their Gcells, all different, by their numbers in the grid of ``price``.
+        price: (X, Y, Z, 3) int64, price of every edge from 0; NEVER for edges that must not be
+            used and for those that lead off the grid.
+        pins: (k,) int64, the pins' Gcells, numbered in the grid of ``price``, all different.
 
     Returns:
-        What it costs, and the numbers of its edges in the grid of ``price``, ascending; NEVER and
-        none if the pins cannot be joined.
+        The tree's cost and its edges (n,) int64, numbered in the grid of ``price``, ascending;
+        NEVER and no edges if the pins cannot be joined.
     """
     tables = _Tables(price, pins[:-1])
     cost = int(tables.cost[-1, pins[-1]])
@@ -190,7 +200,7 @@ class Across:
         pins: likewise.
 
     Attributes:
-        cost: (edges,) what the tree costs; NEVER where there is none.
+        cost: (edges,) int64, the trees' costs; NEVER where there is no tree.
     """
 
     def __init__(self, price: NDArray[np.int64], pins: NDArray[np.int64]) -> None:
@@ -200,7 +210,7 @@ class Across:
         _cross(price.reshape(-1), self._tables.cost, self._tables.strides, self.cost, self._near)
 
     def tree(self, edge: int) -> NDArray[np.int64]:
-        """The edges of the tree across an edge that has one, ascending."""
+        """The edges (n,) int64 of the tree that uses an edge, ascending; ``cost[edge]`` < NEVER."""
         cell, axis = divmod(edge, AXES)
         near = int(self._near[edge])
         far = len(self._tables.cost) - 1 - near
@@ -214,9 +224,9 @@ class Window:
     """A rectangle cut out of a grid, with all its layers.
 
     Attributes:
-        grid: the whole grid.
-        low: its first column and row.
-        high: the column and row after its last ones.
+        grid: columns, rows and layers of the whole grid.
+        low: the window's first column and row.
+        high: one past the window's last column and row.
     """
 
     grid: tuple[int, int, int]
@@ -225,7 +235,7 @@ class Window:
 
     @staticmethod
     def around(grid: tuple[int, int, int], gcells: NDArray[np.int64], margin: int) -> "Window":
-        """The box around Gcells, larger by a margin on all sides, as far as the grid goes."""
+        """The box around Gcells (n,), extended by a margin on all sides within the grid."""
         x, y, _ = np.unravel_index(gcells, grid)
         low = max(int(x.min()) - margin, 0), max(int(y.min()) - margin, 0)
         high = min(int(x.max()) + margin + 1, grid[0]), min(int(y.max()) + margin + 1, grid[1])
@@ -237,19 +247,19 @@ class Window:
         return self.high[0] - self.low[0], self.high[1] - self.low[1], self.grid[2]
 
     def cut(self, price: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Of the costs of all edges those in the window (X, Y, Z, 3); no edge leads out of it."""
+        """A copy of the prices (X, Y, Z, 3) in the window; edges that leave it get NEVER."""
         part = price[self.low[0] : self.high[0], self.low[1] : self.high[1]].copy()
         part[-1, :, :, 0] = NEVER
         part[:, -1, :, 1] = NEVER
         return part
 
     def inside(self, gcells: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The numbers within the window of Gcells in it."""
+        """Numbers in the window of Gcells (n,) in it, given by their numbers in the grid."""
         x, y, z = np.unravel_index(gcells, self.grid)
         return np.ravel_multi_index((x - self.low[0], y - self.low[1], z), self.shape)
 
     def outside(self, edges: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The numbers in the grid of edges (n,) in the window."""
+        """Numbers in the grid of edges (n,) given by their numbers in the window."""
         gcell, axis = np.divmod(edges, AXES)
         x, y, z = np.unravel_index(gcell, self.shape)
         whole = np.ravel_multi_index((x + self.low[0], y + self.low[1], z), self.grid)

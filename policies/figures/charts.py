@@ -1,6 +1,7 @@
 """Figures of trainings, experiments and measurements."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from policies.figures.style import INK, LINES, PALE, RED
+from policies.results.scaling import curves, exponent
 
 # Training ---------------------------------------------------------------------------------------
 
@@ -24,18 +26,19 @@ def reward_curves(
 ) -> Figure:
     """Reward of every episode over the course of training (paper, reward curves and log-plots).
 
-    The paper's log-plots leave out the first episodes, whose reward is negative. Here ``log``
-    takes the signed logarithm, which keeps them and the order of all values: linear from −100 to
-    +100, the reward of one joined two-pin task, and logarithmic beyond.
+    The paper's log-plots leave out the first episodes, whose reward is negative. Here ``log`` gives
+    a signed logarithmic axis, which shows them too and keeps the order of all values: it is linear
+    from −100 to +100, the reward of one joined two-pin task, and logarithmic beyond.
 
     Args:
         curves: reward of each episode by the curve's name.
         log: whether the reward's axis is logarithmic.
-        smoothing: episodes in the running mean, drawn dark over the pale rewards; 1 for none.
+        smoothing: episodes in the running mean, which is drawn dark over the pale rewards; 1 for
+            no mean.
         title: the title.
 
     Returns:
-        One plot, with a legend for up to ten curves.
+        One plot, with a legend if there are no more than ten curves.
 
     Raises:
         InputError: there is no curve, or ``smoothing`` is below 1.
@@ -88,7 +91,7 @@ def draw_rewards(
 
 
 def _running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:
-    """The mean of the last ``window`` values at each place, of fewer at the beginning."""
+    """The mean of the last ``window`` values at each place, or of fewer at the beginning."""
     total = np.concatenate(([0.0], np.cumsum(values)))
     last = np.arange(1, len(total))
     first = np.maximum(last - window, 0)
@@ -110,15 +113,15 @@ def by_problem(
     """A quantity of every problem, router by router (paper, comparisons of WL and of OF).
 
     Args:
-        values: (problems,) of each router, NaN where there is none; the paper has A* in blue, the
-            first, and the DQN in red, the second.
+        values: (problems,) values of each router, NaN where there is none. The first router is
+            drawn in blue, as A* in the paper, and the second in red, as the paper's DQN.
         order: (problems,) the problems from left to right.
-        quantity: what the values are, with its unit.
-        order_by: what the problems rise by in this order.
+        quantity: the name of the values, with the unit.
+        order_by: the name of what the problems are sorted by.
         title: the title.
 
     Returns:
-        One plot, a line a router.
+        One plot, with a line per router.
 
     Raises:
         InputError: there is no router.
@@ -141,7 +144,7 @@ def draw_by_problem(
     order_by: str,
     marks: float = 7.0,
 ) -> None:
-    """Draws :func:`by_problem` without title and legend, with marks of that size in points."""
+    """Draws :func:`by_problem` without title and legend; ``marks`` is the marks' size in points."""
     rank = np.arange(1, len(order) + 1)
     for index, (name, own) in enumerate(values.items()):
         missing = int(np.isnan(own).sum())
@@ -152,7 +155,7 @@ def draw_by_problem(
             linestyle=("-", "--", ":")[index // len(LINES) % 3],
             linewidth=1.2,
             marker=_MARKERS[index % len(_MARKERS)],
-            # Smaller with the routers, so that where they agree all of them can be seen.
+            # Smaller from router to router, so that all of them show where they agree.
             markersize=max(0.3 * marks, marks - 1.2 * index) * min(1.0, (60 / len(order)) ** 0.5),
             label=f"{name} (without {missing})" if missing else name,
         )
@@ -164,7 +167,7 @@ def draw_by_problem(
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlim(0, len(order) + 1)
     low, high = axes.get_ylim()
-    if high - low < 1:  # nothing but one value, such as no overflow at all: it and the next
+    if high - low < 1:  # all values alike, such as no overflow at all: show this one and the next
         value = round((low + high) / 2)
         axes.set_ylim(min(low, value - 0.5), max(high, value + 1.5))
 
@@ -175,17 +178,17 @@ def decrease_histogram(
     """How much less wirelength routers need than A* (paper, decrease in WL).
 
     Args:
-        decreases: (problems,) A*'s wirelength less the router's, of each router; NaN where there
-            is none.
-        baseline: what A* is called.
+        decreases: (problems,) A*'s wirelength minus the router's, for each router; NaN where
+            either has none.
+        baseline: the name of A*'s entry.
         title: the title.
 
     Returns:
-        One panel a router, all with the same axes; to the right of the dashed line the router's
+        One panel per router, all with the same axes. To the right of the dashed line the router's
         wirelength is lower.
 
     Raises:
-        InputError: there is no router, or not one value.
+        InputError: there is no router, or no value that is not NaN.
     """
     known = {name: values[~np.isnan(values)] for name, values in decreases.items()}
     bins = decrease_bins(list(known.values()))
@@ -194,25 +197,25 @@ def decrease_histogram(
     for axes, (name, values) in zip(panels, known.items(), strict=True):
         draw_decreases(axes, values, bins)
         axes.set_title(f"{name}: {decrease_note(values)}", fontsize=10)
-    panels[-1].set_xlabel(f"decrease in wirelength = {baseline}'s less the router's [edges]")
+    panels[-1].set_xlabel(f"decrease in wirelength = {baseline}'s minus the router's [edges]")
     figure.suptitle(title, fontsize=12)
     return figure
 
 
 def decrease_bins(decreases: Sequence[NDArray[np.floating]]) -> NDArray[np.floating]:
-    """The ends of bars that take in all decreases; raises InputError if there is none."""
+    """The limits of bars that cover all decreases; raises InputError if there are none."""
     together = np.concatenate([np.empty(0), *decreases])
     if not together.size:
         raise InputError("decrease: expected the values of at least one problem")
     low, high = min(0, np.floor(together.min())), max(0, np.ceil(together.max()))
-    # Bars as wide as a whole number of edges, with 0 in the middle of one.
+    # The bars' width is a whole number of edges, and 0 lies in the middle of one.
     width = int(max(1, -(-(high - low) // 40)))
     return np.asarray(width * (np.arange(low // width - 1, high // width + 3) - 0.5), np.float64)
 
 
 def draw_decreases(axes: Axes, values: NDArray[np.floating], bins: NDArray[np.floating]) -> None:
     """Draws a panel of :func:`decrease_histogram` without its title."""
-    # No outline: it would hide bars of a single problem.
+    # No outline: it would hide the bar of a single problem.
     axes.hist(values, bins=bins.tolist(), color=RED)
     axes.axvline(0, color=INK, linewidth=1, linestyle="--")
     axes.set_ylabel("problems [count]")
@@ -222,7 +225,7 @@ def draw_decreases(axes: Axes, values: NDArray[np.floating], bins: NDArray[np.fl
 
 
 def decrease_note(values: NDArray[np.floating]) -> str:
-    """What there is to say of some decreases."""
+    """A note that sums up some decreases."""
     if not len(values):
         return "no problem"
     return (
@@ -234,49 +237,41 @@ def decrease_note(values: NDArray[np.floating]) -> str:
 # Speed ------------------------------------------------------------------------------------------
 
 
-def growth(
-    panels: Mapping[str, Mapping[str, NDArray[np.floating]]],
-    amount: str,
-    quantity: str,
-    title: str = "",
-) -> Figure:
-    """How quantities grow with an amount, on logarithmic axes.
+def scaling(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
+    """How time grows with routed edges, on logarithmic axes.
 
     Args:
-        panels: by panel and curve, (2, points) the amounts and the quantities, all positive.
-        amount: what the amounts are, with their unit.
-        quantity: what the quantities are, with their unit.
+        rows: what was measured, as :mod:`policies.results.scaling` describes them.
         title: the title.
 
     Returns:
-        The panels side by side with the same axes; a dashed line is as steep as growth in
-        proportion.
+        A panel for each family of problems, side by side with the same axes. A dashed line has the
+        slope of growth in proportion.
 
     Raises:
-        InputError: there is no panel.
+        InputError: there are no rows.
     """
+    panels = curves(rows)
     if not panels:
-        raise InputError("growth: expected at least one panel")
+        raise InputError("scaling: expected at least one row")
     figure = Figure(figsize=(4.6 * len(panels) + 0.6, 5), layout="constrained")
     drawn = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
-    for axes, (name, curves) in zip(drawn, panels.items(), strict=True):
-        for index, (label, (amounts, quantities)) in enumerate(curves.items()):
+    for axes, (family, works) in zip(drawn, panels.items(), strict=True):
+        for index, (work, points) in enumerate(works.items()):
             axes.loglog(
-                amounts,
-                quantities,
+                *points,
                 color=LINES[index % len(LINES)],
                 marker=_MARKERS[index % len(_MARKERS)],
                 markersize=5,
                 linewidth=1.4,
-                label=label,
+                label=f"{work}: exponent {exponent(points):.2f}",
             )
-        amounts = np.concatenate([points[0] for points in curves.values()])
-        quantities = np.concatenate([points[1] for points in curves.values()])
-        ends = np.array([amounts.min(), amounts.max()])
-        # Below all curves, through the lowest of all points in proportion.
+        edges, seconds = np.concatenate(list(works.values()), axis=1)
+        ends = np.array([edges.min(), edges.max()])
+        # Below all curves: half as high as the point that is lowest in proportion to its edges.
         axes.loglog(
             ends,
-            ends * (quantities / amounts).min() / 2,
+            ends * (seconds / edges).min() / 2,
             color=INK,
             linewidth=1,
             linestyle="--",
@@ -284,9 +279,9 @@ def growth(
         )
         axes.grid(color=PALE, linewidth=0.6)
         axes.set_axisbelow(True)
-        axes.set_title(name, fontsize=11)
-        axes.set_xlabel(amount)
-        axes.set_ylabel(quantity)
+        axes.set_title(family, fontsize=11)
+        axes.set_xlabel("routed edges")
+        axes.set_ylabel("time [s]")
         axes.tick_params(labelleft=True)
         axes.legend(frameon=False, loc="upper left", fontsize=9)
     figure.suptitle(title, fontsize=12)

@@ -1,0 +1,415 @@
+"""Compiled code that finds a tree for one net, inside a box of the grid.
+
+Points are the Gcells of the box, numbered as in :class:`marouting.trees.steiner.Lattice`. All
+costs are in the units of :data:`~policies.routers.pathfinder.state.UNIT`.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from marouting.kernels import compiled, wide
+from marouting.problem.grid import AXES, MOVES, VIA_AXIS
+from marouting.trees.steiner import (
+    CLOSED,
+    Lattice,
+    Search,
+    cheapest_tree,
+    set_cost,
+    set_size,
+)
+from policies.routers.pathfinder.state import (
+    FULL,
+    SQUEEZE,
+    UNIT,
+    NetBuffers,
+    ProblemArrays,
+    Routing,
+)
+
+_MOST_OVERFLOW = 1000  # tracks of overflow beyond which more cost the same: costs have 32 bits
+
+
+@compiled
+def draw(progress: Any) -> int:
+    """A random number of 31 bits.
+
+    SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA
+    2014).
+    """
+    progress.random += np.int64(-0x61C8864680B583EB)
+    bits = np.uint64(progress.random)
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return wide((bits ^ (bits >> np.uint64(31))) >> np.uint64(33))
+
+
+@compiled
+def edge_cost(
+    capacity: Any, remaining: Any, price: Any, edge: int, demand: int, present: float, kind: int
+) -> int:
+    """The cost of an edge inside a layer to a net that does not use it at the moment.
+
+    Args:
+        capacity: ``ProblemArrays.capacity``.
+        remaining: ``Routing.remaining``.
+        price: ``Routing.price``.
+        edge: the edge's number.
+        demand: tracks that the net would take.
+        present: factor for one net too many.
+        kind: kind of the current pass.
+
+    Returns:
+        FULL or more if the net should avoid the edge at all costs.
+    """
+    over = demand - remaining[edge]
+    if kind == SQUEEZE:
+        return UNIT + FULL * min(max(over, 0), min(demand, _MOST_OVERFLOW))
+    cost = UNIT + price[edge]
+    if over > 0 and demand > 0:
+        cost *= 1.0 + present * over / demand
+    blocked = demand > capacity[edge]
+    return wide(min(cost, FULL - 1.0)) + (FULL if blocked else 0)
+
+
+@compiled
+def set_box(
+    problem: ProblemArrays, routing: Routing, net: int, margin: int, low: Any, size: Any
+) -> int:
+    """Puts a box around a net's pins and its current tree.
+
+    Args:
+        problem: the problem.
+        routing: holds the net's tree.
+        net: the net.
+        margin: Gcells by which the box is larger on each side in x and y. In z it always
+            contains all layers.
+        low: (3,) int64, gets x, y, z of the box's first point.
+        size: (3,) int64, gets the number of points along each axis.
+
+    Returns:
+        The number of points in the box.
+    """
+    points = 1
+    for axis in range(AXES):
+        least, most = problem.size[axis] - 1, wide(0)
+        if axis == VIA_AXIS:
+            least, most = most, least
+        else:
+            for i in range(problem.first[net], problem.first[net + 1]):
+                at = wide(problem.position[problem.pin[i], axis])
+                least, most = min(least, at), max(most, at)
+            for i in range(routing.start[net], routing.start[net] + routing.length[net]):
+                edge = wide(routing.edge[routing.progress[0].pool, i])
+                at = wide(problem.position[edge // AXES, axis])
+                least, most = min(least, at), max(most, at)
+                if edge % AXES == axis:
+                    most = max(most, at + 1)
+            least, most = max(least - margin, 0), min(most + margin, problem.size[axis] - 1)
+        low[axis], size[axis] = least, most - least + 1
+        points *= most - least + 1
+    return points
+
+
+@compiled
+def set_costs(
+    problem: ProblemArrays,
+    routing: Routing,
+    lattice: Lattice,
+    low: Any,
+    via: int,
+    net: int,
+    limit: int,
+) -> None:
+    """Gives the moves in a net's box their costs and clears the lattice's tree.
+
+    Args:
+        problem: the problem.
+        routing: holds remaining capacities and prices.
+        lattice: its ``size`` is that of the box; everything else is overwritten.
+        low: (3,) int64, x, y, z of the box's first point.
+        via: cost of a via.
+        net: the net, which is ripped up.
+        limit: moves that cost this much or more are closed.
+    """
+    nx, ny, nz = lattice.size[0], lattice.size[1], lattice.size[2]
+    set_size(lattice, nx, ny, nz)
+    for axis in range(AXES):
+        for i in range(lattice.size[axis]):
+            lattice.line[axis, i] = i * (via if axis == VIA_AXIS else UNIT)
+    present, kind = routing.progress[0].present, routing.progress[0].kind
+    point = wide(0)
+    for x in range(nx):
+        for y in range(ny):
+            gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * problem.size[2]
+            for z in range(nz):
+                demand = wide(problem.demand[net, z])
+                for axis in range(AXES):
+                    at = z
+                    if axis < VIA_AXIS:
+                        at = y if axis else x
+                    if at == 0:
+                        lattice.cost[point, 2 * axis + 1] = CLOSED
+                    if at + 1 == lattice.size[axis]:
+                        lattice.cost[point, 2 * axis] = CLOSED
+                        continue
+                    cost = wide(via)
+                    if axis < VIA_AXIS:
+                        edge = AXES * (gcell + z) + axis
+                        cost = edge_cost(
+                            problem.capacity,
+                            routing.remaining,
+                            routing.price,
+                            edge,
+                            demand,
+                            present,
+                            kind,
+                        )
+                        if cost >= limit:
+                            cost = wide(CLOSED)
+                    set_cost(lattice, point, axis, cost)
+                point += 1
+
+
+@compiled
+def point_of(position: Any, low: Any, size: Any, gcell: int) -> int:
+    """The point of a box that a Gcell is.
+
+    Args:
+        position: (G, 3) int32, ``ProblemArrays.position``.
+        low: (3,) int64, x, y, z of the box's first point.
+        size: (3,) int64, the box's points along each axis.
+        gcell: a Gcell in the box.
+    """
+    x, y = position[gcell, 0] - low[0], position[gcell, 1] - low[1]
+    return (x * size[1] + y) * size[2] + position[gcell, 2] - low[2]
+
+
+@compiled
+def _extend_bounds(lattice: Lattice, search: Search, group: int, point: int, size: int) -> None:
+    """Extends the bounding box of a group (or of the goal) of ``size`` points by one point."""
+    nz = lattice.size[2]
+    row = point // nz
+    for axis in range(AXES):
+        at = point - row * nz
+        if axis < VIA_AXIS:
+            at = row % lattice.size[1] if axis else row // lattice.size[1]
+        line = lattice.line[axis, at]
+        if size == 0 or line < search.low[group, axis]:
+            search.low[group, axis] = line
+        if size == 0 or line > search.high[group, axis]:
+            search.high[group, axis] = line
+
+
+@compiled
+def join_all(
+    problem: ProblemArrays, progress: Any, lattice: Lattice, search: Search, low: Any, net: int
+) -> int:
+    """Finds a cheapest tree for a net, in ``lattice.tree``.
+
+    Returns:
+        The tree's cost, or CLOSED if the box contains no tree.
+    """
+    first, pins = problem.first[net], problem.first[net + 1] - problem.first[net]
+    root = draw(progress) % pins
+    goal, group = wide(0), wide(0)
+    for i in range(pins):
+        point = wide(point_of(problem.position, low, lattice.size, problem.pin[first + i]))
+        _extend_bounds(lattice, search, pins - 1 if i == root else group, point, wide(0))
+        if i == root:
+            goal = point
+        else:
+            search.start[group], search.group[group] = point, group
+            group += 1
+    search.goal[goal] = 1
+    cost = cheapest_tree(lattice, search, group, group, draw(progress))
+    search.goal[goal] = 0
+    for i in range(group):
+        search.group[i] = 0
+    return cost
+
+
+@compiled
+def grow(
+    problem: ProblemArrays,
+    progress: Any,
+    lattice: Lattice,
+    search: Search,
+    buffers: NetBuffers,
+    net: int,
+) -> int:
+    """Grows a tree for a net pin by pin, in ``lattice.tree``, always joining the nearest pin.
+
+    Returns:
+        The tree's cost, or CLOSED if the box contains no tree.
+    """
+    first, pins = problem.first[net], problem.first[net + 1] - problem.first[net]
+    ny, nz = lattice.size[1], lattice.size[2]
+    for i in range(pins):
+        buffers.far[i] = np.iinfo(np.int64).max
+    pin = draw(progress) % pins
+    size = looked = total = cost = wide(0)
+    for joined in range(pins):
+        point = wide(
+            point_of(problem.position, buffers.low, lattice.size, problem.pin[first + pin])
+        )
+        if not buffers.inside[point]:
+            if joined > 0:
+                search.goal[point] = 1
+                _extend_bounds(lattice, search, wide(1), point, wide(0))
+                cost = cheapest_tree(lattice, search, size, wide(1), draw(progress))
+                search.goal[point] = 0
+                if cost == CLOSED:
+                    break
+                total += cost
+            # Follow the new path from the pin back into the tree.
+            back = CLOSED
+            while not buffers.inside[point]:
+                buffers.inside[point] = 1
+                search.start[size] = point
+                size += 1
+                for move in range(MOVES):
+                    if move != back and lattice.tree[point] >> move & 1:
+                        back = move ^ 1
+                        point += lattice.stride[move]
+                        break
+        buffers.far[pin] = -1
+        nearest, ties = pin, 0
+        for i in range(pins):
+            if buffers.far[i] < 0:
+                continue
+            point = wide(
+                point_of(problem.position, buffers.low, lattice.size, problem.pin[first + i])
+            )
+            x, y, z = point // nz // ny, point // nz % ny, lattice.line[VIA_AXIS, point % nz]
+            for j in range(looked, size):
+                other = search.start[j]
+                across = abs(other // nz // ny - x) + abs(other // nz % ny - y)
+                far = UNIT * across + abs(lattice.line[VIA_AXIS, other % nz] - z)
+                buffers.far[i] = min(buffers.far[i], far)
+            if ties == 0 or buffers.far[i] < buffers.far[nearest]:
+                nearest, ties = i, 1
+            elif buffers.far[i] == buffers.far[nearest]:
+                ties += 1
+                if draw(progress) % ties == 0:
+                    nearest = i
+        looked = size
+        pin = nearest
+    for i in range(size):
+        buffers.inside[search.start[i]] = 0
+    return total if cost != CLOSED else wide(CLOSED)
+
+
+@compiled
+def _degree(moves: int) -> int:
+    """The number of tree edges at a point, from the bits of ``lattice.tree``."""
+    degree = 0
+    for move in range(MOVES):
+        degree += moves >> move & 1
+    return degree
+
+
+@compiled
+def _list_part(
+    lattice: Lattice, search: Search, buffers: NetBuffers, point: int, first: int
+) -> int:
+    """Lists the points connected to one point by the tree, in ``search.start`` from ``first`` on.
+
+    Marks them in ``buffers.inside`` and makes their bounding box that of the goal.
+
+    Returns:
+        The end of the list.
+    """
+    search.start[first] = point
+    buffers.inside[point] = 1
+    size = first + 1
+    for i in range(first, len(search.start)):
+        if i == size:
+            break
+        point = search.start[i]
+        _extend_bounds(lattice, search, wide(1), point, i - first)
+        for move in range(MOVES):
+            if lattice.tree[point] >> move & 1:
+                beside = point + lattice.stride[move]
+                if not buffers.inside[beside]:
+                    buffers.inside[beside] = 1
+                    search.start[size] = beside
+                    size += 1
+    return size
+
+
+@compiled
+def mend(progress: Any, lattice: Lattice, search: Search, buffers: NetBuffers, root: int) -> int:
+    """Replaces each path between two keys of a tree by a cheapest one.
+
+    Keys are pins and the points where the tree branches.
+
+    Args:
+        progress: state of the random numbers.
+        lattice: its tree is changed.
+        search: working memory.
+        buffers: ``pin`` marks the net's pins.
+        root: a point of the tree.
+
+    Returns:
+        By how much the tree's cost fell.
+    """
+    size = _list_part(lattice, search, buffers, root, wide(0))
+    keys = wide(0)
+    for i in range(size):
+        point = search.start[i]
+        buffers.inside[point] = 0
+        if buffers.pin[point] or _degree(lattice.tree[point]) > 2:
+            buffers.key[keys] = point
+            keys += 1
+    saved = wide(0)
+    for place in range(keys * MOVES):
+        key, move = buffers.key[place // MOVES], place % MOVES
+        if not lattice.tree[key] >> move & 1:
+            continue
+        if not buffers.pin[key] and _degree(lattice.tree[key]) < 3:
+            continue  # no longer a branching point
+        # Remove the path from this key to the next.
+        point = key
+        while True:
+            saved += wide(lattice.cost[point, move])
+            lattice.tree[point] ^= np.uint8(1 << move)
+            point += lattice.stride[move]
+            lattice.tree[point] ^= np.uint8(1 << (move ^ 1))
+            if buffers.pin[point] or _degree(lattice.tree[point]) != 1:
+                break
+            move = 0
+            while not lattice.tree[point] >> move & 1:
+                move += 1
+        # Search from the larger of the two parts to the smaller, whose box is smaller, too.
+        near = _list_part(lattice, search, buffers, key, wide(0))
+        both = near
+        if not buffers.inside[point]:
+            both = _list_part(lattice, search, buffers, point, near)
+        if both > near:
+            first, last = near, both
+            if both - near > near:
+                for i in range(near):
+                    _extend_bounds(lattice, search, wide(1), search.start[i], i)
+                first, last = 0, near
+            for i in range(first, last):
+                search.goal[search.start[i]] = 1
+            for i in range(both):
+                buffers.inside[search.start[i]] = 0
+            starts = near
+            if first == 0:
+                # The goal's points are listed first: swap them with those that follow.
+                starts = both - near
+                for i in range(near):
+                    buffers.key[keys + i] = search.start[i]
+                for i in range(starts):
+                    search.start[i] = search.start[near + i]
+                for i in range(near):
+                    search.start[starts + i] = buffers.key[keys + i]
+            saved -= cheapest_tree(lattice, search, starts, wide(1), draw(progress))
+            for i in range(starts, both):
+                search.goal[search.start[i]] = 0
+        else:
+            for i in range(both):
+                buffers.inside[search.start[i]] = 0
+    return saved

@@ -1,0 +1,81 @@
+"""The options of the router."""
+
+from dataclasses import dataclass
+
+from marouting.config import MOST, check
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathfinderOptions:
+    """Options of negotiated congestion.
+
+    Defaults without a publication were tuned on ibm01 (ISPD'98) with 20 s per trial. Halving or
+    doubling any of them changes the wirelength by less than 1 %.
+
+    Attributes:
+        via_weight: cost of a via, in edges inside a layer. 1 matches the ISPD 2008 evaluator. Use
+            a value just above 0 to compare with wirelengths that leave vias out, such as those
+            published for ISPD'98.
+        exact_pins: nets with at most this many pins get a cheapest tree, provided that their box
+            is small. The paper's problems have at most 5 pins per net. Each further pin triples
+            the time.
+        margin: Gcells by which a net's box extends beyond its pins and its previous tree on each
+            side. It grows by one each time the net is rerouted in a negotiating pass, until the
+            round ends. Where the box contains no route, it is doubled for that search.
+        present: factor by which one net too many raises the cost of an edge when a round begins
+            (p in PathFinder).
+        growth: factor by which ``present`` grows from one negotiating pass to the next, as in
+            PathFinder.
+        history: amount that an overflowed edge's price rises before each negotiating pass, in
+            edges (h in PathFinder).
+        decay: share of the prices that is kept when the next round begins.
+        stuck: a round stops negotiating after this many passes in a row without a decrease in
+            overflow. Tuned on generated problems that cannot be routed without overflow.
+        least_gain: share of the wirelength that a squeezing pass has to save for the round to
+            make another one.
+        again: share of the nets that are rerouted even though their tree is already as short as
+            possible, to make room for others.
+        patience: the search ends after this many rounds in a row without a better solution. On
+            the 121 published problems of Liao et al., 5 misses one optimum with some seeds; 10
+            misses none with any of four seeds.
+        passes: the search ends after this many passes at the latest.
+        seconds: time limit; None for no limit. The search continues until every net is joined
+            even if that takes longer. A solution cut off by the limit depends on the machine.
+        seed: seed of the random numbers.
+
+    Raises:
+        InputError: an option is out of range; the message names it and the range.
+    """
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
+
+    via_weight: float = 1.0
+    exact_pins: int = 5
+    margin: int = 2
+    present: float = 0.3
+    growth: float = 1.1
+    history: float = 0.3
+    decay: float = 0.8
+    stuck: int = 10
+    least_gain: float = 0.0005
+    again: float = 0.1
+    patience: int = 10
+    passes: int = 100_000
+    seconds: float | None = 50.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check("via_weight", 0 <= self.via_weight <= 1000, "a number from 0 to 1000")
+        check("exact_pins", 2 <= self.exact_pins <= 9, "a number from 2 to 9")
+        check("margin", 0 <= self.margin <= MOST, f"a number from 0 to {MOST}")
+        check("present", 0 < self.present <= 1000, "a number above 0, up to 1000")
+        check("growth", 1 <= self.growth <= 1000, "a number from 1 to 1000")
+        check("history", 0 <= self.history <= 1000, "a number from 0 to 1000")
+        check("decay", 0 <= self.decay <= 1, "a number from 0 to 1")
+        check("stuck", 1 <= self.stuck <= MOST, f"a number from 1 to {MOST}")
+        check("least_gain", 0 <= self.least_gain <= 1, "a number from 0 to 1")
+        check("again", 0 <= self.again <= 1, "a number from 0 to 1")
+        check("patience", 1 <= self.patience <= MOST, f"a number from 1 to {MOST}")
+        check("passes", 1 <= self.passes <= MOST, f"a number from 1 to {MOST}")
+        check("seconds", self.seconds is None or self.seconds >= 0, "a number from 0, or null")
+        check("seed", 0 <= self.seed <= MOST, f"a number from 0 to {MOST}")

@@ -1,0 +1,193 @@
+"""The arrays that the compiled code works on, and how they are set up for a problem.
+
+Costs and lengths are whole numbers, in units of which an edge inside a layer has :data:`UNIT`.
+Sizes: G Gcells, E edge numbers, N nets, Z layers (:mod:`marouting.problem.grid`).
+"""
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting import Problem
+from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.trees.steiner import Lattice, Search, make_lattice, make_search
+from policies.routers.pathfinder.options import PathfinderOptions
+
+UNIT = 256
+"""Cost of an edge inside a layer, so that prices can be fractions of an edge."""
+
+FULL = 4096 * UNIT
+"""Cost of one track of overflow where overflow is to be avoided; higher than any price."""
+
+EXACT_LABELS = 1 << 17
+"""Largest search for a cheapest tree, in labels: points in the box times 2^(pins - 1)."""
+
+FIRST_BOX = 4096
+"""Points in the largest box that the working memory has room for at first."""
+
+_HISTORY_ROWS = 64  # passes after which the compiled code returns, at the latest
+
+Kind = Literal["relax", "negotiate", "squeeze"]
+KINDS: tuple[Kind, ...] = ("relax", "negotiate", "squeeze")
+RELAX, NEGOTIATE, SQUEEZE = range(len(KINDS))
+
+DONE, PAUSED, BOX_TOO_SMALL, POOL_TOO_SMALL = range(4)
+"""Why a call of compiled code returned."""
+
+PROGRESS = np.dtype(
+    [
+        ("kind", np.int64),  # of the current pass: RELAX, NEGOTIATE or SQUEEZE
+        ("next", np.int64),  # index in Routing.order of the next net
+        ("routed", np.int64),  # nets rerouted in this pass
+        ("passes", np.int64),  # completed passes
+        ("stuck", np.int64),  # passes since the overflow last fell in this round
+        ("fewest", np.int64),  # least overflow in this round
+        ("since", np.int64),  # rounds since the last better solution
+        ("better", np.int64),  # 1 if this round has found a better solution
+        ("overflow", np.int64),  # of all edges, in tracks
+        ("length", np.int64),  # of all trees, in units of cost
+        ("last_overflow", np.int64),  # before this pass
+        ("last_length", np.int64),
+        ("best_overflow", np.int64),
+        ("best_length", np.int64),
+        ("present", np.float64),  # factor for one net too many, now
+        ("pool", np.int64),  # which of the two pools in Routing.edge is in use
+        ("top", np.int64),  # end of the used part of that pool
+        ("need", np.int64),  # the size required, after BOX_TOO_SMALL or POOL_TOO_SMALL
+        ("random", np.int64),  # state of the random numbers
+        ("unproven", np.int64),  # nets whose ideal length may not be the shortest possible
+        ("history", np.int64),  # filled rows of Routing.history
+    ],
+    align=True,
+)
+"""How far the search has come."""
+
+
+class ProblemArrays(NamedTuple):
+    """The problem."""
+
+    size: NDArray[np.int64]  # (3,) columns, rows, layers
+    position: NDArray[np.int32]  # (G, 3) x, y, z of each Gcell
+    capacity: NDArray[np.int32]  # (E,) in tracks
+    demand: NDArray[np.int32]  # (N, Z) tracks that a net takes from an edge in a layer
+    first: NDArray[np.int64]  # (N + 1,) a net's pins are pin[first[net] : first[net + 1]]
+    pin: NDArray[np.int64]  # (pins,) their Gcells
+
+
+class Parameters(NamedTuple):
+    """The options as numbers that the compiled code uses directly."""
+
+    via: int  # in units of cost
+    exact_pins: int
+    margin: int
+    present: float
+    growth: float
+    history: float
+    decay: float
+    stuck: int
+    least_gain: float
+    again: int  # in parts of 2^20
+    patience: int
+    passes: int
+
+
+class Routing(NamedTuple):
+    """The nets' trees, the prices and the best solution so far."""
+
+    progress: NDArray[Any]  # (1,) PROGRESS
+    order: NDArray[np.int64]  # (routable nets,) the order of the nets in this pass
+    remaining: NDArray[np.int64]  # (E,) capacity minus demand; negative where edges overflow
+    price: NDArray[np.float64]  # (E,) price from past overflow, in units of cost
+    margin: NDArray[np.int64]  # (N,) margin of each net's box
+    ideal: NDArray[np.int64]  # (N,) length of the net's shortest tree so far; -1: none yet
+    edge: NDArray[np.int32]  # (2, pool) edges of the trees, in the pool in use
+    start: NDArray[np.int64]  # (N,) a net's edges are edge[pool, start : start + length]
+    length: NDArray[np.int64]  # (N,)
+    best: NDArray[np.int32]  # (pool,) edges of the best solution
+    best_first: NDArray[np.int64]  # (N + 1,) a net's are best[best_first[n] : best_first[n + 1]]
+    history: NDArray[np.int64]  # (_HISTORY_ROWS, 4) kind, overflow, length, routed of new passes
+
+
+class NetBuffers(NamedTuple):
+    """Working memory for one net; points are those of its box."""
+
+    low: NDArray[np.int64]  # (3,) x, y, z of the box's first point
+    far: NDArray[np.int64]  # (pins,) a pin's distance from the tree; -1 once it has joined
+    pin: NDArray[np.uint8]  # (points,) 1 where the net has a pin; all 0 between nets
+    inside: NDArray[np.uint8]  # (points,) 1 where a walk has been; all 0 between walks
+    key: NDArray[np.int64]  # (2 points,) list of pins and branching points
+
+
+def make_parameters(options: PathfinderOptions) -> Parameters:
+    """The options as numbers for the compiled code."""
+    values = {name: getattr(options, name) for name in Parameters._fields if name != "via"}
+    values["again"] = round(options.again * (1 << 20))
+    return Parameters(via=round(options.via_weight * UNIT), **values)
+
+
+def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemArrays, Routing]:
+    """The problem as arrays, and a routing without any trees."""
+    first, pin = problem.flat_pin_gcells
+    grid = problem.topology
+    nets = len(problem.nets)
+    arrays = ProblemArrays(
+        size=np.array(problem.grid, np.int64),
+        position=grid.position,
+        capacity=problem.capacity,
+        demand=problem.demand,
+        first=first,
+        pin=pin,
+    )
+    routable = np.flatnonzero(np.diff(first) > 1)
+    # Short nets come first: they have fewer ways to choose from.
+    extent = np.zeros(nets, np.int64)
+    for axis in range(VIA_AXIS):
+        at = grid.position[pin, axis]
+        extent += np.maximum.reduceat(at, first[:-1]) - np.minimum.reduceat(at, first[:-1])
+    progress = np.zeros(1, PROGRESS)
+    progress["random"] = options.seed
+    progress["best_overflow"] = progress["fewest"] = np.iinfo(np.int64).max
+    pool = 4 * int(extent.sum()) + 4 * len(pin) + 1
+    ideal = np.zeros(nets, np.int64)
+    ideal[routable] = -1
+    routing = Routing(
+        progress=progress,
+        order=routable[np.argsort(extent[routable], kind="stable")],
+        remaining=problem.capacity.astype(np.int64),
+        price=np.zeros(grid.edges),
+        margin=np.full(nets, options.margin, np.int64),
+        ideal=ideal,
+        edge=np.empty((2, pool), np.int32),
+        start=np.zeros(nets, np.int64),
+        length=np.zeros(nets, np.int64),
+        best=np.empty(pool, np.int32),
+        best_first=np.zeros(nets + 1, np.int64),
+        history=np.empty((_HISTORY_ROWS, 4), np.int64),
+    )
+    return arrays, routing
+
+
+def make_buffers(
+    problem: ProblemArrays, exact_pins: int, points: int
+) -> tuple[Lattice, Search, NetBuffers]:
+    """Working memory for boxes of at most ``points`` points."""
+    buffers = NetBuffers(
+        low=np.zeros(AXES, np.int64),
+        far=np.empty(int(np.diff(problem.first).max()), np.int64),
+        pin=np.zeros(points, np.uint8),
+        inside=np.zeros(points, np.uint8),
+        key=np.empty(2 * points, np.int64),
+    )
+    lattice = make_lattice(points, int(problem.size.max()))
+    search = make_search(points, max(points, EXACT_LABELS), exact_pins - 1)
+    return lattice, search, buffers
+
+
+def with_larger_pool(routing: Routing, size: int) -> Routing:
+    """The routing with room for ``size`` edges in each pool; its other arrays are shared."""
+    edge = np.empty((2, size), np.int32)
+    edge[:, : routing.edge.shape[1]] = routing.edge
+    best = np.empty(size, np.int32)
+    best[: len(routing.best)] = routing.best
+    return routing._replace(edge=edge, best=best)
