@@ -4,5 +4,6 @@ Importing it registers the names of its routers, learners and networks; their mo
 when they are first used.
 """
 
-import policies.learned
+import policies.learned.algorithms
+import policies.learned.networks
 import policies.routers  # noqa: F401

@@ -37,7 +37,7 @@ from marouting import (
 from marouting.env.single import GlobalRoutingSingle
 from marouting.game.reward import PaperReward
 from marouting.problem.grid import MOVES
-from policies.learned.compiled.small_gemm import product
+from policies.learned.compiled.small_gemm import small_gemm as product
 from policies.learned.config import Config, DQNOptions, TrainOptions
 from policies.learned.dqn import DQN, Backend, Rule, backends
 from policies.learned.qnetwork import initial

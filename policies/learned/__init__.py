@@ -1,5 +1,1 @@
-"""Routers that learn."""
-
-from marouting.registry import register
-
-register("learner", "dqn", "policies.learned.algorithms.dqn:DQN")
+"""Routers that learn: networks, memories, algorithms, and the training that runs them."""

@@ -1,20 +1,22 @@
 """Whose moves fill the replay memory before the first gradient step (paper, section 3.5)."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
+from marouting.config import piece
 from marouting.game.engine import Engine
+from marouting.registry import names
 from marouting.search.astar import AStar
 from marouting.search.route_follower import RouteFollower
-from policies.routers.registry import has_seed, make_router
 
-GUIDES = ("astar", "random", "pathfinder", "optimal")
-"""What ``burn_in`` can be by name; anything else is a file or a folder."""
+GUIDES = ("astar", "random")
+"""Guides that are asked move by move; the name of any other router is one too."""
 
 
 class Guide(Protocol):
@@ -29,12 +31,12 @@ def guide(burn_in: str, problems: Mapping[str, Problem], engine: Engine, seed: i
     """Who moves the agents in the burn-in.
 
     Args:
-        burn_in: ``astar``: every move is A*'s, with the capacities as they are; ``random``; another
-            router's name: its solution is replayed
+        burn_in: ``astar``: every move is A*'s, with the capacities as they are; ``random``; the
+            name of another router, whose solution is replayed
             (:class:`marouting.search.route_follower.RouteFollower`); or a solution file, or a
             folder with a file ``NAME.solution`` or ``NAME.*.solution`` for every problem.
-        problems: the engine's problems by name.
-        engine: the game.
+        problems: by name; the engine plays as many games of each, one after another.
+        engine: the games.
         seed: where the router's random numbers start.
 
     Returns:
@@ -47,30 +49,36 @@ def guide(burn_in: str, problems: Mapping[str, Problem], engine: Engine, seed: i
         return None
     if burn_in == "astar":
         return AStar(engine)
-    if burn_in in GUIDES:
-        router = make_router(burn_in, {"seed": seed} if has_seed(burn_in) else {})
-        return RouteFollower(engine, [router.route(problem) for problem in problems.values()])
-    paths = solution_files(burn_in, tuple(problems))
-    return RouteFollower(engine, list(map(Solution.read, paths, problems.values())))
+    if burn_in in names("router"):
+        chosen: dict[str, Any] = {"kind": burn_in}
+        if any(f.name == "seed" for f in fields(piece("router", chosen).options)):
+            chosen["seed"] = seed
+        router = piece("router", chosen).make()
+        solutions = [router.route(problem) for problem in problems.values()]
+    else:
+        paths = solution_files(burn_in, tuple(problems))
+        solutions = list(map(Solution.read, paths, problems.values()))
+    copies = len(engine.problems) // len(problems)
+    return RouteFollower(engine, [solution for solution in solutions for _ in range(copies)])
 
 
-def solution_files(burn_in: str, names: Sequence[str]) -> list[Path]:
+def solution_files(burn_in: str, wanted: Sequence[str]) -> list[Path]:
     """The files that a burn-in replays, one for each problem; none if it replays no files.
 
     Raises:
         InputError: there are no such files.
     """
-    if burn_in in GUIDES:
+    if burn_in in (*GUIDES, *names("router")):
         return []
     path = Path(burn_in)
     if not path.exists():
         raise InputError(
-            f"burn_in: expected one of {', '.join(GUIDES)}, or a solution file or a folder of "
-            f"them, found {burn_in!r}"
+            f"burn_in: expected one of {', '.join(dict.fromkeys((*GUIDES, *names('router'))))}, "
+            f"or a solution file or a folder of them, found {burn_in!r}"
         )
     if path.is_dir():
-        return [_file(path, name) for name in names]
-    if len(names) > 1:
+        return [_file(path, name) for name in wanted]
+    if len(wanted) > 1:
         raise InputError(f"burn_in: {path}: expected a folder, with a solution for each problem")
     return [path]
 

@@ -10,12 +10,18 @@ import torch
 from marouting import InputError
 from marouting.files import unusable
 
-FORMAT = "marouting-dqn-2"
-"""Marks a checkpoint; the number goes up when its content changes."""
+POLICY_FORMAT, TRAINING_FORMAT = "marouting-policy-1", "marouting-training-1"
+"""Mark a file of trained networks, and the checkpoint of a training, which holds them too; the
+number goes up when the content changes."""
 
 
-def read_checkpoint(path: str | os.PathLike[str]) -> Mapping[str, Any]:
-    """What a checkpoint or policy file holds, tensors and plain data alone.
+def read_checkpoint(path: str | os.PathLike[str], *, training: bool) -> Mapping[str, Any]:
+    """What a checkpoint or policy file holds: only tensors and plain data.
+
+    Args:
+        path: the file.
+        training: whether it has to be the checkpoint of a training, to go on from; otherwise it
+            may also be a file of trained networks.
 
     Raises:
         InputError: the file is missing, damaged, or holds anything else.
@@ -35,6 +41,7 @@ def read_checkpoint(path: str | os.PathLike[str]) -> Mapping[str, Any]:
         raise InputError(
             f"{os.fspath(path)}: expected a checkpoint of this package, undamaged: {reason[:120]}"
         ) from None
-    if not isinstance(state, Mapping) or state.get("format") != FORMAT:
-        raise InputError(f"{os.fspath(path)}: expected a checkpoint of format {FORMAT}")
+    known = (TRAINING_FORMAT,) if training else (POLICY_FORMAT, TRAINING_FORMAT)
+    if not isinstance(state, Mapping) or state.get("format") not in known:
+        raise InputError(f"{os.fspath(path)}: expected a file of format {' or '.join(known)}")
     return state

@@ -96,7 +96,7 @@ class Run:
         path = self.folder / CHECKPOINT
         if not path.exists():
             return  # stopped before the first checkpoint: it starts again
-        state = read_checkpoint(path)
+        state = read_checkpoint(path, training=True)
         try:
             self.trainer.load_state(state, str(path))
             self._seconds, self._logged = float(state["seconds"]), int(state["logged"])
@@ -155,13 +155,20 @@ class Run:
         """Writes the solutions and ``result.json``."""
         rows = []
         each = self._seconds / len(self.problems)
+        learner = self.config.learner.name
         for name, solution in self.trainer.solutions().items():
             start = time.perf_counter()
             astar = AStarRouter().route(self.problems[name])
             seconds = time.perf_counter() - start
-            for router, routed, spent in (("astar", astar, seconds), ("dqn", solution, each)):
+            walked = self.trainer.policy_of(name).solve(self.problems[name])
+            for router, routed, spent, origin in (
+                ("astar", astar, seconds, None),
+                (learner, solution, each, self.trainer.origin(name)),
+                (f"{learner}_policy", walked.solution, each, walked.report["from"]),
+            ):
                 routed.write(solution_file(self.folder, name, router))
-                rows.append({"problem": name, "router": router, **solution_row(routed, spent)})
+                row = {"problem": name, "router": router, **solution_row(routed, spent)}
+                rows.append(row if origin is None else {**row, "from": origin})
         write_text(self.folder / RESULT, json.dumps(rows, indent=1) + "\n")
         return rows
 

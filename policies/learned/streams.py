@@ -11,9 +11,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
+
+from marouting.kernels import compiled
 
 
 def keys(seed: int, names: Sequence[str], purpose: str) -> NDArray[np.uint64]:
@@ -29,7 +30,7 @@ def keys(seed: int, names: Sequence[str], purpose: str) -> NDArray[np.uint64]:
     )
 
 
-@njit(cache=True)
+@compiled
 def uniform(key: Any, counter: int, lane: int) -> float:
     """The number in [0, 1) of a key, a counter and a lane below 2¹⁶ (draws of one counter)."""
     z = key + (np.uint64(counter) * np.uint64(65536) + np.uint64(lane) + np.uint64(1)) * np.uint64(

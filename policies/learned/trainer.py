@@ -1,14 +1,12 @@
 """The training loop: M problems side by side, from burn-in to solutions, checkpointed.
 
-One loop serves both ways to play. With ``agents: single`` each problem moves the net whose turn
-it is, one transition a step (the paper); with ``agents: multi`` all its nets move at once and one
-network, shared by the nets of a problem, learns from all their transitions. Either way every
-problem has its own network, memory and random numbers, and the stack only saves time: a problem
-that has trained its episodes leaves it. With ``shared: true`` there is one network, with one
-memory, for all problems and all nets.
+One loop serves both ways to play, and every learner. With ``agents: single`` each game moves the
+net whose turn it is, one transition per step (the paper); with ``agents: multi`` all its nets move
+at once, and the network that the nets share learns from all their transitions. Either way every
+problem has its own network and random numbers; playing them together only saves time. A problem
+that has trained its episodes leaves. With ``shared: true`` there is one network for all problems.
 """
 
-import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -16,20 +14,20 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
 from marouting.config import plain
-from marouting.game.engine import Engine
+from marouting.game.engine import Metrics
+from marouting.game.observation import state_space
 from marouting.game.state import NOBODY
-from marouting.options import ORDERS
-from marouting.problem.grid import MOVES
+from marouting.player import Saved, StepBuffers
 from policies.learned.burn_in import guide, solution_files
-from policies.learned.checkpoint import FORMAT
+from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT
 from policies.learned.config import Config
-from policies.learned.dqn import Rule, backend_for, backends
-from policies.learned.replay import Replay
-from policies.learned.stack import Stack
+from policies.learned.exploration import Exploration
+from policies.learned.learner import Before, Learner, Setup
+from policies.learned.policy import TrainedPolicy, player_of, policy_origin
 from policies.learned.streams import keys
 from policies.learned.threads import use_threads
 
@@ -48,8 +46,8 @@ class Episode:
         wirelength: of the routes, joined or not.
         steps: moves made.
         epsilon: chance of a random move.
-        loss: mean loss of the episode's gradient steps.
-        updates: gradient steps of the problem so far.
+        loss: mean loss of the gradient steps taken during the episode.
+        updates: gradient steps of the problem's network so far.
         best: whether no earlier episode was better.
     """
 
@@ -68,234 +66,290 @@ class Episode:
 
 
 SHARED = ("all",)
-"""The network that all problems share, where there is one, under which its keys are drawn."""
+"""The name of the network that all problems share, where there is one."""
 
 _STEPS = 200
-"""Steps between two looks at a clock or for an interrupt: a few hundredths of a second each."""
+"""Steps between two looks at a clock or for an interrupt: a few hundredths of a second."""
 
 
 class Trainer:
-    """Trains a DQN on each of M problems of one grid shape.
-
-    The solution of a problem is the best episode's, as ``train.best`` says.
+    """Trains a learner on M problems of one grid shape.
 
     Args:
         problems: the problems by name.
         config: what to do.
 
+    Attributes:
+        config: what to do.
+        problems: the problems by name.
+        names: their names.
+        learner: what learns.
+        player: the games: of each problem that still trains, its copies one after another.
+        episodes: (M,) int64, episodes finished.
+        places: which problems the networks and games belong to that still train.
+
     Raises:
-        InputError: the problems do not go together, or the device is not there.
+        InputError: the problems do not go together, the device is not there, or the learner does
+            not fit the game.
     """
 
     def __init__(self, problems: Mapping[str, Problem], config: Config) -> None:
-        self.config = config
-        self.problems = dict(problems)
-        self.names = tuple(problems)
-        use_threads(config.train.threads)
-        env, dqn = config.env, config.dqn
-        _ = solution_files(dqn.burn_in, self.names)  # whether they are there
-        engine = Engine(
-            list(problems.values()), env, turn_order=env.turn_order or ORDERS[env.agents]
+        self.config, self.problems, self.names = config, dict(problems), tuple(problems)
+        train, learner = config.train, config.learner
+        use_threads(train.threads)
+        device = _device(train.device)
+        # What needs no game is checked first.
+        masks = bool(getattr(learner.options, "masking", False))
+        self._whole = player_of(config.env, list(problems.values()), masks)
+        engine, count = self._whole.engine, len(self.names)
+        self._copies = int(getattr(learner.options, "copies", 1))
+        each = [problem for problem in problems.values() for _ in range(self._copies)]
+        self.player = player_of(config.env, each, masks)
+        b = self.player.buffers
+        self.learner: Learner = learner.cls.start(
+            Setup(
+                names=SHARED if train.shared else self.names,
+                game_names=tuple(
+                    f"{name}#{copy}" if copy else name
+                    for name in self.names
+                    for copy in range(self._copies)
+                ),
+                games=len(each),
+                rows=b.obs.shape[1],
+                obs_shape=b.obs.shape[2:],
+                state_shape=state_space(engine.problems, engine.static.overflow_allowed).shape,
+                player=self.player,
+                seed=config.seed,
+                device=device,
+                threads=train.threads,
+                episodes=train.episodes,
+            ),
+            learner.options,
         )
-        self._whole = engine  # of all problems, those too that have left the stack
-        self.stack = Stack(
-            engine,
-            everyone=env.agents == "multi",
-            masked=dqn.masking,
-            observation=env.observation.make(),
-            reward=env.reward.make(),
-            keys=keys(config.seed, self.names, "explore"),
-        )
-        count, _, features = self.stack.lanes.seen.shape
-        if dqn.shared and dqn.buffer_size < self.stack.lanes.moves.size:
-            raise InputError(
-                f"buffer_size: expected at least {self.stack.lanes.moves.size}, "
-                "the moves of one step"
-            )
-        networks = SHARED if dqn.shared else self.names
-        device = _device(config.train.device)
-        self.learner = backends()[config.train.backend or backend_for(device)](
-            Replay(len(networks), dqn.buffer_size, features, dqn.masking, device),
-            dqn.hidden,
-            MOVES,
-            seeds=keys(config.seed, networks, "weights").astype(np.int64).tolist(),
-            keys=keys(config.seed, networks, "sample"),
-            rule=Rule(dqn.batch_size, dqn.gamma, dqn.target_period, dqn.learning_rate),
-            steps_per_update=dqn.steps_per_update,
-            init=dqn.init,
-            threads=config.train.threads,
-        )
-        # What stays of each problem.
-        self.episodes = np.zeros(count, np.int64)  # episodes finished
+        if self.learner.fill:
+            _ = solution_files(self.learner.burn_in, self.names)  # whether they are there
+        # What stays of each problem, and of each network.
+        self.episodes = np.zeros(count, np.int64)
         self.score = np.full((count, 3), np.inf)  # of the best episode: less is better
         self.best_episode = np.full(count, NOBODY, np.int64)
         self.best_used = engine.dynamic.used.copy()
-        self._weights = self.learner.weights.cpu().clone()  # (networks, P) of those that left
-        # The problems in the stack: those that still have episodes to train, and at the end those
-        # that had the last ones.
+        networks = 1 if train.shared else count
+        self.policy_score = np.full((networks, 3), np.inf)  # of the best network
+        self.policy_episode = np.zeros(networks, np.int64)  # after which it was evaluated
+        self._policies = self.learner.networks.flat.detach().cpu().clone()
+        self._evaluated = np.zeros(networks, np.int64)  # episodes at the last evaluation
         self.places = np.arange(count)
-        self._before = np.zeros((2, count))  # loss and steps of the network before the episode
-        self._set_epsilon()
+        self._before = np.zeros((2, len(each)))  # loss and steps of the network before the episode
+        self._tell_episodes()
 
     @property
-    def engine(self) -> Engine:
-        """The game of the problems in the stack."""
-        return self.stack.engine
+    def games(self) -> NDArray[np.int64]:
+        """(games,) the problem of each game."""
+        return np.repeat(self.places, self._copies)
+
+    def _networks(self, problems: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The networks of problems, as rows of what stays of each network."""
+        return problems * (not self.config.train.shared)
 
     def _keep(self, which: NDArray[np.integer]) -> None:
-        """Goes on with some places of the stack alone (ascending); the others leave it."""
-        if not self.config.dqn.shared:
-            _ = self.weights  # those of the problems that leave are kept
-            self.learner.keep(which)
-        self.stack = self.stack.part(which)
-        self.places, self._before = self.places[which], self._before[:, which]
-
-    @property
-    def weights(self) -> Tensor:
-        """(problems, P) float32, or (1, P) of the shared one: the networks, on the processor."""
-        self._weights[... if self.config.dqn.shared else self.places] = self.learner.weights.cpu()
-        return self._weights
+        """Goes on with some of the problems that still train (places, ascending)."""
+        copies = self._copies
+        games = (which[:, None] * copies + np.arange(copies)).ravel()
+        self.learner.keep(which)
+        self.player = self.player.part(games)
+        self.places, self._before = self.places[which], self._before[:, games]
 
     @property
     def running(self) -> NDArray[np.bool_]:
-        """(M,) which problems in the stack still have episodes to train."""
+        """(M',) which problems in play still have episodes to train."""
         return self.episodes[self.places] < self.config.train.episodes
 
     @property
     def updates(self) -> NDArray[np.int64]:
-        """(M,) gradient steps taken by the networks of the problems in the stack."""
-        return np.broadcast_to(self.learner.steps, self.places.shape)
+        """(games,) gradient steps taken by the network of each game."""
+        games = len(self.player.buffers.over)
+        return np.repeat(self.learner.updates, games // len(self.learner.updates))
 
     def burn_in(self) -> None:
-        """Fills the memories with the moves of a guide, episode after episode."""
-        moves = guide(self.config.dqn.burn_in, self.problems, self.engine, self.config.seed)
-        stack, engine = copy.copy(self.stack), self.engine
-        count = len(self.places)
-        stack.lanes = lanes = stack.lanes._replace(
-            keys=keys(self.config.seed, self.names, "burn-in"),
-            epsilon=np.ones(count),
-            counters=np.zeros(count, np.int64),
-            total=np.zeros(count),
-        )
-        problem = np.repeat(np.arange(count), lanes.agents.shape[1])
-        filled = np.zeros(count, np.bool_)
+        """Shows the learner the moves of a guide until every network has seen enough of them."""
+        player, learner, config = self.player, self.learner, self.config
+        if learner.fill == 0:
+            return
+        b, games = player.buffers, self.games
+        moves = guide(learner.burn_in, self.problems, player.engine, config.seed)
+        chance = Exploration(keys(config.seed, learner.setup.game_names, "burn-in").reshape(-1, 1))
+        nothing = np.zeros(b.mask.shape, np.float32)
+        game = np.repeat(np.arange(len(games)), b.agents.shape[1])
+        player.reset()
+        filled = np.zeros(len(games), np.bool_)
         while not filled.all():
-            stack.look()
             if moves is None:
-                stack.pick()
+                chance.epsilon_greedy(b, nothing, player.known.masks)
             else:
-                lanes.moves.reshape(-1)[:] = moves.moves(problem, lanes.agents.reshape(-1))
-            lanes.moves[filled] = NOBODY
-            stack.move()
-            self.learner.replay.add(lanes)
-            filled |= self.learner.replay.stored >= self.config.dqn.burn_in_size
-            if lanes.over.any():
-                engine.reset(lanes.over)
-        engine.reset()
+                b.actions.reshape(-1)[:] = moves.moves(game, b.agents.reshape(-1))
+            b.actions[filled] = NOBODY
+            before = Before.of(player)
+            player.step()
+            learner.observe(player, before)
+            enough = learner.stored >= learner.fill
+            filled |= np.repeat(enough, len(games) // len(enough))
+            if b.over.any():
+                player.reset(b.over.copy())
+        player.reset()
 
-    def _set_epsilon(self) -> None:
-        dqn, episodes = self.config.dqn, self.config.train.episodes
-        self.stack.lanes.epsilon[:] = [
-            dqn.epsilon_at(int(e), episodes) for e in self.episodes[self.places]
-        ]
+    def _tell_episodes(self) -> None:
+        self.learner.set_episodes(self.episodes[self.games])
 
     def run(self) -> Iterator[list[Episode]]:
-        """Trains to the end; after some steps of all problems, yields the episodes that ended.
+        """Trains to the end; after some steps of all games, yields the episodes that ended.
 
         Between times the trainer is in a state that :meth:`state` can save.
         """
-        if not self.learner.replay.stored.any():
+        if not self.learner.updates.any() and not self.learner.stored.any():
+            self.player.reset()
             self.burn_in()
         while self.running.any():
-            self.learner.play(self.stack, _STEPS)
-            over = self.stack.lanes.over
+            self.learner.play(self.player, _STEPS)
+            over = self.player.buffers.over.copy()
             yield self._finish(over) if over.any() else []
 
     def _finish(self, over: NDArray[np.bool_]) -> list[Episode]:
         """Scores the episodes that are over and starts the next ones."""
         finished = []
-        updates, lanes = self.updates, self.stack.lanes
-        losses = np.broadcast_to(self.learner.loss.cpu().numpy(), over.shape)
-        for m in np.flatnonzero(over).tolist():
-            problem = int(self.places[m])
-            metrics = self.engine.metrics(m)
-            reward = float(lanes.total[m])
-            by: tuple[float, ...] = metrics.overflow, metrics.wirelength
-            if self.config.train.best == "reward":
-                by = -reward, 0.0
-            score = (metrics.tasks - metrics.joined, *by)
+        updates, games, player = self.updates, self.games, self.player
+        losses = np.repeat(self.learner.loss.cpu().numpy(), len(games) // len(self.learner.loss))
+        for g in np.flatnonzero(over).tolist():
+            problem = int(games[g])
+            if self.episodes[problem] >= self.config.train.episodes:
+                continue  # another copy has played the last one
+            metrics = player.engine.metrics(g)
+            reward = float(player.buffers.total[g])
+            score = _score(metrics, reward if self.config.train.best == "reward" else None)
             best = bool(score < tuple(self.score[problem].tolist()))
             if best:
                 self.score[problem] = score
                 self.best_episode[problem] = self.episodes[problem]
-                self.best_used[problem] = self.engine.dynamic.used[m]
-            loss, steps = losses[m] - self._before[0, m], updates[m] - self._before[1, m]
+                self.best_used[problem] = player.engine.dynamic.used[g]
+            loss, steps = losses[g] - self._before[0, g], updates[g] - self._before[1, g]
             finished.append(
                 Episode(
                     problem=self.names[problem],
                     episode=int(self.episodes[problem]),
                     reward=reward,
-                    epsilon=float(lanes.epsilon[m]),
+                    epsilon=self.learner.exploration(int(self.episodes[problem])),
                     loss=float(loss / max(steps, 1)),
-                    updates=int(updates[m]),
+                    updates=int(updates[g]),
                     best=best,
                     **asdict(metrics),
                 )
             )
-        self.episodes[self.places[over]] += 1
-        lanes.total[over] = 0
+            self.episodes[problem] += 1
         self._before[:, over] = losses[over], updates[over]
+        self._evaluate(np.unique(games[over]))
         running = self.running
-        self.engine.reset(over & running)
-        if running.any() and not running.all():
+        if running.any() and not running.all() and not self.config.train.shared:
+            # The games that go on are started below.
+            over = over[np.repeat(running, self._copies)]
             self._keep(np.flatnonzero(running))
-        self._set_epsilon()
+            running = running[running]
+        self.player.reset(over & np.repeat(running, self._copies))
+        self._tell_episodes()
         return finished
+
+    def _evaluate(self, problems: NDArray[np.int64]) -> None:
+        """Has networks that are due play without exploration, and keeps the best of each."""
+        train = self.config.train
+        for network in np.unique(self._networks(problems)).tolist():
+            taught = np.arange(len(self.names)) if train.shared else np.array([network])
+            episodes = int(self.episodes[taught].min())
+            last = episodes >= train.episodes
+            due = episodes >= self._evaluated[network] + train.evaluate_every
+            if episodes == self._evaluated[network] or not (due or last):
+                continue
+            self._evaluated[network] = episodes
+            row = 0 if train.shared else int(np.searchsorted(self.places, network))
+            scores = [self._walk(int(m), row) for m in taught]
+            score = tuple(np.sum(scores, axis=0).tolist())
+            if score < tuple(self.policy_score[network].tolist()):
+                self.policy_score[network] = score
+                self.policy_episode[network] = episodes
+                self._policies[network] = self.learner.networks.flat[row].detach().cpu()
+
+    def _walk(self, problem: int, network: int) -> tuple[float, ...]:
+        """The score of one episode of a problem by a network without exploration."""
+        player = self._whole.part(np.array([problem]))
+        player.reset()
+        self.learner.walk(player, network)
+        return _score(player.engine.metrics(0), None)
 
     def solutions(self) -> dict[str, Solution]:
         """The best episode's routes of every problem that has finished one."""
         return {
-            name: self._whole.solution(m, self.best_used[m])
+            name: self._whole.engine.solution(m, self.best_used[m])
             for m, name in enumerate(self.names)
             if self.best_episode[m] != NOBODY
         }
+
+    def policy_of(self, problem: str) -> TrainedPolicy:
+        """The saved network of a problem: the best of all evaluations."""
+        row = int(self._networks(np.array([self.names.index(problem)]))[0])
+        setup, learner = self.learner.setup, self.config.learner
+        module = learner.cls.network(learner.options, setup.obs_shape)
+        module.load_state_dict(self._state_dict(self._policies[row]))
+        masking = bool(learner.options.masking)
+        origin = policy_origin(int(self.policy_episode[row]))
+        return TrainedPolicy(module, masking, setup.obs_shape, self.config.env, origin)
+
+    def origin(self, problem: str) -> str:
+        """Which episode a problem's solution is from."""
+        best = self.best_episode[self.names.index(problem)] + 1
+        return f"episode {best} of {self.config.train.episodes}"
 
     # --- checkpoints --------------------------------------------------------------------------
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         """What changes in training but the learner, as arrays to copy from or into."""
-        own = ("episodes", "score", "best_episode", "best_used", "places", "_before")
-        dynamic, lanes = self.engine.dynamic, self.stack.lanes
+        own = (
+            "episodes", "score", "best_episode", "best_used", "places", "_before",
+            "policy_score", "policy_episode", "_evaluated",
+        )  # fmt: skip
+        engine, buffers = self.player.engine, self.player.buffers
         return {
             **{name: getattr(self, name) for name in own},
-            "counters": lanes.counters,
-            "total": lanes.total,
-            "weights": self._weights.numpy(),
-            "dynamic.remaining": dynamic.remaining,
-            "dynamic.used": dynamic.used,
+            "policies": self._policies.numpy(),
             # Records have no counterpart in torch: their bytes do.
-            "dynamic.agents": dynamic.agents.view(np.uint8),
-            "dynamic.games": dynamic.games.view(np.uint8),
+            **{f"game.{k}": _bytes(v) for k, v in engine.dynamic._asdict().items()},
+            **{f"buffers.{k}": _bytes(v) for k, v in buffers._asdict().items()},
         }
 
     def policy(self) -> dict[str, Any]:
-        """What it takes to play with the networks: plain data and tensors."""
+        """What it takes to play with the best networks: plain data and tensors."""
         env = plain(self.config.env)
         del env["problem"]
         return {
-            "format": FORMAT,
-            "names": list(self.names),
-            "sizes": list(self.learner.sizes),
-            "masking": self.config.dqn.masking,
+            "format": POLICY_FORMAT,
+            "names": list(self.learner.setup.names),
+            "episodes": self.policy_episode.tolist(),
+            "learner": plain(self.config.learner),
+            "obs_shape": list(self.learner.setup.obs_shape),
             "env": env,
-            "weights": self.weights,
+            "weights": [self._state_dict(row) for row in self._policies],
         }
+
+    def _state_dict(self, flat: Tensor) -> dict[str, Tensor]:
+        """The ``state_dict`` of a network with the weights (P,)."""
+        learner = self.config.learner
+        module = learner.cls.network(learner.options, self.learner.setup.obs_shape)
+        nn.utils.vector_to_parameters(flat, module.parameters())
+        return {name: tensor.detach() for name, tensor in module.state_dict().items()}
 
     def state(self) -> dict[str, Any]:
         """Everything that it takes to go on as if never stopped."""
         return {
             **self.policy(),
-            "learner": self.learner.state(),
+            "format": TRAINING_FORMAT,
+            "problems": list(self.names),
+            "training": self.learner.state(),
             "trainer": {name: torch.from_numpy(a) for name, a in self._arrays().items()},
         }
 
@@ -309,21 +363,16 @@ class Trainer:
         Raises:
             InputError: it is of another kind, shape or set of problems.
         """
-        if "trainer" not in state:
-            raise InputError(f"{where}: expected a checkpoint of a training, found a policy")
-        if state["names"] != list(self.names):
-            raise InputError(f"{where}: expected problems {self.names}, found {state['names']}")
-        if state["sizes"] != list(self.learner.sizes):
-            raise InputError(
-                f"{where}: expected layers {self.learner.sizes}, found {state['sizes']}"
-            )
+        if state["problems"] != list(self.names):
+            raise InputError(f"{where}: expected problems {self.names}, found {state['problems']}")
         places = np.asarray(state["trainer"]["places"], np.int64)
         if not np.array_equal(places, np.intersect1d(self.places, places)) or not len(places):
             raise InputError(f"{where}: expected places of problems, found {places}")
-        self._keep(np.searchsorted(self.places, places))
+        if len(places) < len(self.places):
+            self._keep(np.searchsorted(self.places, places))
         learner = self.learner.state()
         arrays = {name: torch.from_numpy(array) for name, array in self._arrays().items()}
-        for kept, now in ((state["learner"], learner), (state["trainer"], arrays)):
+        for kept, now in ((state["training"], learner), (state["trainer"], arrays)):
             for name, tensor in now.items():
                 if name not in kept or kept[name].shape != tensor.shape:
                     shape = tuple(kept[name].shape) if name in kept else "nothing"
@@ -332,8 +381,20 @@ class Trainer:
                     )
         for name, tensor in arrays.items():
             tensor.copy_(state["trainer"][name])
-        self.learner.load_state(state["learner"])
-        self._set_epsilon()
+        engine, buffers = self.player.engine, self.player.buffers
+        self.player.restore(Saved(engine.save(), StepBuffers._make(a.copy() for a in buffers)))
+        self.learner.load_state(state["training"])
+        self._tell_episodes()
+
+
+def _score(metrics: Metrics, reward: float | None) -> tuple[float, ...]:
+    """What makes an episode better: less is better."""
+    by = (metrics.overflow, metrics.wirelength) if reward is None else (-reward, 0.0)
+    return (metrics.tasks - metrics.joined, *by)
+
+
+def _bytes(array: NDArray[Any]) -> NDArray[Any]:
+    return array.view(np.uint8) if array.dtype.names else array
 
 
 def _device(name: str) -> torch.device:

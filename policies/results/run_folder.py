@@ -6,8 +6,9 @@ problems/NAME.gr       the problems
 metrics.jsonl          a line of JSON for every episode
 tensorboard/           the same for TensorBoard
 checkpoint.pt          everything needed to resume the training
-policy.pt              only the networks, written when the training is finished
-solutions/NAME.ROUTER.solution   the routes of the learner and of sequential A* (``astar``)
+policy.pt              only the networks, the best by evaluation, when the training is finished
+solutions/NAME.*       the routes of the learner's best episode (``dqn``, say), of its saved policy
+                       (``dqn_policy``) and of sequential A* (``astar``)
 result.json            a row for each problem and router (:mod:`policies.results.rows`)
 figures/               pictures
 =====================  ==========================================================================

@@ -1,1 +1,1 @@
-"""The fused DQN: compiled code for the processor, the fast path where it applies."""
+"""The fused DQN: whole steps of play and learning as compiled code, where they apply."""

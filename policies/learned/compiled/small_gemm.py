@@ -16,9 +16,11 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+
+from marouting.kernels import compiled
 
 _WIDE, _NARROW = (4, 16), (8, 4)
 """Rows and columns of tiles: eight sums of a register or less in flight, as many as it takes for
@@ -119,8 +121,8 @@ _many_wide, _many_narrow = _tile(*_WIDE), _tile(*_NARROW)
 _one_wide, _one_narrow, _one = _tile(1, _WIDE[1]), _tile(1, _NARROW[1]), _tile(1, 1)
 
 
-@njit(cache=True)
-def product(
+@compiled
+def small_gemm(
     a: Any,
     a_at: int,
     a_row: int,

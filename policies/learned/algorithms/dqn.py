@@ -1,0 +1,268 @@
+"""Deep Q-learning (Mnih et al., 2015) as in the paper, with the usual additions as switches.
+
+Deviations from the paper's text, all of them options: a target network (``target_period``), and a
+discount factor below 1. Without them hardly a net is joined, see docs/paper.md. The additions are
+off by default; each can be switched on without the others.
+
+* ``double``: the network chooses the next move, the target network values it (van Hasselt et al.,
+  2016).
+* dueling: ``network: {kind: mlp, dueling: true}`` (Wang et al., 2016).
+* ``n_step``: n rewards are summed before the rest is bootstrapped (Sutton, 1988).
+* ``prioritised``: transitions of large errors are drawn more often (Schaul et al., 2016).
+* ``masking``: only moves that cross an edge are chosen, and bootstrapped from.
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from marouting.config import MOST, Named, check, piece_field, take_pieces
+from marouting.player import Player
+from marouting.problem.grid import MOVES
+from policies.learned.exploration import Exploration
+from policies.learned.learner import Before, Learner, Setup, look_after
+from policies.learned.memory.prioritised import Prioritised
+from policies.learned.memory.replay import Replay
+from policies.learned.networks.adam import Adam
+from policies.learned.networks.graph import Recorded, recorder
+from policies.learned.networks.stack import Stack
+
+
+@dataclass(frozen=True, kw_only=True)
+class DQNOptions:
+    """What a DQN is told.
+
+    Attributes:
+        network: gives the values of the six moves.
+        gamma: discount factor.
+        learning_rate: Adam's.
+        batch_size: transitions of a gradient step.
+        buffer_size: transitions that the replay memory of a network holds.
+        burn_in: whose moves fill the memory first: ``astar``, ``random``, ``pathfinder``,
+            ``optimal``, or a solution file, see :func:`policies.learned.burn_in.guide`.
+        burn_in_size: how many of them.
+        epsilon: chance of a random move.
+        epsilon_final: what ``epsilon`` falls to, linearly, between the episodes
+            ``epsilon_decay_from`` and the last; None: it stays.
+        epsilon_decay_from: the episode from which it falls.
+        target_period: gradient steps between copies of the network to its target; 0: the network
+            is its own target, as the paper's Appendix B writes.
+        steps_per_update: moves to each gradient step.
+        masking: whether only moves that cross an edge are chosen and bootstrapped from.
+        double: whether the network chooses the move that its target values.
+        n_step: rewards that are summed before the rest is bootstrapped.
+        prioritised: whether transitions are drawn by the sizes of their errors.
+        priority_exponent: α of Schaul et al.; 0 would be uniform.
+        importance_exponent: their β at the start; it rises to 1 with the last episode.
+        fused: whether the compiled learner does it, see
+            :func:`policies.learned.compiled.dqn.obstacle`; None: where it applies.
+    """
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
+
+    network: Named = piece_field("network", "mlp")
+    gamma: float = 0.95
+    learning_rate: float = 1e-4
+    batch_size: int = 32
+    buffer_size: int = 50_000
+    burn_in: str = "astar"
+    burn_in_size: int = 10_000
+    epsilon: float = 0.05
+    epsilon_final: float | None = None
+    epsilon_decay_from: int = 0
+    target_period: int = 1000
+    steps_per_update: int = 1
+    masking: bool = False
+    double: bool = False
+    n_step: int = 1
+    prioritised: bool = False
+    priority_exponent: float = 0.6
+    importance_exponent: float = 0.4
+    fused: bool | None = None
+
+    def __post_init__(self) -> None:
+        take_pieces(self)
+        check("gamma", 0 <= self.gamma <= 1, "a number from 0 to 1")
+        check("learning_rate", self.learning_rate > 0, "a number above 0")
+        check("batch_size", 1 <= self.batch_size <= 65536, "a number from 1 to 65536")
+        check("burn_in_size", self.burn_in_size >= 1, "a number from 1")
+        check("buffer_size", self.buffer_size >= self.burn_in_size, "at least burn_in_size")
+        check("buffer_size", self.buffer_size <= MOST, f"a number up to {MOST}")
+        check("epsilon", 0 <= self.epsilon <= 1, "a number from 0 to 1")
+        final = self.epsilon if self.epsilon_final is None else self.epsilon_final
+        check("epsilon_final", 0 <= final <= 1, "a number from 0 to 1")
+        check("epsilon_decay_from", self.epsilon_decay_from >= 0, "a number from 0")
+        check("target_period", 0 <= self.target_period <= MOST, f"a number from 0 to {MOST}")
+        check("steps_per_update", 1 <= self.steps_per_update <= MOST, f"a number from 1 to {MOST}")
+        check("double", not self.double or self.target_period > 0, "a target_period above 0 for it")
+        check("n_step", 1 <= self.n_step <= 100, "a number from 1 to 100")
+        check("priority_exponent", 0 <= self.priority_exponent <= 1, "a number from 0 to 1")
+        check("importance_exponent", 0 <= self.importance_exponent <= 1, "a number from 0 to 1")
+
+
+class DQN(Learner):
+    """DQN in torch, on any device, for any network, observation and reward."""
+
+    Options = DQNOptions
+    rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "target", "owed")
+    parts: ClassVar[tuple[str, ...]] = ("networks", "adam", "memory", "explore")
+
+    def __init__(self, setup: Setup, options: DQNOptions) -> None:
+        super().__init__(setup, options)
+        o, names, device = options, setup.names, setup.device
+        check(
+            "buffer_size",
+            o.buffer_size >= setup.games // len(names) * setup.rows,
+            f"at least {setup.games // len(names) * setup.rows}, the moves of one step",
+        )
+        self.fill, self.burn_in = o.burn_in_size, o.burn_in
+        self.path = "torch, CUDA graph" if device.type == "cuda" else f"torch, batched on {device}"
+        self.networks = self._stack()
+        self.adam = Adam(self.networks.flat)
+        self.memory = self._memory()
+        self.explore = Exploration(setup.game_keys("explore"))
+        self.owed = np.zeros(len(names), np.int64)  # moves not yet answered by a gradient step
+        # Without a target network there are no weights to keep for it.
+        self.target = self.networks.flat[:, : None if o.target_period else 0].clone()
+        self._burning_in = False
+        self.bind()
+
+    @classmethod
+    def start(cls, setup: Setup, options: DQNOptions) -> Learner:
+        """The compiled learner where it applies, else this one."""
+        from policies.learned.compiled.dqn import FusedDQN, obstacle
+
+        reason = obstacle(setup, options)
+        check("fused", not options.fused or reason is None, f"false: {reason}")
+        return cls(setup, options) if reason or options.fused is False else FusedDQN(setup, options)
+
+    def _stack(self) -> Stack:
+        seeds = self.setup.network_keys("weights").astype(np.int64).tolist()
+        make = lambda: self.network(self.options, self.setup.obs_shape)  # noqa: E731
+        return Stack(make, seeds, self.device)
+
+    def _memory(self) -> Replay:
+        o, setup, priority = self.options, self.setup, {}
+        if o.prioritised:
+            priority = {"alpha": o.priority_exponent, "beta": o.importance_exponent}
+        each = setup.games // len(setup.names)
+        agents = (each, setup.player.engine.nets.shape[1]) if o.n_step > 1 else (0, 0)
+        kind: Any = Prioritised if o.prioritised else Replay
+        return kind(
+            setup.network_keys("sample"), o.buffer_size, setup.obs_shape, o.masking, self.device,
+            n_step=o.n_step, gamma=o.gamma, agents=agents, **priority,
+        )  # fmt: skip
+
+    def bind(self) -> None:
+        """Renews what refers to the rows."""
+        own = self.options.target_period > 0
+        self._target = self.networks.view_of(self.target) if own else self.networks.view
+        self._gradient = torch.empty_like(self.networks.flat)
+        self._due = torch.zeros(len(self.updates), 1, device=self.device)
+        self._were_due = np.zeros(len(self.updates), np.bool_)
+        self._step = Recorded(self._update, recorder(self.device))
+
+    # --- play ---------------------------------------------------------------------------------
+
+    def play(self, player: Player, steps: int) -> None:
+        """See :meth:`policies.learned.learner.Learner.play`."""
+        if self._burning_in:  # what was played then is not gone on with
+            self.memory.cut()
+            self._burning_in = False
+        for _ in range(steps):
+            before = Before.of(player)
+            self.explore.epsilon_greedy(
+                player.buffers, self._values(before.obs), self.options.masking
+            )
+            player.step()
+            look_after(player, before)
+            self.memory.add(before, player.buffers)
+            self.owed += self._games(player.buffers.acted).sum(axis=(1, 2))
+            due = self.owed // self.options.steps_per_update
+            self.owed -= due * self.options.steps_per_update
+            self.learn(due)
+            if player.buffers.over.any():
+                return
+
+    def observe(self, player: Player, before: Before) -> None:
+        """See :meth:`policies.learned.learner.Learner.observe`."""
+        look_after(player, before)
+        self.memory.add(before, player.buffers)
+        self._burning_in = True
+
+    def _values(self, obs: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M, K, 6) values of all moves for observations (M, K, *S)."""
+        games, rows, *shape = obs.shape
+        inputs = torch.from_numpy(obs).to(self.device).view(len(self.updates), -1, *shape)
+        with torch.no_grad():
+            return self.networks.view(inputs).cpu().numpy().reshape(games, rows, MOVES)
+
+    # --- learning -----------------------------------------------------------------------------
+
+    def learn(self, due: NDArray[np.int64]) -> None:
+        """Takes ``due`` (L,) gradient steps, each network on samples of its own memory."""
+        period, due = self.options.target_period, due.copy()
+        while due.any():
+            now = due > 0
+            if not np.array_equal(now, self._were_due):
+                self._were_due = now
+                self._due.copy_(torch.from_numpy(now[:, None].astype(np.float32)))
+            self._step()
+            self.updates += now
+            if period and (copied := now & (self.updates % period == 0)).any():
+                rows = torch.from_numpy(np.flatnonzero(copied)).to(self.device)
+                self.target[rows] = self.networks.flat[rows]
+            due -= now
+
+    def _update(self) -> None:
+        """A gradient step of the networks that are due; nothing here looks at a number."""
+        o = self.options
+        batch = self.memory.sample(o.batch_size, self.adam.count)
+        with torch.no_grad():
+            value = self._target(batch.next_obs)
+            chooser = self.networks.view(batch.next_obs) if o.double else value
+            if batch.mask is not None:
+                chooser = chooser.masked_fill(batch.mask == 0, -torch.inf)
+            best = chooser.amax(dim=2, keepdim=True)
+            if o.double:
+                best = value.gather(2, chooser.argmax(dim=2, keepdim=True))
+            wanted = batch.reward + o.gamma * batch.goes_on * best
+        # The loss is the mean of weight · error².
+        value = self.networks.view(batch.obs).gather(2, batch.move)
+        with torch.no_grad():
+            error = value - wanted
+            weighted = error if batch.weight is None else batch.weight * error
+            slope = weighted * (2 / o.batch_size)
+            self.loss += ((weighted * error).mean(dim=(1, 2)) * self._due[:, 0]).double()
+        self.networks.view.gradient(value, self._gradient, slope)
+        self.adam.step(self.networks.flat, self._gradient, self._due, o.learning_rate)
+        self.memory.learned(batch, error, self._due)
+
+    # --- schedules ----------------------------------------------------------------------------
+
+    @property
+    def stored(self) -> NDArray[np.int64]:
+        """(L,) transitions ever stored."""
+        return self.memory.stored
+
+    def exploration(self, episode: int) -> float:
+        """The chance of a random move in an episode (counted from 0)."""
+        o = self.options
+        if o.epsilon_final is None or episode <= o.epsilon_decay_from:
+            return o.epsilon
+        span = max(self.setup.episodes - 1 - o.epsilon_decay_from, 1)
+        share = min((episode - o.epsilon_decay_from) / span, 1.0)
+        return o.epsilon + share * (o.epsilon_final - o.epsilon)
+
+    def set_episodes(self, episodes: NDArray[np.int64]) -> None:
+        """See :meth:`policies.learned.learner.Learner.set_episodes`."""
+        chances = [self.exploration(episode) for episode in episodes.tolist()]
+        self.explore.epsilon[:] = self._games(np.array(chances))
+        if isinstance(self.memory, Prioritised):
+            played = self._games(episodes).mean(axis=1) / max(self.setup.episodes - 1, 1)
+            start = self.options.importance_exponent
+            beta = start + (1 - start) * np.minimum(played, 1)
+            self.memory.beta.copy_(torch.from_numpy(beta[:, None]))

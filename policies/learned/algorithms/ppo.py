@@ -1,0 +1,300 @@
+"""Proximal policy optimisation (Schulman et al., 2017), with one actor for all agents.
+
+With ``critic: own`` the critic sees what the agent sees: independent PPO (de Witt et al., 2020).
+With ``critic: central`` it also sees the game's global state: MAPPO (Yu et al., 2022).
+
+Deviations from the papers and from CleanRL's implementation:
+
+* A task is an agent's episode: the sum of rewards ends where a task is joined. A task that failed
+  only ran out of steps, and is bootstrapped from.
+* Rollouts are counted in transitions, not in steps: agents finish at different times.
+* Rewards are multiplied by ``reward_scale``, and no values are normalised or clipped.
+* Actor and critic are two networks with an optimiser each; there is no annealing but the linear one
+  of the learning rate.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from marouting.config import MOST, Named, Piece, check, piece, take_pieces
+from marouting.game.observation import state
+from marouting.game.state import Ending
+from marouting.player import Player
+from marouting.problem.grid import MOVES
+from policies.learned.exploration import Exploration
+from policies.learned.learner import Before, Learner, Setup
+from policies.learned.memory.rollout import Rollout
+from policies.learned.networks.adam import Adam
+from policies.learned.networks.stack import Stack, View
+from policies.learned.streams import uniforms
+
+
+def _network() -> Piece:
+    return piece("network", {"kind": "mlp", "hidden": [64, 64]})
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOOptions:
+    """What PPO is told.
+
+    Attributes:
+        network: gives the scores of the six moves (the actor), and made again with one output,
+            the value of what it sees (the critic). By default a multilayer perceptron with two
+            layers of 64.
+        critic: ``own``, it sees what the agent sees, or ``central``, the game's state as well.
+        copies: games of every problem that are played side by side.
+        gamma: discount factor.
+        gae_lambda: λ of the advantage estimates: 0 trusts the critic, 1 the rewards.
+        learning_rate: Adam's.
+        anneal: whether the learning rate falls to 0, linearly, with the last episode.
+        rollout: transitions between updates.
+        minibatch: transitions of a gradient step; a divisor of ``rollout``.
+        epochs: how often each transition is learned from.
+        clip: how far the chance of a move may change, as a ratio, before it stops paying.
+        entropy: weight of the policy's entropy in the loss, which keeps it from settling too soon.
+        reward_scale: factor of all rewards: the critic learns numbers of the order of 1.
+        max_gradient: length that longer gradients are cut to.
+        masking: whether only moves that cross an edge are chosen.
+    """
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
+
+    network: Named = field(default_factory=_network, metadata={"kind": "network", "name": "mlp"})
+    critic: Literal["own", "central"] = "own"
+    copies: int = 16
+    gamma: float = 0.95
+    gae_lambda: float = 0.9
+    learning_rate: float = 1e-3
+    anneal: bool = True
+    rollout: int = 8192
+    minibatch: int = 2048
+    epochs: int = 2
+    clip: float = 0.2
+    entropy: float = 0.01
+    reward_scale: float = 0.05
+    max_gradient: float = 0.5
+    masking: bool = True
+
+    def __post_init__(self) -> None:
+        take_pieces(self)
+        check("copies", 1 <= self.copies <= 65536, "a number from 1 to 65536")
+        check("gamma", 0 <= self.gamma <= 1, "a number from 0 to 1")
+        check("gae_lambda", 0 <= self.gae_lambda <= 1, "a number from 0 to 1")
+        check("learning_rate", self.learning_rate > 0, "a number above 0")
+        check("minibatch", 2 <= self.minibatch <= MOST, f"a number from 2 to {MOST}")
+        whole = self.rollout >= 1 and self.rollout % self.minibatch == 0
+        check("rollout", whole, f"a multiple of minibatch, {self.minibatch}")
+        check("epochs", 1 <= self.epochs <= 1000, "a number from 1 to 1000")
+        check("clip", self.clip > 0, "a number above 0")
+        check("entropy", self.entropy >= 0, "a number from 0")
+        check("reward_scale", self.reward_scale > 0, "a number above 0")
+        check("max_gradient", self.max_gradient > 0, "a number above 0")
+
+
+class PPO(Learner):
+    """PPO in torch, on any device, for any network, observation and reward."""
+
+    Options = PPOOptions
+    rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "keys", "progress")
+    parts: ClassVar[tuple[str, ...]] = (
+        "networks", "critic", "adam", "critic_adam", "rollout", "explore",
+    )  # fmt: skip
+
+    def __init__(self, setup: Setup, options: PPOOptions) -> None:
+        super().__init__(setup, options)
+        o, count, player = options, len(setup.names), setup.player
+        check(
+            "turn_order",
+            player.everyone or player.engine.static.sequential,
+            "sequential, for ppo with agents: single",
+        )
+        self.central = o.critic == "central"
+        check("critic", not self.central or setup.state_shape, "own: this game shows no state")
+        features = int(np.prod(setup.obs_shape)) + int(np.prod(setup.state_shape))
+        sees = (features,) if self.central else setup.obs_shape
+        self.path = f"torch, batched on {setup.device}"
+        self.networks = self._stack("weights", setup.obs_shape, MOVES)
+        self.critic = self._stack("critic", sees, 1)
+        self.adam = Adam(self.networks.flat, eps=1e-5)
+        self.critic_adam = Adam(self.critic.flat, eps=1e-5)
+        self.rollout = Rollout(
+            count, o.rollout, setup.games // count, setup.rows, player.engine.nets.shape[1],
+            setup.obs_shape, setup.state_shape if self.central else (), o.reward_scale,
+        )  # fmt: skip
+        self.explore = Exploration(setup.game_keys("explore"))
+        self.keys = torch.from_numpy(setup.network_keys("sample").view(np.int64))
+        self.progress = np.zeros(count)  # episodes played, as a share of all
+
+    def _stack(self, purpose: str, sees: tuple[int, ...], outputs: int) -> Stack:
+        seeds = self.setup.network_keys(purpose).astype(np.int64).tolist()
+        return Stack(lambda: self.options.network.make(sees, outputs), seeds, self.device)
+
+    def set_episodes(self, episodes: NDArray[np.int64]) -> None:
+        """See :meth:`policies.learned.learner.Learner.set_episodes`."""
+        self.progress[:] = self._games(episodes).mean(axis=1) / self.setup.episodes
+
+    @property
+    def stored(self) -> NDArray[np.int64]:
+        """(L,) transitions of the rollouts under way."""
+        return self.rollout.count
+
+    # --- play ---------------------------------------------------------------------------------
+
+    def play(self, player: Player, steps: int) -> None:
+        """See :meth:`policies.learned.learner.Learner.play`."""
+        now = player.buffers
+        chance = np.zeros(now.acted.shape, np.float32)
+        for _ in range(steps):
+            before = Before.of(player)
+            states = state(player.engine) if self.central else None
+            scores, values = self._look(now.obs, now.active, states)
+            self.explore.sample(now, scores, self.options.masking, chance)
+            player.step()
+            failed = now.acted & (now.ending == Ending.FAILED)
+            states_after = state(player.engine) if self.central and failed.any() else None
+            final = self._values(now.final_obs, failed, states_after)
+            self.rollout.add(before, now, chance, values, final, states)
+            if len(full := self.rollout.full()):
+                self.learn(full, self._values_ahead(player))
+            if now.over.any():
+                return
+
+    def observe(self, player: Player, before: Before) -> None:
+        """Learns nothing from moves that are not its own."""
+
+    def _look(
+        self, obs: NDArray[np.float32], asked: NDArray[np.bool_], states: Any
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(M, K, 6) scores of moves and (M, K) values, where they are asked for."""
+        scores = np.zeros((*asked.shape, MOVES), np.float32)
+        values = np.zeros(asked.shape, np.float32)
+        where, inputs, seen = self._gathered(obs, asked, states)
+        with torch.no_grad():
+            scores[asked] = self.networks.view(inputs).cpu().numpy()[where]
+            values[asked] = self.critic.view(seen).cpu().numpy()[where][:, 0]
+        return scores, values
+
+    def _values(
+        self, obs: NDArray[np.float32], asked: NDArray[np.bool_], states: Any
+    ) -> NDArray[np.float32]:
+        """(M, K) values, where they are asked for."""
+        values = np.zeros(asked.shape, np.float32)
+        if asked.any():
+            where, _, seen = self._gathered(obs, asked, states)
+            with torch.no_grad():
+                values[asked] = self.critic.view(seen).cpu().numpy()[where][:, 0]
+        return values
+
+    def _gathered(
+        self, obs: NDArray[np.float32], asked: NDArray[np.bool_], states: Any
+    ) -> tuple[NDArray[np.bool_], Tensor, Tensor]:
+        """Some rows of all games, one network's after another's.
+
+        Returns:
+            (L, B) where in the next two a row is, (L, B, *S) what the actor sees, and what the
+            critic does.
+        """
+        counts = self._games(asked).sum(axis=(1, 2))
+        where = np.arange(counts.max(initial=0)) < counts[:, None]
+        inputs = np.zeros((*where.shape, *obs.shape[2:]), np.float32)
+        inputs[where] = obs[asked]
+        actor = critic = torch.from_numpy(inputs).to(self.device)
+        if states is not None:
+            games = np.nonzero(asked)[0]
+            both = np.zeros((*where.shape, states[0].size + inputs[0, 0].size), np.float32)
+            flat = states.reshape(len(states), -1)[games], inputs[where].reshape(len(games), -1)
+            both[where] = np.concatenate(flat, axis=1)
+            critic = torch.from_numpy(both).to(self.device)
+        return where, actor, critic
+
+    def _values_ahead(self, player: Player) -> NDArray[np.float32]:
+        """(L, streams) what the critic expects of every agent that goes on."""
+        now = player.buffers
+        values = self._values(now.obs, now.active, state(player.engine) if self.central else None)
+        ahead = np.zeros((len(now.acted), self.rollout.agents), np.float32)
+        games, rows = np.nonzero(now.active)
+        ahead[games, now.agents[games, rows]] = values[games, rows]
+        return self._games(ahead).reshape(len(self.updates), -1)
+
+    # --- learning -----------------------------------------------------------------------------
+
+    def learn(self, which: NDArray[np.int64], ahead: NDArray[np.float32]) -> None:
+        """Learns from the rollouts of some networks.
+
+        Args:
+            which: (D,) networks.
+            ahead: (L, streams) what the critic expects after the rollouts.
+        """
+        o, rollout = self.options, self.rollout
+        advantages, returns = rollout.advantages(which, ahead, o.gamma, o.gae_lambda)
+        for i, n in enumerate(which.tolist()):
+            batch = {
+                name: rollout.tensor(name, n, self.device)
+                for name in ("obs", "mask", "action", "chance", "state_")
+            }
+            batch["advantage"], batch["returns"] = (
+                torch.from_numpy(a[i]).to(self.device) for a in (advantages, returns)
+            )
+            self._learn_one(n, batch)
+        rollout.drop(which)
+
+    def _learn_one(self, n: int, batch: dict[str, Tensor]) -> None:
+        """The gradient steps of network n on a rollout."""
+        o = self.options
+        rate = (
+            o.learning_rate * max(1 - float(self.progress[n]), 0.0) if o.anneal else o.learning_rate
+        )
+        actor, critic = (
+            (stack.flat[n : n + 1], stack.view_of(stack.flat[n : n + 1], n), adam.part(n))
+            for stack, adam in ((self.networks, self.adam), (self.critic, self.critic_adam))
+        )
+        lanes = torch.arange(o.rollout)
+        for _ in range(o.epochs):
+            # Sorted by random numbers of their own, so that a resumed run goes on alike.
+            counter = torch.tensor([int(self.updates[n])])
+            draws = uniforms(self.keys[n : n + 1], counter, lanes)[0]
+            for places in torch.split(draws.argsort().to(self.device), o.minibatch):
+                part = {name: tensor[places] for name, tensor in batch.items()}
+                pair = losses(actor[1], critic[1], part, o)
+                for loss, (weights, view, adam) in zip(pair, (actor, critic), strict=True):
+                    gradient = torch.empty_like(weights)
+                    view.gradient(loss, gradient)
+                    length = gradient.norm().clamp(min=1e-12)
+                    gradient *= (o.max_gradient / length).clamp(max=1)
+                    adam.step(weights, gradient, torch.ones(1, 1, device=self.device), rate)
+                    self.loss[n] += loss.detach().double()
+                self.updates[n] += 1
+
+
+def losses(
+    actor: View, critic: View, part: dict[str, Tensor], o: PPOOptions
+) -> tuple[Tensor, Tensor]:
+    """The losses of the policy and of the critic on a minibatch of B transitions.
+
+    Args:
+        actor: gives the scores of moves.
+        critic: gives values.
+        part: ``obs`` (B, *S), ``state_`` (B, …), ``mask`` (B, 6), ``action`` (B,), the logarithm of
+            its ``chance`` (B,) when it was chosen, ``advantage`` (B,) and ``returns`` (B,).
+        o: the options.
+    """
+    scores = actor(part["obs"][None])[0]
+    if o.masking:
+        scores = scores.masked_fill(part["mask"] == 0, -1e9)
+    chances = torch.log_softmax(scores, dim=1)
+    advantage = part["advantage"]
+    advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+    ratio = (chances.gather(1, part["action"][:, None])[:, 0] - part["chance"]).exp()
+    clipped = ratio.clamp(1 - o.clip, 1 + o.clip)
+    gain = torch.minimum(ratio * advantage, clipped * advantage).mean()
+    entropy = -(chances.exp() * chances).sum(dim=1).mean()
+    seen = part["obs"]
+    if o.critic == "central":
+        seen = torch.cat((part["state_"].flatten(1), seen.flatten(1)), dim=1)
+    value = critic(seen[None])[0, :, 0]
+    return -gain - o.entropy * entropy, (value - part["returns"]).square().mean() / 2

@@ -1,0 +1,238 @@
+"""The fused DQN: play and gradient steps of the paper's setting in one compiled loop.
+
+It gives the same results as :class:`policies.learned.algorithms.dqn.DQN` up to rounding, several
+times as fast. :func:`obstacle` says where it applies.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from marouting.game.observation import write_paper
+from marouting.game.rules import write_mask
+from marouting.game.state import Dynamic, Ending, Static
+from marouting.kernels import allocating, threaded, wide
+from marouting.player import Known, Player, StepBuffers, step_problem
+from marouting.problem.grid import MOVES
+from policies.learned.algorithms.dqn import DQN, DQNOptions
+from policies.learned.compiled.gradient import (
+    Networks,
+    StepRule,
+    gradient_buffers,
+    gradient_step,
+    learn,
+    q_values,
+    units_of,
+)
+from policies.learned.exploration import choose
+from policies.learned.learner import Setup
+from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
+from policies.learned.networks.mlp import MLP
+
+
+def obstacle(setup: Setup, options: DQNOptions) -> str | None:
+    """Why the fused DQN does not apply, or None where it does."""
+    network = options.network
+    given = network.options
+    reasons = {
+        f"device {setup.device}": setup.device.type != "cpu",
+        "an observation other than the paper's": not setup.player.known.observation,
+        "a reward other than the paper's": not setup.player.known.reward,
+        f"network {network.name}": network.cls is not MLP or network.given,
+        "a dueling network": network.cls is MLP and given["dueling"],
+        "an activation other than relu": network.cls is MLP and given["activation"] != "relu",
+        "double": options.double,
+        "n_step": options.n_step > 1,
+        "prioritised": options.prioritised,
+    }
+    return next((f"the fused DQN does not do {r}" for r, holds in reasons.items() if holds), None)
+
+
+class Play(NamedTuple):
+    """What the compiled loop plays."""
+
+    static: Static
+    dynamic: Dynamic
+    buffers: StepBuffers
+    kernel_buffers: StepBuffers  # the same, with masks in pairs of bytes
+    known: Known
+    values: NDArray[np.float32]  # (M, K, 6) what the networks expect of each move
+    before: NDArray[np.float32]  # (M, K, F) what agents saw before the step
+    keys: NDArray[np.uint64]  # (M,) of the random moves
+    counters: NDArray[np.int64]  # (M,)
+    epsilon: NDArray[np.float64]  # (M,)
+    owed: NDArray[np.int64]  # (L,) moves not yet answered by a gradient step
+    steps_per_update: int
+
+
+@allocating
+def _remember(play: Play, nets: Networks, n: int, m: int, k: int, mover: int) -> None:
+    """Stores the transition of a row that acted."""
+    b = play.buffers
+    rows, row, features = nets.store[n], nets.stored[n] % nets.store.shape[1], nets.sizes[0]
+    ended = b.ending[m, k] != Ending.NONE
+    if not ended and b.agents[m, k] != mover:
+        # The turn has passed: what the mover saw where it arrived is nowhere yet.
+        write_paper(
+            play.static, play.dynamic, play.known.via_capacity, m, wide(mover), b.final_obs[m], k
+        )
+        if nets.masks:
+            write_mask(play.static, play.dynamic, m, wide(mover), b.final_mask[m], k)
+        ended = True
+    for f in range(features):
+        rows[row, f] = play.before[m, k, f]
+        rows[row, features + f] = b.final_obs[m, k, f] if ended else b.obs[m, k, f]
+    rest = 2 * features
+    rows[row, rest + MOVE] = b.actions[m, k]
+    rows[row, rest + REWARD] = b.reward[m, k]
+    rows[row, rest + GOES_ON] = b.ending[m, k] != Ending.JOINED
+    if nets.masks:
+        for move in range(MOVES):
+            mask = b.final_mask[m, k, move] if ended else b.mask[m, k, move]
+            rows[row, rest + MASK + move] = mask
+    nets.stored[n] += 1
+
+
+@allocating
+def _play_network(n: int, steps: int, play: Play, nets: Networks, rule: StepRule) -> None:
+    """:meth:`FusedDQN.play` for network n and its games."""
+    b = play.buffers
+    each = len(b.over) // len(nets.updates)
+    first, end = n * each, (n + 1) * each
+    rows = b.agents.shape[1]
+    activations = np.empty(units_of(nets.sizes) * each * rows, np.float32)
+    buffers = gradient_buffers(nets, rule.batch)
+    for _ in range(steps):
+        q_values(nets.sizes, nets.weights[n], b.obs[first:end], activations, play.values[first:end])
+        over = False
+        for m in range(first, end):
+            choose(
+                play.keys, play.counters, play.epsilon, b.active, b.mask, play.values, nets.masks,
+                b.actions, m,
+            )  # fmt: skip
+            mover = b.agents[m, 0]
+            for k in range(rows):
+                for f in range(b.obs.shape[2]):
+                    play.before[m, k, f] = b.obs[m, k, f]
+            step_problem(play.static, play.dynamic, play.kernel_buffers, play.known, m)
+            over |= b.over[m]
+            for k in range(rows):
+                if b.acted[m, k]:
+                    _remember(play, nets, n, m, k, b.agents[m, k] if play.known.everyone else mover)
+                    play.owed[n] += 1
+        while play.owed[n] >= play.steps_per_update:
+            play.owed[n] -= play.steps_per_update
+            gradient_step(n, nets, rule, buffers)
+        if over:
+            return
+
+
+@allocating
+def _play(steps: int, play: Play, nets: Networks, rule: StepRule) -> None:
+    """One network after the other, each with as many steps as it makes."""
+    for n in range(len(nets.updates)):
+        _play_network(n, steps, play, nets, rule)
+
+
+@threaded
+def _play_threaded(steps: int, play: Play, nets: Networks, rule: StepRule) -> None:
+    """:func:`_play`, with the networks shared out among numba's threads.
+
+    Each network and its games belong to one thread: the results do not depend on how many there
+    are. Numba's cache does not look at options, so this has to be a function of its own.
+    """
+    for n in prange(len(nets.updates)):
+        _play_network(n, steps, play, nets, rule)
+
+
+@allocating
+def _walk(
+    static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers, known: Known,
+    sizes: NDArray[np.int64], weights: NDArray[np.float32], masking: bool,
+) -> None:  # fmt: skip
+    """:meth:`FusedDQN.walk` by the network with the weights (P,)."""
+    values = np.empty((*b.agents.shape, MOVES), np.float32)
+    activations = np.empty(units_of(sizes) * b.agents.size, np.float32)
+    keys, counters = np.zeros(len(b.over), np.uint64), np.zeros(len(b.over), np.int64)
+    never = np.zeros(len(b.over))  # a random move
+    while b.active.any():
+        q_values(sizes, weights, b.obs, activations, values)
+        for m in range(len(b.over)):
+            choose(keys, counters, never, b.active, b.mask, values, masking, b.actions, m)
+            step_problem(static, dynamic, kernel_buffers, known, m)
+
+
+class FusedDQN(DQN):
+    """:class:`policies.learned.algorithms.dqn.DQN`, one network after the other in compiled code.
+
+    It keeps the same things in the same form: each can go on from the other's checkpoint.
+    """
+
+    def __init__(self, setup: Setup, options: DQNOptions) -> None:
+        super().__init__(setup, options)
+        self.path = "fused"
+
+    def bind(self) -> None:
+        """Renews what refers to the rows."""
+        super().bind()
+        o, flat = self.options, self.networks.flat.numpy()
+        module = self.networks.module
+        self._rule = StepRule(
+            o.batch_size, o.gamma, o.target_period, o.learning_rate, self.adam.beta1,
+            self.adam.beta2, self.adam.eps,
+        )  # fmt: skip
+        self._nets = Networks(
+            sizes=np.array(module.sizes, np.int64),
+            weights=flat,
+            target=self.target.numpy() if o.target_period else flat,
+            mean=self.adam.mean.numpy(),
+            square=self.adam.square.numpy(),
+            loss=self.loss.numpy(),
+            updates=self.updates,
+            store=self.memory.store.numpy(),
+            stored=self.memory.stored,
+            masks=o.masking,
+            keys=self.memory.keys.numpy().view(np.uint64),
+        )
+
+    def play(self, player: Player, steps: int) -> None:
+        """See :meth:`policies.learned.learner.Learner.play`; one network after the other."""
+        b, explore = player.buffers, self.explore
+        play = Play(
+            player.engine.static,
+            player.engine.dynamic,
+            b,
+            player.kernel_buffers,
+            player.known,
+            np.empty((*b.agents.shape, MOVES), np.float32),
+            np.empty(b.obs.shape, np.float32),
+            explore.keys.reshape(-1),
+            explore.counters.reshape(-1),
+            explore.epsilon.reshape(-1),
+            self.owed,
+            self.options.steps_per_update,
+        )
+        run = _play_threaded if self.setup.threads > 1 else _play
+        run(steps, play, self._nets, self._rule)
+        self._counted()
+
+    def walk(self, player: Player, network: int) -> None:
+        """See :meth:`policies.learned.learner.Learner.walk`."""
+        weights = self.networks.flat.numpy()[network]
+        engine = player.engine
+        _walk(
+            engine.static, engine.dynamic, player.buffers, player.kernel_buffers, player.known,
+            self._nets.sizes, weights, self.options.masking,
+        )  # fmt: skip
+
+    def learn(self, due: NDArray[np.int64]) -> None:
+        """See :meth:`policies.learned.algorithms.dqn.DQN.learn`."""
+        learn(self._nets, due.astype(np.int64), self._rule)
+        self._counted()
+
+    def _counted(self) -> None:
+        """Keeps the copies of the counts that torch works with up to date."""
+        self.memory.bind()
+        self.adam.count.numpy()[:] = self.updates

@@ -1,0 +1,160 @@
+"""How moves are chosen in play: greedily but for a random share, or at random by their scores.
+
+Every game has its own random numbers, functions of a key and of the number of the step (see
+:mod:`policies.learned.streams`): its moves do not depend on what else is played beside it.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.game.state import NOBODY
+from marouting.kernels import compiled
+from marouting.player import StepBuffers
+from marouting.problem.grid import MOVES
+from policies.learned.rows import Rows
+from policies.learned.streams import uniform
+
+
+class Exploration(Rows):
+    """The random numbers of all games.
+
+    Args:
+        keys: (L, games / L) uint64, of each network's games.
+
+    Attributes:
+        counters: (L, games / L) int64, steps in which somebody was asked.
+        epsilon: (L, games / L) float64, chance of a random move; 1 until it is set.
+    """
+
+    rows = ("keys", "counters", "epsilon")
+
+    def __init__(self, keys: NDArray[np.uint64]) -> None:
+        self.keys = keys.copy()
+        self.counters = np.zeros(keys.shape, np.int64)
+        self.epsilon = np.ones(keys.shape)
+
+    def epsilon_greedy(self, now: StepBuffers, values: NDArray[np.float32], masking: bool) -> None:
+        """Writes the best moves into a player's buffers, with chance ε random ones.
+
+        Args:
+            now: the player's buffers, of M games of K rows.
+            values: (M, K, 6) what the networks expect of each move.
+            masking: whether only moves that cross an edge are chosen.
+        """
+        _epsilon_greedy(
+            self.keys.reshape(-1), self.counters.reshape(-1), self.epsilon.reshape(-1),
+            now.active, now.mask, values, masking, now.actions,
+        )  # fmt: skip
+
+    def sample(
+        self,
+        now: StepBuffers,
+        scores: NDArray[np.float32],
+        masking: bool,
+        chance: NDArray[np.float32],
+    ) -> None:
+        """Writes moves drawn by their scores into a player's buffers.
+
+        Args:
+            now: the player's buffers, of M games of K rows.
+            scores: (M, K, 6) logarithms of the moves' chances, up to a constant.
+            masking: whether only moves that cross an edge are chosen.
+            chance: (M, K) filled with the logarithm of the chosen move's chance.
+        """
+        _sample(
+            self.keys.reshape(-1), self.counters.reshape(-1), now.active, now.mask, scores,
+            masking, now.actions, chance,
+        )  # fmt: skip
+
+
+@compiled
+def _epsilon_greedy(
+    keys: Any, counters: Any, epsilon: Any, active: Any, masks: Any, values: Any, masking: bool,
+    actions: Any,
+) -> None:  # fmt: skip
+    for m in range(len(keys)):
+        choose(keys, counters, epsilon, active, masks, values, masking, actions, m)
+
+
+@compiled
+def choose(
+    keys: Any, counters: Any, epsilon: Any, active: Any, masks: Any, values: Any, masking: bool,
+    actions: Any, m: int,
+) -> None:  # fmt: skip
+    """ε-greedy moves of game m; the arrays are those of all M games.
+
+    Args:
+        keys: (M,) uint64.
+        counters: (M,); the game's counts on.
+        epsilon: (M,) chance of a random move.
+        active: (M, K) rows whose agents may move.
+        masks: (M, K, 6) action masks.
+        values: (M, K, 6) what the network expects of each move.
+        masking: whether only moves that cross an edge are chosen.
+        actions: (M, K) filled, NOBODY for rows that are not active.
+        m: the game.
+    """
+    asked = False
+    for k in range(active.shape[1]):
+        actions[m, k] = NOBODY
+        if not active[m, k]:
+            continue
+        asked = True
+        # Two numbers per row: whether to explore, and where to.
+        if uniform(keys[m], counters[m], 2 * k) < epsilon[m]:
+            allowed = MOVES
+            if masking:
+                allowed = 0
+                for move in range(MOVES):
+                    allowed += masks[m, k, move]
+            left = np.int64(uniform(keys[m], counters[m], 2 * k + 1) * allowed)
+            for move in range(MOVES):
+                if masking and masks[m, k, move] == 0:
+                    continue
+                if left == 0:
+                    actions[m, k] = move
+                    break
+                left -= 1
+            continue
+        best = NOBODY
+        for move in range(MOVES):
+            if masking and masks[m, k, move] == 0:
+                continue
+            if best == NOBODY or values[m, k, move] > values[m, k, best]:
+                best = move
+        actions[m, k] = best
+    counters[m] += asked
+
+
+@compiled
+def _sample(
+    keys: Any, counters: Any, active: Any, masks: Any, scores: Any, masking: bool, actions: Any,
+    chance: Any,
+) -> None:  # fmt: skip
+    for m in range(len(keys)):
+        asked = False
+        for k in range(active.shape[1]):
+            actions[m, k] = NOBODY
+            if not active[m, k]:
+                continue
+            asked = True
+            most = np.float32(-np.inf)
+            for move in range(MOVES):
+                if (not masking or masks[m, k, move] != 0) and scores[m, k, move] > most:
+                    most = scores[m, k, move]
+            total = 0.0
+            for move in range(MOVES):
+                if not masking or masks[m, k, move] != 0:
+                    total += np.exp(scores[m, k, move] - most)
+            left = uniform(keys[m], counters[m], k) * total
+            for move in range(MOVES):
+                if not masking or masks[m, k, move] != 0:
+                    # Should rounding leave something over, the last of them is chosen.
+                    actions[m, k] = move
+                    left -= np.exp(scores[m, k, move] - most)
+                    if left < 0:
+                        break
+            chance[m, k] = scores[m, k, actions[m, k]] - most - np.log(total)
+        counters[m] += asked

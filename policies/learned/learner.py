@@ -1,0 +1,202 @@
+"""What a learner is: the trainer above knows no more of DQN, PPO or any other than this.
+
+A learner plays a :class:`marouting.player.Player` and learns from what comes of it. It has L
+networks: one for each problem, or one that all problems share.
+"""
+
+import abc
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from marouting.game.state import NOBODY, Ending
+from marouting.player import Player
+from marouting.problem.grid import MOVES
+from policies.learned.networks.stack import Stack
+from policies.learned.rows import Rows
+from policies.learned.streams import keys
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a learner starts with.
+
+    Attributes:
+        names: of its L networks: those of the problems, or ``("all",)`` for one that all share.
+            Their random numbers depend on the names, not on who else is trained.
+        games: problems in the player, a multiple of L. One network's lie one after another: game m
+            belongs to network ``m // (games // L)``.
+        rows: K, rows of a game in the step buffers.
+        obs_shape: of what one agent sees.
+        state_shape: of one game's global state.
+        player: the player that it will play, for rules about the game.
+        seed: where all random numbers start.
+        device: where the networks are.
+        threads: threads that may work for it.
+        episodes: of the whole training, per problem, for schedules.
+        game_names: (games,) names of the problems, for random numbers; empty: made from ``names``.
+    """
+
+    names: tuple[str, ...]
+    games: int
+    rows: int
+    obs_shape: tuple[int, ...]
+    state_shape: tuple[int, ...]
+    player: Player
+    seed: int
+    device: torch.device
+    threads: int
+    episodes: int
+    game_names: tuple[str, ...] = ()
+
+    def network_keys(self, purpose: str) -> NDArray[np.uint64]:
+        """(L,) keys of random numbers, one per network."""
+        return keys(self.seed, self.names, purpose)
+
+    def game_keys(self, purpose: str) -> NDArray[np.uint64]:
+        """(L, games / L) keys of random numbers, one per game."""
+        each = self.games // len(self.names)
+        made = [f"{name}#{i}" if i else name for name in self.names for i in range(each)]
+        return keys(self.seed, self.game_names or made, purpose).reshape(-1, each)
+
+
+class Before(NamedTuple):
+    """Copies of a player's buffers from before a step."""
+
+    agents: NDArray[np.int32]  # (M, K)
+    obs: NDArray[np.float32]  # (M, K, *S)
+    mask: NDArray[np.int8]  # (M, K, 6)
+
+    @classmethod
+    def of(cls, player: Player) -> "Before":
+        """Copies of what the player's agents see now."""
+        now = player.buffers
+        return cls(now.agents.copy(), now.obs.copy(), now.mask.copy())
+
+
+def look_after(player: Player, before: Before) -> None:
+    """Fills in what agents saw where they arrived if the turn then passed to another's row.
+
+    A player of one row shows the next agent there, and keeps what the last one saw only at the
+    end of a task.
+    """
+    now = player.buffers
+    if player.everyone or player.engine.static.sequential:
+        return
+    passed = now.acted & (now.ending == Ending.NONE) & (now.agents != before.agents)
+    problems = np.flatnonzero(passed[:, 0]).astype(np.int32)
+    if len(problems):
+        agents = before.agents[problems, 0]
+        seen = np.empty((len(problems), *now.obs.shape[2:]), np.float32)
+        player.observation.write(player.engine, problems, agents, seen)
+        now.final_obs[problems, 0] = seen
+        now.final_mask[problems, 0] = player.engine.masks(problems, agents)
+
+
+class Learner(Rows, abc.ABC):
+    """L networks that learn, and all that they learn with.
+
+    A subclass is a piece of the kind ``learner``: its attribute ``Options`` is a dataclass with
+    the fields ``network``, a piece, and ``masking``, whether only moves that cross an edge are
+    chosen.
+
+    Args:
+        setup: what it starts with.
+        options: an instance of its ``Options``.
+
+    Attributes:
+        networks: those that choose moves, the ones that are saved.
+        updates: (L,) int64 gradient steps taken.
+        loss: (L,) float64 sum of the losses of all gradient steps.
+        path: how it computes, for the log.
+        fill: transitions that each network must have been shown before it plays.
+        burn_in: who plays until then, see :func:`policies.learned.burn_in.guide`.
+    """
+
+    Options: ClassVar[type[Any]]
+    rows: ClassVar[tuple[str, ...]] = ("updates", "loss")
+    path: str = "torch"
+    fill: int = 0
+    burn_in: str = "random"
+    networks: Stack
+    updates: NDArray[np.int64]
+
+    def __init__(self, setup: Setup, options: Any) -> None:
+        self.setup, self.options = setup, options
+        self.device = setup.device
+        count = len(setup.names)
+        self.updates = np.zeros(count, np.int64)
+        self.loss = torch.zeros(count, dtype=torch.float64, device=setup.device)
+
+    @classmethod
+    def start(cls, setup: Setup, options: Any) -> "Learner":
+        """The learner for a setup; another class may be quicker where it applies."""
+        return cls(setup, options)
+
+    @classmethod
+    def network(cls, options: Any, obs_shape: tuple[int, ...]) -> nn.Module:
+        """One of its networks, with random weights, for those that are saved to go into."""
+        module: nn.Module = options.network.make(obs_shape, MOVES)
+        return module
+
+    @property
+    def stored(self) -> NDArray[np.int64]:
+        """(L,) transitions ever taken in."""
+        return np.zeros(len(self.updates), np.int64)
+
+    def exploration(self, episode: int) -> float:  # noqa: ARG002
+        """The chance of a random move in an episode (counted from 0), for logs."""
+        return 0.0
+
+    def set_episodes(self, episodes: NDArray[np.int64]) -> None:
+        """Takes note of the episode (games,) that each game is in, for schedules."""
+
+    @abc.abstractmethod
+    def observe(self, player: Player, before: Before) -> None:
+        """Takes in what came of the player's last step, whoever chose the moves."""
+
+    @abc.abstractmethod
+    def play(self, player: Player, steps: int) -> None:
+        """Plays and learns.
+
+        Args:
+            player: played by the learner's moves.
+            steps: how many at most; it returns after one in which an episode ended.
+        """
+
+    def walk(self, player: Player, network: int) -> None:
+        """Plays the games of a player to their end by one network, without exploration.
+
+        Args:
+            player: its episodes have just begun.
+            network: the network's row.
+        """
+        b = player.buffers
+        obs, mask = b.obs.reshape(-1, *b.obs.shape[2:]), b.mask.reshape(-1, MOVES)
+        view = self.networks.view_of(self.networks.flat[network : network + 1], network)
+        while b.active.any():
+            with torch.no_grad():
+                outputs = view(torch.from_numpy(obs).to(self.device)[None])[0]
+            moves = best_moves(outputs, mask if self.options.masking else None)
+            b.actions[:] = np.where(b.active, moves.reshape(b.actions.shape), NOBODY)
+            player.step()
+
+    def weights(self) -> list[dict[str, Tensor]]:
+        """The networks as ``state_dict`` of ordinary modules, on the processor."""
+        return self.networks.state_dicts()
+
+    def _games(self, array: NDArray[Any]) -> NDArray[Any]:
+        """An array with one row per game as (L, games / L, …)."""
+        return array.reshape(len(self.updates), -1, *array.shape[1:])
+
+
+def best_moves(outputs: Tensor, mask: NDArray[np.int8] | None) -> NDArray[np.int8]:
+    """(B,) the moves of the highest outputs (B, 6), within a mask (B, 6) if there is one."""
+    values = outputs.detach().cpu().numpy()
+    if mask is not None:
+        values = np.where(mask == 0, -np.inf, values)
+    return values.argmax(axis=1).astype(np.int8)

@@ -1,0 +1,280 @@
+"""The replay memory: a ring of transitions for each network, in one store.
+
+A transition is a row of float32 numbers in a whole number of cache lines, so that a sample takes
+two or three reads from memory and one gather on a GPU. Where agents see F numbers, a row holds:
+
+====================  ==============================================================================
+0 … F − 1             obs
+F … 2F − 1            next_obs, in the same task
+2F + MOVE             the move
+2F + REWARD           its reward; the discounted sum of n rewards for returns of n steps
+2F + GOES_ON          weight of the value of next_obs, before one factor γ: 0 where the task was
+                      joined, 1 after one step, γ after two and so on. A task that failed only ran
+                      out of steps, so its end is bootstrapped like any other step.
+2F + MASK …           six numbers, the action mask of next_obs; with masking only
+====================  ==============================================================================
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from marouting.game.state import Ending
+from marouting.kernels import compiled
+from marouting.player import StepBuffers
+from marouting.problem.grid import MOVES
+from policies.learned.learner import Before
+from policies.learned.rows import Rows
+from policies.learned.streams import uniforms
+
+MOVE, REWARD, GOES_ON, MASK = range(4)
+"""Where these stand in a row after the two observations."""
+
+_LINE = 16
+"""Numbers in a cache line of 64 bytes."""
+
+
+def width_of(features: int, masks: bool) -> int:
+    """Numbers of a row, whole cache lines."""
+    return -(-(2 * features + MASK + (MOVES if masks else 0)) // _LINE) * _LINE
+
+
+@dataclass
+class Batch:
+    """Transitions of a stack of L networks, B of each.
+
+    Attributes:
+        obs: (L, B, *S) float32.
+        next_obs: (L, B, *S) float32, in the same task.
+        move: (L, B, 1) int64.
+        reward: (L, B, 1) float32, discounted over the steps of the return.
+        goes_on: (L, B, 1) float32, weight of the value of ``next_obs`` before one factor γ.
+        mask: (L, B, 6) float32, action mask of ``next_obs``, or None without masking.
+        place: (L, B) int64, the rows in the networks' stores.
+        weight: (L, B, 1) float32 weights in the loss, or None where all are 1.
+    """
+
+    obs: Tensor
+    next_obs: Tensor
+    move: Tensor
+    reward: Tensor
+    goes_on: Tensor
+    mask: Tensor | None
+    place: Tensor
+    weight: Tensor | None = None
+
+
+class Replay(Rows):
+    """A ring of transitions for each of L networks, sampled uniformly.
+
+    Args:
+        keys: (L,) uint64 keys of the samples' random numbers.
+        capacity: transitions per network; the oldest goes first.
+        obs_shape: of one observation.
+        masks: whether to keep action masks.
+        device: where the store is.
+        n_step: rewards that are summed before the rest is bootstrapped.
+        gamma: discount factor inside that sum.
+        agents: (games per network, agents) whose returns may be unfinished; with n_step only.
+
+    Attributes:
+        store: (L, capacity, width) float32.
+        stored: (L,) int64, transitions ever stored for each network.
+    """
+
+    rows: ClassVar[tuple[str, ...]] = ("store", "stored", "keys", "waiting", "unfinished")
+
+    def __init__(
+        self,
+        keys: NDArray[np.uint64],
+        capacity: int,
+        obs_shape: tuple[int, ...],
+        masks: bool,
+        device: torch.device,
+        n_step: int = 1,
+        gamma: float = 1.0,
+        agents: tuple[int, int] = (0, 0),
+    ) -> None:
+        self.obs_shape, self.masks, self.device = obs_shape, masks, device
+        self.features = int(np.prod(obs_shape))
+        self.n_step, self.gamma = n_step, gamma
+        networks, width = len(keys), width_of(self.features, masks)
+        # NumPy asks for huge pages where torch does not: samples from all over the store took a
+        # third longer without.
+        store = np.zeros((networks, capacity, width), np.float32)
+        self.store = torch.from_numpy(store).to(device)
+        self.stored = np.zeros(networks, np.int64)
+        self.keys = torch.from_numpy(keys.view(np.int64)).to(device)
+        # Returns that still gather rewards, oldest first, and how many they are.
+        shape = (networks, *agents) if n_step > 1 else (networks, 0, 0)
+        self.waiting = np.zeros(shape, np.int64)
+        self.unfinished = np.zeros((*shape, n_step, width), np.float32)
+        self._place = np.zeros(0, np.int64)
+        self.bind()
+
+    def bind(self) -> None:
+        """Renews the device's copy of the counts."""
+        self._stored = torch.from_numpy(self.stored).to(self.device, copy=True)
+
+    def add(self, before: Before, after: StepBuffers) -> None:
+        """Stores the transitions of a step, those of agents that moved.
+
+        Args:
+            before: what they saw, of M games, M/L per network, one network's after another's.
+            after: the player's buffers after the step.
+        """
+        _, capacity, width = self.store.shape
+        most = after.acted.size * self.n_step
+        if self._place.size < most:
+            self._place = np.empty(most, np.int64)
+        here = self.device.type == "cpu"
+        rows = (
+            self.store.numpy().reshape(-1, width) if here else np.zeros((most, width), np.float32)
+        )
+        games = len(after.acted)
+        count = _add(
+            before.agents, before.obs.reshape(games, -1, self.features),
+            after.agents, after.obs.reshape(games, -1, self.features), after.mask,
+            after.actions, after.acted, after.reward, after.ending,
+            after.final_obs.reshape(games, -1, self.features), after.final_mask,
+            self.masks, self.n_step, self.gamma, self.waiting, self.unfinished,
+            capacity, self.stored, self._place, here, rows,
+        )  # fmt: skip
+        place = torch.from_numpy(self._place[:count])
+        if not here:
+            place = place.to(self.device)
+            self.store.view(-1, width)[place] = torch.from_numpy(rows[:count]).to(self.device)
+        self._stored.copy_(torch.from_numpy(self.stored))
+        self._added(place)
+
+    def cut(self) -> None:
+        """Forgets unfinished returns: the games have been started anew."""
+        self.waiting[:] = 0
+
+    def _added(self, place: Tensor) -> None:
+        """Takes note of rows of the store, counted through all networks, that are new."""
+
+    def sample(self, size: int, counters: Tensor) -> Batch:
+        """A sample with replacement for each network.
+
+        Args:
+            size: B, transitions per network.
+            counters: (L,) int64 the number of the sample, on the device.
+        """
+        # A network with nothing stored yet is not updated; its sample only has to exist.
+        there = self._stored.clamp(1, self.store.shape[1])
+        draws = uniforms(self.keys, counters, torch.arange(size, device=self.device))
+        return self._batch((draws * there[:, None]).long())
+
+    def learned(self, batch: Batch, error: Tensor, due: Tensor) -> None:
+        """Takes note of the errors (L, B, 1) of a sample, where networks (L, 1) were due."""
+
+    def _batch(self, place: Tensor) -> Batch:
+        """The transitions at places (L, B)."""
+        networks, capacity, width = self.store.shape
+        first = capacity * torch.arange(networks, device=self.device)[:, None]
+        # One gather over the whole store is several times as quick as one per network.
+        rows = self.store.view(-1, width)[(place + first).view(-1)].view(*place.shape, width)
+        f, rest = self.features, 2 * self.features
+        return Batch(
+            obs=rows[..., :f].view(*place.shape, *self.obs_shape),
+            next_obs=rows[..., f:rest].view(*place.shape, *self.obs_shape),
+            move=rows[..., rest + MOVE, None].long(),
+            reward=rows[..., rest + REWARD, None],
+            goes_on=rows[..., rest + GOES_ON, None],
+            mask=rows[..., rest + MASK : rest + MASK + MOVES] if self.masks else None,
+            place=place,
+        )
+
+
+@compiled
+def _add(
+    agents: Any, obs: Any, next_agents: Any, next_obs: Any, next_mask: Any, actions: Any,
+    acted: Any, reward: Any, ending: Any, final_obs: Any, final_mask: Any, masks: bool,
+    n_step: int, gamma: float, waiting: Any, unfinished: Any, capacity: int, stored: Any,
+    place: Any, here: bool, rows: Any,
+) -> int:  # fmt: skip
+    """Makes rows of what a step finished.
+
+    Args:
+        agents: (M, K) and
+        obs: (M, K, F), before the step; the next nine are the player's buffers after it.
+        next_agents: (M, K).
+        next_obs: (M, K, F).
+        next_mask: (M, K, 6).
+        actions: (M, K).
+        acted: (M, K).
+        reward: (M, K).
+        ending: (M, K).
+        final_obs: (M, K, F).
+        final_mask: (M, K, 6).
+        masks: whether rows hold masks.
+        n_step: see :class:`Replay`.
+        gamma: likewise.
+        waiting: likewise; changed.
+        unfinished: likewise; changed.
+        capacity: of a network's store.
+        stored: (L,) counts on.
+        place: filled with the places of the rows in the store, counted through all networks.
+        here: whether ``rows`` is the store; otherwise the rows are written one after another.
+        rows: (…, width) filled.
+
+    Returns:
+        How many rows there are.
+    """
+    games, features = len(acted) // len(stored), obs.shape[2]
+    rest = 2 * features
+    count = 0
+    for m in range(acted.shape[0]):
+        network, game = m // games, m % games
+        for k in range(acted.shape[1]):
+            if not acted[m, k]:
+                continue
+            n = agents[m, k]
+            first, older = n_step == 1, 0
+            if not first:
+                older = waiting[network, game, n]
+            ended = ending[m, k] != Ending.NONE
+            over = ended or next_agents[m, k] != n
+            for i in range(older + 1):
+                age = older - i
+                if first:
+                    finished = True
+                else:
+                    kept = unfinished[network, game, n, i]
+                    if age == 0:
+                        for f in range(features):
+                            kept[f] = obs[m, k, f]
+                        kept[rest + MOVE] = actions[m, k]
+                        kept[rest + REWARD] = 0
+                    kept[rest + REWARD] += np.float32(gamma**age) * reward[m, k]
+                    finished = ended or age + 1 == n_step
+                if not finished:
+                    continue
+                place[count] = network * capacity + stored[network] % capacity
+                row = rows[place[count] if here else count]
+                for f in range(features):
+                    row[f] = obs[m, k, f] if first else kept[f]
+                    row[features + f] = final_obs[m, k, f] if over else next_obs[m, k, f]
+                row[rest + MOVE] = actions[m, k] if first else kept[rest + MOVE]
+                row[rest + REWARD] = reward[m, k] if first else kept[rest + REWARD]
+                row[rest + GOES_ON] = 0 if ending[m, k] == Ending.JOINED else gamma**age
+                if masks:
+                    for move in range(MOVES):
+                        mask = final_mask[m, k, move] if over else next_mask[m, k, move]
+                        row[rest + MASK + move] = mask
+                stored[network] += 1
+                count += 1
+            if first:
+                continue
+            # The oldest has left after n steps, all of them at the end of a task.
+            left = older + 1 if ended else int(older + 1 == n_step)
+            for i in range(left, older + 1):
+                for f in range(unfinished.shape[4]):
+                    unfinished[network, game, n, i - left, f] = unfinished[network, game, n, i, f]
+            waiting[network, game, n] = older + 1 - left
+    return count

@@ -1,0 +1,209 @@
+"""Rollouts: what networks did since their last update, to be learned from once.
+
+A network's transitions lie one after another in the order of play. Those of one agent are found by
+its *stream*, a number of its own, so that agents may move at different times, or stop. As soon as
+a network has a rollout's worth of transitions they are learned from; what has come in beyond that
+with the same step is the start of the next rollout.
+"""
+
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from marouting.game.state import Ending
+from marouting.kernels import compiled
+from marouting.player import StepBuffers
+from marouting.problem.grid import MOVES
+from policies.learned.learner import Before
+from policies.learned.rows import Rows
+
+
+class Rollout(Rows):
+    """The rollouts of L networks.
+
+    Args:
+        networks: L.
+        size: transitions of a rollout.
+        games: games per network.
+        rows: K, rows per game.
+        agents: agents per game.
+        obs_shape: of one observation.
+        state_shape: of what else the critic sees; () for nothing.
+        scale: factor of all rewards.
+
+    Attributes:
+        obs: (L, C, *S) float32.
+        mask: (L, C, 6) int8.
+        action: (L, C) int64.
+        chance: (L, C) float32, logarithm of the action's chance when it was chosen.
+        value: (L, C) float32, what the critic expected.
+        reward: (L, C) float32.
+        ending: (L, C) int8 Ending of the task with the transition.
+        after: (L, C) float32, what the critic expected where a task failed.
+        stream: (L, C) int64.
+        state: (L, C, *state_shape) float32.
+        count: (L,) int64, transitions there are.
+    """
+
+    rows: ClassVar[tuple[str, ...]] = (
+        "obs", "mask", "action", "chance", "value", "reward", "ending", "after", "stream", "state_",
+        "count",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        networks: int,
+        size: int,
+        games: int,
+        rows: int,
+        agents: int,
+        obs_shape: tuple[int, ...],
+        state_shape: tuple[int, ...] = (),
+        scale: float = 1.0,
+    ) -> None:
+        self.size, self.agents, self.scale = size, agents, scale
+        self.streams = games * agents
+        each = networks, size + games * rows
+        self.obs = np.zeros((*each, *obs_shape), np.float32)
+        self.mask = np.ones((*each, MOVES), np.int8)
+        self.action, self.stream = np.zeros((2, *each), np.int64)
+        self.chance, self.value, self.reward, self.after = np.zeros((4, *each), np.float32)
+        self.ending = np.zeros(each, np.int8)
+        self.state_ = np.zeros((*each, *state_shape) if state_shape else (*each, 0), np.float32)
+        self.count = np.zeros(networks, np.int64)
+
+    def add(
+        self,
+        before: Before,
+        after: StepBuffers,
+        chance: NDArray[np.float32],
+        value: NDArray[np.float32],
+        final_value: NDArray[np.float32],
+        states: NDArray[np.float32] | None,
+    ) -> None:
+        """Takes in a step.
+
+        Args:
+            before: what the agents saw.
+            after: the player's buffers after the step.
+            chance: (M, K) logarithms of the chances of the actions.
+            value: (M, K) what the critic expected before the step.
+            final_value: (M, K) what it expects where a task failed.
+            states: (M, *state_shape) what else the critic saw, or None.
+        """
+        games, rows = after.acted.shape
+        seen = np.zeros((games, 0), np.float32) if states is None else states.reshape(games, -1)
+        _add(
+            before.agents, before.obs.reshape(games, rows, -1), before.mask, after.actions,
+            after.acted, after.reward, after.ending, chance, value, final_value, seen,
+            self.agents, self.scale, self.count,
+            self.obs.reshape(*self.action.shape, -1), self.mask,
+            self.action, self.chance, self.value, self.reward, self.ending, self.after,
+            self.stream, self.state_.reshape(*self.action.shape, -1),
+        )  # fmt: skip
+
+    def full(self) -> NDArray[np.int64]:
+        """(D,) the networks that have a rollout's worth."""
+        return np.flatnonzero(self.count >= self.size)
+
+    def advantages(
+        self, which: NDArray[np.int64], last: NDArray[np.float32], gamma: float, lam: float
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Generalised advantage estimates (Schulman et al., 2016), and returns.
+
+        Args:
+            which: (D,) networks.
+            last: (L, streams) what the critic expects of every agent now.
+            gamma: discount factor.
+            lam: λ, the weight of longer sums of rewards.
+
+        Returns:
+            (D, size) float32 advantages and (D, size) float32 returns, advantage plus value.
+        """
+        advantage = np.empty((len(which), self.action.shape[1]), np.float32)
+        ahead, gain = np.empty((2, self.streams), np.float32)
+        for i, n in enumerate(which.tolist()):
+            _advantages(
+                self.stream[n], self.ending[n], self.reward[n], self.value[n], self.after[n],
+                self.count[n], last[n], gamma, lam, ahead, gain, advantage[i],
+            )  # fmt: skip
+        advantage = advantage[:, : self.size]
+        return advantage, advantage + self.value[which, : self.size]
+
+    def tensor(self, name: str, n: int, device: torch.device) -> Tensor:
+        """(size, …) what network n's rollout holds under a name, on a device."""
+        return torch.from_numpy(getattr(self, name)[n, : self.size]).to(device)
+
+    def drop(self, which: NDArray[np.int64]) -> None:
+        """Forgets the rollouts of networks; what came in beyond them moves to the front."""
+        for n in which.tolist():
+            left = self.count[n] - self.size
+            for name in self.rows[:-1]:
+                row = getattr(self, name)[n]
+                row[:left] = row[self.size : self.size + left]
+            self.count[n] = left
+
+
+@compiled
+def _add(
+    agents: Any, obs: Any, mask: Any, actions: Any, acted: Any, rewards: Any, endings: Any,
+    chances: Any, values: Any, final_values: Any, states: Any, most: int, scale: float,
+    count: Any, to_obs: Any, to_mask: Any, action: Any, chance: Any, value: Any, reward: Any,
+    ending: Any, after: Any, stream: Any, state: Any,
+) -> None:  # fmt: skip
+    games = len(acted) // len(count)
+    for m in range(acted.shape[0]):
+        n = m // games
+        for k in range(acted.shape[1]):
+            if not acted[m, k]:
+                continue
+            i = count[n]
+            for f in range(obs.shape[2]):
+                to_obs[n, i, f] = obs[m, k, f]
+            for move in range(MOVES):
+                to_mask[n, i, move] = mask[m, k, move]
+            action[n, i], reward[n, i] = actions[m, k], scale * rewards[m, k]
+            chance[n, i], value[n, i] = chances[m, k], values[m, k]
+            ending[n, i], after[n, i] = endings[m, k], final_values[m, k]
+            stream[n, i] = m % games * most + agents[m, k]
+            for f in range(states.shape[1]):
+                state[n, i, f] = states[m, f]
+            count[n] += 1
+
+
+@compiled
+def _advantages(
+    stream: Any, ending: Any, reward: Any, value: Any, after: Any, count: int, last: Any,
+    gamma: float, lam: float, ahead: Any, gain: Any, advantage: Any,
+) -> None:  # fmt: skip
+    """Advantages of one network's transitions, from the last to the first.
+
+    Args:
+        stream: (C,) and the next four: what the rollout holds.
+        ending: (C,).
+        reward: (C,).
+        value: (C,).
+        after: (C,).
+        count: how many there are.
+        last: (streams,) values of what comes after the rollout.
+        gamma: discount factor.
+        lam: λ.
+        ahead: (streams,) overwritten: the value of what comes next in each stream.
+        gain: (streams,) overwritten: the advantage of what comes next.
+        advantage: (C,) filled.
+    """
+    for s in range(len(ahead)):
+        ahead[s], gain[s] = last[s], 0
+    for i in range(count - 1, -1, -1):
+        s = stream[i]
+        # The next task of an agent is no consequence of this one, however it ended.
+        if ending[i] == Ending.JOINED:
+            ahead[s], gain[s] = 0, 0
+        elif ending[i] == Ending.FAILED:
+            ahead[s], gain[s] = after[i], 0
+        gain[s] = reward[i] + gamma * ahead[s] - value[i] + gamma * lam * gain[s]
+        ahead[s] = value[i]
+        advantage[i] = gain[s]

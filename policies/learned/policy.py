@@ -1,0 +1,139 @@
+"""Trained networks that play: in a loop over the environment, and on whole problems."""
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from marouting import EnvOptions, InputError, Problem, Solution
+from marouting.config import build, piece
+from marouting.game.engine import Engine
+from marouting.game.state import NOBODY
+from marouting.options import ORDERS
+from marouting.player import Player
+from policies.learned.checkpoint import read_checkpoint
+from policies.learned.learner import best_moves
+
+
+def player_of(env: EnvOptions, problems: list[Problem], masks: bool) -> Player:
+    """What plays problems as a configuration's ``env`` says.
+
+    Raises:
+        InputError: the problems do not go together.
+    """
+    engine = Engine(problems, env, turn_order=env.turn_order or ORDERS[env.agents])
+    return Player(
+        engine,
+        env.observation.make(),
+        env.reward.make(),
+        everyone=env.agents == "multi",
+        masks=masks,
+    )
+
+
+def policy_origin(episodes: int) -> str:
+    """What tables call routes that a network walks without exploration."""
+    return f"policy after {episodes} episodes, greedy"
+
+
+@dataclass(frozen=True)
+class Routed:
+    """A solution and where it is from; see :class:`policies.routers.base.Routed`."""
+
+    solution: Solution
+    report: dict[str, Any]
+
+
+class TrainedPolicy:
+    """A trained network that always takes the move that it rates highest.
+
+    Args:
+        module: the network: (B, *S) float32 observations to (B, 6) ratings.
+        masking: whether it chooses only among the moves that cross an edge.
+        obs_shape: S.
+        env: the game that it was trained in.
+        origin: where it is from, for reports.
+    """
+
+    def __init__(
+        self,
+        module: nn.Module,
+        masking: bool,
+        obs_shape: tuple[int, ...],
+        env: EnvOptions,
+        origin: str = "",
+    ) -> None:
+        self.module, self.masking = module, masking
+        self.obs_shape, self.env, self.origin = obs_shape, env, origin
+
+    @staticmethod
+    def load(path: str | os.PathLike[str], name: str | None = None) -> "TrainedPolicy":
+        """The policy in a file of trained networks, or in the checkpoint of a training.
+
+        Args:
+            path: the file.
+            name: the problem whose network to take, where the file holds several.
+
+        Raises:
+            InputError: the file cannot be used, or holds several networks and none of that name.
+        """
+        where = os.fspath(path)
+        state = read_checkpoint(path, training=False)
+        try:
+            names, weights = list(state["names"]), list(state["weights"])
+            episodes = [int(count) for count in state["episodes"]]
+            obs_shape = tuple(int(size) for size in state["obs_shape"])
+            env = build(EnvOptions, state["env"], f"{where}: env")
+            learner = piece("learner", state["learner"], where=f"{where}: learner")
+            if not names or len({len(names), len(weights), len(episodes)}) > 1:
+                raise ValueError(f"{len(names)} names, {len(weights)} networks")
+        except InputError:
+            raise
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{where}: expected a whole file of networks: {error!r}") from None
+        if len(names) > 1 and name not in names:
+            raise InputError(f"{where}: expected a problem named as one of {names}, found {name}")
+        row = names.index(name) if name in names else 0
+        try:
+            module = learner.cls.network(learner.options, obs_shape)
+            module.load_state_dict(weights[row])
+        except (RuntimeError, AttributeError, TypeError) as error:
+            reason = " ".join(str(error).split())[:120]
+            raise InputError(f"{where}: weights do not fit the network: {reason}") from None
+        masking = bool(learner.options.masking)
+        return TrainedPolicy(module, masking, obs_shape, env, policy_origin(episodes[row]))
+
+    def act(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> int:
+        """The best move; see :class:`policies.routers.base.Policy`."""
+        return int(self.moves(observation[None], mask[None])[0])
+
+    def moves(self, observations: NDArray[np.float32], masks: NDArray[np.int8]) -> NDArray[np.int8]:
+        """(K,) int8 best moves for observations (K, *S) and masks (K, 6)."""
+        with torch.no_grad():
+            ratings = self.module(torch.from_numpy(observations))
+        return best_moves(ratings, masks if self.masking else None)
+
+    def solve(self, problem: Problem) -> Routed:
+        """The routes that the policy walks on a problem, in the game that it was trained in.
+
+        Raises:
+            InputError: the game shows observations of another shape than the network was trained
+                on.
+        """
+        player = player_of(self.env, [problem], masks=True)
+        b = player.buffers
+        if b.obs.shape[2:] != self.obs_shape:
+            raise InputError(
+                f"checkpoint: expected observations of shape {b.obs.shape[2:]}, "
+                f"found a network for {self.obs_shape}"
+            )
+        player.reset()
+        while b.active.any():
+            moves = self.moves(b.obs[0], b.mask[0])
+            b.actions[0] = np.where(b.active[0], moves, NOBODY)
+            player.step()
+        return Routed(player.engine.solution(), {"from": self.origin})
