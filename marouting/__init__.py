@@ -17,7 +17,8 @@ from marouting.generator import generate
 from marouting.make import make
 from marouting.options import EnvOptions
 from marouting.problem.grid import Move
-from marouting.problem.problem import Adjustment, Net, Pin, Problem
+from marouting.problem.net import Adjustment, Net, Pin
+from marouting.problem.problem import Problem
 from marouting.problem.solution import Evaluation, Solution, evaluate
 from marouting.registry import register
 from marouting.search.astar import sequential_astar

@@ -1,8 +1,8 @@
-"""Problem sets in the manner of the paper's generator (section "Problem Sets Generator").
+"""Problem sets as the paper's generator makes them (section "Problem Sets Generator").
 
-Layers alternate: layer 1 has capacity along x, layer 2 along y, and so on. Pins lie in layer 1.
-Some edges are then reduced: the ones that sequential A*'s solutions use most, of each problem by
-itself or of the whole set.
+Layers alternate: layer 1 has capacity along x, layer 2 along y, and so on; a single layer has both.
+Pins lie in layer 1. Some edges then get a reduced capacity: those that the solutions of sequential
+A* use most, in each problem by itself or in the whole set.
 """
 
 from collections.abc import Sequence
@@ -13,48 +13,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.problem.problem import (
-    UNLIMITED,
-    Adjustment,
-    Net,
-    Pin,
-    Problem,
-    check_choice,
-    check_grid,
-    check_numbers,
-)
+from marouting.problem.net import Adjustment, Net, Pin, check_numbers
+from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_grid
 from marouting.search.astar import sequential_astar
 
 TILE = 10
 """Width and height of a Gcell in chip coordinates, as in the authors' published problems."""
 
 REDUCTION = 2
-"""What an edge's capacity is reduced by unless told: the authors' 5 becomes 3."""
+"""By how much capacity is reduced by default: the authors' 5 becomes 3."""
 
 ReducedPer = Literal["problem", "set"]
-"""Whose A* solutions tell which edges are reduced."""
+"""Whose A* solutions decide which edges are reduced."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GeneratorOptions:
-    """What :func:`generate` takes, checked.
+    """The arguments of :func:`generate`, checked.
 
     Attributes:
         count: number of problems.
         grid: columns, rows and layers of Gcells.
-        nets: nets a problem.
-        max_pins: pins a net, drawn uniformly from 2…max_pins.
-        capacity: capacity of an edge along its layer's direction.
-        reduced_edges: how many of the most used edges get another capacity.
-        reduced_capacity: that capacity; None: two less than ``capacity``, 3 where the authors
-            have 5.
-        reduced_per: ``problem``: each has its own edges reduced; ``set``: all have the same, the
-            ones most used in all problems together.
-        seed: where the random numbers start. In an environment's problem None draws a new
-            problem at every reset.
+        nets: nets per problem.
+        max_pins: pins per net, drawn uniformly from 2…max_pins.
+        capacity: capacity, in tracks, of an edge along its layer's direction.
+        reduced_edges: how many of the most used edges get a reduced capacity.
+        reduced_capacity: that capacity; None: two less than ``capacity`` but at least 0.
+        reduced_per: ``problem``: each problem has its own edges reduced; ``set``: all problems have
+            the same edges reduced, those most used in all of them together.
+        seed: seed of the random numbers, from 0; None: different ones every time, in an environment
+            a new problem at every reset.
 
     Raises:
-        InputError: a value is out of its range.
+        InputError: a value is out of range.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -99,24 +90,28 @@ def generate(
 ) -> list[Problem]:
     """Generates problems; the same arguments give the same problems.
 
-    Every net spans at least two Gcells. Problem i has the same nets whatever the count.
+    Every net spans at least two Gcells. The nets of problem i do not depend on the count.
 
     Args:
         count: number of problems.
         grid: columns, rows and layers of Gcells.
-        nets: nets a problem.
-        max_pins: pins a net, drawn uniformly from 2…max_pins.
-        capacity: capacity of an edge along its layer's direction.
-        reduced_edges: how many edges are reduced, the ones that sequential A* uses most without
-            (ties: lowest edge number).
-        seed: where the random numbers start; None for a different set every time.
-        reduced_capacity: capacity of the reduced edges; None: two less than ``capacity``.
-        reduced_per: ``problem``: the edges that its own solution uses most; ``set``: those that
-            the solutions of all problems together use most, the same in every problem, as in the
-            authors' published sets (which edges these are depends on ``count``).
+        nets: nets per problem.
+        max_pins: pins per net, drawn uniformly from 2…max_pins.
+        capacity: capacity, in tracks, of an edge along its layer's direction.
+        reduced_edges: how many edges get a reduced capacity: those that sequential A* uses most
+            before the reduction (ties: lowest edge number).
+        seed: seed of the random numbers, from 0; None: a different set every time.
+        reduced_capacity: capacity of the reduced edges; None: two less than ``capacity`` but at
+            least 0.
+        reduced_per: ``problem``: the edges that the problem's own solution uses most; ``set``: the
+            edges that the solutions of all problems together use most, the same in every problem,
+            as in the authors' published sets (so they depend on ``count``).
+
+    Returns:
+        The problems, ``count`` of them.
 
     Raises:
-        InputError: a value is out of its range.
+        InputError: a value is out of range.
     """
     return generate_from(
         GeneratorOptions(
@@ -151,6 +146,7 @@ def generate_from(options: GeneratorOptions) -> list[Problem]:
 
 
 def _unreduced(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
+    """A problem without reduced edges."""
     layers = np.arange(options.grid[2])
     if options.grid[2] == 1:
         along_x = along_y = np.array([options.capacity])  # a single layer takes both directions
@@ -170,10 +166,12 @@ def _unreduced(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
 
 
 def _reduced(problems: Sequence[Problem], edges: int, capacity: int) -> tuple[Adjustment, ...]:
-    """The capacity for the edges that the problems' A* solutions use most, all taken together."""
-    problem = problems[0]  # grid and capacities are those of all
-    demand: NDArray[np.int64] = np.sum([sequential_astar(one).demand for one in problems], axis=0)
-    # Vias have no capacity to reduce, edges across a layer's direction none left.
+    """A capacity for the edges that the A* solutions of these problems together use most."""
+    problem = problems[0]  # all have the same grid and capacities
+    demand: NDArray[np.int64] = np.sum(
+        [sequential_astar(one).edge_demand for one in problems], axis=0
+    )
+    # Vias have unlimited capacity, edges across their layer's direction have none.
     reducible = np.flatnonzero((problem.capacity > 0) & (problem.capacity < UNLIMITED))
     busiest = np.argsort(-demand[reducible], kind="stable")[:edges]
     near, far = problem.topology.ends(reducible[busiest])
@@ -185,7 +183,7 @@ def _reduced(problems: Sequence[Problem], edges: int, capacity: int) -> tuple[Ad
 
 
 def _net(index: int, options: GeneratorOptions, rng: np.random.Generator) -> Net:
-    """A net with pins uniform over layer 1, drawn again until they span two Gcells."""
+    """A net with pins uniform over layer 1, drawn again until they lie in two Gcells or more."""
     size = [options.grid[0] * TILE, options.grid[1] * TILE]
     while True:
         pins = rng.integers(size, size=(rng.integers(2, options.max_pins + 1), 2))
@@ -195,6 +193,6 @@ def _net(index: int, options: GeneratorOptions, rng: np.random.Generator) -> Net
 
 
 def _gcell(position: np.ndarray) -> tuple[int, int, int]:
-    """A Gcell as adjustments name it: layer from 1."""
+    """A Gcell (3,) as adjustments name it, with the layer from 1."""
     x, y, z = position.tolist()
     return x, y, z + 1

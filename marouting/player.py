@@ -6,9 +6,9 @@ bring, the moves are carried out turn by turn, so that a reward is asked about e
 
 What a learner needs, and what :class:`StepBuffers` therefore tells: that a task ended with the
 step, and how; what the agent saw where it arrived, to bootstrap from, before the next task put it
-elsewhere; and in ``sequential`` order, if asked for, the row of the player only. The transition of
-a row that ``acted`` goes from the ``obs`` before the step to ``final_obs`` if its task ended, else
-to the ``obs`` after the step.
+elsewhere; and, if asked for, only the row of the agent whose turn it is. The transition of a row
+that ``acted`` goes from the ``obs`` before the step to ``final_obs`` if its task ended or the row's
+agent is another now, else to the ``obs`` after the step.
 """
 
 import copy
@@ -51,7 +51,8 @@ class StepBuffers(NamedTuple):
     """What goes into a step of M problems, and what comes out of it.
 
     Each problem has K rows: all its N agents, or only the agent whose turn it is (K = 1). S is the
-    shape of an observation.
+    shape of an observation. ``final_obs`` and ``final_mask`` are written where ``obs`` no longer
+    shows what the move led to: where its task ended, or where the row now belongs to another agent.
     """
 
     agents: NDArray[np.int32]  # (M, K) the agent of each row, NOBODY for none
@@ -61,7 +62,7 @@ class StepBuffers(NamedTuple):
     acted: NDArray[np.bool_]  # (M, K) whether the row's agent moved in the step
     reward: NDArray[np.float32]  # (M, K) what the step paid it; if K = 1, what it paid all agents
     ending: NDArray[np.int8]  # (M, K) Ending of the agent's task in the step
-    final_obs: NDArray[np.float32]  # (M, K, *S) where a task ended: what the agent saw there
+    final_obs: NDArray[np.float32]  # (M, K, *S) what the agent saw where it arrived; see below
     final_mask: NDArray[np.int8]  # (M, K, 6) likewise
     terminated: NDArray[np.bool_]  # (M, K) the agent's tasks are all joined
     truncated: NDArray[np.bool_]  # (M, K) the agent's tasks have all ended, and some failed
@@ -275,8 +276,12 @@ class Player:
         b.acted[:] = (agents["crossing"] != Crossing.NONE) & ~nobody[:, None]
         b.ending[:] = np.where(b.acted, agents["ending"], Ending.NONE)
         b.total[:] += b.reward.sum(axis=1, dtype=np.float64)
-        self._look_back(b.ending != Ending.NONE, asked)
+        ended = b.ending != Ending.NONE
+        self._look_back(ended, asked, unsettle=True)
         _pass_turns(engine.static, engine.dynamic, self.everyone, begins)
+        if not self.everyone:
+            passed = (engine.games["agent"] != asked)[:, None]
+            self._look_back(b.acted & passed & ~ended, asked, unsettle=False)
         b.over[:] = ~begins & playing & (engine.games["active"] == 0)
         b.final[b.over] = engine.games[b.over]
         self._look(np.ones(len(begins), np.bool_), asked)
@@ -307,22 +312,31 @@ class Player:
         playing = before.agents["status"] == Status.ACTIVE
         return np.where(playing & (movers != NOBODY)[:, None], paid, np.float32(0))
 
-    def _look_back(self, ended: NDArray[np.bool_], asked: NDArray[np.int32]) -> None:
-        """Writes what agents whose tasks ended saw where they arrived."""
-        if not ended.any():
+    def _look_back(
+        self, rows: NDArray[np.bool_], asked: NDArray[np.int32], *, unsettle: bool
+    ) -> None:
+        """Writes what agents saw where they arrived.
+
+        Args:
+            rows: (M, K) which rows.
+            asked: (M,) whose turn it was.
+            unsettle: whether they stand elsewhere by now, their tasks having ended.
+        """
+        if not rows.any():
             return
         b, engine = self.buffers, self.engine
-        problems, rows = np.nonzero(ended)
-        agents = rows if self.everyone else asked[problems]
+        problems, row = np.nonzero(rows)
+        agents = row if self.everyone else asked[problems]
         place_of = problems, agents
         settled = engine.agents[place_of]
-        engine.agents[place_of] = self._arrived[place_of]
+        if unsettle:
+            engine.agents[place_of] = self._arrived[place_of]
         problems, agents = problems.astype(np.int32), agents.astype(np.int32)
         out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
         self.observation.write(engine, problems, agents, out)
-        b.final_obs[ended] = out
+        b.final_obs[rows] = out
         if self.known.masks:
-            b.final_mask[ended] = engine.masks(problems, agents)
+            b.final_mask[rows] = engine.masks(problems, agents)
         engine.agents[place_of] = settled
 
     def _look(self, which: NDArray[np.bool_], asked: NDArray[np.int32] | None = None) -> None:
@@ -408,6 +422,16 @@ def _write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row:
 
 
 @inlined
+def _look_back(
+    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int
+) -> None:
+    """What an agent saw where it arrived."""
+    write_paper(static, dynamic, known.via_capacity, m, n, b.final_obs[m], row)
+    if known.masks:
+        _write_mask(static, dynamic, m, n, b.final_mask, row)
+
+
+@inlined
 def _take_stock(
     static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int
 ) -> Any:
@@ -418,9 +442,7 @@ def _take_stock(
     b.reward[m, row] = reward
     b.ending[m, row] = agent.ending
     if agent.ending != Ending.NONE:
-        write_paper(static, dynamic, known.via_capacity, m, n, b.final_obs[m], row)
-        if known.masks:
-            _write_mask(static, dynamic, m, n, b.final_mask, row)
+        _look_back(static, dynamic, b, known, m, n, row)
     return reward
 
 
@@ -513,6 +535,8 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known,
             total += _take_stock(static, dynamic, b, known, m, n, 0)
             settle_agent(static, dynamic, m, n)
             pass_turn(static, dynamic, m)
+            if b.acted[m, 0] and b.ending[m, 0] == Ending.NONE and game.agent != mover:
+                _look_back(static, dynamic, b, known, m, n, 0)
             status = dynamic.agents[m, n].status
             b.terminated[m, 0] = status == Status.TERMINATED
             b.truncated[m, 0] = status == Status.TRUNCATED

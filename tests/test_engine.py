@@ -129,7 +129,9 @@ def test_what_must_hold_in_every_game(problem: Problem, chosen: dict[str, Any], 
     if chosen["overflow"] == "forbidden":
         assert judged.overflow == 0
     # Capacity is conserved: what is taken is the demand of the routes.
-    np.testing.assert_array_equal(engine.dynamic.remaining[0], problem.capacity - solution.demand)
+    np.testing.assert_array_equal(
+        engine.dynamic.remaining[0], problem.capacity - solution.edge_demand
+    )
 
     records = engine.agents[0]
     for n, net in enumerate(engine.nets[0].tolist()):

@@ -295,7 +295,7 @@ def test_types_are_those_of_astars_solutions(finished: Path) -> None:
         full = 0
         for path in sorted((finished / "problems" / name).glob("*.gr")):
             problem = Problem.read(path)
-            demand = AStarRouter().route(problem).demand.reshape(-1, 3)[:, :2]
+            demand = AStarRouter().route(problem).edge_demand.reshape(-1, 3)[:, :2]
             capacity = problem.capacity.reshape(-1, 3)[:, :2]
             full += bool(((capacity > 0) & (demand >= capacity)).any())
         expected[name] = {"I": count - full, "II": full}
@@ -854,7 +854,7 @@ def test_studies_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, 
         edges, lengths, overflows, decrease, rewards = column
         assert edges.get_title().startswith(f"{title}\nType I")
         problem = Problem.read(finished / "problems" / name / f"{chosen}.gr")
-        left = problem.capacity - AStarRouter().route(problem).demand
+        left = problem.capacity - AStarRouter().route(problem).edge_demand
         used = np.sort(left.reshape(-1, 3)[problem.capacity.reshape(-1, 3) > 0])
         after = next(p for p in edges.patches if p.get_label() == "after routing")
         assert sorted(after.get_data().values) == [n for n in used if n < 10**6]

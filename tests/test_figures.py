@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from marouting.errors import InputError
-from marouting.problem.problem import Adjustment, Net, Pin, Problem
+from marouting.problem.net import Adjustment, Net, Pin
+from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 
 figures = pytest.importorskip("policies.figures", exc_type=ImportError)

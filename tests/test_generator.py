@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from reference import Edge, between, edge_number, gcell_of, is_via, pin_gcells
 
 from marouting import InputError, Problem, evaluate, generate, sequential_astar
-from marouting.problem.problem import MAX_NUMBER
+from marouting.problem.net import MAX_NUMBER
 
 arguments = st.fixed_dictionaries(
     {
@@ -87,7 +87,7 @@ def test_what_every_problem_is_like(chosen: dict[str, Any]) -> None:
         assert 2 <= len(problem.nets[net].pins) <= chosen["max_pins"]
     assert all(pin.layer == 1 for net in problem.nets for pin in net.pins)
     # Demand of a net on an edge is 1, as in the paper.
-    assert (problem.demand == 1).all()
+    assert (problem.net_demand == 1).all()
 
     capacity, layers = chosen["capacity"], chosen["grid"][2]
     if layers == 1:

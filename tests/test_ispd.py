@@ -284,7 +284,7 @@ def check_contest(problem: Problem, solution: Solution) -> None:
     assert (judged.overflow, judged.max_overflow) == (0, 0)
     assert judged.wirelength == sum(map(len, solution.edges))
     inside = np.arange(problem.capacity.size) % AXES != VIA_AXIS
-    assert np.all(solution.demand[inside] <= problem.capacity[inside])
+    assert np.all(solution.edge_demand[inside] <= problem.capacity[inside])
     used = np.concatenate(solution.edges)
     flat = used[used % AXES != VIA_AXIS]
     assert len(flat)
@@ -315,8 +315,8 @@ def test_a_file_of_many_layers_is_as_written(tmp_path: Path) -> None:
         [number(2, 2, 0), number(4, 4, 2)],
     ]
     # Width of the net or the layer, and the layer's spacing.
-    assert problem.demand[0].tolist() == [2, 2, 2, 2, 4, 4]
-    assert problem.demand[2].tolist() == [4, 4, 4, 4, 5, 5]
+    assert problem.net_demand[0].tolist() == [2, 2, 2, 2, 4, 4]
+    assert problem.net_demand[2].tolist() == [4, 4, 4, 4, 5, 5]
     for x, y, layer, axis, capacity in (
         (0, 0, 1, 0, 0),
         (0, 0, 2, 1, 0),

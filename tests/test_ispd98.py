@@ -125,7 +125,7 @@ def said(problem: Problem, format: Format) -> Problem:
 def tracks(problem: Problem) -> NDArray[np.int32]:
     """(X, Y, 2) how many nets have room on the edges along x and y, all layers together."""
     capacity = problem.capacity.reshape(*problem.grid, AXES)[..., :VIA_AXIS]
-    return (capacity // problem.demand[0, 0]).sum(axis=2)
+    return (capacity // problem.net_demand[0, 0]).sum(axis=2)
 
 
 # --- reading and writing --------------------------------------------------------------------------
@@ -157,13 +157,13 @@ def test_one_wrong_word_stands_for_the_spacing(tmp_path: Path) -> None:
     problem = problem_of(tmp_path, LAYERED.replace("width 1 1 \nmin", "width 2 3 \nmin"))
     assert (problem.min_width, problem.min_spacing) == ((2, 3), (1, 1))
     # A net has no width of its own: the layer's counts.
-    assert problem.demand.tolist() == [[3, 4]] * 3
+    assert problem.net_demand.tolist() == [[3, 4]] * 3
 
 
 def test_both_formats_have_room_for_as_many_nets(tmp_path: Path) -> None:
     """24 at width 1 and spacing 1 is 12 tracks; every direction is in one layer of the two."""
     two, one = problem_of(tmp_path, LAYERED), problem_of(tmp_path, FLAT)
-    assert one.demand.tolist() == [[1]] * 3
+    assert one.net_demand.tolist() == [[1]] * 3
     assert tracks(one)[0, 0].tolist() == [3, 2]
     assert np.array_equal(tracks(two), tracks(one))
 
@@ -358,7 +358,7 @@ def test_ibm01_is_as_published(tmp_path: Path) -> None:
     assert (problem.vertical_capacity, problem.horizontal_capacity) == ((0, 24), (28, 0))
     assert len(problem.nets) == 11_507
     assert sum(len(net.pins) for net in problem.nets) == 44_266
-    assert np.all(problem.demand == 2)
+    assert np.all(problem.net_demand == 2)
     problem.write(tmp_path / "out", "ispd98")
     assert Problem.read(tmp_path / "out") == problem
     # Not one token differs; the white space does.

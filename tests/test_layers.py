@@ -1,22 +1,60 @@
-"""The house has two floors: ``marouting`` stands without ``policies`` and without torch."""
+"""The house: two floors, of which ``marouting`` stands without the other and without torch; rooms
+that know only those below them; no circles among files."""
 
 import ast
 import graphlib
 import subprocess
 import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+import textwrap
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import pytest
 
 import marouting
-import policies
 
 ROOT = Path(marouting.__file__).parent
 FILES = sorted(ROOT.rglob("*.py"))
 UPSTAIRS = {"policies", "torch"}
 OPTIONAL = {"matplotlib"}
 """What a window may import when it opens, and nothing before."""
+
+ROOMS = {
+    "marouting": (
+        ("_version", "errors", "files", "kernels", "registry", "config"),
+        ("problem",),
+        ("trees",),
+        ("game",),
+        ("search",),
+        ("generator",),
+        ("options", "source"),
+        ("player",),
+        ("render",),
+        ("env",),
+        ("vector", "global_routing_v0", "make"),
+        ("",),  # the package's own __init__.py
+    ),
+    "policies": (
+        ("routers",),
+        ("results",),
+        ("figures",),
+        ("learned.rows", "learned.streams", "learned.threads", "learned.checkpoint"),
+        ("learned.networks", "learned.memory", "learned.exploration"),
+        ("learned.learner",),
+        ("learned.algorithms",),
+        ("learned.compiled",),
+        ("learned.burn_in", "learned.config", "learned.policy"),
+        ("learned.trainer",),
+        ("learned.logs", "learned.router", "learned.run"),
+        ("learned",),
+        ("experiment",),
+        ("bench",),
+        ("cli",),
+        ("",),
+    ),
+}
+"""For each package its rooms, bottom to top, and the folders or files in each. A file may import
+from its own room and from those below."""
 
 
 def imports(tree: ast.AST) -> Iterator[str]:
@@ -49,6 +87,70 @@ def at_import(tree: ast.Module) -> Iterator[str]:
         waiting += ast.iter_child_nodes(node)
 
 
+def modules(package: str) -> dict[str, Path]:
+    """The files of a package by the dotted names of their modules."""
+    root = ROOT.parent / package
+    found = {}
+    for file in sorted(root.rglob("*.py")):
+        parts = file.relative_to(root.parent).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    return found
+
+
+def imported_modules(source: str, module: str, known: Collection[str]) -> set[str]:
+    """The known modules that a module imports: in functions and for types only as well.
+
+    The packages on the way to a module are not counted, although Python imports them too.
+
+    Args:
+        source: the module's text.
+        module: its dotted name, with ``.__init__`` if it is a package.
+        known: dotted names of modules.
+    """
+    names = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = module.split(".")[: -node.level] if node.level else []
+            origin = ".".join(base + ([node.module] if node.module else []))
+            inside = [f"{origin}.{alias.name}" for alias in node.names]
+            names += [name if name in known else origin for name in inside]
+        elif (
+            isinstance(node, ast.Call)
+            and ast.unparse(node.func) in ("__import__", "importlib.import_module", "import_module")
+            and node.args
+            and isinstance(node.args[0], ast.Constant)
+        ):
+            names.append(str(node.args[0].value))
+    return set(names) & set(known)
+
+
+def import_graph(package: str) -> dict[str, set[str]]:
+    """For each module of a package the modules of the same package that it imports."""
+    known = modules(package)
+    return {
+        name: imported_modules(
+            file.read_text(encoding="utf-8"),
+            f"{name}.__init__" if file.name == "__init__.py" else name,
+            known,
+        )
+        for name, file in known.items()
+    }
+
+
+def room_of(module: str) -> int | None:
+    """The room that a module lies in, counted from the bottom; None for one without a room."""
+    package, _, name = module.partition(".")
+    found = None
+    for i, room in enumerate(ROOMS[package]):
+        for known in room:
+            inside = name == known or (known and name.startswith(f"{known}."))
+            if inside and (found is None or len(known) > len(found[1])):
+                found = i, known
+    return found and found[0]
+
+
 def test_there_is_something_to_look_at() -> None:
     assert {"engine.py", "problem.py", "make.py"} <= {file.name for file in FILES}
     found = set(imports(ast.parse("def f():\n    import torch.nn\n    from policies import x")))
@@ -60,6 +162,46 @@ def test_nothing_from_upstairs(file: Path) -> None:
     tree = ast.parse(file.read_text(encoding="utf-8"))
     assert not UPSTAIRS & set(imports(tree))
     assert not OPTIONAL & set(at_import(tree))
+
+
+def test_no_import_is_overlooked() -> None:
+    known = {"p", "p.a", "p.b", "p.b.c", "p.b.d"}
+    source = """
+        import numpy, p.a
+        if TYPE_CHECKING:
+            from p.b import c, Name
+        def late():
+            from .d import Name
+            import_module("p")
+    """
+    found = imported_modules(textwrap.dedent(source), "p.b.c", known)
+    assert found == {"p.a", "p.b.c", "p.b", "p.b.d", "p"}
+    assert imported_modules("from . import d", "p.b.__init__", known) == {"p.b.d"}
+    graph = import_graph("marouting")
+    assert "marouting.search.plain" in graph["marouting.search.bounded"]
+    assert "marouting.vector" in graph["marouting"]
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_no_files_import_each_other_in_a_circle(package: str) -> None:
+    try:
+        graphlib.TopologicalSorter(import_graph(package)).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail("a circle, each imported by the next: " + ", ".join(error.args[1]))
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_rooms_import_only_from_rooms_below(package: str) -> None:
+    graph = import_graph(package)
+    rooms = {module: room_of(module) for module in graph}
+    assert [module for module, room in rooms.items() if room is None] == []
+    upwards = [
+        f"{module} imports {other}"
+        for module, others in graph.items()
+        for other in others
+        if rooms[other] > rooms[module]  # type: ignore[operator]
+    ]
+    assert upwards == []
 
 
 def test_dependencies_are_the_declared_ones() -> None:
@@ -96,96 +238,3 @@ def test_a_fresh_process_loads_nothing_from_upstairs(use: str) -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
     )
     assert done.stdout.strip() == "[]"
-
-
-# --- no circles, and rooms that know only those below them ----------------------------------------
-
-POLICIES = Path(policies.__file__).parent
-ORDERS = (
-    ("routers", "results", "figures", "learned", "experiment", "bench", "cli"),
-    ("learned.networks learned.memory", "learned.algorithms learned.compiled", "learned.trainer"),
-    ("learned.trainer", "learned.run learned.router"),
-)
-"""Rooms of ``policies`` from bottom to top; those in one string stand side by side."""
-
-
-def modules(root: Path) -> dict[str, Path]:
-    """The files of a package by the module's name."""
-    named = {}
-    for file in sorted(root.rglob("*.py")):
-        parts = file.relative_to(root.parent).with_suffix("").parts
-        named[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
-    return named
-
-
-def arrows(source: str, known: Collection[str]) -> set[str]:
-    """The known modules that a piece of source imports: in functions and for types as well."""
-    found = set()
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert not node.level, "expected imports by the whole name"
-            inside = {f"{node.module}.{alias.name}" for alias in node.names}
-            # A package itself is meant only where something is taken that is no module of it.
-            found |= inside & set(known)
-            found |= {str(node.module)} if inside - set(known) else set()
-    return found & set(known)
-
-
-def upward(found: Mapping[str, Iterable[str]], order: Sequence[str]) -> list[str]:
-    """The imports that go from a room to one above it."""
-
-    def level(module: str) -> int | None:
-        rooms = (room.split() for room in order)
-        return next(
-            (
-                number
-                for number, names in enumerate(rooms)
-                if any(f"{module}.".startswith(f"policies.{name}.") for name in names)
-            ),
-            None,
-        )
-
-    def goes_up(low: int | None, high: int | None) -> bool:
-        return low is not None and high is not None and low < high
-
-    return [
-        f"{module} imports {other}"
-        for module, others in found.items()
-        for other in others
-        if goes_up(level(module), level(other))
-    ]
-
-
-def graph(root: Path) -> dict[str, set[str]]:
-    files = modules(root)
-    return {name: arrows(file.read_text("utf-8"), files) for name, file in files.items()}
-
-
-def test_circles_and_upward_imports_are_seen() -> None:
-    known = ["policies.cli", "policies.cli.a", "policies.routers", "policies.routers.b"]
-    source = (
-        "def f():\n    from policies.routers import b\n"
-        "if TYPE_CHECKING:\n    import policies.cli.a\n"
-        "from policies.cli import anything"
-    )
-    assert arrows(source, known) == {"policies.routers.b", "policies.cli.a", "policies.cli"}
-    wrong = {"policies.routers.b": {"policies.cli.a"}, "policies.cli.a": {"policies.routers.b"}}
-    assert upward(wrong, ORDERS[0]) == ["policies.routers.b imports policies.cli.a"]
-    with pytest.raises(graphlib.CycleError):
-        graphlib.TopologicalSorter(wrong).prepare()
-
-
-@pytest.mark.parametrize("root", [ROOT, POLICIES], ids=lambda root: root.name)
-def test_no_circles_among_files(root: Path) -> None:
-    found = graph(root)
-    assert len(found) > 20
-    graphlib.TopologicalSorter(found).prepare()  # a CycleError names the files of a circle
-
-
-@pytest.mark.parametrize("order", ORDERS, ids=["rooms", "learned", "training"])
-def test_rooms_import_only_from_below(order: Sequence[str]) -> None:
-    assert not upward(graph(POLICIES), order)
-    rooms = [name for room in order for name in room.split()]
-    assert all(any(f"policies.{room}" == name for name in modules(POLICIES)) for room in rooms)

@@ -110,7 +110,7 @@ def best_of_all(problem: Problem) -> tuple[int, int]:
         if len(pins) == 1:
             continue
         trees = every.member[every.trees(pins)]
-        taken = trees[:, wire] * problem.demand[net, layer].astype(np.int64)
+        taken = trees[:, wire] * problem.net_demand[net, layer].astype(np.int64)
         more: dict[tuple[int, ...], int] = {}
         for used, length in found.items():
             for key, own in zip((taken + used).tolist(), trees.sum(axis=1).tolist(), strict=True):
@@ -429,7 +429,7 @@ def shortest(problem: Problem) -> int:
     total = 0
     for net, pins in enumerate(problem.pin_gcells):
         layer = np.arange(problem.topology.edges) // AXES % problem.grid[2]
-        open_to = problem.topology.exists & (problem.demand[net, layer] <= problem.capacity)
+        open_to = problem.topology.exists & (problem.net_demand[net, layer] <= problem.capacity)
         price = np.where(open_to, 1, NEVER).reshape(*problem.grid, AXES)
         total += cheapest_priced_tree(price, pins)[0] if len(pins) > 1 else 0
     return total

@@ -242,11 +242,13 @@ def test_any_pieces_play_as_the_compiled_ones(
     saved: Any = None
     for step in range(60):
         actions = rng.integers(-1, 6, players[0].buffers.actions.shape)
+        agents = players[0].buffers.agents.copy()
         for player in players:
             player.buffers.actions[:] = actions
             player.step(restart=step > 30)
         expected = players[0].buffers
-        ended = expected.ending != Ending.NONE
+        left = expected.agents != agents if not everyone else np.zeros(agents.shape, bool)
+        ended = (expected.ending != Ending.NONE) | (expected.acted & left)
         for player in players[1:]:
             found = player.buffers
             for name in expected._fields:

@@ -25,7 +25,8 @@ from marouting import (
 )
 from marouting.game.state import NOBODY, Ending, Status
 from marouting.problem.grid import OFF_GRID
-from marouting.search.astar import AStar, search_buffers, shortest_path
+from marouting.search.astar import AStar
+from marouting.search.bounded import search_buffers, shortest_path
 from marouting.trees.decomposition import two_pin_tasks
 from marouting.trees.steiner import EXACT_PINS, steiner_length
 from policies.routers.astar import AStarRouter
@@ -68,7 +69,7 @@ def test_path_cost_is_networkx_shortest_path(problem: Problem, seed: int, overfl
 
 
 def plain_path(engine: Engine, n: int, start: int, target: int) -> tuple[list[int], int]:
-    """The moves that the first lines of the module ask for, and how many Gcells it takes."""
+    """The moves that marouting.search.plain describes, and how many Gcells it takes."""
     grid, demand = engine.grid, engine.static.demand[0, n].tolist()
     remaining = engine.dynamic.remaining[0].tolist()
     used = np.unpackbits(engine.dynamic.used[0, n], bitorder="little").tolist()
@@ -123,7 +124,9 @@ def test_paths_are_those_of_plain_astar(
             length = shortest_path(engine.static, engine.dynamic, working, 0, n, *ends)
             moves, opened = plain_path(engine, n, *ends)
             assert working.path[:length].tolist() == moves
-            fewer += np.count_nonzero(working.nodes["stamp"] == -working.search[0]) < opened
+            fewer += (
+                np.count_nonzero(working.plain.nodes["stamp"] == -working.plain.search[0]) < opened
+            )
             for move in moves:
                 engine.step(np.array([move]))
         assert engine.solution() == sequential_astar(problem)
@@ -156,7 +159,7 @@ def test_a_target_without_a_way_in_does_not_cost_the_whole_grid() -> None:
     assert length == 10
     assert working.path[:length].tolist() == plain_path(engine, 0, start, target)[0]
     assert walk(engine, game, 0, start, target)[1] == 1009
-    assert np.count_nonzero(working.nodes["stamp"]) < 400  # of 1600, in all searches together
+    assert np.count_nonzero(working.plain.nodes["stamp"]) < 400  # of 1600, in all searches together
 
 
 @settings(deadline=None, max_examples=40)

@@ -62,7 +62,7 @@ def test_hand_worked_figures() -> None:
     )
     demand = np.zeros(ROW.topology.edges, np.int64)
     demand[[x_edge(0, 0), x_edge(1, 0), x_edge(1, 1)]] = 6, 2, 4
-    np.testing.assert_array_equal(solution.demand, demand)
+    np.testing.assert_array_equal(solution.edge_demand, demand)
 
 
 def test_a_missing_edge_disconnects_its_net() -> None:

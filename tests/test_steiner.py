@@ -15,19 +15,9 @@ from strategies import problems
 
 from marouting import Net, Pin, Problem
 from marouting.trees.decomposition import two_pin_tasks
-from marouting.trees.steiner import (
-    CLOSED,
-    EXACT_PINS,
-    Lattice,
-    Search,
-    cheapest_tree,
-    make_lattice,
-    make_search,
-    set_cost,
-    set_size,
-    steiner_length,
-    steiner_tasks,
-)
+from marouting.trees.exact_tree import Search, exact_tree, make_search
+from marouting.trees.lattice import CLOSED, Lattice, make_lattice, set_cost, set_size
+from marouting.trees.steiner import EXACT_PINS, steiner_length, steiner_tasks
 
 any_problem = st.one_of(problems(), contested(max_nets=8, max_pins=14))
 seeds = st.integers(0, 2**32)
@@ -245,7 +235,7 @@ def tree_of(lattice: Lattice) -> nx.Graph:
     st.integers(2, 4),
     seeds,
 )
-def test_cheapest_tree_is_the_cheapest(size: tuple[int, int, int], pins: int, seed: int) -> None:
+def test_exact_tree_is_a_cheapest_one(size: tuple[int, int, int], pins: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     lattice, graph = random_lattice(size, rng)
     points = int(np.prod(size))
@@ -259,7 +249,7 @@ def test_cheapest_tree_is_the_cheapest(size: tuple[int, int, int], pins: int, se
         s.start[: pins - 1], s.group[: pins - 1] = terminals[:-1], range(pins - 1)
         s.goal[terminals[-1]] = 1
         set_size(lattice, *size)
-        cost = cheapest_tree(lattice, s, pins - 1, pins - 1, int(rng.integers(2**31)))
+        cost = exact_tree(lattice, s, pins - 1, pins - 1, int(rng.integers(2**31)))
         s.goal[terminals[-1]] = 0
         if not reachable:
             assert cost == CLOSED
@@ -285,7 +275,7 @@ def test_one_group_is_joined_by_a_shortest_path(starts: int, goals: int, seed: i
     s.start[:starts] = group
     s.goal[goal] = 1
     box(lattice, s, 1, goal)
-    cost = cheapest_tree(lattice, s, starts, 1, int(rng.integers(2**31)))
+    cost = exact_tree(lattice, s, starts, 1, int(rng.integers(2**31)))
     found = nx.multi_source_dijkstra_path_length(graph, set(group))
     assert cost == min((found[end] for end in goal if end in found), default=CLOSED)
     if cost != CLOSED:
@@ -311,6 +301,6 @@ def test_ties_are_broken_by_the_random_number(random: int) -> None:
         s = make_search(36, 36, 1)
         s.start[0], s.goal[35] = 0, 1
         box(lattice, s, 1, [35])
-        assert cheapest_tree(lattice, s, 1, 1, random) == 10
+        assert exact_tree(lattice, s, 1, 1, random) == 10
         trees.append(lattice.tree)
     np.testing.assert_array_equal(*trees)

@@ -19,7 +19,8 @@ from marouting.generator import GeneratorOptions
 from marouting.options import game_options
 from marouting.player import Player
 from marouting.problem.grid import MOVES
-from marouting.problem.problem import MAX_NUMBER, Problem
+from marouting.problem.net import MAX_NUMBER
+from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Scene, Window, ansi, rgb_array
 from marouting.source import Source, checked_source, load_problem

@@ -195,7 +195,7 @@ def most_capacity(problem: Problem) -> float:
 
 def most_demand(problem: Problem) -> float:
     """The demand on an edge that every net uses, in the most demanding layer at most."""
-    return float(problem.demand.max(axis=1).sum(dtype=np.int64))
+    return float(problem.net_demand.max(axis=1).sum(dtype=np.int64))
 
 
 def state(engine: Engine, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:

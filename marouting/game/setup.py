@@ -61,7 +61,7 @@ def static_state(
             *pins[m],
             tasks[m],
             grid.position,
-            problem.demand,
+            problem.net_demand,
             agent_net[m],
             first[m],
             demand[m],

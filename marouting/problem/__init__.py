@@ -1,1 +1,1 @@
-"""What is routed and how it is judged: problems, solutions, their files."""
+"""Problems and solutions: what is routed, how it is judged, and the files that hold it."""

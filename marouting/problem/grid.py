@@ -1,9 +1,9 @@
-"""The grid of Gcells: how cells and edges are numbered, and what lies in which direction.
+"""The grid of Gcells: how Gcells and edges are numbered, and which are neighbours.
 
-Gcells of an X×Y×Z grid are numbered ``(x * Y + y) * Z + z``. Every Gcell owns the three edges
-towards its +x, +y and +z neighbour; edge ``3 * gcell + axis`` joins ``gcell`` to its neighbour
-along ``axis`` (0 = x, 1 = y, 2 = z, a via). At the far border these edges lead off the grid: the
-numbers exist, the edges do not.
+The Gcells of an X×Y×Z grid are numbered ``(x * Y + y) * Z + z``. Every Gcell owns the three edges
+towards its +x, +y and +z neighbours: edge ``3 * gcell + axis`` joins ``gcell`` to its neighbour
+along ``axis`` (0 = x, 1 = y, 2 = z, a via). At the far border such edges would lead off the grid:
+their numbers exist, the edges do not.
 """
 
 import enum
@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 OFF_GRID = -1
-"""What the tables hold where a move would leave the grid."""
+"""Stands in the tables for a Gcell or edge that does not exist, as a move would leave the grid."""
 
 
 class Move(enum.IntEnum):
-    """The six moves, in the order of the action space."""
+    """The six moves, numbered as in the action space."""
 
     EAST = 0  #: +x
     WEST = 1  #: −x
@@ -40,11 +40,13 @@ class Grid:
     Attributes:
         shape: (X, Y, Z).
         gcells: number of Gcells, G = X·Y·Z.
-        edges: number of edge numbers, E = 3·G (those off the grid included).
+        edges: number of edge numbers, E = 3·G, including those of edges off the grid.
         neighbour: (G, 6) int32, the Gcell that each move leads to, or OFF_GRID.
         edge: (G, 6) int32, the edge that each move crosses, or OFF_GRID.
-        position: (G, 3) int32, the x, y, z of each Gcell.
+        position: (G, 3) int32, x, y, z of each Gcell, from 0.
         exists: (E,) bool, whether the edge joins two Gcells.
+
+    All arrays are read-only.
     """
 
     shape: tuple[int, int, int]
@@ -58,7 +60,7 @@ class Grid:
     @staticmethod
     @functools.lru_cache(maxsize=64)
     def of(shape: tuple[int, int, int]) -> "Grid":
-        """The grid of a shape; the same object for the same shape."""
+        """The grid of shape (X, Y, Z); equal shapes share one object."""
         gcells = int(np.prod(shape, dtype=np.int64))
         number = np.arange(gcells, dtype=np.int32)
         position = np.stack(np.unravel_index(number, shape), axis=1).astype(np.int32)
@@ -80,12 +82,12 @@ class Grid:
         return Grid(shape, gcells, gcells * AXES, neighbour, edge, position, exists)
 
     def number(self, x: int, y: int, z: int) -> int:
-        """The number of the Gcell at (x, y, z), z from 0."""
+        """The number of the Gcell at (x, y, z), all from 0; it must be on the grid."""
         _, height, layers = self.shape
         return (x * height + y) * layers + z
 
     def ends(self, edges: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """The two Gcells that each edge joins: arrays shaped like ``edges``."""
+        """The two Gcells that each edge joins, lower number first; both shaped like ``edges``."""
         near, axis = np.divmod(np.asarray(edges, np.int64), AXES)
         stride = np.array([self.shape[1] * self.shape[2], self.shape[2], 1], np.int64)
         return near, near + stride[axis]

@@ -1,90 +1,39 @@
 """A global routing problem: the chip's grid, its capacities, and the nets to be joined.
 
-Everything is frozen and in the units of the ISPD 2008 ``.gr`` format (:mod:`marouting.problem.ispd`
-reads and writes it, among others): pins in chip coordinates with layers from 1, capacities and
-widths in tracks. What the routers and the environment need is derived here once, in Gcell and edge
-numbers (:mod:`marouting.problem.grid`) with layers from 0.
+A problem is frozen and in the units of the ISPD 2008 ``.gr`` format: pins in chip coordinates with
+layers from 1, capacities and widths in tracks. Routers and the environment need Gcell and edge
+numbers (:mod:`marouting.problem.grid`) with layers from 0; these are derived here, once.
 """
 
+import dataclasses
 import functools
 import itertools
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.kernels import compiled
+from marouting.problem import ispd
 from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS, Grid
-
-if TYPE_CHECKING:
-    from marouting.problem.ispd import Format
+from marouting.problem.net import (
+    MAX_NUMBER,
+    Adjustment,
+    FieldError,
+    Net,
+    check_net,
+    check_numbers,
+)
 
 UNLIMITED = int(np.iinfo(np.int32).max)
-"""The capacity of a via: vias never overflow (paper, section on the problem sets generator)."""
+"""The capacity of a via. Vias never overflow (paper, section on the problem sets generator)."""
 
 MAX_GCELLS = 2**24
 """The largest grid accepted, larger than any of the ISPD 2008 contest."""
-
-MAX_NUMBER = 10**9
-"""The largest capacity, width or coordinate accepted; sums of them stay within 64 bits."""
-
-
-class FieldError(InputError):
-    """An InputError about one row of one field of a :class:`Problem`.
-
-    A reader that knows the line of each row can thereby leave the judging to the Problem and name
-    the line all the same.
-
-    Attributes:
-        field: the attribute's name, or ``"pins"``: the pins of all nets one after the other.
-        row: the index in that field.
-    """
-
-    def __init__(self, message: str, field: str = "", row: int = 0) -> None:
-        super().__init__(message)
-        self.field = field
-        self.row = row
-
-
-class Pin(NamedTuple):
-    """A pin of a net: x and y in chip coordinates, layer from 1."""
-
-    x: int
-    y: int
-    layer: int
-
-
-@dataclass(frozen=True, slots=True)
-class Net:
-    """A set of pins to be joined.
-
-    Attributes:
-        name: unique in its problem, printable, without white space.
-        id: the file's number of the net.
-        pins: one or more; several may lie in one Gcell.
-        min_width: the width of the net's wires, at least; 1 in the paper.
-    """
-
-    name: str
-    id: int
-    pins: tuple[Pin, ...]
-    min_width: int = 1
-
-
-class Adjustment(NamedTuple):
-    """One edge's own capacity: two neighbouring Gcells of one layer (layer from 1)."""
-
-    x1: int
-    y1: int
-    layer1: int
-    x2: int
-    y2: int
-    layer2: int
-    capacity: int
 
 
 @dataclass(frozen=True)
@@ -93,19 +42,19 @@ class Problem:
 
     Attributes:
         grid: (X, Y, Z): columns, rows and routing layers of Gcells.
-        vertical_capacity: Z numbers, capacity of the edges along y in each layer.
-        horizontal_capacity: Z numbers, capacity of the edges along x in each layer.
-        nets: the nets, in file order.
+        vertical_capacity: Z numbers, capacity in tracks of the edges along y in each layer.
+        horizontal_capacity: Z numbers, capacity in tracks of the edges along x in each layer.
+        nets: the nets, in file order; at least one.
         min_width: Z numbers, minimum wire width in each layer.
         min_spacing: Z numbers, minimum wire spacing in each layer.
-        via_spacing: Z numbers; read and written, without influence on routing.
+        via_spacing: Z numbers; read and written, but without influence on routing.
         origin: chip coordinates of the lower left corner of Gcell (0, 0).
         tile: width and height of a Gcell in chip coordinates.
-        adjustments: edges whose capacity differs from their layer's; of several of one edge the
-            last counts (ISPD 2008 evaluator).
+        adjustments: edges whose capacity differs from their layer's; if an edge has several, the
+            last one counts (ISPD 2008 evaluator).
 
     Raises:
-        FieldError: a value is out of its range or contradicts another (an InputError).
+        FieldError: a value is out of range or contradicts another (an InputError).
     """
 
     grid: tuple[int, int, int]
@@ -149,17 +98,17 @@ class Problem:
             if net.name in names:
                 raise FieldError(f"net {net.name}: expected a name no earlier net has", "nets", row)
             names.add(net.name)
-        # Both look at every row, and what they find is kept for later.
+        # Both check every row, and keep what they computed for later.
         _ = self._pins, self._adjusted_edges
 
     def gcells(self, points: NDArray[np.int64]) -> NDArray[np.int64]:
         """The numbers of the Gcells that points lie in.
 
         Args:
-            points: (n, 3) x and y in chip coordinates, layer from 1.
+            points: (n, 3) int64, x and y in chip coordinates, layer from 1.
 
         Returns:
-            (n,) Gcell numbers, OFF_GRID for a point off the grid.
+            (n,) int64 Gcell numbers, OFF_GRID for a point off the grid.
         """
         cell = points - np.array([*self.origin, 1])
         cell[:, :2] //= np.array(self.tile)
@@ -168,21 +117,21 @@ class Problem:
 
     @property
     def strides(self) -> NDArray[np.int64]:
-        """(3,) how far Gcell numbers lie apart along x, y, z.
+        """(3,) difference between the numbers of neighbouring Gcells along x, y, z.
 
-        The tables of :attr:`topology` say the same, but take memory for every Gcell: too much to
-        spend on a file that only promises a large grid.
+        :attr:`topology` contains the same, but its tables take memory for every Gcell: too much to
+        spend on a file that merely promises a large grid.
         """
         return np.array([self.grid[1] * self.grid[2], self.grid[2], 1], np.int64)
 
     @property
     def extent(self) -> str:
-        """What a point on the grid is, for the messages of errors."""
+        """What a point on the grid is, for error messages."""
         return f"a point on the {self.grid[0]}x{self.grid[1]} grid, in layers 1 to {self.grid[2]}"
 
     @functools.cached_property
     def _pins(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(pins,) twice: the net and the Gcell of every pin; raises FieldError for one off grid."""
+        """(pins,) twice: net and Gcell of every pin; raises FieldError for a pin off the grid."""
         table = _table("pins", (pin for net in self.nets for pin in net.pins), 3)
         gcell = self.gcells(table)
         net = np.repeat(np.arange(len(self.nets)), [len(net.pins) for net in self.nets])
@@ -198,7 +147,7 @@ class Problem:
 
     @functools.cached_property
     def _adjusted_edges(self) -> NDArray[np.int64]:
-        """(adjustments,) the edge that each adjustment sets; raises FieldError for none."""
+        """(adjustments,) the edge of each adjustment; raises FieldError for an unusable one."""
         table = _table("adjustments", self.adjustments, 7)
         ends, capacity = table[:, :6].reshape(-1, 2, 3) - np.array([0, 0, 1]), table[:, 6]
         near, far = ends.min(axis=1), ends.max(axis=1)
@@ -228,24 +177,28 @@ class Problem:
 
     @functools.cached_property
     def topology(self) -> Grid:
-        """The tables of this problem's grid."""
+        """Neighbours, edges and positions of this problem's Gcells, as tables."""
         return Grid.of(self.grid)
 
     @functools.cached_property
     def capacity(self) -> NDArray[np.int32]:
-        """(E,) capacity of every edge: UNLIMITED for a via, 0 for an edge off the grid."""
+        """(E,) capacity of every edge in tracks: UNLIMITED for vias, 0 for edges off the grid."""
         vias = (UNLIMITED,) * self.grid[2]
         layers = np.array((self.horizontal_capacity, self.vertical_capacity, vias), np.int32).T
         exists = self.topology.exists.reshape(-1, *layers.shape)
         edges: NDArray[np.int32] = (exists * layers).reshape(-1)
-        # Where an edge is repeated numpy leaves the last value, as it has to be.
+        # Of several values for one edge numpy keeps the last, as it should be.
         edges[self._adjusted_edges] = [adjustment.capacity for adjustment in self.adjustments]
         edges.setflags(write=False)
         return edges
 
     @functools.cached_property
-    def demand(self) -> NDArray[np.int32]:
-        """(nets, Z) what one edge of a layer costs a net: its wire's width and the spacing."""
+    def net_demand(self) -> NDArray[np.int32]:
+        """(nets, Z) tracks that a net takes of an edge in each layer: wire width plus spacing.
+
+        The width is the larger of the net's and the layer's minimum width, the spacing the
+        layer's minimum spacing (ISPD 2008 evaluator).
+        """
         width = np.array([net.min_width for net in self.nets], np.int32)[:, None]
         demand = np.maximum(width, np.array(self.min_width, np.int32))
         demand += np.array(self.min_spacing, np.int32)
@@ -254,9 +207,10 @@ class Problem:
 
     @functools.cached_property
     def flat_pin_gcells(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(nets + 1,) and (Gcells,): :attr:`pin_gcells` of all nets, one after the other.
+        """:attr:`pin_gcells` of all nets, one net after another: ``first`` and ``gcell``.
 
-        Those of net i are ``gcell[first[i] : first[i + 1]]``.
+        (nets + 1,) and (pin Gcells,) int64, read-only; those of net i are
+        ``gcell[first[i] : first[i + 1]]``.
         """
         net, pins = self._pins
         first, gcell = np.zeros(len(self.nets) + 1, np.int64), np.empty_like(pins)
@@ -267,56 +221,59 @@ class Problem:
 
     @functools.cached_property
     def pin_gcells(self) -> tuple[NDArray[np.int64], ...]:
-        """For each net the numbers of the Gcells with its pins, each once, in pin order."""
+        """For each net the numbers of the Gcells that hold its pins, each once, in pin order."""
         first, gcell = self.flat_pin_gcells
         return tuple(gcell[a:b] for a, b in itertools.pairwise(first.tolist()))
 
     @staticmethod
     def read(path: str | os.PathLike[str]) -> "Problem":
-        """Reads a file in any of the ISPD formats (:mod:`.ispd`).
+        """Reads a file in any of the ISPD formats (:mod:`marouting.problem.ispd`).
 
-        Its header tells which.
+        Args:
+            path: the file; its header tells the format.
 
         Raises:
-            InputError: names the file, the line, and what was expected.
+            InputError: the file cannot be read, is in none of the formats, or does not describe
+                a valid problem; the message names the file, the line, and what was expected.
         """
-        from marouting.problem import ispd
+        record = ispd.read_problem(path)
+        try:
+            return Problem(**record.fields)
+        except FieldError as error:
+            raise record.located(error) from None
 
-        return ispd.read_problem(path)
+    def write(self, path: str | os.PathLike[str], format: ispd.Format = "ispd2008") -> None:
+        """Writes the problem in an ISPD format (:mod:`marouting.problem.ispd`).
 
-    def write(self, path: str | os.PathLike[str], format: "Format" = "ispd2008") -> None:
-        """Writes the problem as text of an ISPD format (:mod:`marouting.problem.ispd`).
-
-        Whole or not at all, and such that it is read as an equal problem.
+        The file is written whole or not at all. Reading it gives an equal problem.
 
         Args:
             path: the file.
-            format: ``ispd2008`` (a ``.gr`` file, which holds any problem), ``ispd98`` or
+            format: ``ispd2008`` (a ``.gr`` file, which can hold any problem), ``ispd98`` or
                 ``ispd98-flat``.
 
         Raises:
             InputError: there is no such format, it cannot hold the problem, or the file cannot be
                 written.
         """
-        from marouting.problem import ispd
-
-        ispd.write_problem(self, path, format)
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        ispd.write_problem(path, fields, format)
 
 
 @compiled
 def _distinct(net: Any, gcell: Any, first: Any, out: Any) -> int:
-    """Writes the Gcells of every net, each once, to ``out``; returns how many they are.
+    """Writes the Gcells of every net, each once, to ``out``; returns how many there are.
 
     Args:
         net: (pins,) the net of every pin, ascending.
         gcell: (pins,) its Gcell.
-        first: (nets + 1,) zeros, filled as :attr:`Problem.flat_pin_gcells` has it.
-        out: (pins,).
+        first: (nets + 1,) zeros, filled as in :attr:`Problem.flat_pin_gcells`.
+        out: (pins,) receives the Gcells.
     """
     size = 0
     for pin in range(len(net)):
-        # Pin by pin, as the net's spanning tree is made: a table of Gcells would take memory for
-        # all of a grid that a file may only promise.
+        # Pairs of pins are compared, as for the spanning tree: a table of Gcells would take memory
+        # for the whole of a grid that a file may merely promise.
         for earlier in range(first[net[pin]], size):
             if out[earlier] == gcell[pin]:
                 break
@@ -345,38 +302,14 @@ def check_tile(tile: tuple[int, int]) -> None:
         )
 
 
-def check_net(net: Net, row: int = 0) -> None:
-    """Raises FieldError for what is wrong with a net whatever its problem; ``row`` is its place."""
-    # Control characters would break the lines of files and of messages, a lone surrogate cannot
-    # be written at all.
-    if not net.name or " " in net.name or not net.name.isprintable():
-        raise FieldError(
-            f"net {net.name!r}: expected a name of printable characters without white space",
-            "nets",
-            row,
-        )
-    if not net.pins:
-        raise FieldError(f"net {net.name}: expected at least one pin", "nets", row)
-    check_numbers(f"net {net.name}: id and minimum width", (net.id, net.min_width), "nets", row)
-
-
 def check_choice(name: str, value: object, choices: Any) -> None:
-    """Raises InputError for an option that is none of the choices of its Literal type."""
+    """Raises InputError unless the value is one of the choices of a Literal type."""
     if value not in get_args(choices):
         raise InputError(f"{name}: expected one of {', '.join(get_args(choices))}, found {value!r}")
 
 
-def check_numbers(name: str, values: Iterable[int], field: str = "", row: int = 0) -> None:
-    """Raises FieldError, of the given field and row, unless all values are in 0…MAX_NUMBER."""
-    for value in values:
-        if not 0 <= value <= MAX_NUMBER:
-            raise FieldError(
-                f"{name}: expected a number from 0 to {MAX_NUMBER}, found {value}", field, row
-            )
-
-
 def _table(field: str, rows: Iterable[tuple[int, ...]], columns: int) -> NDArray[np.int64]:
-    """(rows, columns) the rows as one array; raises FieldError for numbers over 64 bits."""
+    """The rows as one array (rows, columns); raises FieldError for numbers beyond 64 bits."""
     try:
         flat = np.fromiter(itertools.chain.from_iterable(rows), np.int64)
     except OverflowError:

@@ -1,8 +1,9 @@
-"""A solution of a global routing problem, and its quality judged from the routes alone."""
+"""A solution of a global routing problem, and how good it is, judged from the routes alone."""
 
 import functools
 import itertools
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,8 +13,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from marouting.errors import InputError
+from marouting.problem import ispd
 from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.net import FieldError
 from marouting.problem.problem import Problem
+from marouting.problem.segments import covered_edges, longest_segments
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -23,15 +27,15 @@ class Solution:
     Args:
         problem: what is routed.
         edges: for each net an array of the numbers of its edges (:mod:`marouting.problem.grid`), in
-            any order and with any repetitions.
+            any order; repetitions count once.
 
     Attributes:
         problem: what is routed.
-        uses: (uses,) int64 twice: every net that uses an edge, and the edge; ordered by net, then
-            edge, each pair once, read-only.
+        uses: (uses,) int64 twice: net and edge of every use of an edge by a net; ordered by net,
+            then edge, each pair once, read-only.
 
     Raises:
-        InputError: not one array a net, or an edge that the grid has not.
+        InputError: there is not one array per net, or an edge does not exist on the grid.
     """
 
     problem: Problem
@@ -44,7 +48,7 @@ class Solution:
         given = [np.asarray(own, np.int64).reshape(-1) for own in edges]
         net = np.repeat(np.arange(nets), [len(own) for own in given])
         edge = np.concatenate(given)
-        # Worked out for the given edges only: the grid's tables would cost memory for all of them.
+        # Computed for the given edges only: the grid's tables would take memory for every edge.
         near, axis = np.divmod(edge, AXES)
         limit = np.array(problem.grid)
         position = np.stack(np.unravel_index(near.clip(0, limit.prod() - 1), limit), axis=1)
@@ -69,66 +73,103 @@ class Solution:
     def of_uses(
         cls, problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]
     ) -> "Solution":
-        """A solution from what is known to be right: nothing is looked at, nothing copied.
+        """A solution from uses that are known to be right: nothing is checked or copied.
 
         Args:
             problem: what is routed.
-            net: (uses,) every net that uses an edge.
-            edge: (uses,) the edge; edges of the grid, ordered by net, then edge, each pair once.
+            net: (uses,) int64, the net of each use; becomes read-only.
+            edge: (uses,) int64, the edge, which must exist; becomes read-only. Ordered by net, then
+                edge, each pair once.
         """
         solution = object.__new__(cls)
         solution._keep(problem, net, edge)
         return solution
 
     def __eq__(self, other: object) -> bool:
-        """Whether the other solution routes an equal problem with the same edges."""
+        """Whether the other is a solution of an equal problem with the same edges."""
         if not isinstance(other, Solution):
             return NotImplemented
         return self.problem == other.problem and all(map(np.array_equal, self.uses, other.uses))
 
     @functools.cached_property
     def edges(self) -> tuple[NDArray[np.int64], ...]:
-        """For each net the numbers of its edges: sorted, each once, read-only."""
+        """For each net the numbers of its edges, int64: sorted, each once, read-only."""
         net, edge = self.uses
         bounds = np.searchsorted(net, np.arange(len(self.problem.nets) + 1)).tolist()
         return tuple(edge[a:b] for a, b in itertools.pairwise(bounds))
 
     @functools.cached_property
-    def demand(self) -> NDArray[np.int64]:
-        """(E,) tracks that the nets take of every edge; 0 for vias, which have no capacity.
+    def edge_demand(self) -> NDArray[np.int64]:
+        """(E,) tracks that the nets together take of each edge; 0 for vias.
 
-        A net takes max(its width, the layer's minimum width) + the layer's minimum spacing of each
-        edge that it uses, once (ISPD 2008 evaluator).
+        A net takes max(its width, the layer's minimum width) + the layer's minimum spacing of every
+        edge that it uses, once (:attr:`Problem.net_demand`).
         """
-        return _demand(self.problem, self)
+        return _edge_demand(self.problem, self)
 
     @staticmethod
     def read(path: str | os.PathLike[str], problem: Problem) -> "Solution":
-        """Reads ISPD solution text; raises InputError naming the file and the line."""
-        from marouting.problem import ispd
+        """Reads ISPD solution text (:mod:`marouting.problem.ispd`).
 
-        return ispd.read_solution(path, problem)
+        A net without a block is routed with no edges. An edge that a net lists several times
+        counts once, with one ``UserWarning`` for the file.
+
+        Args:
+            path: the file.
+            problem: what it solves; its origin and tile map points to Gcells.
+
+        Raises:
+            InputError: the file cannot be read, is not of this format, or does not fit the
+                problem; the message names the file, the line, and what was expected.
+        """
+        record = ispd.read_solution(path, [(net.name, net.id) for net in problem.nets])
+        try:
+            segment, edge = covered_edges(problem, record.points)
+        except FieldError as error:
+            raise record.located(error) from None
+        size = AXES * int(np.prod(problem.grid))
+        uses, first = np.unique(record.net[segment] * size + edge, return_index=True)
+        if repetitions := len(edge) - len(uses):
+            repeated = np.ones(len(edge), np.bool_)
+            repeated[first] = False
+            at = segment[repeated.argmax()]
+            warnings.warn(
+                f"{record.file}:{record.lines['segments'][at]}: "
+                f"net {problem.nets[record.net[at]].name} lists an edge again; "
+                f"{repetitions} repetitions in this file count once",
+                stacklevel=2,
+            )
+        return Solution.of_uses(problem, *np.divmod(uses, size))
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Writes the solution as ISPD solution text, whole or not at all; raises InputError."""
-        from marouting.problem import ispd
+        """Writes the solution as ISPD solution text, whole or not at all.
 
-        ispd.write_solution(self, path)
+        Nets come in the problem's order, each as its longest straight segments between the centres
+        of Gcells, ordered by their lower end.
+
+        Args:
+            path: the file.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        net, points = longest_segments(self.problem, *self.uses)
+        ispd.write_solution(path, [(net.name, net.id) for net in self.problem.nets], net, points)
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a solution is worth: lower (overflow, wirelength) is better, compared in that order.
+    """The quality of a solution: lower (overflow, wirelength) is better, compared in that order.
 
     Attributes:
         overflow: sum over the edges inside layers of max(0, demand − capacity), in tracks.
-        max_overflow: the largest of these.
+        max_overflow: the largest of these, in tracks.
         wirelength: sum over the nets of the number of edges used, a via counting 1.
         vias: how many of these edges are vias.
         connected: whether every net's route joins all its pins.
-        joined: connections made between pins: for each net its Gcells with pins, less the parts
-            that its route leaves them in. A net's two-pin tasks, all joined, make one part.
-        tasks: connections to be made, one less than the Gcells with pins of each net.
+        joined: connections made between pins: for each net the number of its pin Gcells minus the
+            number of connected parts that they are left in; summed over the nets.
+        tasks: connections needed: for each net one less than its pin Gcells; summed over the nets.
         disconnected: the names of the nets whose route does not join all their pins.
     """
 
@@ -146,11 +187,11 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
     """Judges a solution by the rules of the ISPD 2008 contest's evaluator, which the paper uses.
 
     Args:
-        problem: whose capacities count; its grid and nets must be those of the solution.
+        problem: the problem whose capacities count; grid and nets must be those of the solution's.
         solution: the routes.
 
     Returns:
-        The figures.
+        Its quality.
 
     Raises:
         InputError: the solution belongs to a problem with another grid or other nets.
@@ -163,7 +204,7 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
         problem.nets,
     ):
         raise InputError("solution: expected one of a problem with the same grid and nets")
-    overflow = np.maximum(_demand(problem, solution) - problem.capacity, 0)
+    overflow = np.maximum(_edge_demand(problem, solution) - problem.capacity, 0)
     _, edge = solution.uses
     pin_net, pin_part = _pin_parts(problem, solution)
     first = np.searchsorted(pin_net, np.arange(len(problem.nets)))
@@ -180,21 +221,21 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
     )
 
 
-def _demand(problem: Problem, solution: Solution) -> NDArray[np.int64]:
-    """(E,) as :attr:`Solution.demand`, with the widths and spacings of ``problem``."""
+def _edge_demand(problem: Problem, solution: Solution) -> NDArray[np.int64]:
+    """(E,) :attr:`Solution.edge_demand`, but with the widths and spacings of ``problem``."""
     net, edge = solution.uses
     gcell, axis = np.divmod(edge, AXES)
-    tracks = problem.demand[net, gcell % problem.grid[2]].astype(np.int64)
+    tracks = problem.net_demand[net, gcell % problem.grid[2]].astype(np.int64)
     demand = np.zeros(AXES * int(np.prod(problem.grid)), np.int64)
     np.add.at(demand, edge, np.where(axis == VIA_AXIS, 0, tracks))
     return demand
 
 
 def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The net of every pin Gcell, and the connected part of the net's route that it lies in.
+    """(pin Gcells,) twice: the net of each pin Gcell, and the connected part that it lies in.
 
-    One graph holds all nets: its vertices are the pairs of a net and a Gcell with one of the net's
-    pins or edges.
+    One graph holds all nets: its vertices are pairs of a net and a Gcell where the net has a pin or
+    an edge.
     """
     net, edge = solution.uses
     near, far = problem.topology.ends(edge)

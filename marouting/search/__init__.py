@@ -1,1 +1,1 @@
-"""What walks the game without learning."""
+"""Moves without learning: A* on the capacity grid, and agents that follow finished routes."""

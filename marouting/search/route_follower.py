@@ -1,4 +1,4 @@
-"""Solutions played as games: every net walks its own route, move by move."""
+"""Solutions played as games: every net walks along its own route, move by move."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,24 +13,24 @@ from marouting.game.state import NOBODY, Dynamic, Static, Status
 from marouting.kernels import compiled, place, wide
 from marouting.problem.grid import MOVES
 from marouting.problem.solution import Solution
-from marouting.search.astar import SearchBuffers, search_buffers, shortest_path
+from marouting.search.bounded import SearchBuffers, search_buffers, shortest_path
 
 
 class RouteFollower:
     """Moves along the routes of solutions in a running game.
 
-    A task is walked along the net's route, the shortest way in it. Where the route does not lead
-    from the agent to its target, or not across edges that may be crossed, the move is that of A*
-    (:class:`marouting.search.astar.AStar`). So a solution that joins every net is replayed to the
-    edge if it has no overflow, or if overflow is allowed, in a game that leaves its tasks enough
-    steps; edges that lead to no pin are left out.
+    An agent takes the shortest way along its net's route to the target of its task. Where the route
+    does not lead there across edges that it may cross, it moves as A* does
+    (:class:`marouting.search.astar.AStar`). So a solution that joins every net is reproduced
+    exactly, except for edges that lead to no pin, provided that it has no overflow or overflow is
+    allowed, and that the game's tasks last long enough.
 
     Args:
         engine: the game to move in.
-        solutions: one for each of the engine's problems.
+        solutions: one for each of the engine's problems, in their order.
 
     Raises:
-        InputError: not one solution a problem, or one of another problem.
+        InputError: there is not one solution per problem, or one belongs to another problem.
     """
 
     def __init__(self, engine: Engine, solutions: Sequence[Solution]) -> None:
@@ -39,8 +39,8 @@ class RouteFollower:
                 f"replay: expected {len(engine.problems)} solutions, found {len(solutions)}"
             )
         self._engine = engine
-        self._scratch = search_buffers(engine.grid)
-        self._ring = np.empty(engine.grid.gcells, np.int32)
+        self._buffers = search_buffers(engine.grid)
+        self._reached = np.empty(engine.grid.gcells, np.int32)
         self._seen = np.zeros(engine.grid.gcells, np.int64)
         self._route = np.zeros_like(engine.dynamic.used)
         for m, (problem, solution) in enumerate(zip(engine.problems, solutions, strict=True)):
@@ -56,15 +56,23 @@ class RouteFollower:
             np.bitwise_or.at(self._route[m], (n, edge >> 3), bits)
 
     def moves(self, problems: NDArray[np.integer], agents: NDArray[np.integer]) -> NDArray[np.int8]:
-        """(K,) int8 moves of K agents; NOBODY for one that is not active."""
+        """The next moves of K agents, which the caller may make or not.
+
+        Args:
+            problems: (K,) integers, the problem of each agent.
+            agents: (K,) integers, the agents; NOBODY for none.
+
+        Returns:
+            (K,) int8; NOBODY for an agent that is not active.
+        """
         out = np.empty(len(problems), np.int8)
         engine = self._engine
         _follow(
             engine.static,
             engine.dynamic,
-            self._scratch,
+            self._buffers,
             self._route,
-            self._ring,
+            self._reached,
             self._seen,
             problems,
             agents,
@@ -79,24 +87,24 @@ def _follow(
     dynamic: Dynamic,
     s: SearchBuffers,
     route: Any,
-    ring: Any,
+    reached: Any,
     seen: Any,
     problems: Any,
     agents: Any,
     out: Any,
 ) -> None:
-    """Writes the moves of agents.
+    """Writes the moves of agents: a breadth-first search from the target along the route, or A*.
 
     Args:
         static: the game.
-        dynamic: how it stands.
+        dynamic: its state.
         s: working arrays of A*.
-        route: (M, N, ceil(E / 8)) the agents' routes, as ``dynamic.used``.
-        ring: (G,) working array: Gcells from which the route leads to the target.
-        seen: (G,) working array: the last search that reached a Gcell.
-        problems: (K,).
-        agents: (K,).
-        out: (K,) int8.
+        route: (M, N, ceil(E / 8)) uint8, the agents' routes in the form of ``dynamic.used``.
+        reached: (G,) int32, working array: Gcells from which the route leads to the target.
+        seen: (G,) int64, working array: the last search that reached each Gcell.
+        problems: (K,) the problem of each agent.
+        agents: (K,) the agents, NOBODY for none.
+        out: (K,) int8, receives the moves.
     """
     for i in range(len(problems)):
         m, n = wide(problems[i]), wide(agents[i])
@@ -104,13 +112,13 @@ def _follow(
         if n == NOBODY or dynamic.agents[m, n].status != Status.ACTIVE:
             continue
         cell, target = place(dynamic.agents[m, n].cell), place(dynamic.agents[m, n].target)
-        s.search[0] += 1
-        search = s.search[0]
-        ring[0] = target
+        s.plain.search[0] += 1
+        search = s.plain.search[0]
+        reached[0] = target
         seen[target] = search
         at, size = 0, 1
         while at < size and seen[cell] != search:
-            here = place(ring[at])
+            here = place(reached[at])
             at += 1
             for move in range(MOVES):
                 if not static.exits[here] >> move & 1:
@@ -122,7 +130,7 @@ def _follow(
                     and may_cross(static, dynamic, m, n, beside, move ^ 1)  # the opposite move
                 ):
                     seen[beside] = search
-                    ring[size] = beside
+                    reached[size] = beside
                     size += 1
                     if beside == cell:
                         out[i] = move ^ 1

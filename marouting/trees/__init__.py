@@ -1,1 +1,1 @@
-"""Trees that join the pins of a net."""
+"""Trees that join the pins of a net, and the two-pin tasks along them."""

@@ -1,8 +1,8 @@
-"""Multi-pin nets become two-pin tasks along a tree.
+"""Nets cut into two-pin tasks along a tree.
 
 The tree is a minimum spanning tree (paper, section 3.3) or a rectilinear Steiner tree. The distance
-of two pins is the Manhattan distance of their Gcells over x, y and layer. Pins in the same Gcell
-count once; a net whose pins all lie in one Gcell needs no task.
+between two pins is the Manhattan distance of their Gcells over x, y and layer. Pins in the same
+Gcell count once; a net whose pins all lie in one Gcell has no task.
 """
 
 from typing import Any, Literal
@@ -22,13 +22,13 @@ def two_pin_tasks(problem: Problem, decomposition: Decomposition = "mst") -> NDA
     """Cuts every net into two-pin tasks.
 
     Every task starts at a Gcell that an earlier task of the net has reached, or at its first pin.
-    Among trees of equal length the choice depends on the order of the pins alone: the result is the
-    same on every machine.
+    The choice among trees of equal length depends only on the order of the pins, so the result is
+    the same on every machine.
 
     Args:
         problem: the problem.
         decomposition: ``mst``, between pins along a minimum spanning tree, walked breadth first
-            from the first pin (the paper); or ``steiner``, between pins and Steiner points, see
+            from the first pin (the paper); ``steiner``, between pins and Steiner points, see
             :func:`marouting.trees.steiner.steiner_tasks`.
 
     Returns:
@@ -47,22 +47,20 @@ def two_pin_tasks(problem: Problem, decomposition: Decomposition = "mst") -> NDA
 def _span(
     first: Any, gcells: Any, position: Any, parent: Any, near: Any, rank: Any, queue: Any, out: Any
 ) -> None:
-    """The trees of all nets by Prim's algorithm, written as tasks.
+    """Writes the spanning trees of all nets (Prim) as tasks.
 
-    Of equally distant pairs of a net's pins the one that comes first in the order (0, 1), (0, 2),
-    …, (1, 2), … goes into the tree: no two pairs tie, so there is one shortest tree.
+    Among pairs of pins at equal distance, the first in the order (0, 1), (0, 2), …, (1, 2), … goes
+    into the tree. So no two pairs tie, and there is exactly one shortest tree.
 
     Args:
-        first: (nets + 1,) as ``gcells``, see
-        :attr:`marouting.problem.problem.Problem.flat_pin_gcells`.
-        gcells: (Gcells,).
-        position: (G, 3) x, y, z of a Gcell.
-        parent: (pins,) working array for a net at a time: the pin in the tree that is nearest to a
-            pin.
-        near: (pins,) working array: how near; negative for a pin in the tree.
-        rank: (pins,) working array: the place of that pair in the order of pairs.
+        first: (nets + 1,) see :attr:`marouting.problem.problem.Problem.flat_pin_gcells`.
+        gcells: (pins,) see there.
+        position: (G, 3) x, y, z of every Gcell.
+        parent: (pins,) working array, one net at a time: for each pin the nearest pin in the tree.
+        near: (pins,) working array: their distance; negative for a pin in the tree.
+        rank: (pins,) working array: the place of this pair in the order of pairs.
         queue: (pins,) working array: pins in the order in which the tree reaches them.
-        out: (K, 3) where the tasks go.
+        out: (K, 3) receives the tasks.
     """
     row = 0
     for net in range(len(first) - 1):

@@ -9,12 +9,11 @@ import torch
 from torch import nn
 
 from marouting import generate
+from marouting.config import build
 from marouting.problem.grid import MOVES
 from policies.bench.measure import Bench, Measurement, Work
-from policies.learned.config import Config, DQNOptions, TrainOptions
-from policies.learned.dqn import Rule, backends
-from policies.learned.replay import GOES_ON, MOVE, REWARD, Replay
-from policies.learned.streams import keys
+from policies.learned.config import Config
+from policies.learned.memory.replay import GOES_ON, MOVE, REWARD
 from policies.learned.threads import use_threads
 from policies.learned.trainer import Trainer
 
@@ -81,28 +80,28 @@ def _eager(steps: int = 150) -> Work:
     return work
 
 
-def _steps(stack: int, backend: Any, threads: int, device: str = "cpu") -> Work:
-    """Gradient steps of a stack of the paper's networks, apart from any game."""
+def _trainer(stack: int, threads: int, device: str = "cpu", **learner: Any) -> Trainer:
+    """A training of the paper's DQN on problems of its Table 2."""
+    problems = {f"problem_{m}": problem for m, problem in enumerate(generate(stack))}
     use_threads(threads)
+    raw = {"learner": learner, "train": {"threads": threads, "device": device, "episodes": 5000}}
+    return Trainer(problems, build(Config, raw))
+
+
+def _steps(stack: int, fused: bool, threads: int, device: str = "cpu") -> Work:
+    """Gradient steps of a stack of the paper's networks, apart from any game."""
+    learner: Any = _trainer(stack, threads, device, fused=fused).learner
     rng = np.random.default_rng(0)
-    capacity, width = 50_000, 12
-    replay = Replay(stack, capacity, width, masks=False, device=torch.device(device))
-    rows = replay.rows.cpu().numpy()
+    store = learner.memory.store
+    capacity, width = store.shape[1], 12
+    rows = store.cpu().numpy()
     rows[..., : 2 * width] = rng.integers(8, size=(capacity, 2 * width))
     rows[..., 2 * width + MOVE] = rng.integers(MOVES, size=capacity)
     rows[..., 2 * width + REWARD] = -1
     rows[..., 2 * width + GOES_ON] = 1
-    replay.rows.copy_(torch.from_numpy(rows))
-    replay.stored[:] = capacity
-    learner = backends()[backend](
-        replay,
-        PAPER,
-        MOVES,
-        seeds=range(stack),
-        keys=keys(0, [str(m) for m in range(stack)], "sample"),
-        rule=Rule(32, 0.95, 1000, 1e-4),
-        threads=threads,
-    )
+    store.copy_(torch.from_numpy(rows))
+    learner.memory.stored[:] = capacity
+    learner.bind()
     due = np.ones(stack, np.int64)
     rounds = max(1, 4000 // stack)
 
@@ -118,23 +117,39 @@ def _steps(stack: int, backend: Any, threads: int, device: str = "cpu") -> Work:
 
 
 def _training(stack: int, threads: int, device: str = "cpu") -> Work:
-    """The whole training loop of the paper's DQN: gradient steps, one a move."""
-    problems = {f"problem_{m}": problem for m, problem in enumerate(generate(stack))}
-    config = Config(
-        dqn=DQNOptions(gamma=0.95, target_period=1000),
-        train=TrainOptions(threads=threads, device=device),
-    )
-    trainer = Trainer(problems, config)
+    """The whole training loop of the paper's DQN: gradient steps, one per move."""
+    trainer = _trainer(stack, threads, device)
     trainer.burn_in()
     loop = trainer.run()
     rounds = 40 if stack == 1 else 2
 
     def work() -> float:
         use_threads(threads)
-        before = trainer.learner.steps.sum()
+        before = trainer.learner.updates.sum()
         for _ in range(rounds):
             next(loop)
-        return float(trainer.learner.steps.sum() - before)
+        return float(trainer.learner.updates.sum() - before)
+
+    return work
+
+
+def _samples(kind: str, problems: int = 4, **learner: Any) -> Work:
+    """Agent-steps of a training with every net an agent, learning included, on one core."""
+    use_threads(1)
+    made = {f"problem_{m}": problem for m, problem in enumerate(generate(problems))}
+    raw = {
+        "env": {"agents": "multi"},
+        "learner": {"kind": kind, **learner},
+        "train": {"episodes": 10**6, "shared": True},
+    }
+    loop = Trainer(made, build(Config, raw)).run()
+
+    def work() -> float:
+        use_threads(1)
+        done = 0
+        while done < 60_000:
+            done += sum(episode.steps for episode in next(loop))
+        return done
 
     return work
 
@@ -150,9 +165,9 @@ def training(bench: Bench) -> Iterator[Measurement]:
 
     yield bench.versus("one problem, whole training", unit, _training(1, 1), "eager torch DQN",
                        eager, target="4 000")  # fmt: skip
-    yield bench.versus("40 stacked, torch's batched products", unit, _steps(40, "torch", 1),
+    yield bench.versus("40 stacked, torch's batched products", unit, _steps(40, False, 1),
                        "eager torch DQN", eager)  # fmt: skip
-    yield bench.versus("40 stacked, gradient steps alone", unit, _steps(40, "compiled", 1),
+    yield bench.versus("40 stacked, gradient steps alone", unit, _steps(40, True, 1),
                        "large matrix products (bound)", bound)  # fmt: skip
     for threads in dict.fromkeys((1, bench.threads)):
         yield bench.versus(
@@ -164,6 +179,9 @@ def training(bench: Bench) -> Iterator[Measurement]:
             threads=threads,
             target="50 000 on two threads" if threads > 1 else "",
         )
+    yield bench.versus("PPO, 4 problems sharing a network of two layers of 64", "agent-steps/s",
+                       _samples("ppo", network={"kind": "mlp", "hidden": [64, 64]}),
+                       target="150 000")  # fmt: skip
     if torch.cuda.is_available():
         yield bench.versus(
             "320 stacked on a GPU, whole training",

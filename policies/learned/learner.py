@@ -6,16 +6,17 @@ networks: one for each problem, or one that all problems share.
 
 import abc
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from marouting.game.state import NOBODY, Ending
+from marouting.game.state import NOBODY
 from marouting.player import Player
 from marouting.problem.grid import MOVES
+from policies.learned.memory.before import Before
 from policies.learned.networks.stack import Stack
 from policies.learned.rows import Rows
 from policies.learned.streams import keys
@@ -62,39 +63,6 @@ class Setup:
         each = self.games // len(self.names)
         made = [f"{name}#{i}" if i else name for name in self.names for i in range(each)]
         return keys(self.seed, self.game_names or made, purpose).reshape(-1, each)
-
-
-class Before(NamedTuple):
-    """Copies of a player's buffers from before a step."""
-
-    agents: NDArray[np.int32]  # (M, K)
-    obs: NDArray[np.float32]  # (M, K, *S)
-    mask: NDArray[np.int8]  # (M, K, 6)
-
-    @classmethod
-    def of(cls, player: Player) -> "Before":
-        """Copies of what the player's agents see now."""
-        now = player.buffers
-        return cls(now.agents.copy(), now.obs.copy(), now.mask.copy())
-
-
-def look_after(player: Player, before: Before) -> None:
-    """Fills in what agents saw where they arrived if the turn then passed to another's row.
-
-    A player of one row shows the next agent there, and keeps what the last one saw only at the
-    end of a task.
-    """
-    now = player.buffers
-    if player.everyone or player.engine.static.sequential:
-        return
-    passed = now.acted & (now.ending == Ending.NONE) & (now.agents != before.agents)
-    problems = np.flatnonzero(passed[:, 0]).astype(np.int32)
-    if len(problems):
-        agents = before.agents[problems, 0]
-        seen = np.empty((len(problems), *now.obs.shape[2:]), np.float32)
-        player.observation.write(player.engine, problems, agents, seen)
-        now.final_obs[problems, 0] = seen
-        now.final_mask[problems, 0] = player.engine.masks(problems, agents)
 
 
 class Learner(Rows, abc.ABC):
@@ -177,7 +145,7 @@ class Learner(Rows, abc.ABC):
         """
         b = player.buffers
         obs, mask = b.obs.reshape(-1, *b.obs.shape[2:]), b.mask.reshape(-1, MOVES)
-        view = self.networks.view_of(self.networks.flat[network : network + 1], network)
+        view = self.networks.row(network)
         while b.active.any():
             with torch.no_grad():
                 outputs = view(torch.from_numpy(obs).to(self.device)[None])[0]

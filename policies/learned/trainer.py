@@ -26,7 +26,8 @@ from policies.learned.burn_in import guide, solution_files
 from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration
-from policies.learned.learner import Before, Learner, Setup
+from policies.learned.learner import Learner, Setup
+from policies.learned.memory.before import Before
 from policies.learned.policy import TrainedPolicy, player_of, policy_origin
 from policies.learned.streams import keys
 from policies.learned.threads import use_threads

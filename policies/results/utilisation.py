@@ -99,7 +99,7 @@ def demand_on(problem: Problem, solution: Solution) -> NDArray[np.int64]:
         raise InputError(
             f"solution: expected one for the grid {problem.grid}, found {solution.problem.grid}"
         )
-    return solution.demand
+    return solution.edge_demand
 
 
 def stray_edges(problem: Problem, solution: Solution) -> int:

@@ -2,5 +2,6 @@
 
 from marouting.registry import register
 
-register("learner", "dqn", "policies.learned.algorithms.dqn:DQN")
+# The first is the default. It is algorithms.dqn, in compiled code where that applies.
+register("learner", "dqn", "policies.learned.compiled.dqn:FusedDQN")
 register("learner", "ppo", "policies.learned.algorithms.ppo:PPO")

@@ -23,7 +23,8 @@ from marouting.config import MOST, Named, check, piece_field, take_pieces
 from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned.exploration import Exploration
-from policies.learned.learner import Before, Learner, Setup, look_after
+from policies.learned.learner import Learner, Setup
+from policies.learned.memory.before import Before
 from policies.learned.memory.prioritised import Prioritised
 from policies.learned.memory.replay import Replay
 from policies.learned.networks.adam import Adam
@@ -130,15 +131,6 @@ class DQN(Learner):
         self._burning_in = False
         self.bind()
 
-    @classmethod
-    def start(cls, setup: Setup, options: DQNOptions) -> Learner:
-        """The compiled learner where it applies, else this one."""
-        from policies.learned.compiled.dqn import FusedDQN, obstacle
-
-        reason = obstacle(setup, options)
-        check("fused", not options.fused or reason is None, f"false: {reason}")
-        return cls(setup, options) if reason or options.fused is False else FusedDQN(setup, options)
-
     def _stack(self) -> Stack:
         seeds = self.setup.network_keys("weights").astype(np.int64).tolist()
         make = lambda: self.network(self.options, self.setup.obs_shape)  # noqa: E731
@@ -178,7 +170,6 @@ class DQN(Learner):
                 player.buffers, self._values(before.obs), self.options.masking
             )
             player.step()
-            look_after(player, before)
             self.memory.add(before, player.buffers)
             self.owed += self._games(player.buffers.acted).sum(axis=(1, 2))
             due = self.owed // self.options.steps_per_update
@@ -189,7 +180,6 @@ class DQN(Learner):
 
     def observe(self, player: Player, before: Before) -> None:
         """See :meth:`policies.learned.learner.Learner.observe`."""
-        look_after(player, before)
         self.memory.add(before, player.buffers)
         self._burning_in = True
 

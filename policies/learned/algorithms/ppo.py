@@ -27,11 +27,11 @@ from marouting.game.state import Ending
 from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned.exploration import Exploration
-from policies.learned.learner import Before, Learner, Setup
-from policies.learned.memory.rollout import Rollout
+from policies.learned.learner import Learner, Setup
+from policies.learned.memory.before import Before
+from policies.learned.memory.rollout import LONGEST, Rollout, shuffled
 from policies.learned.networks.adam import Adam
 from policies.learned.networks.stack import Stack, View
-from policies.learned.streams import uniforms
 
 
 def _network() -> Piece:
@@ -66,12 +66,12 @@ class PPOOptions:
 
     network: Named = field(default_factory=_network, metadata={"kind": "network", "name": "mlp"})
     critic: Literal["own", "central"] = "own"
-    copies: int = 16
+    copies: int = 32
     gamma: float = 0.95
     gae_lambda: float = 0.9
     learning_rate: float = 1e-3
     anneal: bool = True
-    rollout: int = 8192
+    rollout: int = 16384
     minibatch: int = 2048
     epochs: int = 2
     clip: float = 0.2
@@ -87,8 +87,9 @@ class PPOOptions:
         check("gae_lambda", 0 <= self.gae_lambda <= 1, "a number from 0 to 1")
         check("learning_rate", self.learning_rate > 0, "a number above 0")
         check("minibatch", 2 <= self.minibatch <= MOST, f"a number from 2 to {MOST}")
-        whole = self.rollout >= 1 and self.rollout % self.minibatch == 0
-        check("rollout", whole, f"a multiple of minibatch, {self.minibatch}")
+        whole = 1 <= self.rollout <= LONGEST and self.rollout % self.minibatch == 0
+        expected = f"a multiple of minibatch, {self.minibatch}, up to {LONGEST}"
+        check("rollout", whole, expected)
         check("epochs", 1 <= self.epochs <= 1000, "a number from 1 to 1000")
         check("clip", self.clip > 0, "a number above 0")
         check("entropy", self.entropy >= 0, "a number from 0")
@@ -127,7 +128,7 @@ class PPO(Learner):
             setup.obs_shape, setup.state_shape if self.central else (), o.reward_scale,
         )  # fmt: skip
         self.explore = Exploration(setup.game_keys("explore"))
-        self.keys = torch.from_numpy(setup.network_keys("sample").view(np.int64))
+        self.keys = setup.network_keys("sample")
         self.progress = np.zeros(count)  # episodes played, as a share of all
 
     def _stack(self, purpose: str, sees: tuple[int, ...], outputs: int) -> Stack:
@@ -246,19 +247,15 @@ class PPO(Learner):
     def _learn_one(self, n: int, batch: dict[str, Tensor]) -> None:
         """The gradient steps of network n on a rollout."""
         o = self.options
-        rate = (
-            o.learning_rate * max(1 - float(self.progress[n]), 0.0) if o.anneal else o.learning_rate
-        )
+        left = max(1 - float(self.progress[n]), 0.0) if o.anneal else 1.0
+        due, rate = torch.ones(1, 1, device=self.device), o.learning_rate * left
         actor, critic = (
-            (stack.flat[n : n + 1], stack.view_of(stack.flat[n : n + 1], n), adam.part(n))
+            (stack.flat[n : n + 1], stack.row(n), adam.part(n))
             for stack, adam in ((self.networks, self.adam), (self.critic, self.critic_adam))
         )
-        lanes = torch.arange(o.rollout)
         for _ in range(o.epochs):
-            # Sorted by random numbers of their own, so that a resumed run goes on alike.
-            counter = torch.tensor([int(self.updates[n])])
-            draws = uniforms(self.keys[n : n + 1], counter, lanes)[0]
-            for places in torch.split(draws.argsort().to(self.device), o.minibatch):
+            order = torch.from_numpy(shuffled(o.rollout, self.keys[n], self.updates[n]))
+            for places in torch.split(order.to(self.device), o.minibatch):
                 part = {name: tensor[places] for name, tensor in batch.items()}
                 pair = losses(actor[1], critic[1], part, o)
                 for loss, (weights, view, adam) in zip(pair, (actor, critic), strict=True):
@@ -266,7 +263,7 @@ class PPO(Learner):
                     view.gradient(loss, gradient)
                     length = gradient.norm().clamp(min=1e-12)
                     gradient *= (o.max_gradient / length).clamp(max=1)
-                    adam.step(weights, gradient, torch.ones(1, 1, device=self.device), rate)
+                    adam.step(weights, gradient, due, rate)
                     self.loss[n] += loss.detach().double()
                 self.updates[n] += 1
 

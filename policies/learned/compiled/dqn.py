@@ -10,10 +10,9 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from marouting.game.observation import write_paper
-from marouting.game.rules import write_mask
+from marouting.config import check
 from marouting.game.state import Dynamic, Ending, Static
-from marouting.kernels import allocating, threaded, wide
+from marouting.kernels import allocating, threaded
 from marouting.player import Known, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
 from policies.learned.algorithms.dqn import DQN, DQNOptions
@@ -27,7 +26,7 @@ from policies.learned.compiled.gradient import (
     units_of,
 )
 from policies.learned.exploration import choose
-from policies.learned.learner import Setup
+from policies.learned.learner import Learner, Setup
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
 from policies.learned.networks.mlp import MLP
 
@@ -72,15 +71,7 @@ def _remember(play: Play, nets: Networks, n: int, m: int, k: int, mover: int) ->
     """Stores the transition of a row that acted."""
     b = play.buffers
     rows, row, features = nets.store[n], nets.stored[n] % nets.store.shape[1], nets.sizes[0]
-    ended = b.ending[m, k] != Ending.NONE
-    if not ended and b.agents[m, k] != mover:
-        # The turn has passed: what the mover saw where it arrived is nowhere yet.
-        write_paper(
-            play.static, play.dynamic, play.known.via_capacity, m, wide(mover), b.final_obs[m], k
-        )
-        if nets.masks:
-            write_mask(play.static, play.dynamic, m, wide(mover), b.final_mask[m], k)
-        ended = True
+    ended = b.ending[m, k] != Ending.NONE or b.agents[m, k] != mover
     for f in range(features):
         rows[row, f] = play.before[m, k, f]
         rows[row, features + f] = b.final_obs[m, k, f] if ended else b.obs[m, k, f]
@@ -173,6 +164,18 @@ class FusedDQN(DQN):
     def __init__(self, setup: Setup, options: DQNOptions) -> None:
         super().__init__(setup, options)
         self.path = "fused"
+
+    @classmethod
+    def start(cls, setup: Setup, options: DQNOptions) -> Learner:
+        """This learner where it applies, else the one in torch.
+
+        Raises:
+            InputError: ``fused`` is true and :func:`obstacle` says why it does not apply.
+        """
+        reason = obstacle(setup, options)
+        check("fused", not options.fused or reason is None, f"false: {reason}")
+        plain = reason is not None or options.fused is False
+        return DQN(setup, options) if plain else cls(setup, options)
 
     def bind(self) -> None:
         """Renews what refers to the rows."""

@@ -27,7 +27,7 @@ from marouting.game.state import Ending
 from marouting.kernels import compiled
 from marouting.player import StepBuffers
 from marouting.problem.grid import MOVES
-from policies.learned.learner import Before
+from policies.learned.memory.before import Before
 from policies.learned.rows import Rows
 from policies.learned.streams import uniforms
 

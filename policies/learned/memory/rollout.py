@@ -17,8 +17,12 @@ from marouting.game.state import Ending
 from marouting.kernels import compiled
 from marouting.player import StepBuffers
 from marouting.problem.grid import MOVES
-from policies.learned.learner import Before
+from policies.learned.memory.before import Before
 from policies.learned.rows import Rows
+from policies.learned.streams import uniform
+
+LONGEST = 65536
+"""The most transitions of a rollout: as many random numbers belong to one counter."""
 
 
 class Rollout(Rows):
@@ -145,6 +149,20 @@ class Rollout(Rows):
                 row = getattr(self, name)[n]
                 row[:left] = row[self.size : self.size + left]
             self.count[n] = left
+
+
+def shuffled(size: int, key: np.uint64, counter: np.int64) -> NDArray[np.int64]:
+    """(size,) the numbers from 0 in an order that the key and counter decide."""
+    order = np.arange(size)
+    _shuffle(order, key, counter)
+    return order
+
+
+@compiled
+def _shuffle(order: Any, key: Any, counter: int) -> None:
+    for i in range(len(order) - 1, 0, -1):
+        j = np.int64(uniform(key, counter, i) * (i + 1))
+        order[i], order[j] = order[j], order[i]
 
 
 @compiled

@@ -103,8 +103,9 @@ class Stack(Rows):
         self.bind()
 
     def bind(self) -> None:
-        """Renews the view."""
+        """Renews the views."""
         self.view = self.view_of(self.flat)
+        self._rows: dict[int, View] = {}
 
     def keep(self, which: NDArray[np.integer]) -> None:
         """Goes on with some of the networks only."""
@@ -122,10 +123,16 @@ class Stack(Rows):
         buffers = {name: b[first : first + len(flat)] for name, b in self._buffers.items()}
         return View(self.module, flat, buffers, self._stacked)
 
+    def row(self, row: int) -> View:
+        """One of the networks."""
+        if row not in self._rows:
+            self._rows[row] = self.view_of(self.flat[row : row + 1], row)
+        return self._rows[row]
+
     def state_dicts(self) -> list[dict[str, Tensor]]:
         """The L networks as ``state_dict`` of ordinary modules, copied to the processor."""
-        rows = [self.view_of(self.flat[row : row + 1], row) for row in range(len(self.flat))]
+        whole = (self.row(row) for row in range(len(self.flat)))
         return [
             {n: t.detach().cpu().clone() for n, t in (view.weights | view.buffers).items()}
-            for view in rows
+            for view in whole
         ]

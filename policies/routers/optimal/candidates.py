@@ -52,7 +52,7 @@ class Candidates:
         self.wire_of = np.full(grid.edges, -1)
         self.wire_of[self.wires] = np.arange(len(self.wires))
         self.capacity = problem.capacity[self.wires].astype(np.int64)
-        kinds, kind = np.unique(problem.demand[self.nets], axis=0, return_inverse=True)
+        kinds, kind = np.unique(problem.net_demand[self.nets], axis=0, return_inverse=True)
         self.kind = kind.reshape(-1)
         self.demand = kinds[:, self.wires // AXES % problem.grid[2]].astype(np.int64)
         self.trees: list[tuple[int, NDArray[np.int64]]] = []

@@ -16,7 +16,7 @@ The search runs in rounds. A round makes three kinds of passes over the nets:
 
 The result is the best solution after any pass.
 
-A net with few pins gets a cheapest tree (:func:`marouting.trees.steiner.cheapest_tree`) inside a
+A net with few pins gets a cheapest tree (:func:`marouting.trees.exact_tree.exact_tree`) inside a
 box around its pins and its previous tree. A larger net grows pin by pin, from a random first pin,
 always joining the pin nearest to the tree. Then each path between two branching points or pins is
 replaced by a cheapest one.

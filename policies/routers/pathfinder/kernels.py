@@ -10,14 +10,8 @@ import numpy as np
 
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
-from marouting.trees.steiner import (
-    CLOSED,
-    Lattice,
-    Search,
-    cheapest_tree,
-    set_cost,
-    set_size,
-)
+from marouting.trees.exact_tree import Search, exact_tree
+from marouting.trees.lattice import CLOSED, Lattice, set_cost, set_size
 from policies.routers.pathfinder.state import (
     FULL,
     SQUEEZE,
@@ -222,7 +216,7 @@ def join_all(
             search.start[group], search.group[group] = point, group
             group += 1
     search.goal[goal] = 1
-    cost = cheapest_tree(lattice, search, group, group, draw(progress))
+    cost = exact_tree(lattice, search, group, group, draw(progress))
     search.goal[goal] = 0
     for i in range(group):
         search.group[i] = 0
@@ -257,7 +251,7 @@ def grow(
             if joined > 0:
                 search.goal[point] = 1
                 _extend_bounds(lattice, search, wide(1), point, wide(0))
-                cost = cheapest_tree(lattice, search, size, wide(1), draw(progress))
+                cost = exact_tree(lattice, search, size, wide(1), draw(progress))
                 search.goal[point] = 0
                 if cost == CLOSED:
                     break
@@ -406,7 +400,7 @@ def mend(progress: Any, lattice: Lattice, search: Search, buffers: NetBuffers, r
                     search.start[i] = search.start[near + i]
                 for i in range(near):
                     search.start[starts + i] = buffers.key[keys + i]
-            saved -= cheapest_tree(lattice, search, starts, wide(1), draw(progress))
+            saved -= exact_tree(lattice, search, starts, wide(1), draw(progress))
             for i in range(starts, both):
                 search.goal[search.start[i]] = 0
         else:

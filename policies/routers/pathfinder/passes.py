@@ -10,7 +10,8 @@ import numpy as np
 
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, VIA_AXIS
-from marouting.trees.steiner import CLOSED, Lattice, Search
+from marouting.trees.exact_tree import Search
+from marouting.trees.lattice import CLOSED, Lattice
 from policies.routers.pathfinder.kernels import (
     draw,
     edge_cost,

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from marouting import Problem
 from marouting.problem.grid import AXES, VIA_AXIS
-from marouting.trees.steiner import Lattice, Search, make_lattice, make_search
+from marouting.trees.exact_tree import Search, make_search
+from marouting.trees.lattice import Lattice, make_lattice
 from policies.routers.pathfinder.options import PathfinderOptions
 
 UNIT = 256
@@ -135,7 +136,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         size=np.array(problem.grid, np.int64),
         position=grid.position,
         capacity=problem.capacity,
-        demand=problem.demand,
+        demand=problem.net_demand,
         first=first,
         pin=pin,
     )

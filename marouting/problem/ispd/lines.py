@@ -1,0 +1,95 @@
+"""Text files as lines of tokens, and errors that name the line."""
+
+import contextlib
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import BinaryIO
+
+from marouting.errors import InputError
+from marouting.files import unusable
+from marouting.problem.net import FieldError
+
+NUMBER = "[+-]?[0-9]{1,18}"
+"""Pattern of a number. Eighteen digits fit into 64 bits; a problem's own limits are far below."""
+
+is_number = re.compile(NUMBER).fullmatch
+
+
+class Lines:
+    """The lines of a text file as tokens.
+
+    Attributes:
+        number: the line last read, from 1.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.number = 0
+        self._file = file
+
+    def next(self) -> list[str]:
+        """The tokens of the next line that has any; none at the end of the file."""
+        for line in self._file:
+            self.number += 1
+            try:
+                tokens = line.decode().split()
+            except UnicodeDecodeError:
+                raise InputError("expected UTF-8 text") from None
+            if tokens:
+                return tokens
+        return []
+
+
+@dataclass(frozen=True)
+class Record:
+    """What was read from a file, and where each part of it stood.
+
+    Attributes:
+        file: the file's name.
+        lines: for each field the line of each of its rows.
+    """
+
+    file: str
+    lines: Mapping[str, Sequence[int]]
+
+    def located(self, error: FieldError) -> InputError:
+        """The error with the file and the line that its field and row came from."""
+        return _at(self.file, self.lines[error.field][error.row], error)
+
+
+@contextlib.contextmanager
+def reading(path: str | os.PathLike[str]) -> Iterator[Lines]:
+    """Opens a file for reading.
+
+    Yields:
+        Its lines.
+
+    Raises:
+        InputError: the file cannot be read, or the block raised an InputError, to which the file
+            and the current line are added.
+    """
+    try:
+        with open(path, "rb") as file:  # noqa: PTH123 (PathLike without Path)
+            lines = Lines(file)
+            try:
+                yield lines
+            except InputError as error:
+                raise _at(os.fspath(path), lines.number, error) from None
+    except OSError as error:
+        raise unusable(path, "cannot be read", error) from None
+
+
+def unexpected(expected: str, tokens: list[str]) -> InputError:
+    """The error for a line that is not what was expected; quotes the line, cut short."""
+    if not tokens:
+        return InputError(f"expected {expected}, found the end of the file")
+    found = " ".join(tokens[:10])
+    found = found if len(found) <= 60 else f"{found[:57]}..."
+    return InputError(f"expected {expected}, found {found!r}")
+
+
+def _at(file: str, line: int, error: InputError) -> InputError:
+    # A net's name can get into a message before the name has been checked.
+    text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(error))
+    return InputError(f"{file}:{max(1, line)}: {text}")

@@ -1,0 +1,104 @@
+"""Nets, their pins, and edges with a capacity of their own: the rows of a problem.
+
+Everything is in the units of the ISPD 2008 ``.gr`` format: chip coordinates, layers from 1, widths
+and capacities in tracks.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from marouting.errors import InputError
+
+MAX_NUMBER = 10**9
+"""The largest capacity, width or coordinate accepted; sums of them stay within 64 bits."""
+
+
+class FieldError(InputError):
+    """An InputError about one row of one field.
+
+    A file reader that knows the line of every row can therefore leave all checks to the object
+    that it fills, and still name the line.
+
+    Attributes:
+        field: the name of the field. For a Problem, an attribute or ``"pins"``: the pins of all
+            nets, one net after another.
+        row: the index within that field.
+    """
+
+    def __init__(self, message: str, field: str = "", row: int = 0) -> None:
+        super().__init__(message)
+        self.field = field
+        self.row = row
+
+
+class Pin(NamedTuple):
+    """A pin of a net: x and y in chip coordinates, layer from 1."""
+
+    x: int
+    y: int
+    layer: int
+
+
+@dataclass(frozen=True, slots=True)
+class Net:
+    """A set of pins to be joined.
+
+    Attributes:
+        name: unique within its problem, printable, without white space.
+        id: the number that the file gives the net.
+        pins: one or more; several may lie in one Gcell.
+        min_width: minimum width of the net's wires; 1 in the paper.
+    """
+
+    name: str
+    id: int
+    pins: tuple[Pin, ...]
+    min_width: int = 1
+
+
+class Adjustment(NamedTuple):
+    """The capacity of one edge, given by its two neighbouring Gcells in one layer.
+
+    Columns and rows count from 0, layers from 1.
+    """
+
+    x1: int
+    y1: int
+    layer1: int
+    x2: int
+    y2: int
+    layer2: int
+    capacity: int
+
+
+def check_net(net: Net, row: int = 0) -> None:
+    """Checks what must hold for a net in any problem.
+
+    Args:
+        net: the net.
+        row: its index among the problem's nets, for the error.
+
+    Raises:
+        FieldError: the name, the id or the minimum width cannot be used, or there is no pin.
+    """
+    # Control characters would break the lines of files and of messages; a lone surrogate cannot
+    # be written at all.
+    if not net.name or " " in net.name or not net.name.isprintable():
+        raise FieldError(
+            f"net {net.name!r}: expected a name of printable characters without white space",
+            "nets",
+            row,
+        )
+    if not net.pins:
+        raise FieldError(f"net {net.name}: expected at least one pin", "nets", row)
+    check_numbers(f"net {net.name}: id and minimum width", (net.id, net.min_width), "nets", row)
+
+
+def check_numbers(name: str, values: Iterable[int], field: str = "", row: int = 0) -> None:
+    """Raises FieldError, with this field and row, unless all values are in 0…MAX_NUMBER."""
+    for value in values:
+        if not 0 <= value <= MAX_NUMBER:
+            raise FieldError(
+                f"{name}: expected a number from 0 to {MAX_NUMBER}, found {value}", field, row
+            )

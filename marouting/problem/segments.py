@@ -1,0 +1,92 @@
+"""A route's edges as straight segments between points on the chip, and back.
+
+Points are given as in ISPD files: x and y in chip coordinates, layer from 1.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.problem.grid import AXES, OFF_GRID
+from marouting.problem.net import FieldError
+from marouting.problem.problem import Problem
+
+
+def covered_edges(
+    problem: Problem, points: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The edges that segments cover; a segment within one Gcell covers none.
+
+    Args:
+        problem: whose grid, origin and tile count.
+        points: (n, 2, 3) the two ends of each segment, anywhere inside their Gcells.
+
+    Returns:
+        (k,) twice: for each edge covered the index of its segment, ascending, and its number.
+
+    Raises:
+        FieldError: an end is off the grid, or a segment is not straight; ``row`` tells the
+            segment, ``field`` is ``"segments"``.
+    """
+    gcells = problem.gcells(points.reshape(-1, 3)).reshape(-1, 2)
+    position = np.stack(np.unravel_index(gcells.clip(0), problem.grid), axis=-1)
+    span = np.abs(position[:, 1] - position[:, 0])
+    wrong = (gcells == OFF_GRID).any(axis=1) | (np.count_nonzero(span, axis=1) > 1)
+    if wrong.any():
+        row = int(wrong.argmax())
+        expected = "a segment along one axis, found a diagonal one"
+        for point, gcell in zip(points[row].tolist(), gcells[row], strict=True):
+            if gcell == OFF_GRID:
+                expected = f"{problem.extent}, found {tuple(point)}"
+                break
+        raise FieldError(f"expected {expected}", "segments", row)
+    axis, length = span.argmax(axis=1), span.sum(axis=1)
+    segment = np.repeat(np.arange(len(length)), length)
+    step = np.arange(len(segment)) - np.repeat(np.cumsum(length) - length, length)
+    first = AXES * gcells.min(axis=1) + axis
+    return segment, first[segment] + AXES * problem.strides[axis[segment]] * step
+
+
+def longest_segments(
+    problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Joins the edges of each net into its longest straight segments.
+
+    Args:
+        problem: whose grid, origin and tile count.
+        net: (k,) the net of each edge.
+        edge: (k,) edges of the grid, each once per net.
+
+    Returns:
+        (n,) the net of each segment and (n, 2, 3) the centres of its two end Gcells, the lower
+        Gcell first; ordered by net, lower end and axis.
+    """
+    near, axis = np.divmod(edge, AXES)
+    stride = problem.strides[axis]
+    # Within a row of Gcells along the axis, identified by its first Gcell, edges with consecutive
+    # places are neighbours.
+    position = np.stack(np.unravel_index(near, problem.grid), axis=1)
+    along = position[np.arange(len(near)), axis]
+    start = near - along * stride
+    order = np.lexsort((along, start, axis, net))
+    net, axis, near, start, along, stride = (
+        column[order] for column in (net, axis, near, start, along, stride)
+    )
+    begins = np.ones(len(near), np.bool_)
+    begins[1:] = (
+        (np.diff(net) != 0) | (np.diff(axis) != 0) | (np.diff(start) != 0) | (np.diff(along) != 1)
+    )
+    ends = np.roll(begins, -1)
+    first, last = np.flatnonzero(begins), np.flatnonzero(ends)
+    canonical = np.lexsort((axis[first], near[first], net[first]))
+    first, last = first[canonical], last[canonical]
+    gcells = np.stack((near[first], near[last] + stride[last]), axis=1)
+    return net[first], _centres(problem, gcells)
+
+
+def _centres(problem: Problem, gcells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The points in the middle of Gcells (…): an array (…, 3)."""
+    points = np.stack(np.unravel_index(gcells, problem.grid), axis=-1).astype(np.int64)
+    tile = np.array(problem.tile)
+    points[..., :2] = np.array(problem.origin) + points[..., :2] * tile + tile // 2
+    points[..., 2] += 1
+    return points
