@@ -51,6 +51,8 @@ class ExpectedSarsa(Learner):
 
     def __init__(self, setup, options):
         super().__init__(setup, options)
+        player = setup.player  # with one row per game, the row must stay with one agent
+        check("turn_order", player.everyone or player.engine.static.sequential, "sequential")
         seeds = setup.network_keys("weights").astype(np.int64).tolist()
         self.networks = Stack(lambda: self.network(options, setup.obs_shape), seeds, self.device)
         self.adam = Adam(self.networks.flat)

@@ -1,7 +1,7 @@
 """An own network, an ordinary module of torch, by its name in a training.
 
-A network is any ``torch.nn.Module`` with the constructor ``Network(obs_shape, outputs, *, options)``
-that maps observations (B, *obs_shape) to (B, outputs). In a training's YAML::
+A network is any ``torch.nn.Module`` that maps observations (B, *obs_shape) to (B, outputs). Its
+constructor takes ``obs_shape`` and ``outputs``, then options as keywords. In a training's YAML::
 
     learner:
       kind: dqn
@@ -53,16 +53,16 @@ if __name__ == "__main__":
         Config,
         {
             "out": "own_network",
-            "env": {"problem": {"nets": 8, "seed": 1, "reduced_edges": 0}},
+            "env": {"problem": {"grid": [6, 6, 2], "nets": 6, "seed": 1, "reduced_edges": 0}},
             "learner": {
                 "kind": "dqn",
                 "network": {"kind": "residual", "blocks": 1},
                 "learning_rate": 1e-3,
                 "target_period": 200,
-                "burn_in_size": 2000,
+                "burn_in_size": 1000,
                 "masking": True,
             },
-            "train": {"episodes": 40, "figures": False, "tensorboard": False},
+            "train": {"episodes": 50, "figures": False, "tensorboard": False},
         },
     )
     run = Run(config)

@@ -34,7 +34,7 @@ class PatternRouter:
         used = [set() for _ in problem.nets]
 
         def demand(net, edge):
-            return problem.demand[net, grid.position[edge // 3, Z]]
+            return problem.net_demand[net, grid.position[edge // 3, Z]]
 
         def cost(net, path):
             new = set(path) - used[net]
