@@ -1,9 +1,10 @@
 """From plain data to checked options: YAML, dataclasses as schemas, and pieces by name.
 
-What a configuration may hold is what a dataclass says, strictly typed, and the dataclass is the one
-place of the defaults. An unknown key is an error that names the nearest key there is.
+A dataclass defines the keys of a configuration, their types and their defaults, which are found
+nowhere else. Types are checked strictly. For an unknown key, the error message suggests the nearest
+known one.
 
-A **piece** is a part that users may bring themselves, named in a configuration as its kind says in
+A **piece** is a part that users may write themselves. A configuration refers to it by its name in
 :mod:`marouting.registry`::
 
     reward: {kind: paper, reached: 10}
@@ -34,17 +35,17 @@ from marouting.files import unusable
 from marouting.registry import lookup, name_of, names
 
 MOST = 2**31 - 1
-"""The largest count: compiled code and arrays take no arbitrary integers."""
+"""The largest count; compiled code and arrays do not support integers of arbitrary size."""
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader, with two rules of YAML 1.2.
+    """The safe loader with two rules of YAML 1.2.
 
-    ``1e-4`` is a number, not a text; and no key may stand twice in a mapping.
+    ``1e-4`` is a number, not a string, and a key may occur only once in a mapping.
     """
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        """A mapping as it is written, before anything is merged into it."""
+        """A mapping as written, before anything is merged into it."""
         node = super().compose_mapping_node(anchor)
         seen = set()
         for key, _ in node.value:
@@ -65,7 +66,7 @@ _Loader.add_implicit_resolver(
 
 
 def parse_yaml(text: str, name: str) -> Any:
-    """Plain data from YAML text by the safe loader; InputError names ``name`` and the line."""
+    """Plain data from YAML text; raises InputError with ``name`` and the line."""
     name = one_line(name)
     try:
         return yaml.load(text, Loader=_Loader)
@@ -77,7 +78,7 @@ def parse_yaml(text: str, name: str) -> Any:
         reason = (str(error).splitlines() or ["it cannot be read"])[0]
         raise InputError(f"{name}: expected YAML: {reason}") from None
     except (LookupError, AttributeError):
-        # What PyYAML does with values like `!!bool perhaps` or `!!int ""`.
+        # PyYAML raises these for values like `!!bool perhaps` or `!!int ""`.
         raise InputError(f"{name}: expected YAML: a value is not of its tag's type") from None
 
 
@@ -119,18 +120,19 @@ Schema = TypeVar("Schema")
 
 
 def build(schema: type[Schema], raw: Mapping[str, Any], where: str = "") -> Schema:
-    """Fills a dataclass from plain data, strictly: only its keys, only the types it declares.
+    """Fills a dataclass from plain data, and accepts only its keys and the types that it declares.
 
     Args:
         schema: the dataclass.
         raw: plain data, as from YAML.
-        where: what an error message starts with: the file, or the key that leads here.
+        where: the start of error messages: the file, or the key that leads here.
 
     Raises:
-        InputError: names the key, what was expected and what was found.
+        InputError: the data does not fit; the message names the key, what was expected and what was
+            found.
     """
     try:
-        # In JSON a list can be a tuple and an integer a float, and nothing else is converted.
+        # From JSON, a list can become a tuple and an integer a float; nothing else is converted.
         text = json.dumps(raw, default=_jsonable)
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(one_line(f"{_prefix(where)}expected plain data: {error}")) from None
@@ -151,7 +153,7 @@ def _adapter(schema: Any) -> TypeAdapter[Any]:
 
 
 def _jsonable(value: Any) -> Any:
-    """What JSON does not know: paths, NumPy's numbers, dataclasses, pieces."""
+    """Converts what JSON does not know: paths, NumPy's numbers, dataclasses, pieces."""
     if isinstance(value, Piece):
         return plain(value)
     if isinstance(value, os.PathLike):
@@ -166,7 +168,7 @@ def _jsonable(value: Any) -> Any:
 # --- pieces ---------------------------------------------------------------------------------------
 
 _CONTEXT = {"network": 2, "learner": 1}
-"""How many arguments the constructor of a piece is given before its options."""
+"""The number of arguments that the constructor of a piece gets before its options."""
 
 
 @dataclass(frozen=True)
@@ -177,10 +179,10 @@ class Piece:
         kind: one of :data:`marouting.registry.KINDS`.
         name: a registered name or ``module:Class``.
         cls: the class.
-        options: checked, with the defaults filled in: the piece itself where its class is a
-            dataclass, an instance of the class's ``Options`` where it has them, otherwise keyword
-            arguments by name.
-        given: whether the piece is an object that was handed over ready made.
+        options: the checked options, with defaults filled in: the piece itself if its class is a
+            dataclass, an instance of the class's ``Options`` if it has one, and keyword arguments
+            by name otherwise.
+        given: whether the piece was given as an object.
     """
 
     kind: str
@@ -190,11 +192,11 @@ class Piece:
     given: bool = False
 
     def make(self, *context: Any) -> Any:
-        """The piece.
+        """Makes the piece.
 
         Args:
-            *context: what its kind is made for: a network gets the shape of an observation and the
-                number of outputs, a learner its :class:`policies.learned.learner.Setup`.
+            *context: what its kind needs. A network gets the shape of an observation and the number
+                of outputs, a learner its :class:`policies.learned.learner.Setup`.
         """
         if self.given:
             return self.options
@@ -206,15 +208,15 @@ class Piece:
 
 
 Named = Annotated[Piece, PlainValidator(lambda value: value)]
-"""The type of a field that holds a piece; :func:`take_pieces` makes one of what stands there."""
+"""The type of a field that holds a piece; :func:`take_pieces` turns its value into one."""
 
 
 def piece_field(kind: str, name: str | None = None) -> Any:
-    """A field of a schema for a piece of a kind.
+    """A field of a schema that holds a piece.
 
     Args:
         kind: one of :data:`marouting.registry.KINDS`.
-        name: the piece that the field holds by default; None: the first one registered.
+        name: the default piece; None: the first one registered.
     """
     return field(default=None, metadata={"kind": kind, "name": name})
 
@@ -222,10 +224,10 @@ def piece_field(kind: str, name: str | None = None) -> Any:
 def take_pieces(options: Any) -> None:
     """Replaces names, mappings and objects in the piece fields of a schema by pieces.
 
-    Called by a schema's ``__post_init__``.
+    A schema's ``__post_init__`` calls this.
 
     Raises:
-        InputError: names the key and what was expected.
+        InputError: a value is not a piece; the message names the key and what was expected.
     """
     for f in fields(options):
         if "kind" in f.metadata:
@@ -234,17 +236,19 @@ def take_pieces(options: Any) -> None:
 
 
 def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> Piece:
-    """A piece from what a configuration or an argument holds.
+    """Turns the value of a configuration or an argument into a piece.
 
     Args:
         kind: one of :data:`marouting.registry.KINDS`.
-        raw: a name or ``module:Class``; a mapping with the key ``kind`` for the name, all others
-            being options; a piece; None, for the default; or an object that is the piece.
-        default: the name where none is given; None: the first one registered.
-        where: what an error message starts with.
+        raw: a name or ``module:Class``; a mapping with the name under ``kind`` and options under
+            all other keys; a :class:`Piece`; None for the default; or the piece itself, as an
+            object.
+        default: the name if none is given; None: the first one registered.
+        where: the start of error messages.
 
     Raises:
-        InputError: names the key, what was expected and what was found.
+        InputError: the value is not a piece; the message names the key, what was expected and what
+            was found.
     """
     if isinstance(raw, Piece):
         return raw
@@ -277,7 +281,7 @@ _KEYWORDS = "Keywords"
 
 @functools.cache
 def _options_of(kind: str, cls: type[Any]) -> tuple[type[Any], bool]:
-    """The dataclass of a class's options, and whether others may come with them."""
+    """The dataclass of a class's options, and whether the class accepts other options too."""
     if "__dataclass_fields__" in vars(cls):  # a plain subclass of one may have a constructor
         return cls, False
     options = getattr(cls, "Options", None)
@@ -312,7 +316,7 @@ def plain(value: Any) -> Any:
     A piece becomes a mapping of its options, with its name under ``kind``.
 
     Raises:
-        InputError: a piece was handed over as an object whose options cannot be told.
+        InputError: a piece was given as an object whose options are unknown.
     """
     if isinstance(value, Piece):
         options = value.options
@@ -335,7 +339,7 @@ def plain(value: Any) -> Any:
 
 
 def check(name: str, holds: object, expected: str) -> None:
-    """Raises InputError, ``name: expected …``, unless a condition holds."""
+    """Raises InputError, ``name: expected …``, if a condition does not hold."""
     if not holds:
         raise InputError(f"{name}: expected {expected}")
 
@@ -345,10 +349,10 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
 
     Args:
         raw: plain data, as from YAML.
-        overrides: ``key=value`` as in :func:`policies.learned.config.load_config`.
+        overrides: ``key=value``, with dots between the parts of a key and the value as in YAML.
 
     Raises:
-        InputError: an override is none.
+        InputError: an override does not have this form.
     """
     changed = dict(raw)
     for given in overrides:
@@ -359,7 +363,7 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
         place = changed
         for part in parts:
             inner = place.get(part)
-            # A copy: by YAML's anchors a mapping can stand in several places.
+            # A copy, because YAML's anchors can put one mapping in several places.
             place[part] = dict(inner) if isinstance(inner, Mapping) else {}
             place = place[part]
         place[last] = parse_yaml(value, given)
@@ -367,15 +371,15 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
 
 
 def check_same(mine: Mapping[str, Any], kept: Mapping[str, Any], where: Path) -> None:
-    """Raises InputError, naming the key, unless two configurations in plain data are the same.
+    """Raises InputError, naming the key, if two configurations in plain data differ.
 
     Args:
-        mine: what is asked for.
-        kept: what was started with.
-        where: the file that keeps it.
+        mine: the present configuration.
+        kept: the configuration at the start.
+        where: the file that holds it.
     """
     found, expected = _flat(mine), _flat(kept)
-    # A key may be there in one of them only, as those of a problem's files or its generator.
+    # Some keys may be in only one of them, such as those of a problem's files or its generator.
     for key in dict.fromkeys((*expected, *found)):
         if expected.get(key) != found.get(key):
             raise InputError(
@@ -384,7 +388,7 @@ def check_same(mine: Mapping[str, Any], kept: Mapping[str, Any], where: Path) ->
 
 
 def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested mappings as one, keys joined by dots; sequences as tuples."""
+    """Flattens nested mappings, with keys joined by dots and sequences as tuples."""
     flat: dict[str, Any] = {}
     for key, value in nested.items():
         if isinstance(value, Mapping):
@@ -397,7 +401,7 @@ def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def one_line(text: str) -> str:
-    """A text without its line breaks, which keys and paths may contain."""
+    """A text without line breaks, which keys and paths may contain."""
     return " ".join(text.splitlines())
 
 
@@ -412,9 +416,9 @@ def _unknown_key(key: str, known: Sequence[str]) -> str:
 
 
 def _explain(schema: type, error: ValidationError) -> str:
-    """The first error of a validation as one line."""
+    """The first error of a validation, in one line."""
     first = error.errors(include_url=False)[0]
-    # What a union is told apart by stands in the path as if it were a key.
+    # The tag of a union appears in the path as if it were a key.
     tags = {hint.tag for hint in _flatten(schema) if isinstance(hint, Tag)}
     loc = [str(part) for part in first["loc"]]
     path = [p for i, p in enumerate(loc) if not (p in tags and i and loc[i - 1] == "problem")]
@@ -440,7 +444,7 @@ def _keys(schema: Any, path: list[str]) -> list[str]:
 
 
 def _flatten(hint: Any) -> list[Any]:
-    """A type hint and all hints inside it; of a dataclass also those of its fields."""
+    """A type hint and all hints inside it, including those of a dataclass's fields."""
     inner = list(get_args(hint))
     if isinstance(hint, type) and is_dataclass(hint):
         inner += get_type_hints(hint, include_extras=True).values()

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all, and what cannot be read or written says so in a line."""
+"""Files are written whole or not at all; errors of reading and writing become one-line messages."""
 
 import contextlib
 import os
@@ -11,12 +11,12 @@ from marouting.errors import InputError
 
 @contextlib.contextmanager
 def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Gives a temporary path beside ``path`` and renames it to ``path`` when the block succeeds.
+    """Yields a temporary path beside ``path`` and renames it to ``path`` if the block succeeds.
 
-    A reader, or a process killed in the middle, sees the old file or the new one, never a half.
+    Readers see the old file or the new one, never half a file, even if the process is killed.
 
     Args:
-        path: the file to write; its folder is made when missing.
+        path: the file to write; its folder is made if it is missing.
 
     Yields:
         The temporary file to write into.
@@ -36,7 +36,7 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        # mkstemp is private to its owner; a result file has the usual permissions.
+        # mkstemp's file is private to its owner; the result has the usual permissions.
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
@@ -50,7 +50,7 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """Raises InputError unless ``path`` could be written: for before the work, not after it."""
+    """Raises InputError if ``path`` cannot be written; call it before the work, not after it."""
 
     class Checked(Exception):
         """Leaves :func:`writing` without a file."""
@@ -60,7 +60,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Writes ``text`` as UTF-8 to ``path``, whole or not at all; raises InputError."""
+    """Writes ``text`` to ``path`` as UTF-8, whole or not at all; raises InputError if it cannot."""
     with writing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 

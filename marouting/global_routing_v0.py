@@ -1,28 +1,29 @@
 """# Global Routing, version 0.
 
-Every net of a chip is an agent that lays its route over one shared grid of Gcells. Routes take
-capacity from the edges they cross; the nets have to share it.
+Every net of a chip is an agent that routes over one shared grid of Gcells. Routes take capacity
+from the edges that they cross, so the nets have to share it.
 
 | | |
 |---|---|
 | Import | `from marouting import global_routing_v0` |
-| Agents | `net_0`, `net_1`, … every net; one with all pins in one Gcell never takes part |
+| Agents | `net_0`, `net_1`, …: every net; nets with all pins in one Gcell never take part |
 | Actions | Discrete(6): EAST +x, WEST −x, NORTH +y, SOUTH −y, UP +z, DOWN −z |
-| Observation | Box(12), float32: x, y, z; dx, dy, dz to the target; remaining capacity by move |
+| Observation | Box(12), float32: x, y, z; dx, dy, dz to the target; capacity left by move |
 | Action mask | `info["action_mask"]`, int8 of length 6 |
 | State | Box(X, Y, 5 Z), float32 |
 | Reward | +100 for reaching the target pin, −1 for any other move |
 | Parallel | yes, natively |
 
-A net's pins are cut into two-pin tasks, walked one after the other. A move across an edge without
-remaining capacity, or off the grid, is blocked: the agent stays, the step counts. An edge that the
-net already uses can be crossed again for nothing. A task fails after `max_steps` steps. An agent
-terminates when all its tasks are joined and is truncated when its last task has ended and some
-failed; its last info holds the `metrics`. All the rules: :mod:`marouting.game.engine`.
+A net's pins are split into two-pin tasks, which its agent routes one after the other. A move across
+an edge without enough remaining capacity, or off the grid, is blocked: the agent stays, and the
+step counts. An edge that the net already uses is free to cross again. A task fails after
+`max_steps` steps. An agent is terminated when all its tasks are joined, and truncated when its last
+task has ended and some failed; its last info holds the `metrics`. :mod:`marouting.game.rules` has
+all rules.
 
 The options of `env`, `raw_env` and `parallel_env` are the fields of
-:class:`marouting.options.GameOptions`; the problem may be a `Problem`, a `.gr` file, or what
-:func:`marouting.generate` takes as a mapping.
+:class:`marouting.options.GameOptions`. The problem may be a `Problem`, a `.gr` file, or a mapping
+of the generator's options (:class:`marouting.generator.GeneratorOptions`).
 
 ## Version history
 
@@ -49,6 +50,6 @@ def env(problem: Source = None, **options: Any) -> AECEnv:
         **options: the fields of :class:`marouting.options.GameOptions`.
 
     Raises:
-        InputError: an option or a problem that cannot be used.
+        InputError: an option or the problem cannot be used.
     """
     return OrderEnforcingWrapper(AssertOutOfBoundsWrapper(raw_env(problem, **options)))

@@ -1,12 +1,12 @@
-"""How hot loops are compiled: the one place for numba's options, and for its disk cache.
+"""How hot loops are compiled: the only place for numba's options and its disk cache.
 
-Compiled code is kept on disk. Numba considers it fresh as long as the one source file of the
-function has not changed, although functions of other files are compiled into it. Here it is fresh
-as long as no source file of the package, or of this one, has changed (:func:`stamp`): after an
+Compiled code is kept on disk. Numba considers it fresh as long as the function's own source file
+has not changed, although functions of other files are compiled into it. Here it is fresh as long as
+no source file of the function's package, or of this package, has changed (:func:`stamp`). After an
 upgrade, or an edit of a rule, every loop that contains the rule is compiled again.
 
-Some of numba's options and attributes used here are private. Where a release of numba lacks them,
-the functions are compiled without them: slower, with the same results.
+Some of numba's options and attributes used here are private. If a release of numba lacks them, the
+functions are compiled without them: they are slower and give the same results.
 """
 
 import functools
@@ -28,7 +28,7 @@ _PRIVATE = {"forceinline", "no_cpython_wrapper", "no_cfunc_wrapper", *_NO_REFERE
 
 
 def _known(options: dict[str, Any]) -> dict[str, Any]:
-    """The options without the private ones, unless numba knows them all."""
+    """The options, without the private ones if numba does not know all of them."""
     try:
         from numba.core.compiler import Flags
         from numba.core.cpu import CPUTargetOptions
@@ -49,8 +49,8 @@ def _decorator(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             # Numba compares this with what it finds on disk.
             dispatcher._cache._cache_file._source_stamp = stamp(function.__module__)
         except (RuntimeError, AttributeError) as error:
-            # There is nowhere to write, or numba's cache has changed its form: without it, stale
-            # code cannot be told from fresh code.
+            # Either there is nowhere to write, or numba's cache has changed, and stale code could
+            # no longer be recognised.
             _warn_once(str(error))
             return njit(**known)(function)
         return dispatcher
@@ -65,10 +65,10 @@ def _warn_once(reason: str) -> None:
 
 @functools.cache
 def stamp(module: str) -> str:
-    """What tells compiled code of one version of the sources from that of another.
+    """A stamp that tells compiled code of different versions of the sources apart.
 
     Args:
-        module: the name of the module that a compiled function is defined in.
+        module: the name of the module that defines a compiled function.
 
     Returns:
         A digest of the sources of the module's top-level package and of this package, and of the
@@ -86,41 +86,42 @@ def stamp(module: str) -> str:
 
 
 compiled = _decorator(nogil=True, **_NO_REFERENCE_COUNTS)
-"""For kernels that allocate nothing: compiled to disk, without the interpreter's lock, and without
-counting references to arrays. Counting at every call of a rule would take ten times as long as the
-rule."""
+"""For kernels that allocate nothing: cached on disk, without the interpreter's lock, and without
+reference counts of arrays. Counting references at every call of a rule would take ten times as long
+as the rule itself."""
 
 inlined = _decorator(
     forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **_NO_REFERENCE_COUNTS
 )
-"""For functions inside the loops of kernels: a call would hand over a dozen arrays. They cannot be
-called from Python: the code for that takes as long to compile as the functions themselves."""
+"""For functions inside the loops of kernels, where a call would have to pass a dozen arrays. They
+cannot be called from Python: the code for that takes as long to compile as the functions
+themselves."""
 
 allocating = _decorator(nogil=True, error_model="numpy")
-"""For kernels that make arrays. They divide as NumPy does: a check of every divisor for zero keeps
-loops from being vectorised."""
+"""For kernels that make arrays. They divide like NumPy, because checking every divisor for zero
+would keep loops from being vectorised."""
 
 threaded = _decorator(error_model="numpy", parallel=True)
-"""The same, with loops over ``numba.prange`` shared among numba's threads. Numba's cache does not
-look at options, so a threaded kernel has to be a function of its own."""
+"""Like ``allocating``, with loops over ``numba.prange`` shared among numba's threads. Numba's cache
+ignores options, so a threaded kernel has to be a separate function."""
 
 
 @inlined
 def wide(index: Any) -> int:
     """An index from an array as int64.
 
-    Numba compiles a function anew for every combination of integer types that it is called with.
-    Widened where they come out of arrays, all indices have one type.
+    Numba compiles a function again for every combination of integer types that it is called with.
+    If indices are widened when they are read from arrays, they all have the same type.
     """
     return np.int64(index)  # type: ignore[return-value]
 
 
 @inlined
 def place(index: Any) -> int:
-    """An index that is not negative, as int64.
+    """A non-negative index as int64.
 
-    Numba lets a negative index count from the end; the check for one takes as long as the rest of
-    an access.
+    Numba lets negative indices count from the end, and checking for them takes as long as the rest
+    of an access.
     """
     return np.int64(np.uint32(index))  # type: ignore[return-value]
 
@@ -128,15 +129,15 @@ def place(index: Any) -> int:
 def bound(kernel: Any, *examples: Any) -> Callable[..., Any]:
     """The machine code of a compiled function, for arguments of the types of the examples.
 
-    Numba looks up the types of all arguments at every call. For the engine's tuples this takes
+    Numba looks up the types of all arguments at every call. For the engine's tuples, this takes
     several times as long as a move.
 
     Args:
         kernel: a compiled function.
-        *examples: arguments whose types, dimensions and memory layouts all calls will share.
+        *examples: arguments with the types, dimensions and memory layouts of all later calls.
 
     Returns:
-        A function that looks nothing up; the kernel itself where numba does not give one away.
+        A function that looks up nothing, or the kernel itself if numba does not provide one.
     """
     signature = tuple(map(typeof, examples))
     kernel.compile(signature)

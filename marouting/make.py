@@ -14,19 +14,21 @@ from marouting.options import EnvOptions
 def make(config: str | os.PathLike[str] | Mapping[str, Any] | Any) -> Any:
     """Makes the environment that the ``env:`` part of a configuration describes.
 
-    One key switches: ``agents: single`` gives the Gymnasium environment in which one player moves
-    all nets, ``agents: multi`` the PettingZoo AEC environment in which every net is an agent.
+    The key ``agents`` decides between two environments: ``single`` gives the Gymnasium environment
+    in which one player moves all nets, ``multi`` the PettingZoo AEC environment in which every net
+    is an agent.
 
     Args:
-        config: path to a YAML file, a mapping with a key ``env``, an
-            :class:`marouting.options.EnvOptions`, or an object that has one as ``env``. All other
-            parts of the configuration are left to :mod:`policies`.
+        config: the path of a YAML file, a mapping with a key ``env``, an
+            :class:`marouting.options.EnvOptions`, or an object with one as its attribute ``env``.
+            All other parts of the configuration belong to :mod:`policies`.
 
     Returns:
         A ``gymnasium.Env`` or a ``pettingzoo.AECEnv``.
 
     Raises:
-        InputError: names the file or key and what was expected.
+        InputError: the configuration cannot be used; the message names the file or key and what was
+            expected.
     """
     from marouting.global_routing_v0 import env
 

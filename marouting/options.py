@@ -1,4 +1,4 @@
-"""The options of an environment: the part ``env:`` of a configuration."""
+"""The options of an environment: the ``env:`` part of a configuration."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -14,9 +14,9 @@ Agents = Literal["single", "multi"]
 RenderMode = Literal["ansi", "rgb_array", "human"]
 
 SMALL = GeneratorOptions(nets=10, reduced_edges=0)
-"""What an environment plays when it is given no problem: 10 nets on 8×8×2.
+"""The problem of an environment that is given none: 10 nets on 8×8×2.
 
-No edges are reduced: that takes a search, and compiling it would double the time that a first
+It has no reduced edges. They take a search, and compiling it would double the time that the first
 ``env()`` takes on a new machine."""
 
 
@@ -36,20 +36,20 @@ ProblemSource = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class GameOptions(RuleOptions):
-    """The options of every face of the environment; the defaults are the paper's.
+    """The options of every interface of the environment; the defaults are the paper's.
 
     The options of the rules come from :class:`marouting.game.options.RuleOptions`.
 
     Attributes:
-        problem: a ``.gr`` file, a folder of them, a list of both, or what the generator takes
+        problem: a ``.gr`` file, a folder of them, a list of both, or options of the generator
             (:class:`marouting.generator.GeneratorOptions`). An environment plays one problem. A
             generator with ``seed: null`` draws a new problem at every reset.
         observation: what agents see: the name of a registered observation, ``module:Class``, a
             mapping with the name under ``kind`` and its options beside it, or an object. See
             :mod:`marouting.game.observation`.
-        reward: what moves pay, given likewise. See :mod:`marouting.game.reward`.
-        mask_in_observation: whether an observation is ``{"observation", "action_mask"}``; the
-            mask is in ``info["action_mask"]`` either way.
+        reward: what moves pay, given in the same ways. See :mod:`marouting.game.reward`.
+        mask_in_observation: whether observations are ``{"observation", "action_mask"}``; the mask
+            is in ``info["action_mask"]`` either way.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
     """
 
@@ -65,12 +65,12 @@ class GameOptions(RuleOptions):
 
 
 ORDERS: dict[Agents, TurnOrder] = {"single": "sequential", "multi": "round_robin"}
-"""The turn order of each face, where the options leave it open."""
+"""The turn order for one agent and for many, if the options give none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EnvOptions(GameOptions):
-    """The part ``env:`` of a configuration: the game's options and the face to play it through.
+    """The ``env:`` part of a configuration: the options of the game and its interface.
 
     Attributes:
         agents: ``single``, one player moves all nets (Gymnasium; the paper), or ``multi``, every
@@ -81,13 +81,13 @@ class EnvOptions(GameOptions):
 
 
 def game_options(options: Mapping[str, Any]) -> GameOptions:
-    """Checks options that were given as keywords.
+    """Checks options given as keywords.
 
     Args:
         options: fields of :class:`GameOptions`; ``observation`` and ``reward`` may also be objects.
 
     Raises:
-        InputError: names the option and what was expected.
+        InputError: an option cannot be used; the message names it and what was expected.
     """
     plain = dict(options)
     pieces = {

@@ -1,14 +1,14 @@
-"""The array player: games played through arrays, M problems at once.
+"""The array player, which plays M problems at once through arrays.
 
-:class:`marouting.vector.BatchEnv`, the faces of the environment and trainings all stand on it.
-With the paper's observation and reward a whole step is one compiled call. With pieces that users
-bring, the moves are carried out turn by turn, so that a reward is asked about each of them.
+:class:`marouting.vector.BatchEnv`, the interfaces of the environment and trainings all use it. With
+the paper's observation and reward, a whole step is one compiled call. With other pieces, the moves
+are carried out one by one, so that the reward is called for each of them.
 
-What a learner needs, and what :class:`StepBuffers` therefore tells: that a task ended with the
-step, and how; what the agent saw where it arrived, to bootstrap from, before the next task put it
-elsewhere; and, if asked for, only the row of the agent whose turn it is. The transition of a row
-that ``acted`` goes from the ``obs`` before the step to ``final_obs`` if its task ended or the row's
-agent is another now, else to the ``obs`` after the step.
+:class:`StepBuffers` holds what a learner needs: whether a task ended in the step, and how; what the
+agent saw where it arrived, to bootstrap from, before the next task moved it elsewhere; and, on
+request, only the row of the agent whose turn it is. The transition of a row that ``acted`` leads
+from the ``obs`` before the step to ``final_obs`` if the task ended or the row now belongs to
+another agent, and otherwise to the ``obs`` after the step.
 """
 
 import copy
@@ -48,32 +48,33 @@ from marouting.problem.grid import MOVES
 
 
 class StepBuffers(NamedTuple):
-    """What goes into a step of M problems, and what comes out of it.
+    """The input and output of a step of M problems.
 
-    Each problem has K rows: all its N agents, or only the agent whose turn it is (K = 1). S is the
-    shape of an observation. ``final_obs`` and ``final_mask`` are written where ``obs`` no longer
-    shows what the move led to: where its task ended, or where the row now belongs to another agent.
+    Each problem has K rows: one for each of its N agents, or only one for the agent whose turn it
+    is (K = 1). S is the shape of an observation. ``final_obs`` and ``final_mask`` are only written
+    where ``obs`` no longer shows the result of the move: where the task ended, or where the row now
+    belongs to another agent.
     """
 
-    agents: NDArray[np.int32]  # (M, K) the agent of each row, NOBODY for none
-    obs: NDArray[np.float32]  # (M, K, *S) what it sees now; zeros for none
+    agents: NDArray[np.int32]  # (M, K) the agent of each row, or NOBODY
+    obs: NDArray[np.float32]  # (M, K, *S) what it sees now; zeros for NOBODY
     mask: NDArray[np.int8]  # (M, K, 6) its moves that cross an edge now; never all zero
-    actions: NDArray[np.int8]  # (M, K) in: the moves to make, NOBODY for none
+    actions: NDArray[np.int8]  # (M, K) input: the moves to make; NOBODY: no move
     acted: NDArray[np.bool_]  # (M, K) whether the row's agent moved in the step
-    reward: NDArray[np.float32]  # (M, K) what the step paid it; if K = 1, what it paid all agents
+    reward: NDArray[np.float32]  # (M, K) what the step paid it; if K = 1, all agents together
     ending: NDArray[np.int8]  # (M, K) Ending of the agent's task in the step
-    final_obs: NDArray[np.float32]  # (M, K, *S) what the agent saw where it arrived; see below
+    final_obs: NDArray[np.float32]  # (M, K, *S) what the agent saw where it arrived
     final_mask: NDArray[np.int8]  # (M, K, 6) likewise
-    terminated: NDArray[np.bool_]  # (M, K) the agent's tasks are all joined
-    truncated: NDArray[np.bool_]  # (M, K) the agent's tasks have all ended, and some failed
+    terminated: NDArray[np.bool_]  # (M, K) all tasks of the agent are joined
+    truncated: NDArray[np.bool_]  # (M, K) all tasks of the agent have ended, and some failed
     active: NDArray[np.bool_]  # (M, K) rows whose agent can move next
-    over: NDArray[np.bool_]  # (M,) episodes that ended with the step
+    over: NDArray[np.bool_]  # (M,) episodes that ended in the step
     total: NDArray[np.float64]  # (M,) rewards of all agents in the episode so far
-    final: NDArray[Any]  # (M,) GAME as it was when the problem's last episode ended
+    final: NDArray[Any]  # (M,) GAME at the end of the problem's last episode
 
     @classmethod
     def of(cls, problems: int, rows: int, shape: tuple[int, ...]) -> "StepBuffers":
-        """Buffers of that size."""
+        """Buffers for a number of problems, rows per problem, and a shape of observations."""
         each = problems, rows
         return cls(
             agents=np.full(each, NOBODY, np.int32),
@@ -95,19 +96,19 @@ class StepBuffers(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What the compiled step has to know of the pieces."""
+    """What the compiled step has to know about the pieces."""
 
-    everyone: bool  # whether the rows are all agents, or the one whose turn it is
+    everyone: bool  # whether all agents have a row, or only the one whose turn it is
     masks: bool  # whether to write masks
     observation: bool  # whether the observation is the paper's
-    reward: bool  # whether the reward is
+    reward: bool  # whether the reward is the paper's
     via_capacity: float  # see PaperObservation
     prices: NDArray[np.float32]  # (4, 3) see PaperReward.table
     overflow_price: float  # see PaperReward
 
 
 class Saved(NamedTuple):
-    """How the games of a player stood."""
+    """A saved state of a player's games."""
 
     dynamic: Dynamic
     buffers: StepBuffers
@@ -121,7 +122,7 @@ class Player:
         observation: what agents see.
         reward: what moves pay.
         everyone: whether all agents have a row, or only the one whose turn it is.
-        masks: whether masks are wanted; otherwise they stay as they are.
+        masks: whether to write masks; otherwise they stay as they are.
         buffers: the arrays to use; None: new ones.
 
     Attributes:
@@ -130,9 +131,9 @@ class Player:
         reward: what moves pay.
         everyone: whether all agents have a row.
         buffers: see :class:`StepBuffers`.
-        known: what the compiled step knows of the pieces.
-        paid: (M, N) float32, what the last step paid every agent, where the reward is not the
-            paper's; None with the paper's, which pays only the agent that moves.
+        known: what the compiled step knows about the pieces.
+        paid: (M, N) float32, what the last step paid every agent. None with the paper's reward,
+            which pays only the agent that moves.
     """
 
     def __init__(
@@ -171,9 +172,9 @@ class Player:
         return self.known.observation and self.known.reward
 
     def _bind(self) -> None:
-        """Prepares the calls: the arrays are others now."""
+        """Prepares the calls after the arrays have been replaced."""
         engine, buffers = self.engine, self.buffers
-        # Masks are written in pairs of bytes: that is quicker.
+        # Masks are written in pairs of bytes, which is faster.
         self.kernel_buffers = buffers._replace(
             mask=buffers.mask.view(np.int16), final_mask=buffers.final_mask.view(np.int16)
         )
@@ -183,7 +184,6 @@ class Player:
         self.paid = np.zeros(engine.nets.shape, np.float32) if own_reward else None
         self._before = engine.save() if own_reward else None
         if self.compiled:
-            # The kernel's other arguments are arrays of any size: an observation of one dimension.
             self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
             self._step = bound(_step, *self._arguments, True)
         else:
@@ -200,11 +200,11 @@ class Player:
         self._look(which)
 
     def step(self, restart: bool = False) -> None:
-        """Moves agents by ``buffers.actions``, in turn order, and fills the other arrays.
+        """Makes the moves in ``buffers.actions``, in turn order, and fills the other arrays.
 
         Args:
-            restart: whether a problem whose episode ended with the step before starts its next one
-                instead.
+            restart: whether a problem whose episode ended in the previous step starts its next
+                episode instead.
         """
         if self.compiled:
             self._step(*self._arguments, restart)
@@ -212,7 +212,7 @@ class Player:
             self._step_by_turns(restart)
 
     def part(self, which: NDArray[np.integer]) -> "Player":
-        """A player of some of the problems (indices), which goes on from how they stand."""
+        """A player of some of the problems (indices), which continues from their present state."""
         part = copy.copy(self)
         part.engine = self.engine.part(which)
         part.buffers = StepBuffers._make(array[which] for array in self.buffers)
@@ -220,11 +220,11 @@ class Player:
         return part
 
     def save(self) -> Saved:
-        """A copy of how all games stand, for :meth:`restore`."""
+        """A copy of the state of all games, for :meth:`restore`."""
         return Saved(self.engine.save(), StepBuffers._make(a.copy() for a in self.buffers))
 
     def restore(self, saved: Saved) -> None:
-        """Puts all games back to how they stood; raises ValueError for those of another size."""
+        """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
         self.engine.restore(saved.dynamic)
         for name in StepBuffers._fields:
             getattr(self.buffers, name)[...] = getattr(saved.buffers, name)
@@ -233,13 +233,13 @@ class Player:
     # --- any pieces ---------------------------------------------------------------------------
 
     def _mirror(self, which: Any) -> None:
-        """Copies the games of some problems to where a reward finds what was before a move."""
+        """Copies the games of some problems to ``before``, which rewards are given."""
         if self._before is not None:
             for name in Dynamic._fields:
                 getattr(self._before, name)[which] = getattr(self.engine.dynamic, name)[which]
 
     def _start(self, which: NDArray[np.bool_]) -> None:
-        """Starts episodes: nobody has acted in them."""
+        """Starts episodes, in which nobody has acted yet."""
         b = self.buffers
         self.engine.reset(which)
         self._mirror(which)
@@ -287,7 +287,7 @@ class Player:
         self._look(np.ones(len(begins), np.bool_), asked)
 
     def _turns(self, begins: NDArray[np.bool_]) -> Iterator[tuple[Any, Any]]:
-        """(M,) who moves next in each problem, NOBODY for nobody, and (M,) their moves."""
+        """Yields (M,) the agent that moves next in each problem, or NOBODY, and (M,) the moves."""
         engine, actions = self.engine, self.buffers.actions
         rows = np.arange(len(begins))
         in_turn = self.everyone and not engine.static.sequential
@@ -300,14 +300,14 @@ class Player:
                 yield np.where(moving, movers, NOBODY).astype(np.int32), moves
 
     def _pay(self, before: Dynamic, movers: NDArray[np.int32]) -> NDArray[np.float32]:
-        """(M, N) float32, what moves pay; raises ValueError for a reward of another shape."""
+        """(M, N) float32, what moves pay; raises ValueError if the reward has a wrong shape."""
         paid = np.asarray(self.reward(self.engine, before, movers), np.float32)
         if paid.shape != self.engine.nets.shape:
             raise ValueError(
                 f"reward: expected shape {self.engine.nets.shape}, found {paid.shape} from "
                 f"{type(self.reward).__name__}"
             )
-        if self._before is None:  # the paper's: only those that moved are paid
+        if self._before is None:  # the paper's reward pays only the agents that moved
             return paid
         playing = before.agents["status"] == Status.ACTIVE
         return np.where(playing & (movers != NOBODY)[:, None], paid, np.float32(0))
@@ -320,7 +320,7 @@ class Player:
         Args:
             rows: (M, K) which rows.
             asked: (M,) whose turn it was.
-            unsettle: whether they stand elsewhere by now, their tasks having ended.
+            unsettle: whether they stand elsewhere by now because their tasks have ended.
         """
         if not rows.any():
             return
@@ -340,7 +340,7 @@ class Player:
         engine.agents[place_of] = settled
 
     def _look(self, which: NDArray[np.bool_], asked: NDArray[np.int32] | None = None) -> None:
-        """Writes what agents see now, and how they stand."""
+        """Writes what agents see now, and their status."""
         b, engine = self.buffers, self.engine
         if self.everyone:
             status = engine.agents["status"]
@@ -351,7 +351,7 @@ class Player:
             b.agents[:, 0] = engine.games["agent"]
             b.active[:] = b.agents != NOBODY
             last = b.agents[:, 0] if asked is None else asked
-            moved = last != NOBODY  # a game that is over stays as its last move left it
+            moved = last != NOBODY  # once a game is over, these stay as its last move left them
             status = engine.agents["status"][np.arange(len(last)), last][:, None]
             b.terminated[moved] = status[moved] == Status.TERMINATED
             b.truncated[moved] = status[moved] == Status.TRUNCATED
@@ -383,7 +383,7 @@ def _move(static: Static, dynamic: Dynamic, movers: Any, moves: Any) -> None:
 def _settle(
     static: Static, dynamic: Dynamic, before: Dynamic, movers: Any, moves: Any, arrived: Any
 ) -> None:
-    """Settles the agents that moved; keeps where they arrived, and ``before`` up to date."""
+    """Settles the agents that moved, records where they arrived, and updates ``before``."""
     for m in range(len(movers)):
         if movers[m] == NOBODY:
             continue
@@ -411,7 +411,7 @@ def _pass_turns(static: Static, dynamic: Dynamic, everyone: bool, begins: Any) -
 # --- the paper's pieces ---------------------------------------------------------------------------
 
 _MASKS = MASKS.view(np.int16)
-"""(64, 3) :data:`marouting.game.state.MASKS` in pairs of bytes."""
+"""(64, 3) int16, :data:`marouting.game.state.MASKS` in pairs of bytes."""
 
 
 @inlined
@@ -425,7 +425,7 @@ def _write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row:
 def _look_back(
     static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int
 ) -> None:
-    """What an agent saw where it arrived."""
+    """Writes what an agent saw where it arrived."""
     write_paper(static, dynamic, known.via_capacity, m, n, b.final_obs[m], row)
     if known.masks:
         _write_mask(static, dynamic, m, n, b.final_mask, row)
@@ -435,7 +435,7 @@ def _look_back(
 def _take_stock(
     static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int
 ) -> Any:
-    """After the move of an agent, before it settles: what came of it; returns the reward."""
+    """Writes the result of an agent's move before it settles; returns the reward."""
     agent = dynamic.agents[m, n]
     reward = paper_reward(known.prices, known.overflow_price, agent)
     b.acted[m, row] = agent.crossing != Crossing.NONE
@@ -450,7 +450,7 @@ def _take_stock(
 def _look(
     static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int
 ) -> None:
-    """What an agent sees now."""
+    """Writes what an agent sees now."""
     free = wide(0)
     if known.masks:
         free = free_moves(static, dynamic, m, n)
@@ -462,7 +462,7 @@ def _look(
 
 @inlined
 def _look_at_player(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
-    """What the agent whose turn it is sees; zeros, and a mask of ones, if the episode is over."""
+    """Writes what the agent whose turn it is sees; zeros and a mask of ones after the episode."""
     player = wide(dynamic.games[m].agent)
     b.agents[m, 0] = player
     b.active[m, 0] = player != NOBODY
@@ -498,10 +498,10 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known,
     """A step of one problem, with the paper's observation and reward.
 
     Args:
-        static: the game.
-        dynamic: how it stands.
-        b: the buffers, with masks in pairs of bytes: (M, K, 3) int16.
-        known: what is known of the pieces.
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        b: the buffers, with masks in pairs of bytes, (M, K, 3) int16.
+        known: what is known about the pieces.
         m: the problem.
     """
     game = dynamic.games[m]
@@ -510,7 +510,7 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known,
     if known.everyone:
         move_everyone(static, dynamic, m, b.actions)
         for n in range(b.agents.shape[1]):
-            # In one loop, agent by agent: all of it is at hand then.
+            # One loop does everything for an agent while its data is in the cache.
             agent = dynamic.agents[m, n]
             if agent.status == Status.ABSENT:
                 continue

@@ -1,8 +1,8 @@
-"""Pieces by name: where a configuration says what to use, this finds the class.
+"""Pieces by name: finds the class that a configuration names.
 
-Users can bring five kinds of pieces: what agents see (``observation``), what moves pay
+Users can write five kinds of pieces: what agents see (``observation``), what moves pay
 (``reward``), what routes a problem (``router``), what learns (``learner``), and the networks that
-it learns with (``network``). Wherever a name of one stands, ``module:Class`` may stand as well.
+it learns with (``network``). Wherever a name is expected, ``module:Class`` is accepted as well.
 
 A name comes from one of two places:
 
@@ -22,7 +22,7 @@ from typing import Any
 from marouting.errors import InputError
 
 KINDS = ("observation", "reward", "router", "network", "learner")
-"""What can be registered."""
+"""The kinds of pieces that can be registered."""
 
 _registered: dict[str, dict[str, type[Any] | str]] = {kind: {} for kind in KINDS}
 
@@ -32,7 +32,7 @@ def register(kind: str, name: str, cls: type[Any] | str) -> None:
 
     Args:
         kind: one of :data:`KINDS`.
-        name: the name; registering it again replaces the class.
+        name: the name. Registering it again replaces the class.
         cls: the class, or ``module:Class``, which is imported when it is first used.
 
     Raises:
@@ -45,13 +45,13 @@ def register(kind: str, name: str, cls: type[Any] | str) -> None:
 
 
 def names(kind: str) -> tuple[str, ...]:
-    """All names of a kind: the registered ones, then those of installed packages."""
+    """All names of a kind: registered ones first, then those of installed packages."""
     _check_kind(kind)
     return tuple(dict.fromkeys((*_registered[kind], *_entry_points(kind))))
 
 
 def registered() -> list[tuple[str, str, str]]:
-    """What was registered in this process: arguments of :func:`register` for another process."""
+    """What this process has registered, as arguments of :func:`register` for another process."""
     return [
         (kind, name, cls if isinstance(cls, str) else f"{cls.__module__}:{cls.__qualname__}")
         for kind, known in _registered.items()
@@ -60,15 +60,15 @@ def registered() -> list[tuple[str, str, str]]:
 
 
 def lookup(kind: str, name: str, where: str = "") -> type[Any]:
-    """The class that a name stands for.
+    """The class that a name refers to.
 
     Args:
         kind: one of :data:`KINDS`.
-        name: a name of :func:`names`, or ``module:Class``.
-        where: what an error message starts with: the file or key that holds the name.
+        name: one of :func:`names`, or ``module:Class``.
+        where: the start of error messages: the file or key that holds the name.
 
     Raises:
-        InputError: the name is unknown, or what it names cannot be imported or is no class.
+        InputError: the name is unknown, or what it refers to cannot be imported or is not a class.
     """
     _check_kind(kind)
     prefix = f"{where}: " if where else ""
@@ -88,7 +88,7 @@ def lookup(kind: str, name: str, where: str = "") -> type[Any]:
 
 
 def name_of(kind: str, cls: type[Any]) -> str:
-    """The name of a class: a registered one, or ``module:Class``."""
+    """The registered name of a class, or else ``module:Class``."""
     path = f"{cls.__module__}:{cls.__qualname__}"
     for name, found in _registered[kind].items():
         if found is cls or found == path:
@@ -103,7 +103,7 @@ def _check_kind(kind: str) -> None:
 
 @functools.cache
 def _entry_points(kind: str) -> dict[str, str]:
-    """``module:Class`` by name, of the packages that were installed when this was first asked."""
+    """``module:Class`` by name, from the packages installed when this is first called."""
     return {point.name: point.value for point in metadata.entry_points(group=f"marouting.{kind}")}
 
 
@@ -114,7 +114,7 @@ def _imported(path: str, prefix: str) -> type[Any]:
         found: Any = importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
-            raise  # the module is there and lacks a library of its own
+            raise  # the module exists, but a module that it imports does not
         raise InputError(f"{prefix}{path}: there is no module {error.name}") from None
     except ValueError:
         raise InputError(f"{prefix}{path}: expected module:Class") from None

@@ -1,7 +1,7 @@
-"""Pictures of a running game: text for a terminal, RGB frames for videos, a window for people.
+"""Pictures of a running game: text for a terminal, RGB frames for videos, or a window.
 
-All three draw the same :class:`Scene`, which the environments fill from the engine. Nothing here
-needs more than numpy; only :class:`Window` loads matplotlib, and only when it is first shown.
+All three draw the same :class:`Scene`, which the environments fill from the engine. Everything here
+needs only numpy, except that :class:`Window` loads matplotlib when it is first shown.
 """
 
 import contextlib
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a picture shows of one moment of the game.
+    """One moment of the game, as pictures show it.
 
     Attributes:
         grid: the grid of Gcells.
         capacity: (E,) int32, capacity of every edge at the start, in tracks.
-        remaining: (E,) int32, remaining capacity now; negative = overflow.
-        used: (E,) int64, how many nets use each edge, vias included.
+        remaining: (E,) int32, remaining capacity now; negative for an overflowed edge.
+        used: (E,) int64, how many nets use each edge, including vias.
         heads: (n,) int32, the Gcell that each active net's route has reached.
-        targets: (n,) int32, the Gcell of the target pin that each of them walks to.
+        targets: (n,) int32, the Gcell of the target pin of each of them.
         labels: n agent names.
-        turn: index into ``heads`` of the net to move next; None when nobody or everybody is.
+        turn: index into ``heads`` of the net to move next; None if all nets move or none does.
         caption: one line about the moment, such as "step 12  joined 3/50  overflow 0".
     """
 
@@ -52,7 +52,7 @@ class Scene:
 
 
 class EdgeState(enum.IntEnum):
-    """How far an edge is used up; the five looks that an edge has in a picture."""
+    """How far an edge is used up; a picture draws each state differently."""
 
     ABSENT = 0  #: no capacity, or off the grid
     FREE = 1
@@ -62,7 +62,7 @@ class EdgeState(enum.IntEnum):
 
 
 def edge_states(scene: Scene) -> NDArray[np.int8]:
-    """(E,) the EdgeState of every edge; an edge without capacity that is used is overflowed."""
+    """(E,) int8, the EdgeState of every edge; an edge used without capacity is overflowed."""
     capacity, remaining = scene.capacity, scene.remaining
     state = np.select(
         [~scene.grid.exists, remaining < 0, capacity <= 0, remaining == 0, remaining < capacity],
@@ -79,7 +79,7 @@ def edge_states(scene: Scene) -> NDArray[np.int8]:
 
 
 def _via_gcells(scene: Scene) -> NDArray[np.intp]:
-    """The Gcells at either end of the vias in use, each at least once."""
+    """The Gcells at both ends of the vias in use, possibly with repetitions."""
     used = np.flatnonzero((scene.used > 0) & scene.grid.exists)
     return np.concatenate(scene.grid.ends(used[used % AXES == VIA_AXIS]))
 
@@ -89,16 +89,16 @@ def _via_gcells(scene: Scene) -> NDArray[np.intp]:
 # One glyph for each EdgeState.
 _ALONG_X = np.array(list(" ╌─━×"))
 _ALONG_Y = np.array(list(" ╎│┃×"))
-# From one Gcell to the next: three columns and two rows, which looks about square.
+# The distance between Gcells is three columns and two rows, which looks about square.
 _COLUMNS, _ROWS = 3, 2
 
 
 def ansi(scene: Scene) -> str:
     """Draws the scene as text: caption, one map per layer with layer 1 first, legend.
 
-    Each map has row Y − 1 on top and column 0 on the left, as the figures have, and edges drawn
-    between the Gcells they join. The head and target of the net to move are ``H`` and ``T``,
-    those of the other nets ``h`` and ``t``.
+    As in the figures, each map has row Y − 1 on top and column 0 on the left. Edges are drawn
+    between the Gcells that they join. The head and target of the net to move are ``H`` and ``T``;
+    those of the other nets are ``h`` and ``t``.
 
     Returns:
         Lines joined by newlines, plain Unicode without escape sequences.
@@ -115,7 +115,7 @@ def ansi(scene: Scene) -> str:
         gcells[scene.heads[scene.turn]] = "H"
     gcells = gcells.reshape(grid.shape)
 
-    # Drawn with row 0 first and turned over when it is written out.
+    # The canvas has row 0 first; the output has it last.
     canvas = np.full((layers, _ROWS * (height - 1) + 1, _COLUMNS * (width - 1) + 1), " ")
     canvas[:, ::_ROWS, ::_COLUMNS] = gcells.transpose(2, 1, 0)
     along_x = _ALONG_X[state[:-1, :, :, 0]].transpose(2, 1, 0)
@@ -147,9 +147,9 @@ def ansi(scene: Scene) -> str:
 
 # RGB --------------------------------------------------------------------------------------------
 
-_SHORTEST, _LONGEST = 200, 1200  # what the longer side of a picture should stay between, px
-_PITCH = 48  # from a Gcell to the next where there is room, px
-_SMALLEST = 4  # below this a Gcell and its edges cannot be told apart, px
+_SHORTEST, _LONGEST = 200, 1200  # bounds of the longer side of a picture, px
+_PITCH = 48  # distance between Gcells if there is room, px
+_SMALLEST = 4  # with a smaller pitch, a Gcell and its edges cannot be told apart, px
 
 _BACKGROUND = (255, 255, 255)
 _GCELL = (208, 211, 217)
@@ -157,15 +157,15 @@ _FREE = (232, 234, 239)
 _OVERFLOWED = (214, 39, 40)
 _INK = (20, 20, 20)
 _NET = (86, 180, 233)  # heads and targets of nets that wait
-_TURN = (230, 97, 0)  # and of the one to move,
-_HALO = (255, 221, 176)  # whose two Gcells stand on this ground
+_TURN = (230, 97, 0)  # head and target of the net to move
+_HALO = (255, 221, 176)  # background of these two Gcells
 
-# Viridis from light to dark: on a white ground dark means much used.
+# Viridis from light to dark: on a white background, dark means heavily used.
 _RAMP = np.array(
     [(253, 231, 37), (94, 201, 98), (33, 145, 140), (59, 82, 139), (68, 1, 84)], np.float64
 )
 
-# 3 wide and 5 high, one bit a pixel from the top left.
+# 3 wide and 5 high, one bit per pixel from the top left.
 _FONT = {
     "0": "111101101101111",
     "1": "010110010010111",
@@ -183,7 +183,7 @@ _FONT = {
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where the layers lie in a picture, the same for every scene of a grid shape, in px."""
+    """Where the layers are in a picture, in px; the same for every scene of a grid shape."""
 
     pitch: int
     columns: int
@@ -195,11 +195,11 @@ class _Layout:
     @staticmethod
     def of(shape: tuple[int, int, int]) -> "_Layout":
         width, height, layers = shape
-        # About as many columns of layers as rows: two layers lie side by side.
+        # About as many columns of layers as rows; two layers are side by side.
         columns = math.ceil(math.sqrt(layers))
         rows = math.ceil(layers / columns)
         longest = max(columns * width, rows * height)
-        # Everything in even numbers, because video encoders want even sides.
+        # All lengths are even, because video encoders need even sides.
         pitch = min(max(_PITCH, math.ceil(_SHORTEST / longest)), 9 * _LONGEST // (10 * longest))
         pitch = max(pitch // 2 * 2, _SMALLEST)
         margin = max(pitch // 4 * 2, 8)
@@ -209,30 +209,30 @@ class _Layout:
 
 
 def rgb_array(scene: Scene) -> NDArray[np.uint8]:
-    """Draws the scene as a picture: every layer a panel ("L1", "L2", …) with y upwards.
+    """Draws the scene as a picture, with a panel ("L1", "L2", …) per layer and y pointing upwards.
 
-    Gcells are grey squares, the edges between them bars: free ones light, used ones from yellow
-    over green to dark violet (full), overflowed ones red and wide, those without capacity left
-    out. A black dot in a Gcell is a via in use up or down from it. Discs are the heads of the
-    nets, outlined squares their targets: orange on an orange ground for the net to move, blue for
-    the others.
+    Gcells are grey squares, and the edges between them are bars. Free edges are light; used ones go
+    from yellow over green to dark violet (full); overflowed ones are red and wide; edges without
+    capacity are left out. A black dot in a Gcell means that a via up or down from it is in use.
+    Discs are the heads of the nets, and outlined squares their targets: orange on an orange
+    background for the net to move, blue for the others.
 
     Returns:
         (H, W, 3) uint8. H and W are even and the same for every scene of a grid shape; the longer
-        one is between about 200 and 1200. (Grids beyond some 250 Gcells a side are drawn larger
-        and shrunk.)
+        one is between about 200 and 1200. (Grids of more than about 250 Gcells per side are drawn
+        larger and shrunk.)
     """
     layout = _Layout.of(scene.grid.shape)
     return _arrange(_draw_gcells(scene, layout.pitch), scene.grid, layout)
 
 
 def _draw_gcells(scene: Scene, pitch: int) -> NDArray[np.uint8]:
-    """(G, pitch, pitch, 3) a tile for every Gcell: its square and its half of each edge."""
+    """(G, pitch, pitch, 3) uint8, a tile for every Gcell with its square and half of each edge."""
     grid = scene.grid
     state = edge_states(scene)
     colour = np.empty((grid.edges + 1, 3), np.uint8)
     colour[:-1] = _shade(scene, state)
-    colour[-1] = _BACKGROUND  # which is where OFF_GRID points to
+    colour[-1] = _BACKGROUND  # OFF_GRID points here
 
     square = max(2, pitch // 4 * 2)
     inset = (pitch - square) // 2
@@ -240,7 +240,7 @@ def _draw_gcells(scene: Scene, pitch: int) -> NDArray[np.uint8]:
     wide = min(2 * bar, square)
     middle, body = slice((pitch - bar) // 2, (pitch + bar) // 2), slice(inset, inset + square)
     broad = slice((pitch - wide) // 2, (pitch + wide) // 2)
-    # Rows of a picture run downwards: north is at the low indices.
+    # The rows of a picture run downwards, so north has the low indices.
     low, high = slice(0, inset), slice(inset + square, pitch)
     tiles = np.empty((grid.gcells, pitch, pitch, 3), np.uint8)
     tiles[:] = _BACKGROUND
@@ -256,7 +256,7 @@ def _draw_gcells(scene: Scene, pitch: int) -> NDArray[np.uint8]:
             tiles[which, rows, columns] = colour[edge[which]][:, None, None]
     tiles[:, body, body] = _GCELL
 
-    # From the middle of the tile, in half pixels.
+    # Distance from the middle of the tile, in half pixels.
     distance = 2 * np.indices((pitch, pitch)) - (pitch - 1)
     radius, reach = np.hypot(*distance), np.abs(distance).max(axis=0)
     line = max(1, pitch // 16)
@@ -281,7 +281,7 @@ def _draw_gcells(scene: Scene, pitch: int) -> NDArray[np.uint8]:
 
 
 def _shade(scene: Scene, state: NDArray[np.int8]) -> NDArray[np.uint8]:
-    """(E, 3) the colour of every edge."""
+    """(E, 3) uint8, the colour of every edge."""
     capacity = np.maximum(scene.capacity, 1).astype(np.float64)
     utilisation = (capacity - scene.remaining) / capacity
     stops = np.linspace(0, 1, len(_RAMP))
@@ -293,7 +293,7 @@ def _shade(scene: Scene, state: NDArray[np.int8]) -> NDArray[np.uint8]:
 
 
 def _arrange(tiles: NDArray[np.uint8], grid: Grid, layout: _Layout) -> NDArray[np.uint8]:
-    """Puts the tiles of each layer together and the layers beside one another."""
+    """Joins the tiles of each layer, and puts the layers next to one another."""
     width, height, _ = grid.shape
     pitch, margin, header = layout.pitch, layout.margin, layout.header
     panel = (height * pitch, width * pitch)
@@ -314,7 +314,7 @@ def _arrange(tiles: NDArray[np.uint8], grid: Grid, layout: _Layout) -> NDArray[n
         left = margin + column * (panel[1] + margin)
         canvas[top : top + panel[0], left : left + panel[1]] = picture.reshape(*panel, 3)
         name = _lettering(f"L{layer + 1}", 2 * layout.shrink)
-        # A grid one Gcell wide may have less room than its name.
+        # The name may be wider than a grid of one column.
         space = canvas[top - header + 5 * layout.shrink :, left:][: name.shape[0], : name.shape[1]]
         space[name[:, : space.shape[1]]] = _INK
     if layout.shrink == 1:
@@ -325,13 +325,13 @@ def _arrange(tiles: NDArray[np.uint8], grid: Grid, layout: _Layout) -> NDArray[n
 
 
 def _up_to(length: int, unit: int) -> int:
-    """The next multiple of ``unit`` from ``length``."""
+    """The smallest multiple of ``unit`` that is at least ``length``."""
     return -(-length // unit) * unit
 
 
 @functools.lru_cache(maxsize=256)
 def _lettering(text: str, scale: int) -> NDArray[np.bool_]:
-    """(5·scale, 4·scale·len(text)) where the letters have ink."""
+    """(5 · scale, 4 · scale · len(text)) bool, where the letters have ink."""
     letters = [np.array(list(_FONT[c])).reshape(5, 3) == "1" for c in text]
     line = np.concatenate([np.pad(letter, ((0, 0), (0, 1))) for letter in letters], axis=1)
     return line.repeat(scale, axis=0).repeat(scale, axis=1)
@@ -341,11 +341,11 @@ def _lettering(text: str, scale: int) -> NDArray[np.bool_]:
 
 
 class Window:
-    """A window for ``render_mode="human"``; where none can open it warns once and does nothing.
+    """A window for ``render_mode="human"``. If none can be opened, it warns once and does nothing.
 
     It needs a display and matplotlib (extra ``learn``) with a backend that opens windows. It never
-    blocks: a frame takes ``1 / fps`` seconds and no more. A window that the user closes stays
-    closed until :meth:`close` has been called.
+    blocks: a frame takes no longer than ``1 / fps`` seconds. If the user closes the window, it
+    stays closed until :meth:`close` is called.
     """
 
     def __init__(self) -> None:
@@ -354,11 +354,11 @@ class Window:
         self._works = True
 
     def show(self, rgb: NDArray[np.uint8], fps: float) -> None:
-        """Shows a frame and lets ``1 / fps`` seconds pass, in which the window stays alive.
+        """Shows a frame and waits ``1 / fps`` seconds, during which the window stays responsive.
 
         Args:
             rgb: (H, W, 3) uint8.
-            fps: frames per second; 0 does not wait at all.
+            fps: frames per second; 0 does not wait.
         """
         if not self._works:
             return
@@ -369,22 +369,22 @@ class Window:
         except ImportError as error:
             self._give_up(f"{error}; matplotlib comes with marouting[learn]")
         except Exception as error:
-            # Toolkits raise exceptions of their own where a display is missing or goes away, and a
-            # game must not end for want of its picture.
+            # Toolkits raise their own exceptions when a display is missing or disappears, and a
+            # game must not end because it cannot be shown.
             self._give_up(f"there is no display: {error}")
 
     def close(self) -> None:
-        """Closes the window, if there is one; the next :meth:`show` opens another."""
+        """Closes the window, if there is one; the next :meth:`show` opens a new one."""
         if self._figure is not None:
             from matplotlib import pyplot
 
-            # The display may have gone in the meantime.
+            # The display may have disappeared in the meantime.
             with contextlib.suppress(Exception):
                 pyplot.close(self._figure)
         self._figure = self._image = None
 
     def _open(self, rgb: NDArray[np.uint8]) -> None:
-        # Some toolkits abort the program where there is no display, so that is looked at first.
+        # Some toolkits abort the program if there is no display, so this is checked first.
         if sys.platform.startswith("linux") and not (
             os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         ):

@@ -1,4 +1,4 @@
-"""What a problem can be given as, wherever one is asked for."""
+"""The forms in which a problem can be given."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -14,11 +14,12 @@ from marouting.problem.problem import Problem
 Source = (
     Problem | GeneratorOptions | str | os.PathLike[str] | Sequence[str] | Mapping[str, Any] | None
 )
-"""A problem; what the generator takes; a file, a folder, a list of both; None: a small problem."""
+"""A problem, options of the generator, a file, a folder, a list of both, or None: a small
+problem."""
 
 
 def checked_source(source: Source) -> Problem | GeneratorOptions | tuple[str, ...]:
-    """A source in one of three forms; raises InputError for what is none."""
+    """A source in one of three forms; raises InputError for anything else."""
     if source is None:
         return SMALL
     if isinstance(source, Problem | GeneratorOptions):
@@ -31,11 +32,11 @@ def load_problems(source: Source) -> dict[str, Problem]:
     """The problems that a source names.
 
     Returns:
-        The problems by name: the file's stem, with its folder's where stems repeat; problem_000
-        and so on for generated ones.
+        The problems by name. The name is the file's stem, preceded by its folder's name if stems
+        repeat; generated problems are named problem_000 and so on.
 
     Raises:
-        InputError: the source is none, a file cannot be read, or a folder holds no ``.gr`` file.
+        InputError: the source is not one, a file cannot be read, or a folder holds no ``.gr`` file.
     """
     source = checked_source(source)
     if isinstance(source, Problem):
@@ -52,12 +53,12 @@ def load_problems(source: Source) -> dict[str, Problem]:
     if len(set(names)) < len(names):
         names = [f"{file.parent.name}_{file.stem}" for file in files]
     if len(set(names)) < len(names):
-        raise InputError("problem: expected every file once, and names that differ")
+        raise InputError("problem: expected every file once, with different names")
     return {name: Problem.read(file) for name, file in zip(names, files, strict=True)}
 
 
 def load_problem(source: Source) -> Problem:
-    """The one problem that a source names; raises InputError for none or several."""
+    """The only problem that a source names; raises InputError for none or several."""
     problems = load_problems(source)
     if len(problems) != 1:
         raise InputError(f"problem: expected one, found {len(problems)}")

@@ -1,7 +1,7 @@
-"""Many problems at once, in arrays: the engine's own form, for learners that want it all.
+"""Many problems at once, in arrays, for learners.
 
-For Gymnasium's ways with one player a problem there is ``gymnasium.make_vec``; here every net of
-every problem moves in every step.
+Every net of every problem moves in every step. For Gymnasium's interface with one player per
+problem, use ``gymnasium.make_vec``.
 """
 
 from collections.abc import Sequence
@@ -25,35 +25,35 @@ Info = dict[str, Any]
 
 
 class BatchEnv(EzPickle):
-    """M problems of one grid shape, played side by side, all nets moving in every step.
+    """M problems of one grid shape, played side by side; all nets move in every step.
 
-    The rows of problems with fewer agents than the largest are filled up; ``present`` tells which
-    agents there are. The arrays that :meth:`reset`, :meth:`step` and :meth:`state` return are the
-    environment's own and are written over by the next call: copy what has to last.
+    The rows of problems with fewer agents than the largest one are padded; ``present`` tells which
+    agents exist. The arrays that :meth:`reset`, :meth:`step` and :meth:`state` return belong to the
+    environment and are overwritten by the next call, so copy what you want to keep.
 
-    A problem whose episode is over starts its next one with the step after, in the manner of
-    Gymnasium's ``AutoresetMode.NEXT_STEP``: that step ignores the problem's actions, its rewards
-    are 0, and its observations are those of the new episode.
+    A problem whose episode is over starts its next one in the following step, like Gymnasium's
+    ``AutoresetMode.NEXT_STEP``: that step ignores the problem's actions, its rewards are 0, and its
+    observations are those of the new episode.
 
     Args:
         problems: the problems, all with the same grid shape.
-        autoreset: whether an episode that is over is followed by the next.
-        threads: among which the problems are divided; the results do not depend on it. Pieces that
-            are not the paper's are asked by several threads at the same time, each about its own
-            problems.
-        **options: the fields of :class:`marouting.options.GameOptions` that the rules, the
-            observation and the reward have; ``turn_order`` is ``round_robin`` unless given.
+        autoreset: whether the next episode starts when one is over.
+        threads: number of threads among which the problems are divided; the results do not depend
+            on it. Several threads may call your own observation or reward at the same time, each
+            for its own problems.
+        **options: the fields of :class:`marouting.options.GameOptions` about the rules, the
+            observation and the reward; ``turn_order`` is ``round_robin`` unless given.
 
     Attributes:
         num_problems: M.
-        num_agents: N, agents of the largest problem.
-        present: (M, N) bool, where there is an agent.
+        num_agents: N, the number of agents of the largest problem.
+        present: (M, N) bool, whether there is an agent.
         single_observation_space: the space of one agent's observation, of shape S.
         single_state_space: the space of one problem's global state, (X, Y, 5 Z).
         engine: the engine, to be read.
 
     Raises:
-        InputError: the problems do not go together, or an option is out of its range.
+        InputError: the problems do not fit together, or an option is out of range.
     """
 
     def __init__(
@@ -92,13 +92,13 @@ class BatchEnv(EzPickle):
             )
             for part in map(slice, cuts, cuts[1:])
         ]
-        self._threads = ThreadPoolExecutor(threads)  # starts them as they are needed
+        self._threads = ThreadPoolExecutor(threads)  # starts threads as they are needed
 
     def reset(self) -> tuple[NDArray[np.float32], Info]:
         """Starts the episodes of all problems.
 
         Returns:
-            (M, N, *S) float32 observations, and the info as of :meth:`step`.
+            (M, N, *S) float32 observations, and an info like that of :meth:`step`.
         """
         for player in self._players:
             player.reset()
@@ -109,34 +109,38 @@ class BatchEnv(EzPickle):
     ) -> tuple[
         NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], Info
     ]:
-        """Moves all agents, of each problem in turn order.
+        """Moves all agents, those of each problem in turn order.
 
         Args:
             actions: (M, N) integers, 0 to 5, or −1 for no move. Those of agents that are done or
-                absent do not matter.
+                absent are ignored.
 
         Returns:
             * (M, N, *S) float32 observations,
             * (M, N) float32 rewards: what the moves of the step paid each agent,
-            * (M, N) bool terminated: the agent's tasks are all joined,
-            * (M, N) bool truncated: the agent's tasks have all ended and some failed,
-            * an info with ``action_mask`` (M, N, 6) int8; ``active`` (M, N) bool, agents that can
-              move next; ``acted`` (M, N) bool, agents that moved in this step; ``task_ended``
-              (M, N) int8, 1 where the step joined the agent's task, 2 where the task failed, else
-              0; ``final_obs`` (M, N, *S) float32 and ``final_mask`` (M, N, 6) int8, where a task
-              ended what the agent saw on arrival, before its next task put it elsewhere; ``over``
-              (M,) bool, episodes that ended with this step; ``overflow``, ``wirelength``,
-              ``joined`` and ``steps`` (M,) integers, the metrics of the episodes as they stand; and
-              ``final_info``, a dictionary of the same four as they were when the problem's last
-              episode ended: 0 until one has, and kept until the next does.
+            * (M, N) bool terminated: all tasks of the agent are joined,
+            * (M, N) bool truncated: all tasks of the agent have ended and some failed,
+            * an info, a dictionary of
+
+              * ``action_mask`` (M, N, 6) int8;
+              * ``active`` (M, N) bool: agents that can move next;
+              * ``acted`` (M, N) bool: agents that moved in this step;
+              * ``task_ended`` (M, N) int8: 1 where this step joined the agent's task, 2 where the
+                task failed, otherwise 0;
+              * ``final_obs`` (M, N, *S) float32 and ``final_mask`` (M, N, 6) int8: where a task
+                ended, what the agent saw on arrival, before its next task moved it elsewhere;
+              * ``over`` (M,) bool: episodes that ended in this step;
+              * ``overflow``, ``wirelength``, ``joined`` and ``steps`` (M,) integers: the present
+                metrics;
+              * ``final_info``: a dictionary of the same four metrics at the end of the problem's
+                last episode, 0 before the first one has ended.
 
             ``terminated`` and ``truncated`` stay true until the problem's next episode starts. To
-            bootstrap, an agent that acted goes on from ``final_obs`` if its task ended and from its
-            observation otherwise; a joined task ends the sum of its rewards, a failed one only ran
-            out of steps.
+            bootstrap for an agent that acted, use ``final_obs`` if its task ended, otherwise the
+            observation. Do not bootstrap after a joined task; a failed task only ran out of steps.
 
         Raises:
-            ValueError: an array of another shape, or an action out of its range.
+            ValueError: an array has a wrong shape, or an action is out of range.
         """
         b, actions = self._buffers, np.asarray(actions)
         if actions.shape != b.actions.shape:
@@ -151,20 +155,20 @@ class BatchEnv(EzPickle):
         return b.obs, b.reward, b.terminated, b.truncated, self._info()
 
     def state(self) -> NDArray[np.float32]:
-        """(M, X, Y, 5 Z) float32, the global grids; see :func:`.observation.state`."""
+        """(M, X, Y, 5 Z) float32, the global states; see :func:`.observation.state`."""
         return state(self.engine, self._state)
 
     def save(self) -> list[Saved]:
-        """A copy of how all games stand, for :meth:`restore`."""
+        """A copy of the state of all games, for :meth:`restore`."""
         return [player.save() for player in self._players]
 
     def restore(self, saved: list[Saved]) -> None:
-        """Puts all games back to how they stood; raises ValueError for those of another size."""
+        """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
         for player, kept in zip(self._players, saved, strict=True):
             player.restore(kept)
 
     def set_order(self, order: NDArray[np.integer]) -> None:
-        """Sets the turn order of each problem's agents; :meth:`reset` has to follow.
+        """Sets the turn order of each problem's agents; call :meth:`reset` afterwards.
 
         Args:
             order: (M, N) integers, see :meth:`marouting.Engine.set_order`.

@@ -1,4 +1,4 @@
-"""The AEC face: nets move one after the other (PettingZoo's ``AECEnv``)."""
+"""The AEC environment: nets move one after the other (PettingZoo's ``AECEnv``)."""
 
 from typing import Any
 
@@ -15,10 +15,10 @@ from marouting.source import Source
 
 
 class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
-    """Global routing with every net an agent, one move at a time.
+    """Global routing in which every net is an agent, one move at a time.
 
-    An agent's observation and mask are those of the moment it is selected. Its reward is what its
-    own last move paid it and what others' moves have paid it since. See
+    An agent's observation and mask are those of the moment when it is selected. Its reward is what
+    its own last move paid it plus what the moves of others have paid it since. See
     :mod:`marouting.global_routing_v0` for spaces and options.
 
     Args:
@@ -52,8 +52,8 @@ class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
         """Starts an episode.
 
         Args:
-            seed: matters where a new problem is drawn for each episode, and then decides it.
-            options: accepted for the interface's sake; there are none.
+            seed: decides which problem is drawn, if a new one is drawn for every episode.
+            options: ignored; PettingZoo's interface has them.
         """
         del options
         self._game.restart(seed)
@@ -75,20 +75,24 @@ class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
         self.agent_selection = self._game.names[engine.games[0]["agent"]]
 
     def observe(self, agent: str) -> Any:
-        """The agent's observation as the game stands."""
+        """The agent's observation at this moment."""
         return self._game.observation(self._number[agent])
 
     def step(self, action: int | None) -> None:
-        """Moves the selected agent; None for one that is terminated or truncated.
+        """Moves the selected agent.
+
+        Args:
+            action: one of the six moves; None for an agent that is terminated or truncated.
 
         Raises:
-            ValueError: the action is none of the six moves, or not None for a dead agent.
+            ValueError: the action is not one of the six moves, or not None for an agent that is
+                terminated or truncated.
         """
         game, agent = self._game, self.agent_selection
         if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)
             agent = self.agent_selection
-            if agent in self.infos:  # others may have taken capacity since its info was made
+            if agent in self.infos:  # others may have taken capacity since this info was made
                 self.infos[agent] = game.info(game.mask(self._number[agent]), over=False)
             return
         player, number = game.player, self._number[agent]
@@ -105,17 +109,17 @@ class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
             self.terminations[agent] = terminated
             self.truncations[agent] = truncated
             self.infos[agent] = game.info(game.mask(number), over=True)
-            # The agent is selected once more, to be taken off the list, before the next one.
+            # The agent is selected once more, to be removed from the list, before the next one is.
             self._skip_agent_selection = None if following == NOBODY else game.names[following]
         if self.render_mode == "human":
             self.render()
 
     def _pay(self, mover: str, reward: float) -> None:
-        """Sets what the move paid, and adds it to what each agent has got since its own last move.
+        """Sets the rewards of a move, and adds them to what each agent got since its last move.
 
         Args:
             mover: the agent that moved.
-            reward: what it got, where the reward pays only the agent that moves.
+            reward: its reward; only used if the reward pays just the agent that moves.
         """
         self._cumulative_rewards[mover] = 0.0
         if self._paid is None:

@@ -1,4 +1,4 @@
-"""What the faces of the environment have in common: options in, a game to look at."""
+"""What the interfaces of the environment have in common: a game made from options."""
 
 import copy
 from collections.abc import Mapping
@@ -40,19 +40,19 @@ class BaseGame:
 
     Args:
         problem: what to play.
-        turn_order: the order if the options leave it open.
+        turn_order: the turn order if the options give none.
         options: the fields of :class:`marouting.options.GameOptions`; ``observation`` and
             ``reward`` may also be any object of their protocol.
-        everyone: whether all agents move in a step, or the one whose turn it is.
+        everyone: whether all agents move in a step, or only the one whose turn it is.
 
     Attributes:
         engine: the game.
-        player: what plays it.
-        names: of the engine's agents.
-        everyone: names of all nets.
+        player: the player of the game.
+        names: the names of the engine's agents.
+        everyone: the names of all nets.
 
     Raises:
-        InputError: an option or a problem that cannot be used.
+        InputError: an option or the problem cannot be used.
     """
 
     metadata = METADATA
@@ -93,7 +93,7 @@ class BaseGame:
         self.everyone = [f"net_{net}" for net in range(len(problem.nets))]
 
     def restart(self, seed: int | None) -> None:
-        """A new episode; a new problem where one is to be drawn for every episode."""
+        """Starts a new episode, with a new problem if one is drawn for every episode."""
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
         if self._drawn is not None:
@@ -107,19 +107,19 @@ class BaseGame:
         return self.engine.problems[0]
 
     def new_observation_space(self) -> Space[Any]:
-        """A space of its own for an agent, so that each can be seeded apart."""
-        # The one copied has no random numbers yet. Making a new one takes ten times as long.
+        """An observation space of its own for each agent, so that each can be seeded separately."""
+        # The copied space has no random numbers yet. Making a new one takes ten times as long.
         box = copy.copy(self._box)
         if not self.masked:
             return box
         return Dict({"observation": box, "action_mask": MultiBinary(MOVES)})
 
     def masks(self) -> NDArray[np.int8]:
-        """(N, 6) int8, fresh action masks of all agents."""
+        """(N, 6) int8, new action masks of all agents."""
         return self.engine.masks(*self.engine.pairs(everyone=True))
 
     def observation(self, agent: int) -> Any:
-        """A fresh observation of one agent in the form that the options ask for."""
+        """A new observation of one agent, in the form that the options ask for."""
         buffers = self.player.buffers
         if not self._together and buffers.agents[0, 0] == agent:
             return self.seen(buffers.obs[0, 0].copy(), buffers.mask[0, 0])
@@ -129,36 +129,36 @@ class BaseGame:
         return self.seen(out[0], self.mask(agent)) if self.masked else out[0]
 
     def mask(self, agent: int) -> NDArray[np.int8]:
-        """(6,) int8, a fresh action mask of one agent."""
+        """(6,) int8, a new action mask of one agent."""
         return self.engine.masks(np.zeros(1, np.int32), np.full(1, agent, np.int32))[0]
 
     def seen(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
-        """An observation and its mask in the form that the options ask for."""
+        """An observation with its mask, in the form that the options ask for."""
         if self.masked:
             return {"observation": observation, "action_mask": mask.copy()}
         return observation
 
     def info(self, mask: NDArray[np.int8], over: bool) -> dict[str, Any]:
-        """An agent's info: its mask, and the metrics as they stand when its episode is over."""
+        """An agent's info: its mask and, when its episode is over, the present metrics."""
         info: dict[str, Any] = {"action_mask": mask}
         if over:
             info["metrics"] = self.metrics()
         return info
 
     def metrics(self) -> dict[str, int]:
-        """The figures of the problem as it stands; see :class:`marouting.game.engine.Metrics`."""
+        """The present metrics; see :class:`marouting.game.engine.Metrics`."""
         return asdict(self.engine.metrics())
 
     def solution(self) -> Solution:
-        """The routes as they stand."""
+        """The present routes."""
         return self.engine.solution()
 
     def state(self) -> NDArray[np.float32]:
-        """(X, Y, 5 Z) float32, the global grid; see :func:`marouting.game.observation.state`."""
+        """(X, Y, 5 Z) float32, the global state; see :func:`marouting.game.observation.state`."""
         return state(self.engine)[0]
 
     def scene(self) -> Scene:
-        """What a picture of the game shows."""
+        """The present state of the game, for pictures."""
         engine = self.engine
         agents, game = engine.agents[0], engine.games[0]
         active = np.flatnonzero(agents["status"] == Status.ACTIVE)
@@ -178,11 +178,11 @@ class BaseGame:
         )
 
     def picture(self) -> str | NDArray[np.uint8] | None:
-        """Renders the game as ``render_mode`` says."""
+        """Renders the game according to ``render_mode``."""
         if self.render_mode is None:
             from gymnasium import logger
 
-            logger.warn("render() without a render_mode: give one when making the environment.")
+            logger.warn("render() needs a render_mode: give one when you make the environment.")
             return None
         if self.render_mode == "ansi":
             return ansi(self.scene())
@@ -198,36 +198,36 @@ class BaseGame:
 
 
 def checked_move(action: Any, name: str = "action") -> int:
-    """An action as a move's number; raises ValueError, with its name, for all but 0 to 5."""
+    """An action as an int; raises ValueError, naming it, for an action that is not 0 to 5."""
     if action not in _MOVES:
         raise ValueError(f"{name}: expected 0 to {MOVES - 1}, found {action}")
     return int(action)
 
 
 class GameMethods:
-    """What every face shows besides its interface's own methods."""
+    """The methods of every environment beyond those of PettingZoo or Gymnasium."""
 
     _game: BaseGame
 
     @property
     def engine(self) -> Engine:
-        """The game, of one problem, to be read: for guides such as A* (:mod:`astar`)."""
+        """The game, to be read, for guides such as A*."""
         return self._game.engine
 
     def state(self) -> NDArray[np.float32]:
-        """(X, Y, 5 Z) float32, the global grid; see :func:`marouting.game.observation.state`."""
+        """(X, Y, 5 Z) float32, the global state; see :func:`marouting.game.observation.state`."""
         return self._game.state()
 
     def metrics(self) -> dict[str, int]:
-        """Overflow, wirelength, tasks joined, tasks and steps of the episode as it stands."""
+        """The present overflow, wirelength, tasks joined, number of tasks, and steps."""
         return self._game.metrics()
 
     def solution(self) -> Solution:
-        """The routes as they stand."""
+        """The present routes."""
         return self._game.solution()
 
     def render(self) -> Any:
-        """A picture of the game as ``render_mode`` says."""
+        """Renders the game according to ``render_mode``."""
         return self._game.picture()
 
     def close(self) -> None:

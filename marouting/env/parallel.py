@@ -1,7 +1,7 @@
-"""The Parallel face: all nets move at once (PettingZoo's ``ParallelEnv``).
+"""The Parallel environment: all nets move at once (PettingZoo's ``ParallelEnv``).
 
-Written on the engine, not by conversion from AEC. The moves of one step are carried out in turn
-order, so that the same moves give the same game as in AEC.
+It uses the engine directly, not a conversion from AEC. The moves of one step are carried out in
+turn order, so the same moves give the same game as in AEC.
 """
 
 from typing import Any
@@ -20,10 +20,10 @@ from marouting.source import Source
 
 
 class GlobalRoutingParallel(GameMethods, ParallelEnv, EzPickle):
-    """Global routing with every net an agent, all moving in every step.
+    """Global routing in which every net is an agent and all agents move in every step.
 
-    With ``turn_order="sequential"`` all agents are asked and only the one whose turn it is moves;
-    the others wait, with reward 0. See :mod:`marouting.global_routing_v0` for spaces and options.
+    With ``turn_order="sequential"`` every agent gives an action, but only the agent whose turn it
+    is moves; the others wait. See :mod:`marouting.global_routing_v0` for spaces and options.
 
     Args:
         problem: see :data:`marouting.source.Source`.
@@ -58,8 +58,8 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv, EzPickle):
         """Starts an episode.
 
         Args:
-            seed: matters where a new problem is drawn for each episode, and then decides it.
-            options: accepted for the interface's sake; there are none.
+            seed: decides which problem is drawn, if a new one is drawn for every episode.
+            options: ignored; PettingZoo's interface has them.
         """
         del options
         self._game.restart(seed)
@@ -68,7 +68,7 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv, EzPickle):
         return self._look()
 
     def _look(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Fresh observations and infos of the agents that are in the game."""
+        """New observations and infos of the agents that are in the game."""
         buffers, numbers, agents = self._game.player.buffers, self._numbers, self.agents
         seen: Any = buffers.obs[0].take(numbers, axis=0)
         masks = buffers.mask[0].take(numbers, axis=0)
@@ -93,7 +93,7 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv, EzPickle):
 
         Raises:
             KeyError: an agent's action is missing.
-            ValueError: an action is none of the six moves.
+            ValueError: an action is not one of the six moves.
         """
         agents, numbers, player = self.agents, self._numbers, self._game.player
         buffers = player.buffers
@@ -120,9 +120,9 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv, EzPickle):
 
 
 def _moves(actions: list[Any], agents: list[str]) -> NDArray[np.int8]:
-    """Actions as an array; raises ValueError, with the agent's name, for all but 0 to 5."""
+    """Actions as an array; raises ValueError, naming the agent, for all but 0 to 5."""
     try:
-        moves = bytes(actions)  # integers from 0 to 255, of whatever type
+        moves = bytes(actions)  # integers from 0 to 255 of any type
     except (TypeError, ValueError):
         moves = bytes([MOVES])
     if moves and max(moves) >= MOVES:

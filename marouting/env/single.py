@@ -1,4 +1,4 @@
-"""The Gymnasium face: one player moves all nets, in turn order (the paper's single agent)."""
+"""The Gymnasium environment: one player moves all nets in turn order (the paper's single agent)."""
 
 from typing import Any
 
@@ -14,12 +14,12 @@ from marouting.source import Source
 
 
 class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any], EzPickle):
-    """Global routing as one agent's game: every step moves the net whose turn it is.
+    """Global routing as a game for one player: every step moves the net whose turn it is.
 
-    The observation is that of the net to move. The episode terminates when all tasks of all nets
-    are joined, and is truncated when all have ended and some failed. The reward is the sum of what
-    a move pays all nets. ``info`` holds the net's
-    ``action_mask`` and ``net``, and at the end the ``metrics``.
+    The observation is that of the net to move. The episode is terminated when all tasks of all nets
+    are joined, and truncated when all tasks have ended and some failed. The reward is the sum of
+    what a move pays all nets. ``info`` holds the ``action_mask`` and the name of the ``net`` to
+    move, and, at the end, the ``metrics``.
 
     Args:
         problem: see :data:`marouting.source.Source`.
@@ -44,8 +44,8 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any], EzPickle):
         """Starts an episode.
 
         Args:
-            seed: matters where a new problem is drawn for each episode, and then decides it.
-            options: accepted for the interface's sake; there are none.
+            seed: decides which problem is drawn, if a new one is drawn for every episode.
+            options: ignored; Gymnasium's interface has them.
         """
         del options
         super().reset(seed=seed)
@@ -67,7 +67,7 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any], EzPickle):
         """Moves the net whose turn it is.
 
         Raises:
-            ValueError: the action is none of the six moves.
+            ValueError: the action is not one of the six moves.
         """
         game = self._game
         buffers = game.player.buffers
@@ -80,7 +80,7 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any], EzPickle):
         if not over:
             seen, info = self._look()
             return seen, reward, False, False, info
-        # At the end, what the net that moved last sees.
+        # At the end, the observation is that of the net that moved last.
         info = game.info(game.mask(self._net), over=True)
         info["net"] = game.names[self._net]
         now = game.engine.metrics()

@@ -1,4 +1,4 @@
-"""The game: its state, its rules, what agents see and what moves pay."""
+"""The game: its state and rules, what agents see, and what moves pay."""
 
 from marouting.registry import register
 

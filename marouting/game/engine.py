@@ -1,6 +1,6 @@
-"""The engine: M problems of one grid shape, played side by side by the rules.
+"""The engine: M problems of one grid shape, played side by side.
 
-All the rules are in :mod:`marouting.game.rules`; all the state is in :mod:`marouting.game.state`.
+All rules are in :mod:`marouting.game.rules`, all state in :mod:`marouting.game.state`.
 """
 
 import copy
@@ -38,7 +38,7 @@ def _reset(static: Static, dynamic: Dynamic, which: Any) -> None:
 
 @compiled
 def _move_turn(static: Static, dynamic: Dynamic, moves: Any) -> None:
-    """Moves (M,): in every problem the agent whose turn it is moves."""
+    """Makes ``moves`` (M,): in every problem the agent whose turn it is moves."""
     for m in range(len(moves)):
         move_player(static, dynamic, m, wide(moves[m]))
 
@@ -52,7 +52,7 @@ def _settle_turn(static: Static, dynamic: Dynamic) -> None:
 
 @compiled
 def _move_all(static: Static, dynamic: Dynamic, moves: Any) -> None:
-    """Moves (M, N): all agents of all problems move once, see :func:`move_everyone`."""
+    """Makes ``moves`` (M, N): all agents of all problems move once, see :func:`move_everyone`."""
     for m in range(len(moves)):
         move_everyone(static, dynamic, m, moves)
 
@@ -72,7 +72,7 @@ def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: An
 
 @compiled
 def _uses(used: Any, nets: Any, net: Any, edge: Any) -> int:
-    """Lists the net and the edge of every use, as far as there is room; returns how many."""
+    """Lists the net and the edge of every use, as far as there is room; returns their number."""
     size = 0
     for n in range(used.shape[0]):
         for byte in range(used.shape[1]):
@@ -91,13 +91,13 @@ def _uses(used: Any, nets: Any, net: Any, edge: Any) -> int:
 
 @dataclass(frozen=True)
 class Metrics:
-    """An episode in the figures that routes are judged by, apart from any reward.
+    """The metrics of an episode. They do not depend on the reward.
 
     Attributes:
         overflow: summed over all edges.
         wirelength: edges used, summed over the nets; a via counts 1.
         joined: two-pin tasks joined.
-        tasks: two-pin tasks in all.
+        tasks: number of two-pin tasks.
         steps: moves made by all agents.
     """
 
@@ -111,25 +111,25 @@ class Metrics:
 class Engine:
     """M problems of one grid shape, played side by side by the same rules.
 
-    Nets whose pins all lie in one Gcell have nothing to route and are no agents; ``nets`` maps
-    agents to nets. A problem with fewer agents than the largest is filled up with ABSENT ones.
+    Nets with all pins in one Gcell have nothing to route and are not agents; ``nets`` maps agents
+    to nets. Problems with fewer agents than the largest one are padded with ABSENT agents.
 
     Args:
         problems: the problems, all with the same grid shape.
-        rules: what they are played by; None: the paper's rules.
+        rules: the options of the rules; None: those of the paper.
         **changes: fields of :class:`marouting.game.options.RuleOptions` that differ from ``rules``.
 
     Attributes:
         problems: the problems, a tuple of M.
-        rules: the options.
+        rules: the options of the rules.
         grid: the grid that all problems share.
-        nets: (M, N) int32, the net of every agent; NOBODY where there is none.
+        nets: (M, N) int32, the net of every agent; NOBODY where there is no agent.
         static: the arrays that do not change during an episode.
         dynamic: the arrays that do.
 
     Raises:
-        InputError: no problem, unequal grids, a problem without anything to route, or an option
-            out of its range.
+        InputError: there is no problem, the grids differ, a problem has nothing to route, or an
+            option is out of range.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class Engine:
         m, n = self.nets.shape
         self.dynamic = Dynamic(
             remaining=np.empty((m, self.grid.edges), np.int32),
-            # Zeros that nobody has touched yet take no memory, and _reset leaves them alone.
+            # Zeros take no memory until they are written to, and _reset does not touch them.
             used=np.zeros((m, n, (self.grid.edges + 7) // 8), np.uint8),
             agents=np.zeros((m, n), AGENT),
             games=np.zeros(m, GAME),
@@ -166,14 +166,14 @@ class Engine:
 
     @property
     def tasks(self) -> NDArray[np.int32]:
-        """(M, N) number of two-pin tasks of every agent."""
+        """(M, N) int32, the number of two-pin tasks of every agent."""
         return np.diff(self.static.first, axis=1)
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
         """Starts the episodes of all problems, or of those where ``which`` (M,) is true.
 
         Raises:
-            ValueError: ``which`` is not one boolean a problem.
+            ValueError: ``which`` is not one boolean per problem.
         """
         if which is None:
             which = np.ones(len(self.problems), np.bool_)
@@ -182,10 +182,10 @@ class Engine:
         _reset(self.static, self.dynamic, which)
 
     def part(self, which: NDArray[np.integer] | slice) -> "Engine":
-        """An engine of some of the problems, which goes on from how they stand.
+        """An engine of some of the problems, which continues from their present state.
 
         Args:
-            which: their indices; or a slice of them, and the two engines play one game.
+            which: their indices. With a slice, the two engines share their arrays.
         """
         part = copy.copy(self)
         for cached in ("_problems", "_all"):
@@ -207,11 +207,11 @@ class Engine:
 
         Args:
             moves: (M,), the moves of the agents whose turn it is, or (M, N), one for every agent,
-                carried out in turn order. NOBODY (−1) moves nobody; so does any move of an agent
-                that is not active, or that has to wait for its turn.
+                carried out in turn order. NOBODY (−1) means no move. Moves of agents that are not
+                active, or that have to wait for their turn, are ignored.
 
         Raises:
-            ValueError: a move outside −1…5, or another shape.
+            ValueError: a move is not in −1…5, or the shape is wrong.
         """
         self.check(moves)
         (_move_turn if moves.ndim == 1 else _move_all)(self.static, self.dynamic, moves)
@@ -220,27 +220,28 @@ class Engine:
         """The second half of a step: next tasks start, agents finish, the turn passes.
 
         Args:
-            everyone: whether the moves were (M, N), of all agents, rather than (M,).
+            everyone: whether the moves were those of all agents, (M, N).
         """
         (_settle_all if everyone else _settle_turn)(self.static, self.dynamic)
 
     def step(self, moves: NDArray[np.integer]) -> None:
-        """Both halves of a step; arguments and errors as of :meth:`move`."""
+        """Both halves of a step; arguments and errors are those of :meth:`move`."""
         self.move(moves)
         self.settle(everyone=moves.ndim == 2)
 
     def save(self) -> Dynamic:
-        """A copy of how all games stand, for :meth:`restore`."""
+        """A copy of the state of all games, for :meth:`restore`."""
         return Dynamic._make(array.copy() for array in self.dynamic)
 
     def restore(self, saved: Dynamic) -> None:
-        """Puts all games back to how they stood.
+        """Puts all games back into a saved state.
 
         Args:
-            saved: what :meth:`save` gave, of this engine or one of the same problems and rules.
+            saved: returned by :meth:`save` of this engine, or of one with the same problems and
+                rules.
 
         Raises:
-            ValueError: it is of another size.
+            ValueError: its shapes do not fit.
         """
         pairs: list[tuple[NDArray[Any], NDArray[Any]]]
         pairs = list(zip(self.dynamic, saved, strict=True))
@@ -254,11 +255,11 @@ class Engine:
         """Sets the turn order of each problem's agents, and starts all episodes.
 
         Args:
-            order: (M, N) integers: in each row the problem's agents, the first to move first, and
-                NOBODY in the places that are left.
+            order: (M, N) integers. Each row holds the problem's agents in the order of their turns,
+                followed by NOBODY.
 
         Raises:
-            ValueError: another shape, or a row that does not hold each of its agents once.
+            ValueError: the shape is wrong, or a row does not hold each of its agents once.
         """
         if np.shape(order) != self.nets.shape:
             raise ValueError(f"order: expected shape {self.nets.shape}, found {np.shape(order)}")
@@ -273,8 +274,8 @@ class Engine:
         self.reset()
 
     def check(self, moves: NDArray[np.integer]) -> None:
-        """Raises ValueError for moves that :meth:`move` does not take."""
-        # The compiled functions index by these without looking.
+        """Raises ValueError for moves that :meth:`move` does not accept."""
+        # The compiled functions use these as indices without checking them.
         if moves.shape not in (self.games.shape, self.agents.shape) or moves.dtype.kind not in "iu":
             raise ValueError(
                 f"moves: expected integers of shape {self.games.shape} or {self.agents.shape}, "
@@ -296,8 +297,8 @@ class Engine:
     def pairs(self, everyone: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Indices (problem, agent) of all M·N agents, or of the M agents whose turn it is.
 
-        What observations and masks are asked for with; NOBODY stands for an absent agent, and for
-        that of a problem that is over.
+        Use them to ask for observations and masks. NOBODY stands for an absent agent, and for the
+        agent of a problem whose episode is over.
         """
         if everyone:
             return self._all
@@ -309,10 +310,9 @@ class Engine:
         agents: NDArray[np.integer],
         out: NDArray[np.int8] | None = None,
     ) -> NDArray[np.int8]:
-        """(K, 6) int8 action masks of K agents: 1 where a move would cross its edge.
+        """(K, 6) int8 action masks of K agents: 1 where a move would cross an edge.
 
-        A mask is never all zero: an agent that is boxed in gets all ones, every move being
-        blocked.
+        A mask is never all zero: if all moves of an agent are blocked, it gets all ones.
         """
         if out is None:
             out = np.empty((len(problems), MOVES), np.int8)
@@ -320,7 +320,7 @@ class Engine:
         return out
 
     def metrics(self, m: int = 0) -> Metrics:
-        """The figures of problem ``m`` as it stands."""
+        """The metrics of problem ``m`` at this moment."""
         game = self.games[m]
         return Metrics(
             overflow=int(game["overflow"]),
@@ -335,8 +335,8 @@ class Engine:
 
         Args:
             m: the problem.
-            used: (N, ceil(E / 8)) uint8 copy of ``dynamic.used[m]`` from earlier; None: the
-            present.
+            used: (N, ceil(E / 8)) uint8, an earlier copy of ``dynamic.used[m]``; None: the present
+                one.
         """
         used = self.dynamic.used[m] if used is None else used
         nothing = np.empty(0, np.int64)

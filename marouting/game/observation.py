@@ -1,9 +1,10 @@
 """What an agent sees, and the global state.
 
-An observation is a piece that users can bring (:func:`marouting.register`): an object with the two
-methods of :class:`Observation`. All faces of the environment, the batch and trainings show it.
+You can write your own observation: any object with the two methods of :class:`Observation`. It
+works in all interfaces of the environment, in the batch and in trainings; see
+:func:`marouting.register`.
 
-A worked example: the paper's 12 numbers, and the number of agents that still route::
+A worked example: the paper's 12 numbers, and the number of agents that are still routing::
 
     import numpy as np
     from gymnasium.spaces import Box
@@ -53,7 +54,7 @@ class Observation(Protocol):
 
         Args:
             problems: the problems that will be played.
-            overflow: whether an edge may be crossed without remaining capacity.
+            overflow: whether a move may cross an edge without enough remaining capacity.
 
         Returns:
             A float32 box of any shape S, the same for all agents.
@@ -70,12 +71,13 @@ class Observation(Protocol):
         """Writes what K agents see.
 
         Args:
-            engine: the games; see :class:`marouting.game.engine.Engine` for what there is to read.
-            problems: (K,) int32, the problem of each agent: ``engine.agents[problems, agents]`` are
-                their records, ``engine.dynamic.remaining[problems]`` (K, E) the capacities left.
-            agents: (K,) int32, their numbers; NOBODY (−1) for rows to be filled with zeros.
-            out: (K, *S) float32 to be filled. An agent whose task has just ended is also asked for
-                where it arrived.
+            engine: the games, to be read; see :class:`marouting.game.engine.Engine`.
+            problems: (K,) int32, the problem of each agent. ``engine.agents[problems, agents]`` are
+                the agents' records, ``engine.dynamic.remaining[problems]`` (K, E) the remaining
+                capacities.
+            agents: (K,) int32, the agents' numbers; NOBODY (−1) for rows to be filled with zeros.
+            out: (K, *S) float32 to be filled. When an agent's task has just ended, this method is
+                also called while the agent still stands where it arrived.
         """
         ...
 
@@ -89,8 +91,8 @@ class PaperObservation:
     :class:`marouting.problem.grid.Move`: 0 off the grid, negative for an overflowed edge.
 
     Attributes:
-        via_capacity: what is shown for a via, whose real capacity has no end. 10 is where the
-            authors' code starts (there it runs out; here it does not).
+        via_capacity: the number shown for a via, whose real capacity is unlimited. The authors'
+            code starts at 10 (there it runs out; here it does not).
     """
 
     __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
@@ -127,7 +129,7 @@ class PaperObservation:
 
 @inlined
 def _room(static: Static, dynamic: Dynamic, m: int, cell: int, move: int) -> Any:
-    """float32 remaining capacity of the edge that a move inside a layer crosses; 0 for none."""
+    """float32 remaining capacity of the edge that a move inside a layer crosses; 0 if none."""
     return np.float32(dynamic.remaining[m, place(static.edge[cell, move])])
 
 
@@ -142,8 +144,9 @@ def write_paper(
     else:
         agent = dynamic.agents[m, place(n)]
         cell, target = place(agent.cell), place(agent.target)
-        # All is read before anything is written: where a mask is made beside it, the compiler,
-        # which cannot know that a row of numbers is no part of the game, reads once for both.
+        # Everything is read before anything is written. The compiler cannot know that ``out`` is
+        # not part of the game; this way, one read serves both the observation and a mask made
+        # beside it.
         x, y, z = static.position[cell, 0], static.position[cell, 1], static.position[cell, 2]
         to_x, to_y, to_z = (
             static.position[target, 0],
@@ -171,7 +174,7 @@ def _paper(
 
 
 CHANNELS = AXES + 2
-"""Numbers a Gcell in the global state."""
+"""Numbers per Gcell in the global state."""
 
 
 def state_space(problems: Sequence[Problem], overflow: bool) -> Box:
@@ -189,26 +192,26 @@ def state_space(problems: Sequence[Problem], overflow: bool) -> Box:
 
 
 def most_capacity(problem: Problem) -> float:
-    """The largest capacity of an edge that is no via."""
+    """The largest capacity of an edge inside a layer."""
     return float(problem.capacity.reshape(-1, AXES)[:, :VIA_AXIS].max())
 
 
 def most_demand(problem: Problem) -> float:
-    """The demand on an edge that every net uses, in the most demanding layer at most."""
+    """An upper bound for the demand on an edge: every net uses it, in its most demanding layer."""
     return float(problem.net_demand.max(axis=1).sum(dtype=np.int64))
 
 
 def state(engine: Engine, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-    """The global grids of all problems, for critics and mixers that see everything.
+    """The global states of all problems, for critics and mixers that see everything.
 
     Args:
-        engine: the game.
-        out: what is filled and returned; None: a new array.
+        engine: the games.
+        out: the array to fill and return; None: a new array.
 
     Returns:
-        (M, X, Y, 5 Z) float32, five numbers a layer. For every Gcell: the remaining capacity of its
-        edges towards +x and +y (0 off the grid), the number of nets that use its via towards +z,
-        the number of active agents that stand in it, and the number whose target it is.
+        (M, X, Y, 5 Z) float32, five numbers per layer. For every Gcell: the remaining capacity of
+        its edges towards +x and +y (0 off the grid), the number of nets that use its via towards
+        +z, the number of active agents in it, and the number of active agents whose target it is.
     """
     columns, rows, layers = engine.grid.shape
     if out is None:
@@ -239,7 +242,7 @@ def _state(dynamic: Dynamic, out: Any) -> None:
 
 
 def nets_on_edges(engine: Engine, m: int = 0) -> NDArray[np.int64]:
-    """(E,) how many nets use each edge of a problem, vias included."""
+    """(E,) int64, how many nets use each edge of a problem, including vias."""
     grid: Grid = engine.grid
     bits = np.unpackbits(engine.dynamic.used[m], axis=1, count=grid.edges, bitorder="little")
     return bits.sum(axis=0, dtype=np.int64)

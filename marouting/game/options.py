@@ -1,4 +1,4 @@
-"""The options of the rules: what an engine, and with it every face of the environment, plays by."""
+"""The options of the rules, for an engine and every interface of the environment."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -21,20 +21,20 @@ class RuleOptions:
     """The options of the rules; the defaults are the paper's.
 
     Attributes:
-        turn_order: ``sequential``, a net routes to its end before the next starts (the paper), or
-            ``round_robin``, one step each. None: ``sequential``, except in the faces in which every
-            net is an agent.
+        turn_order: ``sequential``, a net finishes before the next one starts (the paper), or
+            ``round_robin``, each net takes one step in turn. None: ``round_robin`` in the
+            interfaces where every net is an agent, otherwise ``sequential``.
         net_order: ``half_perimeter``, largest bounding box first (the authors' code), ties in file
             order; ``half_perimeter_up``, smallest first; or ``file``.
         max_steps: steps after which a task fails (the paper's T_max). None: 50 as in the paper, or
-            twice X + Y where that is more: 50 steps do not cross a large grid.
-        overflow: ``forbidden``, a move across a full edge is blocked (the paper), or ``allowed``:
+            2 (X + Y) if that is more, because 50 steps do not cross a large grid.
+        overflow: ``forbidden``, a move across a full edge is blocked (the paper), or ``allowed``,
             it overflows the edge, at a price that the reward sets.
-        decomposition: the tree along which a net's pins are cut into tasks: ``mst``, a minimum
+        decomposition: the tree along which a net's pins are split into tasks: ``mst``, a minimum
             spanning tree (the paper), or ``steiner``, a rectilinear Steiner tree.
 
     Raises:
-        InputError: an option is out of its range.
+        InputError: an option is out of range.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")

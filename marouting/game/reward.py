@@ -1,14 +1,13 @@
 """What a move pays.
 
-A reward is a piece that users can bring (:func:`marouting.register`). It is asked about every
-single move, in all faces of the environment, in the batch and in trainings alike, and it may pay
-any agent of the problem for it. What routes are judged by (overflow, wirelength, tasks joined) does
-not depend on it.
+You can write your own reward; see :func:`marouting.register`. It is called after every single move,
+in all interfaces of the environment, in the batch and in trainings alike, and it may pay any agent
+of the problem. The metrics of routes (overflow, wirelength, tasks joined) do not depend on it.
 
-Where several agents move in one step, their moves are carried out and paid one after the other, in
-turn order; an agent's reward of the step is the sum of what all these moves paid it. In the AEC
-environment what others' moves pay an agent accumulates until its turn, as PettingZoo defines. The
-Gymnasium environment's one player moves all nets and gets what all of them are paid.
+If several agents move in one step, their moves are carried out and paid one after the other, in
+turn order. An agent's reward for the step is the sum of what all these moves paid it. In the AEC
+environment, what the moves of others pay an agent accumulates until its turn, as PettingZoo
+defines. In the Gymnasium environment, one player moves all nets and gets what all of them are paid.
 
 A worked example: every net of a problem gets the change in the problem's wirelength and overflow::
 
@@ -42,24 +41,25 @@ from marouting.kernels import inlined, place
 
 
 class Reward(Protocol):
-    """What agents are paid for moves."""
+    """What moves pay the agents."""
 
     def __call__(
         self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
     ) -> NDArray[np.floating]:
-        """What one move in each of M problems pays the N agents of each.
+        """What one move in each of M problems pays the N agents of each problem.
 
         Args:
-            game: the games after the moves: ``game.agents`` (M, N) and ``game.games`` (M,) are the
-                records :data:`marouting.game.state.AGENT` and :data:`marouting.game.state.GAME`,
-                ``game.dynamic`` all that changes, ``game.static`` what does not. An agent whose
-                task has ended stands where it arrived; its next task has not begun.
-            before: the same arrays as ``game.dynamic`` as they were before the moves; to be read.
-            movers: (M,) int32, the agent that moved in each problem, NOBODY (−1) where none did.
+            game: the games after the moves. ``game.agents`` (M, N) and ``game.games`` (M,) are
+                records of the types :data:`marouting.game.state.AGENT` and
+                :data:`marouting.game.state.GAME`; ``game.dynamic`` holds everything that changes,
+                ``game.static`` everything that does not. An agent whose task has ended stands where
+                it arrived; its next task has not begun.
+            before: the arrays of ``game.dynamic`` as they were before the moves, to be read.
+            movers: (M,) int32, the agent that moved in each problem; NOBODY (−1) if none did.
 
         Returns:
-            (M, N) rewards, any float dtype. Rows of problems in which nobody moved, and agents
-            that were done before the move, are paid nothing, whatever stands there.
+            (M, N) rewards of any float dtype. They are ignored for problems in which nobody moved
+            and for agents that were done before the move.
         """
         ...
 
@@ -73,10 +73,10 @@ class PaperReward:
     Attributes:
         reached: for the move that reaches the task's target.
         step: for any other move, blocked ones included.
-        own_edge: for a move that ends no task along an edge that the net used before. The paper
-            charges −1, as for any move; 0 makes it free, as it is in wirelength.
-        overflow_price: subtracted for every unit of overflow that the move adds; it matters only
-            where overflow is allowed.
+        own_edge: for a move along an edge that the net already used, unless it reaches the target.
+            The paper charges −1, as for any move; 0 makes it free, as in wirelength.
+        overflow_price: subtracted for every unit of overflow that the move adds. It only matters
+            if overflow is allowed.
     """
 
     __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
@@ -88,7 +88,7 @@ class PaperReward:
 
     @functools.cached_property
     def table(self) -> NDArray[np.float32]:
-        """(4, 3) float32, the reward by Crossing and Ending, overflow apart."""
+        """(4, 3) float32, the reward by Crossing and Ending, without the price of overflow."""
         table = np.full((len(Crossing), len(Ending)), self.step, np.float32)
         table[Crossing.OWN] = self.own_edge
         table[:, Ending.JOINED] = self.reached
@@ -111,6 +111,6 @@ class PaperReward:
 
 @inlined
 def paper_reward(table: Any, overflow_price: float, agent: Any) -> Any:
-    """:class:`PaperReward` of an AGENT record's last move, float32."""
+    """float32, the :class:`PaperReward` of an AGENT record's last move."""
     reward = table[place(agent.crossing), place(agent.ending)]
     return reward - np.float32(overflow_price) * np.float32(agent.added_overflow)

@@ -1,18 +1,19 @@
-"""The rules of the game, all of them, compiled.
+"""All rules of the game, compiled.
 
-Every net is an agent. Its pins are cut into two-pin tasks (:mod:`marouting.trees.decomposition`).
-The agent walks them one after the other, one Gcell per move, from a task's start to its target.
+Every net is an agent. Its pins are split into two-pin tasks (:mod:`marouting.trees.decomposition`).
+The agent routes them one after the other, one Gcell per move, from a task's start to its target.
 
 * A move **crosses** an edge that the net already uses (no new demand), a via, or an edge whose
-  remaining capacity covers the net's demand; with ``overflow="allowed"`` any edge. Then the net
-  uses the edge, and its demand is taken.
-* Any other move is **blocked**, and so is a move off the grid: the agent stays where it is.
-* Either way the step counts. A task ends **joined** on its target, or **failed** after
-  ``max_steps`` steps; then the next task starts at its own start pin. The net keeps what it used.
-* An agent **terminates** when all its tasks are joined. It is **truncated** when its last task has
-  ended and some task failed. The episode of a problem ends with its last agent.
-* The nets take turns in ``net_order``: ``sequential``, a net routes to its end before the next
-  starts (the paper), or ``round_robin``, one step each.
+  remaining capacity covers the net's demand; with ``overflow="allowed"`` it crosses any edge. From
+  then on the net uses the edge, and the edge has less remaining capacity.
+* Any other move is **blocked**, including moves off the grid: the agent stays where it is.
+* Either way the step counts. A task ends **joined** when the agent reaches the target, or
+  **failed** after ``max_steps`` steps. Then the next task starts at its own start pin. The net
+  keeps the edges that it used.
+* An agent is **terminated** when all its tasks are joined. It is **truncated** when its last task
+  has ended and at least one of its tasks failed. An episode ends when all agents are done.
+* The nets take turns in ``net_order``. ``sequential``: a net finishes before the next one starts
+  (the paper). ``round_robin``: each net takes one step in turn.
 
 A step has two halves, move and settle, so that a learner can see where a move arrived before the
 next task puts the agent on another pin.
@@ -26,8 +27,8 @@ from marouting.game.state import MASKS, NOBODY, Crossing, Dynamic, Ending, Stati
 from marouting.kernels import inlined, place, wide
 from marouting.problem.grid import MOVES, VIA_AXIS
 
-# Without branches as far as can be: what an agent meets is as good as random, and a branch that the
-# processor guesses wrong takes as long as a whole move.
+# There are as few branches as possible: what an agent meets is as good as random, and a branch that
+# the processor mispredicts takes as long as a whole move.
 
 
 @inlined
@@ -38,14 +39,14 @@ def uses(used: Any, m: int, n: int, edge: int) -> int:
 
 @inlined
 def demand_of(static: Static, m: int, n: int, cell: int, move: int) -> int:
-    """What the edge that a move crosses would cost the net: nothing for a via."""
+    """The net's demand on the edge that a move crosses; 0 for a via."""
     demand = static.demand[m, n, place(static.position[cell, VIA_AXIS])]
     return demand * (move // 2 != VIA_AXIS)
 
 
 @inlined
 def has_room(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: int) -> int:
-    """1 if a move from a Gcell crosses an edge that the net uses or whose demand it can pay."""
+    """1 if a move from a Gcell crosses a via, an edge that the net uses or one with room for it."""
     edge = place(static.edge[cell, move])
     via = move // 2 == VIA_AXIS
     room = dynamic.remaining[m, edge] >= demand_of(static, m, n, cell, move)
@@ -61,7 +62,7 @@ def may_cross(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move:
 
 @inlined
 def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> None:
-    """One step of one agent: the edge is crossed or not, the task ends or not."""
+    """One step of one agent: it crosses an edge or is blocked, and its task may end."""
     agent = dynamic.agents[m, n]
     game = dynamic.games[m]
     cell = place(agent.cell)
@@ -71,10 +72,10 @@ def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> N
     new = crosses ^ own
     demand = new * demand_of(static, m, n, cell, move)
     remaining = dynamic.remaining[m, edge]
-    agent.crossing = Crossing.BLOCKED + new + 2 * own  # NEW and OWN are the two that follow
+    agent.crossing = Crossing.BLOCKED + new + 2 * own  # BLOCKED, NEW or OWN: 1, 2 or 3
     agent.added_overflow = 0
     if remaining < demand:
-        # Only the part of the demand that the remaining capacity does not cover overflows.
+        # Only the part of the demand beyond the remaining capacity overflows.
         agent.added_overflow = demand - max(remaining, 0)
         game.overflow += agent.added_overflow
     dynamic.remaining[m, edge] = remaining - demand
@@ -95,7 +96,7 @@ def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> N
 
 @inlined
 def wait(dynamic: Dynamic, m: int, n: int) -> None:
-    """No step: what the agent's last move did is forgotten."""
+    """An agent does not move: clears what its last move did."""
     agent = dynamic.agents[m, n]
     agent.added_overflow = 0
     agent.crossing = Crossing.NONE
@@ -114,7 +115,7 @@ def begin_task(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> N
 
 @inlined
 def settle_agent(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
-    """After a move: an agent whose task has ended starts its next one, or is done."""
+    """After a move: an agent whose task has ended starts its next task, or is done."""
     agent = dynamic.agents[m, n]
     if agent.ending == Ending.NONE or agent.status != Status.ACTIVE:
         return
@@ -128,7 +129,7 @@ def settle_agent(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
 
 @inlined
 def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
-    """The turn goes to the next agent: the same one while it routes, if the order is sequential."""
+    """Passes the turn to the next active agent. In sequential order an active agent keeps it."""
     game = dynamic.games[m]
     if game.active == 0:
         game.agent = NOBODY
@@ -146,8 +147,8 @@ def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @inlined
 def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
-    """All agents of a problem back to their first pin, all capacity free."""
-    # Loops instead of slices: they compile in a tenth of the time.
+    """Starts an episode: all agents are at the start of their first task, all capacity is free."""
+    # Loops compile in a tenth of the time that slices take.
     for edge in range(static.capacity.shape[1]):
         dynamic.remaining[m, edge] = static.capacity[m, edge]
     game = dynamic.games[m]
@@ -172,7 +173,7 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @inlined
 def move_player(static: Static, dynamic: Dynamic, m: int, move: int) -> None:
-    """In one problem, the agent whose turn it is moves, unless it is told not to."""
+    """In one problem, the agent whose turn it is moves, or stays if ``move`` is NOBODY."""
     n = wide(dynamic.games[m].agent)
     if n == NOBODY:
         return
@@ -193,9 +194,9 @@ def settle_player(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @inlined
 def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
-    """In one problem, all agents move once by ``moves`` (M, N), in turn order.
+    """In one problem, all agents make their moves of ``moves`` (M, N) in turn order.
 
-    If the order is sequential, the one whose turn it is moves alone.
+    In sequential order only the agent whose turn it is moves.
     """
     playing = dynamic.games[m].agent
     for k in range(static.order.shape[1]):
@@ -214,7 +215,7 @@ def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
 
 @inlined
 def settle_turns(static: Static, dynamic: Dynamic, m: int) -> None:
-    """After all agents of a problem have settled: the turn passes where it has to."""
+    """After all agents of a problem have settled: passes the turn if necessary."""
     playing = wide(dynamic.games[m].agent)
     if playing != NOBODY and (
         static.sequential or dynamic.agents[m, playing].status != Status.ACTIVE
@@ -232,7 +233,7 @@ def settle_everyone(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @inlined
 def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
-    """The moves of an agent that cross an edge, a bit each."""
+    """The moves of an agent that cross an edge, one bit per move."""
     cell = place(dynamic.agents[m, n].cell)
     free = wide(0)
     for move in range(MOVES):
@@ -242,7 +243,7 @@ def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
 
 @inlined
 def write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
-    """Fills a row of ``out`` (K, 6) with the moves of an agent that cross an edge; all if none."""
+    """Fills a row of ``out`` (K, 6) with an agent's action mask; all ones for NOBODY."""
     free = wide(0)
     if n != NOBODY:
         free = free_moves(static, dynamic, m, place(n))

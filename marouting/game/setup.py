@@ -24,16 +24,16 @@ def static_state(
 
     Args:
         problems: M problems.
-        rules: what they are played by.
-        ranks: (nets,) numbers, the net with the least comes first; None: ``rules.net_order``.
+        rules: the options of the rules.
+        ranks: (nets,) numbers; the net with the lowest one comes first. None: ``rules.net_order``.
 
     Returns:
-        The arrays, and (M, N) int32, the net of every agent (NOBODY where there is none). Nets
-        whose pins all lie in one Gcell are no agents.
+        The arrays, and (M, N) int32, the net of every agent (NOBODY where there is no agent). Nets
+        with all pins in one Gcell are not agents.
 
     Raises:
-        InputError: no problem, unequal grids, a problem without anything to route, demands that do
-            not fit into 32 bits, or not one rank per net.
+        InputError: there is no problem, the grids differ, a problem has nothing to route, demands
+            do not fit into 32 bits, or there is not one rank per net.
     """
     if not problems:
         raise InputError("problems: expected at least one")
@@ -105,18 +105,19 @@ def _agents(
     """The agents of a problem: the nets with pins in two Gcells or more.
 
     Args:
-        pins: (nets + 1,) and
-        gcells: (Gcells,), see :attr:`marouting.problem.problem.Problem.flat_pin_gcells`.
+        pins: (nets + 1,), the first part of
+            :attr:`marouting.problem.problem.Problem.flat_pin_gcells`.
+        gcells: (pin Gcells,), the second part.
         tasks: (K, 3), see :func:`marouting.trees.decomposition.two_pin_tasks`.
-        position: (G, 3).
-        net_demand: (nets, Z).
-        nets: (N,) filled with the net of every agent, NOBODY where there is none.
-        first: (N + 1,) filled as in :class:`Static`; the first entry is there.
-        demand: (N, Z) filled as in :class:`Static`.
-        half_perimeter: (N,) filled with width and height of the box around every agent's pins.
+        position: (G, 3), see :class:`Static`.
+        net_demand: (nets, Z), the demand of every net in every layer.
+        nets: (N,) to be filled with the net of every agent; NOBODY where there is no agent.
+        first: (N + 1,) to be filled as in :class:`Static`; its first entry is already set.
+        demand: (N, Z) to be filled as in :class:`Static`.
+        half_perimeter: (N,) to be filled with width + height of the box around every agent's pins.
 
     Returns:
-        The demand on an edge that every agent uses, in its most demanding layer at most.
+        An upper bound for the demand on an edge: every agent uses it, in its most demanding layer.
     """
     n = most = task = 0
     for net in range(len(pins) - 1):
@@ -155,7 +156,7 @@ def _turns(
     nets: NDArray[np.int32],
     net_order: NetOrder | NDArray[np.integer],
 ) -> NDArray[np.int64]:
-    """Agents in turn order, given (N,) the half-perimeters of their nets, and the nets."""
+    """Agents in turn order, given the half-perimeters (N,) of their nets, and the nets (N,)."""
     if not isinstance(net_order, str):
         return np.argsort(net_order[nets], kind="stable")
     if net_order == "file":

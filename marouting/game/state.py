@@ -1,8 +1,8 @@
-"""The state of the game: what never changes during an episode, and what does.
+"""The state of the game: what does not change during an episode, and what does.
 
-M problems of N agents on one grid shape are held in plain arrays with the problem as the first
-axis: G Gcells, E edges, Z layers, K tasks in all. :mod:`marouting.game.rules` is the only code that
-changes them.
+The state of M problems with N agents on one grid shape is held in plain arrays, with the problem as
+the first axis. There are G Gcells, E edges, Z layers, and K tasks over all problems. Only
+:mod:`marouting.game.rules` changes the dynamic state.
 """
 
 import enum
@@ -14,25 +14,25 @@ from numpy.typing import NDArray
 from marouting.problem.grid import MOVES
 
 NOBODY = -1
-"""Whose turn it is when the episode is over; also the action of a net that does not move."""
+"""Stands for no agent, such as after the end of an episode; also the action for no move."""
 
 
 class Status(enum.IntEnum):
-    """Where an agent stands in its episode."""
+    """The status of an agent in its episode."""
 
-    ACTIVE = 0  #: still has a task to walk
+    ACTIVE = 0  #: still has a task to route
     TERMINATED = 1  #: all tasks joined
     TRUNCATED = 2  #: all tasks ended, at least one of them failed
-    ABSENT = 3  #: no net: fills up the row of a problem with fewer nets than its batch
+    ABSENT = 3  #: no net: padding for a problem with fewer agents than the largest one
 
 
 class Crossing(enum.IntEnum):
     """What an agent's last move did."""
 
     NONE = 0  #: the agent did not move
-    BLOCKED = 1  #: no capacity or off the grid: it stayed
+    BLOCKED = 1  #: too little capacity, or off the grid: the agent stayed
     NEW = 2  #: crossed an edge that the net now uses
-    OWN = 3  #: crossed an edge that the net used before
+    OWN = 3  #: crossed an edge that the net already used
 
 
 class Ending(enum.IntEnum):
@@ -45,7 +45,7 @@ class Ending(enum.IntEnum):
 
 AGENT = np.dtype(
     [
-        ("cell", np.int32),  # Gcell the agent stands in
+        ("cell", np.int32),  # Gcell where the agent is
         ("target", np.int32),  # Gcell of the task's target pin
         ("task", np.int32),  # row of the task in the table of tasks
         ("steps", np.int32),  # steps taken in this task
@@ -84,17 +84,17 @@ class Static(NamedTuple):
     capacity: NDArray[np.int32]  # (M, E) capacity of every edge
     demand: NDArray[np.int32]  # (M, N, Z) demand of an agent on an edge of a layer
     tasks: NDArray[np.int32]  # (K, 2) start and target Gcell of every task
-    first: NDArray[np.int32]  # (M, N + 1) first task of an agent; the next agent's ends it
-    order: NDArray[np.int32]  # (M, N) agents in turn order, NOBODY after the last
-    sequential: bool
-    overflow_allowed: bool  # may an edge without remaining capacity be crossed
+    first: NDArray[np.int32]  # (M, N + 1) agent n has the tasks first[n] to first[n + 1] - 1
+    order: NDArray[np.int32]  # (M, N) agents in turn order, then NOBODY
+    sequential: bool  # whether a net finishes before the next one starts
+    overflow_allowed: bool  # whether moves may cross edges without enough remaining capacity
     max_steps: int  # steps after which a task fails
 
 
 class Dynamic(NamedTuple):
     """What changes during an episode."""
 
-    remaining: NDArray[np.int32]  # (M, E) capacity less demand
+    remaining: NDArray[np.int32]  # (M, E) capacity minus demand
     used: NDArray[np.uint8]  # (M, N, ceil(E / 8)) bit e % 8 of byte e // 8: the net uses edge e
     agents: NDArray[Any]  # (M, N) AGENT
     games: NDArray[Any]  # (M,) GAME
@@ -107,5 +107,5 @@ MASKS = np.array(
     ],
     np.int8,
 )
-"""(64, 6) the action masks of all sets of free moves, a bit each. An agent that is boxed in gets
-all ones, every move being blocked: a mask is never all zero."""
+"""(64, 6) int8, the action mask of every set of free moves (one bit per move). Without any free
+move the mask is all ones, so a mask is never all zero."""
