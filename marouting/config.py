@@ -52,7 +52,7 @@ class _Loader(yaml.SafeLoader):
             if not isinstance(key, yaml.ScalarNode):
                 continue
             if key.value in seen:
-                problem = f"the key {key.value} stands twice"
+                problem = f"the key {key.value} occurs twice"
                 raise yaml.composer.ComposerError(None, None, problem, key.start_mark)
             seen.add(key.value)
         return node
@@ -79,7 +79,7 @@ def parse_yaml(text: str, name: str) -> Any:
         raise InputError(f"{name}: expected YAML: {reason}") from None
     except (LookupError, AttributeError):
         # PyYAML raises these for values like `!!bool perhaps` or `!!int ""`.
-        raise InputError(f"{name}: expected YAML: a value is not of its tag's type") from None
+        raise InputError(f"{name}: expected YAML: a value does not fit its tag") from None
 
 
 def config_file(path: str | os.PathLike[str]) -> Path:
@@ -162,7 +162,7 @@ def _jsonable(value: Any) -> Any:
         return {f.name: getattr(value, f.name) for f in fields(value)}
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise TypeError(f"{value!r} is not")
+    raise TypeError(f"found {value!r}")
 
 
 # --- pieces ---------------------------------------------------------------------------------------
@@ -253,7 +253,7 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> P
     if isinstance(raw, Piece):
         return raw
     if isinstance(raw, bool | int | float | list | tuple):
-        raise InputError(f"{_prefix(where)}expected a name, options with kind, or a piece")
+        raise InputError(f"{_prefix(where)}expected a name, a mapping with kind, or a piece")
     if raw is not None and not isinstance(raw, str | Mapping):
         return Piece(kind, name_of(kind, type(raw)), type(raw), raw, given=True)
     plainly: dict[str, Any] = {"kind": raw} if isinstance(raw, str) else dict(raw or {})
@@ -322,8 +322,8 @@ def plain(value: Any) -> Any:
         options = value.options
         if value.given and not is_dataclass(options):
             raise InputError(
-                f"{value.kind}: expected a name or module:Class with its options, to write it "
-                f"down; found an object of {value.name}"
+                f"{value.kind}: expected a name or module:Class with its options, which can be "
+                f"written to a file; found an object of {value.name}"
             )
         return {"kind": value.name, **plain(options)}
     if is_dataclass(value) and not isinstance(value, type):

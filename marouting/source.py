@@ -14,8 +14,7 @@ from marouting.problem.problem import Problem
 Source = (
     Problem | GeneratorOptions | str | os.PathLike[str] | Sequence[str] | Mapping[str, Any] | None
 )
-"""A problem, options of the generator, a file, a folder, a list of both, or None: a small
-problem."""
+"""A problem, options of the generator, a file, a folder, a list of both; None: a small problem."""
 
 
 def checked_source(source: Source) -> Problem | GeneratorOptions | tuple[str, ...]:

@@ -645,7 +645,7 @@ def test_bad_configurations(
 def test_a_name_stands_once(here: Path, refused: Callable[..., str]) -> None:
     text = "routers:\n  a: {router: astar}\n  a: {router: random}\nproblems: {s: {nets: 3}}\n"
     (here / "c.yaml").write_text(text)
-    assert "c.yaml:3: expected YAML: the key a stands twice" in refused("experiment", "c.yaml")
+    assert "c.yaml:3: expected YAML: the key a occurs twice" in refused("experiment", "c.yaml")
 
 
 PUBLICATIONS: dict[str, tuple[str, str]] = {
