@@ -198,10 +198,10 @@ class Piece:
         """
         if self.given:
             return self.options
-        if isinstance(self.options, self.cls):
-            return dataclasses.replace(self.options)
         if isinstance(self.options, Mapping):
             return self.cls(*context, **self.options)
+        if isinstance(self.options, self.cls):
+            return dataclasses.replace(self.options)
         return self.cls(*context, self.options)
 
 
@@ -278,7 +278,7 @@ _KEYWORDS = "Keywords"
 @functools.cache
 def _options_of(kind: str, cls: type[Any]) -> tuple[type[Any], bool]:
     """The dataclass of a class's options, and whether others may come with them."""
-    if is_dataclass(cls):
+    if "__dataclass_fields__" in vars(cls):  # a plain subclass of one may have a constructor
         return cls, False
     options = getattr(cls, "Options", None)
     if isinstance(options, type) and is_dataclass(options):

@@ -34,7 +34,7 @@ class View:
         shapes = {name: weight.shape for name, weight in module.named_parameters()}
         parts = torch.split(flat.detach(), [shape.numel() for shape in shapes.values()], dim=1)
         self.weights = {
-            name: nn.Parameter(part.view(*(() if self.alone else (-1,)), *shape))
+            name: nn.Parameter(part.view(shape if self.alone else (-1, *shape)))
             for part, (name, shape) in zip(parts, shapes.items(), strict=True)
         }
         self.buffers = {name: b[0] if self.alone else b for name, b in buffers.items()}
@@ -97,7 +97,7 @@ class Stack(Rows):
         self._stacked = bool(getattr(modules[0], "stacked", False))
         weights, buffers = stack_module_state(modules)
         self._buffers = {name: buffer.to(device) for name, buffer in buffers.items()}
-        flat = [weight.detach().flatten(1) for weight in weights.values()]
+        flat = [weight.detach().reshape(len(seeds), -1) for weight in weights.values()]
         self.flat = torch.cat(flat, dim=1).to(device)
         self.module = modules[0].to("meta")
         self.bind()
