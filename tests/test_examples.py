@@ -130,6 +130,18 @@ def test_every_example_is_listed_and_short() -> None:
         assert len(lines) <= 150, name
 
 
+@pytest.mark.parametrize(
+    "name", ["CONTRIBUTING.md", "docs/architecture.md", "docs/examples/README.md"]
+)
+def test_documents_name_what_there_is(name: str) -> None:
+    file = ROOT / name
+    text = file.read_text(encoding="utf-8")
+    for link in re.findall(r"\]\(([^)#]+)\)", text):
+        assert link.startswith("https://") or (file.parent / link).exists(), link
+    for path in re.findall(r"`((?:marouting|policies|tests|configs)/[\w/.]*)`", text):
+        assert (ROOT / path).exists(), path
+
+
 ROUTE = ("-m", "policies.cli.main", "route", "problem.gr", "--json", "--router")
 
 
