@@ -170,8 +170,11 @@ def test_configurations_are_found_from_any_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
     named = "configs/paper/default.yaml"
-    assert read_yaml(named) == read_yaml(ROOT / named)
+    assert named in readme
+    for config in set(re.findall(r"configs/[\w/]+\.yaml", readme)):
+        assert read_yaml(config) == read_yaml(ROOT / config)
     assert config_file("configs/none.yaml") == Path("configs/none.yaml")
     with pytest.raises(marouting.InputError, match=r"^configs/none\.yaml: cannot be read"):
         read_yaml("configs/none.yaml")
