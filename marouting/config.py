@@ -81,10 +81,28 @@ def parse_yaml(text: str, name: str) -> Any:
         raise InputError(f"{name}: expected YAML: a value is not of its tag's type") from None
 
 
+def config_file(path: str | os.PathLike[str]) -> Path:
+    """The file that the path of a configuration names.
+
+    ``configs/paper/default.yaml`` and the others that the package brings are found in any working
+    directory; files that are there come first.
+    """
+    found, here = Path(path), Path(__file__).parent
+    if found.parts[:1] != ("configs",) or found.exists():
+        return found
+    # In an installed package they lie inside it, in a checkout beside it.
+    shipped = (here / found, here.parent / found)
+    return next((file for file in shipped if file.is_file()), found)
+
+
 def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The mapping in a YAML file; raises InputError naming the file and the line."""
+    """The mapping in a YAML file; raises InputError naming the file and the line.
+
+    Args:
+        path: a path as :func:`config_file` takes it.
+    """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = config_file(path).read_text(encoding="utf-8")
     except OSError as error:
         raise unusable(path, "cannot be read", error) from None
     except UnicodeDecodeError:
@@ -180,10 +198,10 @@ class Piece:
         """
         if self.given:
             return self.options
-        if isinstance(self.options, self.cls):
-            return dataclasses.replace(self.options)
         if isinstance(self.options, Mapping):
             return self.cls(*context, **self.options)
+        if isinstance(self.options, self.cls):
+            return dataclasses.replace(self.options)
         return self.cls(*context, self.options)
 
 
@@ -260,7 +278,7 @@ _KEYWORDS = "Keywords"
 @functools.cache
 def _options_of(kind: str, cls: type[Any]) -> tuple[type[Any], bool]:
     """The dataclass of a class's options, and whether others may come with them."""
-    if is_dataclass(cls):
+    if "__dataclass_fields__" in vars(cls):  # a plain subclass of one may have a constructor
         return cls, False
     options = getattr(cls, "Options", None)
     if isinstance(options, type) and is_dataclass(options):

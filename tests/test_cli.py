@@ -27,8 +27,10 @@ from marouting.config import override, plain
 from policies.cli.main import cli, status
 from policies.cli.tables import show, show_experiment, show_speed
 from policies.experiment import ExperimentConfig, load_experiment
-from policies.learned.config import Config, DQNOptions, TrainOptions, load_config
-from policies.learned.router import DQNRouter, QPolicy
+from policies.learned.algorithms.dqn import DQNOptions
+from policies.learned.config import Config, TrainOptions, load_config
+from policies.learned.policy import TrainedPolicy
+from policies.learned.router import LearnedRouter
 from policies.learned.run import write_config
 from policies.routers.optimal import OptimalRouter
 from policies.routers.registry import router_names, router_piece
@@ -43,12 +45,22 @@ SMALL = {
         "problem": {"grid": [4, 4, 2], "nets": 3, "capacity": 2, "seed": 1},
         "max_steps": 12,
     },
-    "dqn": {"burn_in_size": 100, "buffer_size": 500, "hidden": [8], "epsilon": 0.3},
+    "learner": {
+        "burn_in_size": 100,
+        "buffer_size": 500,
+        "network": {"hidden": [8]},
+        "epsilon": 0.3,
+    },
     "train": {"episodes": 5, "figures": False, "tensorboard": False},
 }
 """A configuration whose training takes a moment."""
 
-FAST = ["env.max_steps=12", "dqn.burn_in_size=100", "dqn.hidden=[8]", "train.episodes=5"]
+FAST = [
+    "env.max_steps=12",
+    "learner.burn_in_size=100",
+    "learner.network.hidden=[8]",
+    "train.episodes=5",
+]
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +132,7 @@ ROUTERS: dict[str, list[str]] = {
     "pathfinder": ["--seed", "3"],
     "optimal": [],
     "dqn": ["--seed", "3", *FAST],
+    "ppo": ["--seed", "3", "env.max_steps=12", "train.episodes=5"],
 }
 
 
@@ -196,11 +209,13 @@ def test_astar_is_the_default_router(here: Path, capsys: pytest.CaptureFixture[s
 @pytest.mark.usefixtures("here")
 def test_route_trains_what_the_configuration_says(capsys: pytest.CaptureFixture[str]) -> None:
     command = ["route", "p.gr", "--router", "dqn", "--config", "small.yaml", "--seed", "4"]
-    printed(capsys, *command, "--out", "a.solution", "dqn.masking=true")
+    printed(capsys, *command, "--out", "a.solution", "learner.masking=true")
     problem = Problem.read("p.gr")
-    expected = DQNRouter(load_config("small.yaml", ["seed=4", "dqn.masking=true"])).route(problem)
+    expected = LearnedRouter(load_config("small.yaml", ["seed=4", "learner.masking=true"])).route(
+        problem
+    )
     assert Solution.read("a.solution", problem) == expected
-    other = DQNRouter(load_config("small.yaml", ["seed=5"])).route(problem)
+    other = LearnedRouter(load_config("small.yaml", ["seed=5"])).route(problem)
     assert expected != other
     Path("five.yaml").write_text(yaml.safe_dump({**SMALL, "seed": 5}))
     printed(capsys, *command[:4], "--config", "five.yaml", "--out", "b.solution")
@@ -216,7 +231,7 @@ def test_route_with_a_checkpoint(
         command = ["route", str(path), "--router", "dqn", "--checkpoint", str(trained / name)]
         shown = only_object(printed(capsys, *command, "--json", "--out", "a.solution"))
         problem = Problem.read(path)
-        walked = QPolicy.load(trained / name, stem).route(problem)
+        walked = TrainedPolicy.load(trained / name, stem).solve(problem).solution
         assert Solution.read("a.solution", problem) == walked
         assert shown["wirelength"] == evaluate(problem, walked).wirelength
     assert (here / "a.solution").exists()
@@ -295,20 +310,21 @@ def test_train_writes_a_run_and_prints_a_table(
         "out=runs/a",
         "seed=7",
         "train.episodes=4",
-        "dqn.hidden=[6, 5]",
+        "learner.network.hidden=[6, 5]",
         "env.agents=multi",
     ]
     text = printed(capsys, "train", "small.yaml", *overrides)
     config = load_config("runs/a/config.yaml")
     assert (config.seed, config.train.episodes, config.env.agents) == (7, 4, "multi")
-    assert config.dqn.hidden == (6, 5)
-    assert config.dqn.burn_in_size == 100  # the file's
-    assert config.dqn.learning_rate == 1e-4  # the default
+    assert config.learner.options.network.options["hidden"] == (6, 5)
+    assert config.learner.options.burn_in_size == 100  # the file's
+    assert config.learner.options.learning_rate == 1e-4  # the default
     rows = json.loads((here / "runs" / "a" / "result.json").read_text())
     for row in rows:
-        (line,) = [line for line in text.splitlines() if f" {row['router']} " in line]
+        line, *_ = [line for line in text.splitlines() if f" {row['router']} " in line]
         assert str(row["wirelength"]) in line.split()
         assert f"{row['joined']}/{row['tasks']}" in line.split()
+        assert row.get("from", "") in text
     assert len((here / "runs" / "a" / "metrics.jsonl").read_text().splitlines()) == 4
     assert not (here / "runs" / "a" / "figures").exists()
     assert not (here / "runs" / "a" / "tensorboard").exists()
@@ -352,7 +368,8 @@ def test_plot_of_a_run(trained: Path, here: Path, capsys: pytest.CaptureFixture[
     assert {str(path.relative_to(copy / "figures")) for path in inside} == {
         "reward.png",
         "reward_log.png",
-        *(f"problem_000/dqn_{kind}.png" for kind in kinds),
+        *(f"problem_000/{name}_{kind}.png" for name in ("dqn", "dqn_policy") for kind in kinds),
+        "problem_000/comparison.png",
     }
     curves = pictures(printed(capsys, "plot", str(copy / "metrics.jsonl"), "--out", "curves"))
     assert {path.name for path in curves} == {"reward.png", "reward_log.png"}
@@ -592,7 +609,7 @@ USAGE: dict[str, tuple[list[str], str]] = {
     "ill-typed value": (["route", "p.gr", "--seed", "one"], "one"),
     "generate without out": (["generate"], "--out"),
     "half a grid": (["generate", "--out", "g", "--grid", "4", "4"], "--grid"),
-    "checkpoint without dqn": (["route", "p.gr", "--checkpoint", "c.pt"], "--checkpoint"),
+    "checkpoint without a learner": (["route", "p.gr", "--checkpoint", "c.pt"], "--checkpoint"),
     "config of another router": (["route", "p.gr", "--config", "small.yaml"], "small.yaml: "),
     "option of another router": (["route", "p.gr", "train.episodes=1"], "train: unknown key"),
     "checkpoint and override": (
@@ -758,18 +775,18 @@ def test_configuration_that_is_no_text(refused: Callable[..., str]) -> None:
 
 UNKNOWN = {
     "sede": "did you mean seed?",
-    "dqn.gama": "did you mean gamma?",
+    "learner.gama": "did you mean gamma?",
     "train.episode": "did you mean episodes?",
     "env.agent": "did you mean agents?",
     "env.problem.net": "did you mean nets?",
     "env.reward.reach": "did you mean reached?",
     "env.observation.via_capacty": "did you mean via_capacity?",
     "trian": "did you mean train?",
-    "dqn.zzz": "expected one of hidden, init, gamma, ",
-    "zzz": "expected one of seed, out, env, dqn, train",
+    "learner.zzz": "expected one of network, gamma, ",
+    "zzz": "expected one of seed, out, env, learner, train",
     # The names that the parser has for the kinds of a problem are no keys either.
-    "file": "expected one of seed, out, env, dqn, train",
-    "dqn.files": "unknown key; ",
+    "file": "expected one of seed, out, env, learner, train",
+    "learner.files": "unknown key; ",
     "env.generator": "unknown key; ",
 }
 
@@ -805,7 +822,9 @@ ILL_TYPED = [
     "train.device=meta",
     "train.device=''",
     "train.device=3",
-    "train.backend=jax",
+    "learner=3",
+    "learner=qdn",
+    "learner.kind=3",
     "train.threads=0",
     "train.checkpoint_seconds=-1",
     "train.checkpoint_seconds=soon",
@@ -821,29 +840,29 @@ ILL_TYPED = [
     f"seed={2**63}",
     "out=5",
     "out=[a]",
-    "dqn.hidden=32",
-    "dqn.hidden=[a]",
-    "dqn.hidden=[0]",
-    "dqn.hidden=[32.5]",
-    "dqn.hidden=[65536, 65536]",
-    "dqn.init=zeros",
-    "dqn.gamma=1.5",
-    "dqn.gamma=high",
-    "dqn.gamma=.nan",
-    "dqn.learning_rate=0",
-    "dqn.learning_rate=.inf",
-    "dqn.batch_size=0",
-    "dqn.buffer_size=50",  # less than burn_in_size
-    f"dqn.buffer_size={10**30}",
-    "dqn.burn_in=a*",
-    "dqn.burn_in_size=0",
-    "dqn.epsilon=2",
-    "dqn.epsilon_final=-0.1",
-    "dqn.epsilon_decay_from=-1",
-    "dqn.target_period=-1",
-    f"dqn.target_period={10**30}",
-    "dqn.masking=1",
-    "dqn.steps_per_update=0",
+    "learner.network.hidden=32",
+    "learner.network.hidden=[a]",
+    "learner.network.hidden=[0]",
+    "learner.network.hidden=[32.5]",
+    "learner.network.hidden=[65536, 65536]",
+    "learner.network.init=zeros",
+    "learner.gamma=1.5",
+    "learner.gamma=high",
+    "learner.gamma=.nan",
+    "learner.learning_rate=0",
+    "learner.learning_rate=.inf",
+    "learner.batch_size=0",
+    "learner.buffer_size=50",  # less than burn_in_size
+    f"learner.buffer_size={10**30}",
+    "learner.burn_in=a*",
+    "learner.burn_in_size=0",
+    "learner.epsilon=2",
+    "learner.epsilon_final=-0.1",
+    "learner.epsilon_decay_from=-1",
+    "learner.target_period=-1",
+    f"learner.target_period={10**30}",
+    "learner.masking=1",
+    "learner.steps_per_update=0",
     "env=3",
     "env.agents=many",
     "env.agents=[single]",
@@ -899,7 +918,7 @@ def test_problems_that_do_not_go_together(refused: Callable[..., str]) -> None:
 def test_too_much_memory_to_ask_for(refused: Callable[..., str]) -> None:
     size = 2**31 - 1
     line = refused(
-        "train", "small.yaml", f"dqn.buffer_size={size}", "env.problem.count=90", "out=o"
+        "train", "small.yaml", f"learner.buffer_size={size}", "env.problem.count=90", "out=o"
     )
     assert "memory" in line
 
@@ -922,7 +941,19 @@ class Exploit:
 def whole(path: Path) -> dict[str, Any]:
     """A policy file's content, of one problem."""
     state: dict[str, Any] = torch.load(path, weights_only=True)
-    return {**state, "names": ["p"], "weights": state["weights"][:1].clone()}
+    one = {key: state[key][:1] for key in ("weights", "episodes")}
+    return {**state, **one, "names": ["p"]}
+
+
+def first_layer(state: dict[str, Any]) -> tuple[str, torch.Tensor]:
+    """The weights that take the 12 numbers of an observation, and their name."""
+    return next((k, v) for k, v in state["weights"][0].items() if 12 in v.shape)
+
+
+def thirteen_inputs(state: dict[str, Any]) -> None:
+    name, weights = first_layer(state)
+    state["weights"][0][name] = torch.zeros([13 if n == 12 else n for n in weights.shape])
+    state["obs_shape"] = [13]
 
 
 Damage = Callable[[Path, Path], None]
@@ -951,7 +982,7 @@ def flipped(good: Path, bad: Path) -> None:
     state = whole(good)
     torch.save(state, bad)
     data = bytearray(bad.read_bytes())
-    at = data.index(state["weights"].numpy().tobytes()[:40])
+    at = data.index(first_layer(state)[1].numpy().tobytes()[:40])
     data[at + 20] ^= 64
     bad.write_bytes(data)
 
@@ -995,24 +1026,24 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     "a format of tensors": (resaved(lambda s: s.update(format=torch.zeros(2))), "format"),
     "no weights": (resaved(lambda state: state.pop("weights")), "weights"),
     "no tensor": (resaved(lambda state: state.update(weights=[1.0])), "weights"),
-    "doubles": (resaved(lambda s: s.update(weights=s["weights"].double())), "weights"),
-    "another shape": (resaved(lambda s: s.update(weights=s["weights"][:, 1:])), "weights"),
-    "another network": (resaved(lambda state: state.update(sizes=[12, 9, 6])), "weights"),
-    "other inputs": (
-        resaved(lambda s: s.update(sizes=[13, 6], weights=torch.zeros(1, 84))),
-        "12 inputs",
+    "another shape": (
+        resaved(lambda s: s["weights"][0].update({first_layer(s)[0]: torch.zeros(3, 2)})),
+        "weights do not fit",
     ),
-    "other moves": (
-        resaved(lambda s: s.update(sizes=[12, 5], weights=torch.zeros(1, 65))),
-        "weights",
+    "a layer less": (
+        resaved(lambda s: void(s["weights"][0].pop(first_layer(s)[0]))),
+        "weights do not fit",
     ),
-    "no sizes": (resaved(lambda s: s.update(sizes=[], weights=torch.zeros(1, 0))), "sizes"),
-    "empty layers": (
-        resaved(lambda s: s.update(sizes=[12, 0, 6], weights=torch.zeros(1, 6))),
-        "weights",
+    "another network": (
+        resaved(lambda state: state["learner"]["network"].update(hidden=[9])),
+        "weights do not fit",
     ),
-    "sizes of words": (resaved(lambda state: state.update(sizes=["a", "b"])), "whole"),
-    "no networks": (resaved(lambda s: s.update(names=[], weights=torch.zeros(0, 158))), "weights"),
+    "other inputs": (resaved(thirteen_inputs), "(13,)"),
+    "empty layers": (resaved(lambda s: s["learner"]["network"].update(hidden=[0])), "hidden"),
+    "a shape of words": (resaved(lambda state: state.update(obs_shape=["a"])), "whole"),
+    "no learner": (resaved(lambda state: state.pop("learner")), "whole"),
+    "another learner": (resaved(lambda s: s["learner"].update(kind="qdn")), "learner 'qdn'"),
+    "no networks": (resaved(lambda s: s.update(names=[], weights=[], episodes=[])), "whole"),
     "names of none": (resaved(lambda state: state.update(names=3)), "whole"),
     "another game": (resaved(lambda state: state.update(env={"agents": "many"})), "agents"),
     "unknown option": (resaved(lambda state: state.update(env={"gravity": 1})), "gravity"),
@@ -1037,7 +1068,7 @@ def test_bad_checkpoints(
         "route", "p.gr", "--router", "dqn", "--checkpoint", "c.pt", "--out", "o.solution"
     )
     assert said in line
-    assert "c.pt" in line or said == "12 inputs"
+    assert "c.pt" in line or said in ("(13,)", "hidden")
     assert not Path("exploited").exists()
 
 
@@ -1193,13 +1224,15 @@ def test_an_override_changes_one_place() -> None:
             agents=st.sampled_from(["single", "multi"]),
             max_steps=st.none() | st.integers(1, 1000),
         ),
-        dqn=st.builds(
-            DQNOptions,
-            hidden=st.lists(st.integers(1, 99), max_size=4).map(tuple),
-            gamma=st.floats(0, 1),
-            learning_rate=st.floats(1e-12, 1e6),
-            epsilon_final=st.none() | st.floats(0, 1),
-            masking=st.booleans(),
+        learner=st.fixed_dictionaries(
+            {
+                "kind": st.just("dqn"),
+                "network": st.builds(dict, hidden=st.lists(st.integers(1, 99), max_size=4)),
+                "gamma": st.floats(0, 1),
+                "learning_rate": st.floats(1e-12, 1e6),
+                "epsilon_final": st.none() | st.floats(0, 1),
+                "masking": st.booleans(),
+            }
         ),
         train=st.builds(TrainOptions, checkpoint_seconds=st.floats(0, 1e9)),
     )

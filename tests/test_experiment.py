@@ -38,7 +38,7 @@ from policies.experiment import Experiment, load_experiment, load_sets
 from policies.experiment.processes import work_on
 from policies.figures import plot
 from policies.learned.config import load_config
-from policies.learned.router import QPolicy
+from policies.learned.policy import TrainedPolicy
 from policies.learned.trainer import Trainer
 from policies.results.rows import COLUMNS
 from policies.results.statistics import (
@@ -65,7 +65,12 @@ DQN: dict[str, Any] = {
     "router": "dqn",
     "stack": 2,
     "env": {"max_steps": 12},
-    "dqn": {"burn_in_size": 100, "buffer_size": 500, "hidden": [8], "epsilon": 0.3},
+    "learner": {
+        "burn_in_size": 100,
+        "buffer_size": 500,
+        "network": {"hidden": [8]},
+        "epsilon": 0.3,
+    },
     "train": {"episodes": 5},
 }
 """A training that takes a moment."""
@@ -346,7 +351,7 @@ def test_a_trained_policy_can_take_part(finished: Path, tmp_path: Path) -> None:
     assert [row["seeds"] for row in summary["sets"]["two"]] == [1]
     for path in sorted((trained / "problems").iterdir()):
         problem = Problem.read(path)
-        walked = QPolicy.load(trained / "policy.pt", path.stem).route(problem)
+        walked = TrainedPolicy.load(trained / "policy.pt", path.stem).solve(problem).solution
         file = tmp_path / "out" / "solutions" / "two" / f"{path.stem}.walk.solution"
         assert Solution.read(file, problem) == walked
 
@@ -522,8 +527,8 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "negative seed": ({"seeds": [-1]}, "seeds: expected numbers from 0"),
     "no jobs": ({"jobs": 0}, "jobs: expected a number from 1"),
     "unknown key of a training": (
-        {"routers": {"d": {"router": "dqn", "dqn": {"gama": 1}}}},
-        "routers.d: dqn.gama: unknown key; did you mean gamma?",
+        {"routers": {"d": {"router": "dqn", "learner": {"gama": 1}}}},
+        "learner.gama: unknown key; did you mean gamma?",
     ),
     "problem of a training": (
         {"routers": {"d": {"router": "dqn", "env": {"problem": "p.gr"}}}},
@@ -534,7 +539,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         "nowhere.yaml: cannot be read",
     ),
     "checkpoint and training": (
-        {"routers": {"d": {"router": "dqn", "checkpoint": "c.pt", "dqn": {"gamma": 1.0}}}},
+        {"routers": {"d": {"router": "dqn", "checkpoint": "c.pt", "learner": {"gamma": 1.0}}}},
         "checkpoint: expected nothing to train",
     ),
     "unknown router of a study": (
@@ -607,9 +612,9 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "shared by two grids": (
         {
             "problems": {"s": ["4.gr", "5.gr"]},
-            "routers": {"d": {"router": "dqn", "dqn": {"shared": True}}},
+            "routers": {"d": {"router": "dqn", "train": {"shared": True}}},
         },
-        "routers.d.dqn.shared: expected a set of one grid shape",
+        "routers.d.train.shared: expected a set of one grid shape",
     ),
     "no such publication": (
         {"routers": {"p": {"router": "published", "file": "nowhere.csv"}}},
@@ -671,7 +676,7 @@ def test_bad_publications(text: str, said: str, here: Path, refused: Callable[..
 
 
 CHANGED: dict[str, tuple[str, str]] = {
-    "option": ("routers.dqn.dqn.gamma=0.5", "routers.dqn.dqn.gamma: expected 1.0"),
+    "option": ("routers.dqn.learner.gamma=0.5", "routers.dqn.learner.gamma: expected 0.95"),
     "problems": ("problems.small.nets=4", "problems.small.nets: expected 3"),
     "another router of that name": ("routers.up={router: random}", "routers.up.router: expected"),
     "sets of another kind": ("problems=4.gr", "problems.small.count: expected 3"),
@@ -903,7 +908,7 @@ def test_studies_show_one_problem(finished: Path, tmp_path: Path, drawn: dict[st
 
 
 def test_a_study_of_mean_rewards(here: Path, drawn: dict[str, Any]) -> None:
-    more = {**DQN, "dqn": {**DQN["dqn"], "hidden": [4]}}
+    more = {**DQN, "learner": {**DQN["learner"], "network": {"hidden": [4]}}}
     routers = {**ASTAR, "wide": DQN, "slim": more}
     column = {"router": "wide", "beside": ["slim"]}
     study = {"panels": ["mean_reward"], "columns": {"width": column, "one": {"router": "slim"}}}
@@ -1076,9 +1081,9 @@ def test_mixed_grids_are_trained_apart(here: Path) -> None:
 def test_a_training_is_that_of_its_file_but_for_what_stands_here(here: Path) -> None:
     (here / "t.yaml").write_text(
         "seed: 5\nout: elsewhere\nenv: {max_steps: 9, reward: {step: -2.0}, problem: p.gr}\n"
-        "dqn: {gamma: 0.5}\ntrain: {figures: true, tensorboard: true, episodes: 7}\n"
+        "learner: {gamma: 0.5}\ntrain: {figures: true, tensorboard: true, episodes: 7}\n"
     )
-    entry = {"router": "dqn", "config": "t.yaml", "dqn": {"masking": True}}
+    entry = {"router": "dqn", "config": "t.yaml", "learner": {"masking": True}}
     entry["env"] = {"reward": {"own_edge": 0.0}}
     config = load_experiment(write_config(here / "c.yaml", routers={"dqn": entry}))
     told = config.routers["dqn"]
@@ -1087,7 +1092,7 @@ def test_a_training_is_that_of_its_file_but_for_what_stands_here(here: Path) -> 
         "kind": "paper", "reached": 100.0, "step": -2.0, "own_edge": 0.0, "overflow_price": 0.0
     }  # fmt: skip
     assert "problem" not in told["env"]
-    assert (told["dqn"]["gamma"], told["dqn"]["masking"]) == (0.5, True)
+    assert (told["learner"]["gamma"], told["learner"]["masking"]) == (0.5, True)
     assert (told["train"]["episodes"], told["train"]["figures"]) == (7, False)
     assert told["stack"] == 1
 

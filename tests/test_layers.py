@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 import marouting
+import policies
+from marouting import registry
 
 ROOT = Path(marouting.__file__).parent
 FILES = sorted(ROOT.rglob("*.py"))
@@ -202,6 +204,16 @@ def test_rooms_import_only_from_rooms_below(package: str) -> None:
         if rooms[other] > rooms[module]  # type: ignore[operator]
     ]
     assert upwards == []
+
+
+@pytest.mark.parametrize("room", ["routers", "results", "figures", "experiment", "cli"])
+def test_no_learner_is_named_outside_its_room(room: str) -> None:
+    learners = set(registry.names("learner"))
+    assert "dqn" in learners
+    for file in (Path(policies.__file__).parent / room).rglob("*.py"):
+        nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        constants = {node.value for node in nodes if isinstance(node, ast.Constant)}
+        assert not learners & constants, file
 
 
 def test_dependencies_are_the_declared_ones() -> None:

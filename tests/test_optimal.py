@@ -515,7 +515,6 @@ def test_too_large_is_reported_in_one_line(pins: int) -> None:
 
 def test_is_a_router_that_reports() -> None:
     router: Router = OptimalRouter()
-    assert router.name == "optimal"
     problem = generate(1, grid=(4, 4, 2), nets=8, max_pins=3, capacity=2, seed=0)[0]
     found = proven(problem)
     solution, report = solve(router, problem)

@@ -302,11 +302,10 @@ def test_kinds_of_passes() -> None:
 
 
 def test_is_a_router() -> None:
-    made: Router = PathfinderRouter()
-    assert made.name == "pathfinder"
+    made: Router = router(passes=3)
     problem = congested()
     named = {"kind": "policies.routers.pathfinder:PathfinderRouter", "passes": 3, "seconds": None}
-    assert piece("router", named).make().route(problem) == router(passes=3).route(problem)
+    assert piece("router", named).make().route(problem) == made.route(problem)
     assert router(passes=3).route(problem) == router(passes=3).solve(problem).solution
 
 

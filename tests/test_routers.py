@@ -26,7 +26,7 @@ from policies.learned.config import Config, DQNOptions, TrainOptions
 from policies.learned.router import DQNRouter, QPolicy
 from policies.learned.trainer import Episode, Trainer
 from policies.routers.astar import AStarRouter
-from policies.routers.base import Policy, Router
+from policies.routers.base import Policy
 from policies.routers.random import RandomPolicy, RandomRouter
 
 SIZES = (12, 9, 6)
@@ -278,8 +278,3 @@ def test_astar_router_is_sequential_astar() -> None:
         up = AStarRouter(net_order="half_perimeter_up").route(problem)
         assert up == sequential_astar(problem, "half_perimeter_up")
         assert evaluate(problem, up).connected
-
-
-def test_routers_have_the_names_of_the_command_line() -> None:
-    routers: list[Router] = [AStarRouter(), RandomRouter(), DQNRouter(SHORT)]
-    assert [router.name for router in routers] == ["astar", "random", "dqn"]

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from policies.learned.dqn_compiled import CompiledDQN
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
 from marouting.generator import GeneratorOptions
 from policies.cli.main import status
 from policies.learned.config import Config, DQNOptions, TrainOptions, load_config
-from policies.learned.dqn_compiled import CompiledDQN
 from policies.learned.logs import Logs
 from policies.learned.router import QPolicy
 from policies.learned.run import Run, clear

@@ -170,7 +170,7 @@ def route(
         check_writable(out)
     with contextlib.ExitStack() as stack:
         if learner:
-            solver = _learned(seed, checkpoint, problem.stem, config, overrides, stack)
+            solver = _learned(router, seed, checkpoint, problem.stem, config, overrides, stack)
         else:
             given = [] if seed is None or not has_seed(router) else [f"seed={seed}"]
             options = override({} if config is None else read_yaml(config), [*given, *overrides])
@@ -185,6 +185,7 @@ def route(
 
 
 def _learned(
+    learner: str,
     seed: int | None,
     checkpoint: Path | None,
     problem: str,
@@ -195,13 +196,14 @@ def _learned(
     """A learner as a router, with a progress bar for its training until the stack is closed."""
     from policies.cli.progress import training_bar
     from policies.learned.config import load_config
-    from policies.learned.router import DQNRouter
+    from policies.learned.router import LearnedRouter
 
-    settings = load_config(config, [*([] if seed is None else [f"seed={seed}"]), *overrides])
+    given = [] if seed is None else [f"seed={seed}"]
+    settings = load_config(config, [*given, *overrides], learner)
     watch = None
     if checkpoint is None:
         watch = stack.enter_context(training_bar(0, settings.train.episodes))
-    return DQNRouter(settings, checkpoint, watch, network=problem)
+    return LearnedRouter(settings, checkpoint, watch, network=problem)
 
 
 def _report(

@@ -14,75 +14,80 @@ from policies import figures
 from policies.cli.progress import training_bar
 from policies.cli.tables import show
 from policies.figures.plot import reward_figures, run_figures
-from policies.learned.config import Config, DQNOptions, TrainOptions
-from policies.learned.router import DQNRouter
+from policies.learned.config import Config, TrainOptions
+from policies.learned.router import LearnedRouter
 from policies.learned.run import Run, clear
 from policies.results.rows import Row, solution_row
-from policies.results.run_folder import solution_file
+from policies.results.run_folder import METRICS, solution_file
 from policies.routers.astar import AStarRouter
+from policies.routers.base import Router
 from policies.routers.random import RandomRouter
 
 PROBLEM = GeneratorOptions(nets=30, capacity=4, seed=29)
-"""Small, and tight enough for sequential A* to overflow an edge."""
+"""A small problem, tight enough for sequential A* to overflow an edge."""
 
 EPISODES = 350
 
 
 def run(out: Path) -> None:
-    """Does it all, and writes it into a folder; raises InputError if that cannot be."""
+    """Does the whole job and writes the results; raises InputError if that is impossible.
+
+    Args:
+        out: the folder for the results.
+    """
     problem = load_problem(PROBLEM)
     problem.write(out / "problem.gr")
     click.echo("Compiling, once on a machine ...", err=True)
     _compile()
     rows, solutions = [], {}
-    for router in (RandomRouter(), AStarRouter()):
+    routers: dict[str, Router] = {"random": RandomRouter(), "astar": AStarRouter()}
+    for name, router in routers.items():
         started = time.perf_counter()
-        solutions[router.name] = router.route(problem)
+        solutions[name] = router.route(problem)
         seconds = time.perf_counter() - started
-        rows.append({"router": router.name, **solution_row(solutions[router.name], seconds)})
+        rows.append({"router": name, **solution_row(solutions[name], seconds)})
     del solutions["random"]  # a tangle that shows nothing
-    games: dict[str, Agents] = {"dqn, one agent": "single", "dqn, every net an agent": "multi"}
+    learner = Config().learner.name
+    games: dict[str, Agents] = {
+        f"{learner}, one agent": "single",
+        f"{learner}, every net an agent": "multi",
+    }
     for name, agents in games.items():
         result, solutions[name] = _train(problem, out, agents)
         rows.append({**result, "router": name})
     figures.save(figures.comparison(solutions), out / "solutions.png")
     run_figures(out / "single")
-    reward_figures(out / "multi" / "metrics.jsonl", out / "multi" / "figures")
+    reward_figures(out / "multi" / METRICS, out / "multi" / "figures")
     nets, grid = len(problem.nets), "x".join(map(str, problem.grid))
     show(rows, f"{nets} nets on {grid} Gcells")
     for what, path in (
         ("solutions", out / "solutions.png"),
-        ("heat maps", out / "single" / "figures" / "problem" / "dqn_heat_maps.png"),
+        ("heat maps", out / "single" / "figures" / "problem" / f"{learner}_heat_maps.png"),
         ("reward curve", out / "single" / "figures" / "reward.png"),
     ):
         click.echo(f"{what:>12}: {path}")
 
 
 def _compile() -> None:
-    """Has everything compiled that is timed later."""
+    """Compiles everything that is timed later."""
     tiny = load_problem(GeneratorOptions(grid=(3, 3, 2), nets=2))
     RandomRouter().route(tiny)
     for agents in get_args(Agents):
-        config = Config(
-            env=EnvOptions(agents=agents),
-            dqn=DQNOptions(burn_in_size=32),
-            train=TrainOptions(episodes=1),
-        )
-        DQNRouter(config).route(tiny)
+        config = Config(env=EnvOptions(agents=agents), train=TrainOptions(episodes=1))
+        LearnedRouter(config).route(tiny)
 
 
 def _train(problem: Problem, out: Path, agents: Agents) -> tuple[Row, Solution]:
-    """A short training in a run folder: its row of the table, without the problem, and routes."""
+    """A short training in a run folder: the learner's row, without the problem, and its routes."""
     folder = out / agents
     clear(folder)
     config = Config(
         out=str(folder),
         env=EnvOptions(problem=str(out / "problem.gr"), agents=agents),
-        dqn=DQNOptions(gamma=0.95, target_period=1000),
         train=TrainOptions(episodes=EPISODES, figures=False),
     )
-    training = Run(config)
+    training, learner = Run(config), config.learner.name
     with training_bar(*training.episodes) as watch:
-        (result,) = [row for row in training.execute(watch) if row["router"] == "dqn"]
-    del result["problem"]
-    return result, Solution.read(solution_file(folder, "problem", "dqn"), problem)
+        (row,) = [row for row in training.execute(watch) if row["router"] == learner]
+    del row["problem"]
+    return row, Solution.read(solution_file(folder, "problem", learner), problem)

@@ -19,6 +19,7 @@ HEADINGS = (
     ("wirelength", "wirelength"),
     ("joined", "tasks joined"),
     ("seconds", "seconds"),
+    ("from", "routes from"),
 )
 """The columns of a row that :func:`show` prints, with their headings."""
 
@@ -30,16 +31,17 @@ def show(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Prints rows of results.
 
     Less wirelength is no merit where nets stayed open, so the number of tasks joined stands beside
-    it. A column that no row has is left out.
+    it. A learner's row says which episode or policy its routes come from. A column that all rows
+    lack is left out.
     """
     shown = [
         {**row, "joined": f"{row['joined']}/{row['tasks']}", "seconds": f"{row['seconds']:.2f}"}
         for row in rows
     ]
     columns = {
-        heading: [str(row[key]) for row in shown]
+        heading: [str(row.get(key, "")) for row in shown]
         for key, heading in HEADINGS
-        if all(key in row for row in shown)
+        if any(key in row for row in shown)
     }
     names = ["problem", "router"] if "problem" in columns else ["router"]
     _print(title, columns, names)

@@ -12,7 +12,7 @@ from marouting import InputError, Problem
 from marouting.config import build, check, override, plain, read_yaml
 from marouting.files import unusable
 from marouting.source import load_problems
-from policies.learned.config import Config
+from policies.learned.config import Config, for_learner
 from policies.results.statistics import ALL
 from policies.results.study import Study
 from policies.routers.registry import (
@@ -122,7 +122,7 @@ class Training:
         stack: the number of problems that one process trains side by side. More than one save time
             on a GPU, but not on a CPU. A learner shared by all problems takes a whole set.
         env: keys of the game, as in a training's configuration; the experiment gives ``problem``.
-        dqn: options of the learner.
+        learner: options of the learner.
         train: keys of the run; ``figures`` and ``tensorboard`` are off unless they are given here.
         checkpoint: the file of a trained policy, which routes without any training; no other key
             may then be given.
@@ -133,30 +133,39 @@ class Training:
     config: str | None = None
     stack: int = 1
     env: dict[str, Any] = field(default_factory=dict)
-    dqn: dict[str, Any] = field(default_factory=dict)
+    learner: dict[str, Any] = field(default_factory=dict)
     train: dict[str, Any] = field(default_factory=dict)
     checkpoint: str | None = None
 
     def __post_init__(self) -> None:
         check("stack", self.stack >= 1, "a number from 1")
         check("env.problem", "problem" not in self.env, "none: the experiment has its sets")
-        told = self.config or self.env or self.dqn or self.train
+        told = self.config or self.env or self.learner or self.train
         check("checkpoint", not (self.checkpoint and told), "nothing to train beside it")
 
-    def resolved(self, where: str) -> dict[str, Any]:
-        """The same options with every key of the training filled in; raises InputError."""
+    def resolved(self, learner: str, where: str) -> dict[str, Any]:
+        """The same options with every key of the training filled in.
+
+        Args:
+            learner: the learner's name, or ``module:Class``.
+            where: what an error message starts with.
+
+        Raises:
+            InputError: a key is unknown or wrong.
+        """
         if self.checkpoint:
             return {"checkpoint": self.checkpoint}
         raw = {} if self.config is None else read_yaml(self.config)
+        raw = for_learner(raw, learner, self.config or where)
         quiet = {"train": {"figures": False, "tensorboard": False}}
-        told = {"env": self.env, "dqn": self.dqn, "train": self.train}
+        told = {"env": self.env, "learner": self.learner, "train": self.train}
         raw = _merged(_merged(raw, quiet), told)
-        config: dict[str, Any] = plain(build(Config, raw, where))
+        config: dict[str, Any] = plain(build(Config, for_learner(raw, learner, where), where))
         del config["env"]["problem"]
         return {"stack": self.stack, **{part: config[part] for part in PARTS}}
 
 
-PARTS = ("env", "dqn", "train")
+PARTS = ("env", "learner", "train")
 """The parts of a training's configuration that an entry holds."""
 
 
@@ -255,7 +264,7 @@ class Entry:
         elif not isinstance(router, str):
             raise unknown(f"{where}: router", str(router), (*router_names(), PUBLISHED))
         elif is_learner(router, f"{where}: router"):
-            options = build(Training, options, where).resolved(where)
+            options = build(Training, options, where).resolved(router, where)
             trains = seeded = "checkpoint" not in options
         else:
             if "seed" in options and has_seed(router):

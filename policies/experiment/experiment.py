@@ -306,10 +306,10 @@ def _shares(entry: Entry, problems: Mapping[str, Problem]) -> list[tuple[str, ..
     for name, problem in problems.items():
         grids.setdefault(problem.grid, []).append(name)  # a stack has only one grid shape
     size = entry.options["stack"]
-    if entry.options["dqn"]["shared"]:
+    if entry.options["train"]["shared"]:
         if len(grids) > 1:
             raise InputError(
-                f"routers.{entry.name}.dqn.shared: expected a set of one grid shape, "
+                f"routers.{entry.name}.train.shared: expected a set of one grid shape, "
                 f"found {sorted(grids)}"
             )
         size = len(problems)

@@ -99,13 +99,14 @@ class Part:
         seconds = time.perf_counter() - started
         solution.write(self.solution(name))
         proven = report["status"] == "optimal" if "status" in report else None
-        return {"problem": name, **solution_row(solution, seconds), "proven": proven}
+        row = {"problem": name, **solution_row(solution, seconds), "proven": proven}
+        return {**row, "from": report.get("from")}
 
     def _router(self, problem: str) -> Router:
         if "checkpoint" in self.entry.options and is_learner(self.entry.router):
-            from policies.learned.router import DQNRouter  # torch: only if something learned
+            from policies.learned.router import LearnedRouter  # torch: only if something learned
 
-            return DQNRouter(checkpoint=self.entry.options["checkpoint"], network=problem)
+            return LearnedRouter(checkpoint=self.entry.options["checkpoint"], network=problem)
         seed = {} if self.seed is None else {"seed": self.seed}
         return make_router(self.entry.router, {**self.entry.options, **seed})
 

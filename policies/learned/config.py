@@ -5,9 +5,9 @@ that ``learner.kind`` names, see :mod:`policies.learned.algorithms`.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from marouting.config import (
     MOST,
@@ -86,15 +86,40 @@ class Config:
         check("seed", 0 <= self.seed < 2**63, "a number from 0")
 
 
-def load_config(path: str | os.PathLike[str] | None, overrides: Sequence[str] = ()) -> Config:
+def load_config(
+    path: str | os.PathLike[str] | None, overrides: Sequence[str] = (), learner: str | None = None
+) -> Config:
     """Reads a configuration and changes single keys of it.
 
     Args:
         path: a YAML file; None for the defaults.
         overrides: ``key=value`` with dots between the parts of a key, the value as in YAML.
+        learner: the kind of learner that it must be for; None for any.
 
     Raises:
         InputError: names the file or key, what was expected and what was found.
     """
-    raw = {} if path is None else read_yaml(path)
-    return build(Config, override(raw, overrides), "" if path is None else os.fspath(path))
+    where = "" if path is None else os.fspath(path)
+    raw = override({} if path is None else read_yaml(path), overrides)
+    return build(Config, raw if learner is None else for_learner(raw, learner, where), where)
+
+
+def for_learner(raw: Mapping[str, Any], kind: str, where: str = "") -> dict[str, Any]:
+    """A configuration in plain data with ``learner.kind`` filled in.
+
+    Args:
+        raw: the configuration.
+        kind: the learner's name, or ``module:Class``.
+        where: what an error message starts with.
+
+    Raises:
+        InputError: the configuration is for another kind of learner.
+    """
+    learner = raw.get("learner")
+    learner = {"kind": learner} if isinstance(learner, str) else learner or {}
+    if not isinstance(learner, Mapping):
+        return dict(raw)  # refused when the configuration is built
+    prefix = f"{where}: " if where else ""
+    found = learner.get("kind", kind)
+    check(f"{prefix}learner.kind", found == kind, f"{kind}, found {found}")
+    return {**raw, "learner": {**learner, "kind": kind}}

@@ -30,14 +30,16 @@ COLUMNS = {
     "proven": bool | None,
     "seconds": float | int | None,
     "gap": float | int | None,
+    "from": str | None,
 }
 """The columns of an experiment's rows and their types.
 
 ``router`` is the name of the experiment's entry and ``kind`` the registered name (or
 ``module:Class``) of the router behind it. ``joined`` and ``tasks`` count two-pin tasks, ``proven``
-says whether the solution is known to be optimal, ``seconds`` is the time to route the problem, and
-``gap`` is the wirelength above the proven optimum in %. A value that is not known is None:
-published results give only overflow and wirelength.
+says whether the solution is known to be optimal, ``seconds`` is the time to route the problem,
+``gap`` is the wirelength above the proven optimum in %, and ``from`` names the episode or policy
+that a learner's routes come from. A value that is not known is None: published results give only
+overflow and wirelength.
 """
 
 

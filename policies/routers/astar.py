@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -39,7 +39,6 @@ class AStarRouter:
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
-    name: ClassVar[str] = "astar"
     net_order: NetOrder | Literal["random"] = "half_perimeter"
     best_of: int = 1
     target: Target = "pin"

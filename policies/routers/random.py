@@ -1,7 +1,6 @@
 """Random walks: the weakest baseline."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -48,7 +47,6 @@ class RandomRouter:
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
-    name: ClassVar[str] = "random"
     seed: int = 0
     max_steps: int | None = None
 

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from numpy.typing import NDArray
 
@@ -94,7 +94,6 @@ class OptimalRouter:
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
-    name: ClassVar[str] = "optimal"
     time_limit: float | None = None
     bound: Bound = "optimum"
 

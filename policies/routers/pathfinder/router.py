@@ -68,11 +68,9 @@ class PathfinderRouter:
 
     Attributes:
         options: the options.
-        name: what tables call the router.
     """
 
     Options = PathfinderOptions
-    name = "pathfinder"
 
     def __init__(self, options: PathfinderOptions | None = None) -> None:
         self.options = PathfinderOptions() if options is None else options

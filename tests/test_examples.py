@@ -1,0 +1,219 @@
+"""The scripts in docs/examples do what they say: in a checkout, and with an installed wheel."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+import marouting
+from marouting.config import config_file, read_yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "docs" / "examples"
+NAMES = sorted(file.stem for file in EXAMPLES.glob("*.py"))
+
+
+def python(*arguments: str | Path, cwd: Path, path: Path = ROOT) -> str:
+    """What Python prints, with ``path`` as the one place it finds the packages in."""
+    done = subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(path)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def numbers(pattern: str, text: str) -> list[float]:
+    """The numbers that stand at the groups of a pattern."""
+    found = re.search(pattern, text)
+    assert found, f"{pattern} is not in:\n{text}"
+    return [float(number) for number in found.groups()]
+
+
+def router_rows(text: str) -> dict[str, list[float]]:
+    """The first table's numbers by the name that begins a line."""
+    rows: dict[str, list[float]] = {}
+    for line in text.splitlines():
+        name, *figures = re.split(r"\s+", line.strip())
+        if figures and not name.endswith(":") and re.fullmatch(r"\d+", figures[0]):
+            rows.setdefault(name, [float(n) for n in figures if re.fullmatch(r"[\d.]+", n)])
+    return rows
+
+
+def check_aec_loop(out: str) -> None:
+    lines = dict(line.split(":") for line in out.splitlines())
+    joined, wirelength, paid = (
+        [numbers(pattern, lines[policy])[0] for policy in ("at_random", "towards_the_target")]
+        for pattern in (r"joined (\d+) of 20", r"wirelength (\d+)", r"rewards (-?\d+)")
+    )
+    assert joined[0] < 10 < joined[1]
+    assert wirelength[0] > wirelength[1]
+    assert paid[0] < 0 < paid[1]
+
+
+def check_own_observation(out: str) -> None:
+    assert "shape: (13,)" in out
+    crowd = re.search(r"two Gcells: \[(.*)\]", out)
+    assert crowd
+    found = [int(number) for number in crowd[1].split(",")]
+    assert len(found) == 30
+    assert 0 < max(found) < 30
+    assert numbers(r"stands: (\d+)", out)[0] <= max(found)
+
+
+def check_own_reward(out: str) -> None:
+    joined, wirelength = numbers(r"joined (\d+) of 10, wirelength (\d+)", out)
+    assert numbers(r"all that happened: (-?\d+)", out) == [10 * joined - wirelength]
+    assert joined > 0
+
+
+def check_own_router(out: str) -> None:
+    rows = router_rows(out)
+    assert rows.keys() == {"astar", "own"}
+    overflow, without, left_open, wirelength, *_ = rows["own"]
+    assert left_open == 0
+    assert without + overflow > 0
+    assert wirelength == pytest.approx(rows["astar"][3], rel=0.1)
+
+
+def check_own_network(out: str) -> None:
+    assert "torch" in out.splitlines()[0]
+    assert "LayerNorm" in out
+    (astar,), (dqn,) = (numbers(rf" {name} +0 +(\d+) +6/6", out) for name in ("astar", "dqn"))
+    assert dqn <= 1.2 * astar
+    assert numbers(r" dqn_policy +0 +\d+ +(\d+)/6", out)[0] >= 5
+
+
+def check_own_algorithm(out: str) -> None:
+    assert "learner: expected SARSA" in out
+    first, last = numbers(r"joined: (\S+) in the first 100 episodes, (\S+) in the last", out)
+    assert first < 0.5
+    assert last > 0.8
+    assert len(re.findall(r" sarsa +0 +\d+ +8/8", out)) == 2
+
+
+def check_ppo_on_the_batch(out: str) -> None:
+    before, after = numbers(r"joined: (\S+) -> (\S+)", out)
+    assert before < 0.5
+    assert after > 0.9
+    wirelength, astar = numbers(r"wirelength: (\d+) \(A\*: (\d+)\)", out)
+    assert wirelength <= 1.2 * astar
+
+
+def run_example(name: str, folder: Path, path: Path = ROOT) -> None:
+    """Runs a copy of an example in a folder and checks what it prints."""
+    shutil.copy(EXAMPLES / f"{name}.py", folder)
+    globals()[f"check_{name}"](python(f"{name}.py", cwd=folder, path=path))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_example_does_what_it_says(name: str, tmp_path: Path) -> None:
+    run_example(name, tmp_path)
+
+
+def test_every_example_is_listed_and_short() -> None:
+    listed = re.findall(r"\]\((\w+)\.py\)", (EXAMPLES / "README.md").read_text(encoding="utf-8"))
+    assert sorted(listed) == NAMES
+    assert len(NAMES) == 7
+    for name in NAMES:
+        lines = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()
+        assert len(lines) <= 150, name
+
+
+ROUTE = ("-m", "policies.cli.main", "route", "problem.gr", "--json", "--router")
+
+
+def test_own_pieces_on_the_command_line(tmp_path: Path) -> None:
+    """As docs/examples/README.md says, from the folder that holds them."""
+    marouting.generate(1, nets=10, seed=1)[0].write(tmp_path / "problem.gr")
+    for name in ("own_router", "own_reward", "own_network"):
+        shutil.copy(EXAMPLES / f"{name}.py", tmp_path)
+    out = python(*ROUTE, "own_router:PatternRouter", "price=10", cwd=tmp_path)
+    assert '"router": "own_router:PatternRouter"' in out
+    assert '"connected": true' in out
+    out = python(
+        "-m", "policies.cli.main", "train", "configs/paper/default.yaml", "out=run",
+        "env.problem=problem.gr", 'env.reward={kind: "own_reward:TeamReward", joined: 5}',
+        'learner.network={kind: "own_network:Residual"}', "learner.burn_in_size=100",
+        "train.episodes=1", "train.figures=false", "train.tensorboard=false",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert "dqn_policy" in out
+    kept = read_yaml(tmp_path / "run" / "config.yaml")
+    assert kept["env"]["reward"] == {"kind": "own_reward:TeamReward", "joined": 5.0, "wire": 1.0}
+    assert kept["learner"]["network"]["kind"] == "own_network:Residual"
+
+
+def test_configurations_are_found_from_any_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    named = "configs/paper/default.yaml"
+    assert read_yaml(named) == read_yaml(ROOT / named)
+    assert config_file("configs/none.yaml") == Path("configs/none.yaml")
+    with pytest.raises(marouting.InputError, match=r"^configs/none\.yaml: cannot be read"):
+        read_yaml("configs/none.yaml")
+    # A file that is there comes first, and no other path is looked for elsewhere.
+    (tmp_path / "configs" / "paper").mkdir(parents=True)
+    (tmp_path / named).write_text("seed: 7\n", encoding="utf-8")
+    assert read_yaml(named) == {"seed": 7}
+    with pytest.raises(marouting.InputError, match="cannot be read"):
+        read_yaml("paper/default.yaml")
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder into which a wheel of this checkout is installed, without its dependencies."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"  # setuptools leaves files in the folder that it builds
+    shutil.copytree(
+        ROOT,
+        source,
+        ignore=lambda where, _: (
+            {".git", "runs", "docs", "tests", "build", "dist"} if Path(where) == ROOT else set()
+        ),
+    )
+    pip = "-m", "pip", "--quiet", "--disable-pip-version-check"
+    # Where setuptools is installed and new enough nothing has to be fetched.
+    version = next(iter(metadata.distributions(name="setuptools")), None)
+    offline = version is not None and int(version.version.split(".")[0]) >= 77
+    build = ["--no-build-isolation"] if offline else []
+    python(*pip, "wheel", "--no-deps", *build, "-w", folder, source, cwd=folder)
+    (wheel,) = folder.glob("*.whl")
+    target = folder / "installed"
+    python(*pip, "install", "--no-deps", "--no-index", "--target", target, wheel, cwd=folder)
+    return target
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in NAMES if name.startswith("own_")])
+def test_own_pieces_with_an_installed_wheel(name: str, installed: Path, tmp_path: Path) -> None:
+    where = python(
+        "-c", "import marouting; print(marouting.__file__)", cwd=tmp_path, path=installed
+    )
+    assert Path(where.strip()).is_relative_to(installed)
+    run_example(name, tmp_path, path=installed)
+
+
+@pytest.mark.slow
+def test_a_wheel_brings_every_configuration(installed: Path, tmp_path: Path) -> None:
+    brought = {p.relative_to(installed / "marouting") for p in installed.rglob("*.yaml")}
+    assert brought == {p.relative_to(ROOT) for p in (ROOT / "configs").rglob("*.yaml")}
+    out = python(
+        installed / "bin" / "marouting", "train", "configs/paper/default.yaml", "out=run",
+        "env.problem.count=1", "env.problem.nets=5", "learner.burn_in_size=100",
+        "train.episodes=2", "train.figures=false", "train.tensorboard=false",
+        cwd=tmp_path, path=installed,
+    )  # fmt: skip
+    assert "dqn_policy" in out
+    assert (tmp_path / "run" / "result.json").exists()
