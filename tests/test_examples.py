@@ -130,6 +130,18 @@ def test_every_example_is_listed_and_short() -> None:
         assert len(lines) <= 150, name
 
 
+@pytest.mark.parametrize(
+    "name", ["CONTRIBUTING.md", "docs/architecture.md", "docs/examples/README.md"]
+)
+def test_documents_name_what_there_is(name: str) -> None:
+    file = ROOT / name
+    text = file.read_text(encoding="utf-8")
+    for link in re.findall(r"\]\(([^)#]+)\)", text):
+        assert link.startswith("https://") or (file.parent / link).exists(), link
+    for path in re.findall(r"`((?:marouting|policies|tests|configs)/[\w/.]*)`", text):
+        assert (ROOT / path).exists(), path
+
+
 ROUTE = ("-m", "policies.cli.main", "route", "problem.gr", "--json", "--router")
 
 
@@ -158,8 +170,11 @@ def test_configurations_are_found_from_any_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
     named = "configs/paper/default.yaml"
-    assert read_yaml(named) == read_yaml(ROOT / named)
+    assert named in readme
+    for config in set(re.findall(r"configs/[\w/]+\.yaml", readme)):
+        assert read_yaml(config) == read_yaml(ROOT / config)
     assert config_file("configs/none.yaml") == Path("configs/none.yaml")
     with pytest.raises(marouting.InputError, match=r"^configs/none\.yaml: cannot be read"):
         read_yaml("configs/none.yaml")

@@ -19,7 +19,8 @@ from marouting.game.state import Ending
 from policies.cli.tables import show
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration
-from policies.learned.learner import Before, Learner
+from policies.learned.learner import Learner
+from policies.learned.memory.before import Before
 from policies.learned.networks.adam import Adam
 from policies.learned.networks.stack import Stack
 from policies.learned.run import Run
@@ -51,8 +52,6 @@ class ExpectedSarsa(Learner):
 
     def __init__(self, setup, options):
         super().__init__(setup, options)
-        player = setup.player  # with one row per game, the row must stay with one agent
-        check("turn_order", player.everyone or player.engine.static.sequential, "sequential")
         seeds = setup.network_keys("weights").astype(np.int64).tolist()
         self.networks = Stack(lambda: self.network(options, setup.obs_shape), seeds, self.device)
         self.adam = Adam(self.networks.flat)
@@ -89,8 +88,9 @@ class ExpectedSarsa(Learner):
         """One gradient step of every network in whose games somebody moved."""
         o = self.options
         seen, mask = now.obs.copy(), now.mask.copy()
-        ended = now.ending != Ending.NONE  # then `obs` shows the next task already
-        seen[ended], mask[ended] = now.final_obs[ended], now.final_mask[ended]
+        # Where a task has ended, or the turn has passed, the row shows something else by now.
+        past = (now.ending != Ending.NONE) | (now.agents != before.agents)
+        seen[past], mask[past] = now.final_obs[past], now.final_mask[past]
         if not o.masking:
             mask[:] = 1
         # A task that was joined is over; one that failed only ran out of steps.

@@ -101,7 +101,7 @@ def _steps(stack: int, fused: bool, threads: int, device: str = "cpu") -> Work:
     rows[..., 2 * width + GOES_ON] = 1
     store.copy_(torch.from_numpy(rows))
     learner.memory.stored[:] = capacity
-    learner.bind()
+    learner.memory.bind()
     due = np.ones(stack, np.int64)
     rounds = max(1, 4000 // stack)
 
