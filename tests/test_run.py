@@ -683,6 +683,7 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "policy": policy_only,
     "format": changed(lambda state: state.update(format="marouting-dqn-0")),
     "problems": changed(lambda state: state.update(problems=["problem_000", "x"])),
+    "problems of no names": changed(lambda state: state.update(problems=torch.ones(3, 3))),
     **{
         f"no {key}": changed(lambda state, key=key: state.pop(key))  # type: ignore[misc]
         for key in ("problems", "training", "trainer", "seconds", "logged")

@@ -101,10 +101,10 @@ class TrainedPolicy:
         try:
             module = learner.cls.network(learner.options, obs_shape)
             module.load_state_dict(weights[row])
+            masking = bool(learner.options.masking)
         except (InputError, RuntimeError, AttributeError, TypeError, ArithmeticError) as error:
             reason = " ".join(str(error).split())[:120]
             raise InputError(f"{where}: weights do not fit the network: {reason}") from None
-        masking = bool(learner.options.masking)
         return TrainedPolicy(module, masking, obs_shape, env, policy_origin(episodes[row]))
 
     def act(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> int:

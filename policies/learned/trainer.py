@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
-from marouting.config import plain
+from marouting.config import one_line, plain
 from marouting.game.engine import Metrics
 from marouting.game.observation import state_space
 from marouting.game.state import NOBODY
@@ -366,7 +366,8 @@ class Trainer:
             InputError: it is of another kind, shape or set of problems.
         """
         if state["problems"] != list(self.names):
-            raise InputError(f"{where}: expected problems {self.names}, found {state['problems']}")
+            found = one_line(str(state["problems"]))
+            raise InputError(f"{where}: expected problems {self.names}, found {found}")
         places = np.asarray(state["trainer"]["places"], np.int64)
         if not np.array_equal(places, np.intersect1d(self.places, places)) or not len(places):
             raise InputError(f"{where}: expected places of problems, found {places.tolist()}")
