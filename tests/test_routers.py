@@ -1,6 +1,6 @@
 """Routers and policies, against the same moves made by hand through the environment's faces."""
 
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,26 +21,38 @@ from marouting import (
     global_routing_v0,
     sequential_astar,
 )
+from marouting.config import build
 from marouting.env.single import GlobalRoutingSingle
-from policies.learned.config import Config, DQNOptions, TrainOptions
-from policies.learned.router import DQNRouter, QPolicy
+from policies.learned.config import Config
+from policies.learned.networks.mlp import MLP
+from policies.learned.policy import TrainedPolicy
+from policies.learned.router import LearnedRouter
 from policies.learned.trainer import Episode, Trainer
 from policies.routers.astar import AStarRouter
 from policies.routers.base import Policy
 from policies.routers.random import RandomPolicy, RandomRouter
 
-SIZES = (12, 9, 6)
-WEIGHTS = 13 * 9 + 10 * 6
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread() -> None:
+    torch.set_num_threads(1)  # more of them cost more than they save on networks this small
 
 
 def problem_of(seed: int, **options: Any) -> Problem:
     return generate(1, **{"grid": (5, 4, 2), "nets": 6, "capacity": 2, "seed": seed, **options})[0]
 
 
-def policy_of(seed: int, masking: bool = False, **env: Any) -> QPolicy:
+def policy_of(seed: int, masking: bool = False, **env: Any) -> TrainedPolicy:
     """A policy of random weights."""
-    weights = torch.randn(WEIGHTS, generator=torch.Generator().manual_seed(seed))
-    return QPolicy(SIZES, weights, masking, EnvOptions(**env))
+    module = MLP((12,), 6, hidden=(9,))
+    numbers = torch.Generator().manual_seed(seed)
+    for weights in module.parameters():
+        weights.data = torch.randn(weights.shape, generator=numbers)
+    return TrainedPolicy(module, masking, (12,), EnvOptions(**env), "random weights")
+
+
+def routes_of(policy: TrainedPolicy, problem: Problem) -> Solution:
+    return policy.solve(problem).solution
 
 
 def by_gymnasium(policy: Policy, problem: Problem, **options: Any) -> Solution:
@@ -77,13 +89,15 @@ def trained() -> dict[str, Trainer]:
     """Trainers after a short training, which walk further than random weights do."""
     trainers = {}
     for agents in ("single", "multi"):
-        config = Config(
-            env=EnvOptions(agents=agents, max_steps=20),
-            dqn=DQNOptions(
-                gamma=0.9, learning_rate=2e-3, burn_in_size=500, target_period=100, masking=True
-            ),
-            train=TrainOptions(episodes=40),
-        )
+        learner = {
+            "gamma": 0.9,
+            "learning_rate": 2e-3,
+            "burn_in_size": 500,
+            "target_period": 100,
+            "masking": True,
+        }
+        env = {"agents": agents, "max_steps": 20}
+        config = build(Config, {"env": env, "learner": learner, "train": {"episodes": 40}})
         trainers[agents] = Trainer({"p": problem_of(0), "q": problem_of(1)}, config)
         for _ in trainers[agents].run():
             pass
@@ -111,11 +125,11 @@ def test_route_is_the_walk_through_the_faces(
 ) -> None:
     problem = problem_of(seed)
     one = policy_of(seed, masking, agents="single", **options)
-    routed = one.route(problem)
+    routed = routes_of(one, problem)
     assert routed == by_gymnasium(one, problem, **options)
     assert routed == by_aec(one, problem, turn_order="sequential", **options)
     many = policy_of(seed, masking, agents="multi", **options)
-    routed = many.route(problem)
+    routed = routes_of(many, problem)
     assert routed == by_parallel(many, problem, **options)
     assert evaluate(problem, routed).wirelength <= 6 * options["max_steps"]
     # Without a mask, random weights can stand before a full edge all day.
@@ -127,11 +141,11 @@ def test_route_is_the_walk_through_the_faces(
 def test_the_turn_order_of_the_game_counts() -> None:
     problem = problem_of(2)
     policy = policy_of(3, masking=True, turn_order="round_robin", max_steps=20)
-    assert policy.route(problem) == by_gymnasium(
+    assert routes_of(policy, problem) == by_gymnasium(
         policy, problem, turn_order="round_robin", max_steps=20
     )
     policy = policy_of(3, masking=True, agents="multi", turn_order="sequential", max_steps=20)
-    routed = policy.route(problem)
+    routed = routes_of(policy, problem)
     assert routed == by_parallel(policy, problem, turn_order="sequential", max_steps=20)
     assert routed == by_aec(policy, problem, turn_order="sequential", max_steps=20)
 
@@ -142,14 +156,14 @@ def test_trained_policies_walk_the_same_everywhere(
     for agents, trainer in trained.items():
         path = saved(trainer, tmp_path / f"{agents}.pt")
         for name, seed in (("p", 0), ("q", 1)):
-            policy = QPolicy.load(path, name)
+            policy = TrainedPolicy.load(path, name)
             for problem in (problem_of(seed), problem_of(7, nets=9, grid=(6, 6, 3))):
-                routed = policy.route(problem)
+                routed = routes_of(policy, problem)
                 by_hand = by_gymnasium if agents == "single" else by_parallel
                 assert routed == by_hand(policy, problem, max_steps=20)
-            figures = evaluate(problem_of(seed), policy.route(problem_of(seed)))
+            figures = evaluate(problem_of(seed), routes_of(policy, problem_of(seed)))
             assert figures.joined > 0
-            assert DQNRouter(checkpoint=path, network=name).route(problem) == routed
+            assert LearnedRouter(checkpoint=path, network=name).route(problem) == routed
 
 
 def test_the_network_is_asked_with_torch_layers(
@@ -157,16 +171,17 @@ def test_the_network_is_asked_with_torch_layers(
 ) -> None:
     """Which move is best, and best of those that cross an edge."""
     path = saved(trained["single"], tmp_path / "policy.pt")
+    saved_weights = torch.load(path, weights_only=True)["weights"]
     rng = np.random.default_rng(0)
-    for row, name in enumerate(("p", "q")):
-        flat, net = trained["single"].learner.weights[row], torch.nn.Sequential()
-        for inputs, outputs in ((12, 32), (32, 64), (64, 32), (32, 6)):
+    for weights, name in zip(saved_weights, ("p", "q"), strict=True):
+        net = torch.nn.Sequential()
+        for layer, (inputs, outputs) in enumerate(((12, 32), (32, 64), (64, 32), (32, 6))):
             linear = torch.nn.Linear(inputs, outputs)
-            linear.weight.data = flat[: inputs * outputs].view(inputs, outputs).T
-            linear.bias.data = flat[inputs * outputs : (inputs + 1) * outputs]
-            flat = flat[(inputs + 1) * outputs :]
+            linear.weight.data = weights[f"layers.{layer}.weight"].T
+            linear.bias.data = weights[f"layers.{layer}.bias"]
             net.extend([linear, torch.nn.ReLU()])
-        policy = QPolicy.load(path, name)
+        policy = TrainedPolicy.load(path, name)
+        unmasked = TrainedPolicy(policy.module, False, (12,), policy.env)
         differ = 0
         for _ in range(50):
             seen = rng.integers(-3, 6, 12).astype(np.float32)
@@ -176,35 +191,112 @@ def test_the_network_is_asked_with_torch_layers(
                 values = net[:-1](torch.from_numpy(seen)).numpy()
             best = int(np.where(mask == 1, values, -np.inf).argmax())
             assert policy.act(seen, mask) == best
-            unmasked = QPolicy(
-                policy.sizes, trained["single"].learner.weights[row], False, policy.env
-            )
             assert unmasked.act(seen, mask) == int(values.argmax())
             differ += best != int(values.argmax())
         assert differ > 0
 
 
 def test_a_network_for_other_inputs_is_refused() -> None:
-    policy = QPolicy((13, 6), torch.zeros(14 * 6), False, EnvOptions())
-    with pytest.raises(InputError, match="expected 12 inputs, found 13"):
-        policy.route(problem_of(0))
+    policy = TrainedPolicy(MLP((13,), 6, hidden=()), False, (13,), EnvOptions())
+    with pytest.raises(InputError, match=r"expected .* shape \(12,\), found .* for \(13,\)"):
+        policy.solve(problem_of(0))
 
 
-# --- DQNRouter ------------------------------------------------------------------------------------
+# --- files of trained networks --------------------------------------------------------------------
 
-SHORT = Config(
-    env=EnvOptions(max_steps=15),
-    dqn=DQNOptions(burn_in_size=100, buffer_size=500, hidden=(8,), epsilon=0.3),
-    train=TrainOptions(episodes=6),
-)
+
+def transposed(state: dict[str, Any]) -> None:
+    weights = state["weights"][0]
+    weights["layers.0.weight"] = weights["layers.0.weight"].T.clone()
+
+
+CHANGES: dict[str, Callable[[dict[str, Any]], Any]] = {
+    **{
+        f"no {key}": lambda state, key=key: state.pop(key)  # type: ignore[misc]
+        for key in ("format", "names", "episodes", "learner", "obs_shape", "env", "weights")
+    },
+    "another format": lambda state: state.update(format="marouting-dqn-1"),
+    "no networks": lambda state: state.update(names=[], weights=[], episodes=[]),
+    "a network too few": lambda state: state["weights"].pop(),
+    "an evaluation too few": lambda state: state["episodes"].pop(),
+    "names that are none": lambda state: state.update(names=7),
+    "episodes that are none": lambda state: state.update(episodes=["few", "many"]),
+    "endless episodes": lambda state: state.update(episodes=[float("inf")] * 2),
+    "a layer too few": lambda state: state["weights"][0].pop("layers.3.bias"),
+    "a layer too many": lambda state: state["weights"][0].update(more=torch.zeros(3)),
+    "a layer of another shape": transposed,
+    "a layer that is no tensor": lambda state: state["weights"][0].update({"layers.0.bias": [1]}),
+    "weights of one network": lambda state: state.update(weights=state["weights"][0]),
+    "weights that are none": lambda state: state.update(weights=[1, 2]),
+    "other observations": lambda state: state.update(obs_shape=[13]),
+    "empty observations": lambda state: state.update(obs_shape=[0]),
+    "observations of negative size": lambda state: state.update(obs_shape=[-12]),
+    "endless observations": lambda state: state.update(obs_shape=[float("inf")]),
+    "an unknown learner": lambda state: state["learner"].update(kind="qdn"),
+    "another learner": lambda state: state.update(learner="ppo"),
+    "a learner that is none": lambda state: state.update(learner=3),
+    "an unknown option": lambda state: state["learner"].update(colour="red"),
+    "another network": lambda state: state["learner"].update(network={"kind": "conv"}),
+    "an unknown game": lambda state: state["env"].update(agents="some"),
+    "a game that is none": lambda state: state.update(env=[1]),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_a_damaged_policy_is_refused(
+    change: Callable[[dict[str, Any]], Any], trained: dict[str, Trainer], tmp_path: Path
+) -> None:
+    path = tmp_path / "policy.pt"
+    state = trained["single"].policy()
+    state["env"] = dict(state["env"])
+    change(state)
+    torch.save(state, path)
+    with pytest.raises(InputError) as caught:
+        TrainedPolicy.load(path, "p")
+    assert str(path) in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+    with pytest.raises(InputError):
+        LearnedRouter(checkpoint=path, network="p")
+
+
+def test_the_checkpoint_of_a_training_is_a_policy_too(
+    trained: dict[str, Trainer], tmp_path: Path
+) -> None:
+    trainer, path = trained["multi"], tmp_path / "checkpoint.pt"
+    torch.save(trainer.state(), path)
+    for name, problem in trainer.problems.items():
+        own = trainer.policy_of(name).solve(problem)
+        loaded = TrainedPolicy.load(path, name).solve(problem)
+        assert loaded.solution == own.solution
+        assert loaded.report == own.report
+
+
+# --- LearnedRouter --------------------------------------------------------------------------------
+
+LEARNERS: dict[str, dict[str, Any]] = {
+    "dqn": {"burn_in_size": 100, "buffer_size": 500, "network": {"hidden": [8]}, "epsilon": 0.3},
+    "dqn, torch": {
+        **{"burn_in_size": 100, "buffer_size": 500, "network": {"hidden": [8]}, "epsilon": 0.3},
+        "fused": False,
+    },
+    "ppo": {"kind": "ppo", "copies": 2, "rollout": 48, "minibatch": 16},
+}
+
+
+def short(kind: str = "dqn", agents: str = "single") -> Config:
+    """A training that takes a moment."""
+    env = {"agents": agents, "max_steps": 15}
+    raw = {"env": env, "learner": LEARNERS[kind], "train": {"episodes": 6}}
+    return build(Config, raw)
 
 
 @pytest.mark.parametrize("agents", ["single", "multi"])
-def test_dqn_router_gives_the_best_episode_of_a_training(agents: Any) -> None:
+@pytest.mark.parametrize("kind", LEARNERS)
+def test_learned_router_gives_the_best_episode_of_a_training(kind: str, agents: str) -> None:
     problem = problem_of(3)
-    config = replace(SHORT, env=replace(SHORT.env, agents=agents))
+    config = short(kind, agents)
     watched: list[Episode] = []
-    router = DQNRouter(config, watch=watched.extend)
+    router = LearnedRouter(config, watch=watched.extend)
     routed = router.route(problem)
     trainer = Trainer({"problem": problem}, config)
     episodes = [episode for finished in trainer.run() for episode in finished]
@@ -214,23 +306,29 @@ def test_dqn_router_gives_the_best_episode_of_a_training(agents: Any) -> None:
     assert (figures.overflow, figures.wirelength) == (best.overflow, best.wirelength)
     assert figures.joined >= best.joined
     assert routed == trainer.solutions()["problem"]
-    assert routed == DQNRouter(config).route(problem)
+    again = LearnedRouter(config).solve(problem)
+    assert again.solution == routed
+    assert again.report == {"from": f"episode {best.episode + 1} of 6"}
+    assert router.name == kind.partition(",")[0]
     # Problems routed before make no difference.
     other = problem_of(4)
-    assert router.route(other) == DQNRouter(config).route(other)
+    assert router.route(other) == LearnedRouter(config).route(other)
 
 
-def test_dqn_router_with_a_checkpoint_trains_nothing(
+def test_learned_router_with_a_checkpoint_trains_nothing(
     trained: dict[str, Trainer], tmp_path: Path
 ) -> None:
     path = saved(trained["single"], tmp_path / "policy.pt")
     watched: list[Episode] = []
-    router = DQNRouter(SHORT, path, watched.extend, network="q")
+    router = LearnedRouter(short(), path, watched.extend, network="q")
     problem = problem_of(5)
-    assert router.route(problem) == QPolicy.load(path, "q").route(problem)
+    routed, expected = router.solve(problem), TrainedPolicy.load(path, "q").solve(problem)
+    assert router.route(problem) == routed.solution == expected.solution
+    after = int(trained["single"].policy_episode[1])
+    assert routed.report == expected.report == {"from": f"policy after {after} episodes, greedy"}
     assert not watched
     with pytest.raises(InputError, match="expected a problem named as one of"):
-        DQNRouter(SHORT, path)
+        LearnedRouter(short(), path)
 
 
 # --- classical ------------------------------------------------------------------------------------

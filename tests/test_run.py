@@ -1,6 +1,7 @@
 """Run folders: what they hold, and trainings that are killed and go on as if they were not."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -15,43 +16,66 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from policies.learned.dqn_compiled import CompiledDQN
+from numpy.typing import NDArray
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
-from marouting.generator import GeneratorOptions
+from marouting.config import build, plain
+from marouting.player import Player
+from marouting.source import load_problems
 from policies.cli.main import status
-from policies.learned.config import Config, DQNOptions, TrainOptions, load_config
+from policies.learned.algorithms.dqn import DQN, DQNOptions
+from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT
+from policies.learned.compiled.dqn import FusedDQN
+from policies.learned.config import Config, TrainOptions, load_config
+from policies.learned.learner import Setup
 from policies.learned.logs import Logs
-from policies.learned.router import QPolicy
+from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run, clear
 from policies.learned.trainer import Episode, Trainer
 
-PROBLEMS = GeneratorOptions(count=2, grid=(4, 4, 2), nets=3, capacity=2, seed=5)
+PROBLEMS: dict[str, Any] = {"count": 2, "grid": [4, 4, 2], "nets": 3, "capacity": 2, "seed": 5}
+SMALL: dict[str, dict[str, Any]] = {
+    "dqn": {"burn_in_size": 100, "buffer_size": 500, "epsilon": 0.2, "target_period": 7},
+    "ppo": {"copies": 2, "rollout": 48, "minibatch": 16},
+}
+"""Options of learners whose trainings take a moment."""
+
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def config_in(folder: Path, episodes: int = 20, **options: Any) -> Config:
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)  # more of them cost more than they save on networks this small
+
+
+def config_in(folder: Path, episodes: int = 20, kind: str = "dqn", **options: Any) -> Config:
     """A small configuration of two problems.
 
     Args:
         folder: the run folder.
         episodes: see TrainOptions.
-        **options: fields of EnvOptions, DQNOptions and TrainOptions.
+        kind: of learner.
+        **options: ``seed``, keys of ``env`` and ``train``, and of the learner.
     """
     fields = {
-        part: {k: v for k, v in options.items() if k in part.__dataclass_fields__}
-        for part in (EnvOptions, DQNOptions, TrainOptions)
+        part: {key: options.pop(key) for key in list(options) if key in schema.__dataclass_fields__}
+        for part, schema in (("env", EnvOptions), ("train", TrainOptions))
     }
-    env = {"problem": PROBLEMS, "max_steps": 12, **fields[EnvOptions]}
-    dqn = {"burn_in_size": 100, "buffer_size": 500, "hidden": (8,), **fields[DQNOptions]}
-    train = {"tensorboard": False, "figures": False, **fields[TrainOptions]}
-    return Config(
-        out=str(folder),
-        env=EnvOptions(**env),
-        dqn=DQNOptions(**{"epsilon": 0.2, "target_period": 7, **dqn}),
-        train=TrainOptions(episodes=episodes, **train),
-    )
+    train = {"tensorboard": False, "figures": False, "evaluate_every": 3, **fields["train"]}
+    raw = {
+        "seed": options.pop("seed", 0),
+        "out": str(folder),
+        "env": {"problem": PROBLEMS, "max_steps": 12, **fields["env"]},
+        "learner": {
+            "kind": kind,
+            "network": {"hidden": [8]},
+            **SMALL.get(kind, SMALL["dqn"]),
+            **options,
+        },
+        "train": {"episodes": episodes, **train},
+    }
+    return build(Config, raw)
 
 
 def metrics(folder: Path) -> list[dict[str, Any]]:
@@ -65,18 +89,25 @@ def results(folder: Path) -> list[dict[str, Any]]:
     return rows
 
 
+def content(value: Any) -> Any:
+    """What a saved file holds, with tensors as their shapes, types and bytes."""
+    if isinstance(value, torch.Tensor):
+        return tuple(value.shape), value.dtype, value.numpy().tobytes()
+    if isinstance(value, dict):
+        return {key: content(inner) for key, inner in value.items()}
+    return [content(inner) for inner in value] if isinstance(value, list) else value
+
+
 def outcome(folder: Path) -> dict[str, Any]:
     """Everything of a finished run that has to be the same however often it was stopped."""
     files = [folder / "metrics.jsonl", *sorted((folder / "solutions").iterdir())]
-    policy = torch.load(folder / "policy.pt", weights_only=True)
     checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
+    del checkpoint["seconds"]
     return {
         **{path.name: path.read_bytes() for path in files},
         "result": results(folder),
-        "policy": policy.pop("weights").numpy().tobytes(),
-        "about": policy,
-        **{k: v.numpy().tobytes() for k, v in checkpoint["learner"].items()},
-        **{k: v.numpy().tobytes() for k, v in checkpoint["trainer"].items()},
+        "policy": content(torch.load(folder / "policy.pt", weights_only=True)),
+        "checkpoint": content(checkpoint),
     }
 
 
@@ -108,9 +139,7 @@ def test_config_reloads(finished: Path) -> None:
     config = config_in(finished, tensorboard=True)
     assert load_config(finished / "config.yaml") == config
     # The whole of it, defaults included.
-    assert yaml.safe_load((finished / "config.yaml").read_text()) == json.loads(
-        json.dumps(asdict(config))
-    )
+    assert yaml.safe_load((finished / "config.yaml").read_text()) == plain(config)
 
 
 def test_problems_are_those_routed(finished: Path) -> None:
@@ -136,16 +165,18 @@ def test_results_are_those_of_the_solutions(finished: Path) -> None:
     assert [(row["problem"], row["router"]) for row in rows] == [
         (problem, router)
         for problem in ("problem_000", "problem_001")
-        for router in ("astar", "dqn")
+        for router in ("astar", "dqn", "dqn_policy")
     ]
     lines = metrics(finished)
     for row in rows:
         problem = Problem.read(finished / "problems" / f"{row['problem']}.gr")
         path = finished / "solutions" / f"{row['problem']}.{row['router']}.solution"
-        expected = asdict(evaluate(problem, Solution.read(path, problem)))
+        solution = Solution.read(path, problem)
+        expected = asdict(evaluate(problem, solution))
         del expected["disconnected"]
         assert expected == {name: row[name] for name in expected}
-        assert set(row) == {"problem", "router", *expected}
+        origin = {"from"} if row["router"] != "astar" else set()
+        assert set(row) == {"problem", "router", *expected, *origin}
         if row["router"] == "dqn":
             # Of the best episode: most joined, then overflow, wirelength.
             own = [line for line in lines if line["problem"] == row["problem"]]
@@ -154,16 +185,22 @@ def test_results_are_those_of_the_solutions(finished: Path) -> None:
             assert row["joined"] >= -best[0]
             marked = [line for line in own if line["best"]][-1]
             assert (-marked["joined"], marked["overflow"], marked["wirelength"]) == best
+            assert row["from"] == f"episode {marked['episode'] + 1} of 20"
+        if row["router"] == "dqn_policy":
+            policy = TrainedPolicy.load(finished / "policy.pt", row["problem"])
+            routed = policy.solve(problem)
+            assert (routed.solution, routed.report) == (solution, {"from": row["from"]})
 
 
 def test_figures_are_pictures(tmp_path: Path) -> None:
-    config = config_in(tmp_path / "run", 2, problem=replace(PROBLEMS, count=1), figures=True)
+    config = config_in(tmp_path / "run", 2, problem={**PROBLEMS, "count": 1}, figures=True)
     Run(config).execute()
     figures = tmp_path / "run" / "figures"
     kinds = ("heat_maps", "histogram", "edges", "solution_2d", "solution_3d")
+    routers = ("astar", "dqn", "dqn_policy")
     expected = {"reward.png", "reward_log.png"} | {
         f"problem_000/{stem}.png"
-        for stem in ("comparison", *(f"{r}_{kind}" for r in ("astar", "dqn") for kind in kinds))
+        for stem in ("comparison", *(f"{r}_{kind}" for r in routers for kind in kinds))
     }
     assert {str(path.relative_to(figures)) for path in figures.rglob("*.*")} == expected
     assert all((figures / name).read_bytes().startswith(PNG) for name in expected)
@@ -184,23 +221,28 @@ def test_tensorboard_shows_the_metrics(finished: Path) -> None:
 
 
 def test_policy_file_plays(finished: Path) -> None:
+    """Alone and in a checkpoint, which can be given in its place."""
+    saved = torch.load(finished / "policy.pt", weights_only=True)
+    assert saved["format"] == POLICY_FORMAT
     whole = torch.load(finished / "checkpoint.pt", weights_only=True)
+    assert whole["format"] == TRAINING_FORMAT
+    assert content(whole["weights"]) == content(saved["weights"])
     for row, name in enumerate(("problem_000", "problem_001")):
-        policy = QPolicy.load(finished / "policy.pt", name)
-        assert policy.sizes == (12, 8, 6)
+        policy = TrainedPolicy.load(finished / "policy.pt", name)
+        assert policy.obs_shape == (12,)
         assert policy.env.max_steps == 12
         problem = Problem.read(finished / "problems" / f"{name}.gr")
-        assert evaluate(problem, policy.route(problem)).tasks == 3
-        same = QPolicy.load(finished / "checkpoint.pt", name)
-        assert same.route(problem) == policy.route(problem)
+        routed = policy.solve(problem)
+        assert evaluate(problem, routed.solution).tasks == 3
+        same = TrainedPolicy.load(finished / "checkpoint.pt", name).solve(problem)
+        assert (same.solution, same.report) == (routed.solution, routed.report)
         seen = np.arange(12, dtype=np.float32)
-        first = torch.load(finished / "policy.pt", weights_only=True)["weights"][row]
-        assert torch.equal(first, whole["learner"]["weights"][row])
-        hidden = torch.relu(torch.from_numpy(seen) @ first[:96].view(12, 8) + first[96:104])
-        values = hidden @ first[104:152].view(8, 6) + first[152:]
+        one = saved["weights"][row]
+        hidden = torch.relu(torch.from_numpy(seen) @ one["layers.0.weight"] + one["layers.0.bias"])
+        values = hidden @ one["layers.1.weight"] + one["layers.1.bias"]
         assert policy.act(seen, np.ones(6, np.int8)) == int(values.argmax())
     with pytest.raises(InputError, match="problem_000"):
-        QPolicy.load(finished / "policy.pt", "another")
+        TrainedPolicy.load(finished / "policy.pt", "another")
 
 
 def test_the_same_configuration_gives_the_same_run(finished: Path, tmp_path: Path) -> None:
@@ -211,6 +253,24 @@ def test_the_same_configuration_gives_the_same_run(finished: Path, tmp_path: Pat
 # --- stopped and resumed --------------------------------------------------------------------------
 
 
+class Untaught(DQN):
+    """A learner that has learned and stored nothing when it is saved, in the middle of episodes."""
+
+    def __init__(self, setup: Setup, options: DQNOptions) -> None:
+        super().__init__(setup, options)
+        self.fill = 0
+
+    @property
+    def stored(self) -> NDArray[np.int64]:
+        return np.zeros(len(self.updates), np.int64)
+
+    def play(self, player: Player, steps: int) -> None:
+        super().play(player, min(steps, 5))
+
+    def learn(self, due: NDArray[np.int64]) -> None:
+        """Learns nothing."""
+
+
 class Killed(Exception):
     """Stands for a kill: nothing of the run catches it."""
 
@@ -218,7 +278,18 @@ class Killed(Exception):
 KINDS: dict[str, dict[str, Any]] = {
     "single": {"tensorboard": True},
     "multi, masked": {"agents": "multi", "masking": True},
-    "torch": {"backend": "torch", "target_period": 0, "steps_per_update": 2},
+    "shared": {"shared": True},
+    "torch": {"fused": False, "target_period": 0, "steps_per_update": 2},
+    "torch, all switches": {
+        "agents": "multi",
+        "double": True,
+        "n_step": 3,
+        "prioritised": True,
+        "network": {"hidden": [8], "dueling": True},
+    },
+    "ppo": {"kind": "ppo"},
+    "ppo, central": {"kind": "ppo", "agents": "multi", "critic": "central", "episodes": 20},
+    "a user's": {"kind": f"{__name__}:Untaught"},
 }
 
 
@@ -227,7 +298,8 @@ def test_a_run_killed_anywhere_goes_on_as_if_not(
     options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, folder = tmp_path / "whole", tmp_path / "killed"
-    Run(config_in(whole, 8, **options)).execute()
+    options = {"episodes": 8, **options}
+    Run(config_in(whole, **options)).execute()
     write = Logs.write
     left = 0
 
@@ -243,7 +315,7 @@ def test_a_run_killed_anywhere_goes_on_as_if_not(
     # Before the first checkpoint; with a checkpoint after every step; long after the last one.
     for resume, (seconds, writes) in enumerate([(3600.0, 3), (0.0, 3), (3600.0, 5), (0.0, 2)]):
         left = writes
-        config = config_in(folder, 8, **options)
+        config = config_in(folder, **options)
         run = Run(config, resume=resume > 0)
         run.config = replace(config, train=replace(config.train, checkpoint_seconds=seconds))
         with pytest.raises(Killed):
@@ -251,15 +323,44 @@ def test_a_run_killed_anywhere_goes_on_as_if_not(
         assert (folder / "checkpoint.pt").exists() == (resume > 0)
         assert not (folder / "result.json").exists()
     monkeypatch.undo()
-    Run(config_in(folder, 8, **options), resume=True).execute()
+    Run(config_in(folder, **options), resume=True).execute()
     assert outcome(folder) == outcome(whole)
     if options.get("tensorboard"):  # every episode once, those before the kills as well
         events = EventAccumulator(str(folder / "tensorboard"))
         events.Reload()
         assert [event.step for event in events.Scalars("reward/problem_000")] == list(range(8))
     # Once more: there is nothing left to do, and nothing changes.
-    Run(config_in(folder, 8, **options), resume=True).execute()
+    Run(config_in(folder, **options), resume=True).execute()
     assert outcome(folder) == outcome(whole)
+
+
+@pytest.mark.parametrize("file", ["checkpoint.pt", "policy.pt", "result.json"])
+def test_a_run_killed_while_it_writes_goes_on_as_if_not(
+    file: str, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half a file is never taken for a whole one; with a checkpoint after every step."""
+    folder, replaced, left = tmp_path / "run", os.replace, 3 if file == "checkpoint.pt" else 1
+
+    def killed(source: Any, target: Any) -> None:
+        nonlocal left
+        if Path(target).name == file:
+            left -= 1
+            if left == 0:
+                Path(source).write_bytes(b"half a file")
+                raise Killed
+        replaced(source, target)
+
+    config = config_in(folder)
+    run = Run(config)
+    run.config = replace(config, train=replace(config.train, checkpoint_seconds=0))
+    monkeypatch.setattr(os, "replace", killed)
+    with pytest.raises(Killed):
+        run.execute()
+    monkeypatch.undo()
+    assert left == 0
+    assert not (folder / "policy.pt").exists()
+    Run(config, resume=True).execute()
+    assert outcome(folder) == outcome(finished)
 
 
 @pytest.fixture
@@ -280,7 +381,7 @@ def test_an_interrupt_waits_for_the_end_of_a_step(
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     for owner, method, calls in (
         (Trainer, "burn_in", 1),
-        (CompiledDQN, "play", 2),
+        (FusedDQN, "play", 2),
         (Trainer, "_finish", 3),
     ):
         original: Callable[..., Any] = getattr(owner, method)
@@ -324,7 +425,7 @@ def test_a_run_in_another_thread(tmp_path: Path) -> None:
     thread = threading.Thread(target=run.execute)
     thread.start()
     thread.join()
-    assert len(results(tmp_path / "run")) == 4
+    assert len(results(tmp_path / "run")) == 6
 
 
 def command(*arguments: str) -> subprocess.Popen[str]:
@@ -362,7 +463,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A longer run, and beside it the configuration file that it came from."""
     folder = tmp_path_factory.mktemp("long")
     config = config_in(folder / "run", LONG, checkpoint_seconds=0.1)
-    (folder / "config.yaml").write_text(yaml.safe_dump(json.loads(json.dumps(asdict(config)))))
+    (folder / "config.yaml").write_text(yaml.safe_dump(plain(config)))
     Run(config).execute()
     return folder
 
@@ -432,10 +533,10 @@ def test_the_order_of_files_does_not_matter_to_a_resumed_run(tmp_path: Path) -> 
     for seed, name in enumerate(("b", "a-b", "a")):
         files.append(tmp_path / f"{name}.gr")
         generate(1, grid=(4, 4, 2), nets=2, seed=seed)[0].write(files[-1])
-    config = config_in(tmp_path / "run", 2, problem=tuple(map(str, files)))
+    config = config_in(tmp_path / "run", 2, problem=[str(file) for file in files])
     first = Run(config).execute()
     again = Run(config, resume=True).execute()
-    assert [row["problem"] for row in first] == ["a", "a", "a-b", "a-b", "b", "b"]
+    assert [row["problem"] for row in first] == [*["a"] * 3, *["a-b"] * 3, *["b"] * 3]
     assert [row["wirelength"] for row in again] == [row["wirelength"] for row in first]
 
 
@@ -453,12 +554,15 @@ def test_resume_takes_another_place_of_the_folder(tmp_path: Path) -> None:
 
 OTHERS: dict[str, dict[str, Any]] = {
     "seed": {"seed": 1},
-    "dqn.gamma": {"gamma": 0.5},
-    "dqn.hidden": {"hidden": (8, 8)},
+    "learner.kind": {"kind": "ppo"},
+    "learner.gamma": {"gamma": 0.5},
+    "learner.network.hidden": {"network": {"hidden": [8, 8]}},
     "env.max_steps": {"max_steps": 13},
-    "env.problem.nets": {"problem": replace(PROBLEMS, nets=4)},
+    "env.reward.reached": {"reward": {"reached": 7}},
+    "env.problem.nets": {"problem": {**PROBLEMS, "nets": 4}},
     "env.problem.count": {"problem": "some.gr"},
     "train.episodes": {"episodes": 9},
+    "train.shared": {"shared": True},
 }
 
 
@@ -482,9 +586,7 @@ def test_resume_with_another_configuration_is_refused(
     key: str, other: dict[str, Any], short: Path
 ) -> None:
     before = snapshot(short)
-    options = dict(other)
-    seed = options.pop("seed", 0)
-    config = replace(config_in(short, **{"episodes": 3, **options}), seed=seed)
+    config = config_in(short, **{"episodes": 3, **other})
     with pytest.raises(InputError) as caught:
         Run(config, resume=True)
     assert str(caught.value).startswith(f"{key}: expected ")
@@ -560,6 +662,18 @@ def changed(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
     return damage
 
 
+def another_learner(state: dict[str, Any], **options: Any) -> None:
+    """What a learner keeps is that of another one, on the same problems."""
+    config = config_in(Path("unused"), 3, **options)
+    trainer = Trainer(load_problems(config.env.problem), config)
+    state["training"] = trainer.learner.state()
+
+
+def reshaped(part: str, name: str) -> Callable[[Path], None]:
+    """A tensor of a checkpoint lacks its last column."""
+    return changed(lambda state: state[part].update({name: state[part][name][..., :-1].clone()}))
+
+
 DAMAGES: dict[str, Callable[[Path], None]] = {
     "truncated": truncated,
     "flipped": flipped,
@@ -567,17 +681,35 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "empty": empty,
     "folder": folder_instead,
     "policy": policy_only,
-    "names": changed(lambda state: state.update(names=["problem_000", "x"])),
-    "sizes": changed(lambda state: state.update(sizes=[12, 9, 6])),
     "format": changed(lambda state: state.update(format="marouting-dqn-0")),
-    "no learner": changed(lambda state: state.pop("learner")),
-    "no seconds": changed(lambda state: state.pop("seconds")),
-    "shape": changed(
-        lambda state: state["learner"].update(mean=state["learner"]["mean"][:, :-1].clone())
+    "problems": changed(lambda state: state.update(problems=["problem_000", "x"])),
+    "problems of no names": changed(lambda state: state.update(problems=torch.ones(3, 3))),
+    **{
+        f"no {key}": changed(lambda state, key=key: state.pop(key))  # type: ignore[misc]
+        for key in ("problems", "training", "trainer", "seconds", "logged")
+    },
+    "no policies": changed(lambda state: state["trainer"].pop("policies")),
+    "no state of the game": changed(lambda state: state["trainer"].pop("game.used")),
+    "no buffers": changed(lambda state: state["trainer"].pop("buffers.obs")),
+    "no places": changed(lambda state: state["trainer"].pop("places")),
+    "no networks": changed(lambda state: state["training"].pop("networks.flat")),
+    "other places": changed(lambda state: state["trainer"].update(places=torch.tensor([0, 5]))),
+    "places in rows": changed(lambda state: state["trainer"].update(places=torch.ones(2, 2))),
+    "places of no numbers": changed(lambda state: state["trainer"].update(places=["a", "b"])),
+    "weights": reshaped("training", "networks.flat"),
+    "target": reshaped("training", "target"),
+    "mean": reshaped("training", "adam.mean"),
+    "policies": reshaped("trainer", "policies"),
+    "memory": reshaped("training", "memory.store"),
+    "smaller memory": changed(
+        lambda state: state["training"].update({"memory.store": torch.zeros(2, 400, 32)})
     ),
-    "memory": changed(lambda state: state["learner"].update(rows=torch.zeros(2, 400, 32))),
-    "missing": changed(lambda state: state["trainer"].pop("dynamic.used")),
+    "ppo": changed(lambda state: another_learner(state, kind="ppo")),
+    "prioritised": changed(lambda state: another_learner(state, prioritised=True)),
     "no tensor": changed(lambda state: state["trainer"].update(episodes=[1, 2])),
+    "no mapping": changed(lambda state: state.update(training=[1, 2])),
+    "no number": changed(lambda state: state.update(seconds="long")),
+    "endless": changed(lambda state: state.update(logged=float("inf"))),
     "logged": changed(lambda state: state.update(logged=10**6)),
 }
 

@@ -93,7 +93,7 @@ class TrainedPolicy:
                 raise ValueError(f"{len(names)} names, {len(weights)} networks")
         except InputError:
             raise
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{where}: expected a whole file of networks: {error!r}") from None
         if len(names) > 1 and name not in names:
             raise InputError(f"{where}: expected a problem named as one of {names}, found {name}")
@@ -101,10 +101,10 @@ class TrainedPolicy:
         try:
             module = learner.cls.network(learner.options, obs_shape)
             module.load_state_dict(weights[row])
-        except (RuntimeError, AttributeError, TypeError) as error:
+            masking = bool(learner.options.masking)
+        except (InputError, RuntimeError, AttributeError, TypeError, ArithmeticError) as error:
             reason = " ".join(str(error).split())[:120]
             raise InputError(f"{where}: weights do not fit the network: {reason}") from None
-        masking = bool(learner.options.masking)
         return TrainedPolicy(module, masking, obs_shape, env, policy_origin(episodes[row]))
 
     def act(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> int:

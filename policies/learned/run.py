@@ -102,7 +102,7 @@ class Run:
             self._seconds, self._logged = float(state["seconds"]), int(state["logged"])
         except InputError:
             raise
-        except (LookupError, TypeError, ValueError, AttributeError) as error:
+        except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise InputError(f"{path}: expected a whole checkpoint: {error!r}") from None
 
     def _state(self) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
-from marouting.config import plain
+from marouting.config import one_line, plain
 from marouting.game.engine import Metrics
 from marouting.game.observation import state_space
 from marouting.game.state import NOBODY
@@ -206,7 +206,8 @@ class Trainer:
 
         Between times the trainer is in a state that :meth:`state` can save.
         """
-        if not self.learner.updates.any() and not self.learner.stored.any():
+        # From its first reset to its end a training has games in which somebody can move.
+        if self.running.any() and not self.player.buffers.active.any():
             self.player.reset()
             self.burn_in()
         while self.running.any():
@@ -365,10 +366,11 @@ class Trainer:
             InputError: it is of another kind, shape or set of problems.
         """
         if state["problems"] != list(self.names):
-            raise InputError(f"{where}: expected problems {self.names}, found {state['problems']}")
+            found = one_line(str(state["problems"]))
+            raise InputError(f"{where}: expected problems {self.names}, found {found}")
         places = np.asarray(state["trainer"]["places"], np.int64)
         if not np.array_equal(places, np.intersect1d(self.places, places)) or not len(places):
-            raise InputError(f"{where}: expected places of problems, found {places}")
+            raise InputError(f"{where}: expected places of problems, found {places.tolist()}")
         if len(places) < len(self.places):
             self._keep(np.searchsorted(self.places, places))
         learner = self.learner.state()
@@ -380,6 +382,8 @@ class Trainer:
                     raise InputError(
                         f"{where}: {name}: expected shape {tuple(tensor.shape)}, found {shape}"
                     )
+            if more := kept.keys() - now.keys():
+                raise InputError(f"{where}: {min(more)}: expected nothing of that name")
         for name, tensor in arrays.items():
             tensor.copy_(state["trainer"][name])
         engine, buffers = self.player.engine, self.player.buffers
