@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from importlib import metadata
 from pathlib import Path
 
@@ -232,3 +233,18 @@ def test_a_wheel_brings_every_configuration(installed: Path, tmp_path: Path) -> 
     )  # fmt: skip
     assert "dqn_policy" in out
     assert (tmp_path / "run" / "result.json").exists()
+
+
+def test_the_wheel_lists_every_package() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    listed = project["tool"]["setuptools"]["packages"]
+    folders = {
+        ".".join(file.relative_to(ROOT).parent.parts)
+        for package in ("marouting", "policies")
+        for file in (ROOT / package).rglob("*.py")
+    }
+    configs = {
+        ".".join(("marouting", *file.relative_to(ROOT).parent.parts))
+        for file in (ROOT / "configs").rglob("*.yaml")
+    }
+    assert sorted(listed) == sorted(folders | configs)
