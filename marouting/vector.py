@@ -1,7 +1,7 @@
 """Many problems at once, in arrays, for learners.
 
-Every net of every problem moves in every step. For Gymnasium's interface with one player per
-problem, use ``gymnasium.make_vec``.
+In every step every net of every problem moves, or only the one whose turn it is. For Gymnasium's
+own interface to the latter, use ``gymnasium.make_vec``.
 """
 
 from collections.abc import Sequence
@@ -25,11 +25,13 @@ Info = dict[str, Any]
 
 
 class BatchEnv(EzPickle):
-    """M problems of one grid shape, played side by side; all nets move in every step.
+    """M problems of one grid shape, played side by side.
 
-    The rows of problems with fewer agents than the largest one are padded; ``present`` tells which
-    agents exist. The arrays that :meth:`reset`, :meth:`step` and :meth:`state` return belong to the
-    environment and are overwritten by the next call, so copy what you want to keep.
+    Each problem has K rows: all its N agents, or, with ``everyone=False``, only the agent whose
+    turn it is (K = 1), whose reward is then what a move pays all agents. Problems with fewer agents
+    than the largest one are padded; ``present`` tells which agents exist. The arrays that
+    :meth:`reset`, :meth:`step` and :meth:`state` return belong to the environment and are
+    overwritten by the next call, so copy what you want to keep.
 
     A problem whose episode is over starts its next one in the following step, like Gymnasium's
     ``AutoresetMode.NEXT_STEP``: that step ignores the problem's actions, its rewards are 0, and its
@@ -37,12 +39,14 @@ class BatchEnv(EzPickle):
 
     Args:
         problems: the problems, all with the same grid shape.
+        everyone: whether all agents have a row and move in every step.
         autoreset: whether the next episode starts when one is over.
         threads: number of threads among which the problems are divided; the results do not depend
             on it. Several threads may call your own observation or reward at the same time, each
             for its own problems.
         **options: the fields of :class:`marouting.options.GameOptions` about the rules, the
-            observation and the reward; ``turn_order`` is ``round_robin`` unless given.
+            observation and the reward; unless given, ``turn_order`` is ``round_robin`` for all
+            agents and ``sequential`` for one row.
 
     Attributes:
         num_problems: M.
@@ -60,16 +64,20 @@ class BatchEnv(EzPickle):
         self,
         problems: Sequence[Problem],
         *,
+        everyone: bool = True,
         autoreset: bool = True,
         threads: int = 1,
         **options: Any,
     ) -> None:
-        EzPickle.__init__(self, problems, autoreset=autoreset, threads=threads, **options)
+        EzPickle.__init__(
+            self, problems, everyone=everyone, autoreset=autoreset, threads=threads, **options
+        )
         if threads < 1:
             raise InputError(f"threads: expected at least 1, found {threads}")
-        checked = game_options({"turn_order": ORDERS["multi"], **options})
+        order = ORDERS["multi" if everyone else "single"]
+        checked = game_options({"turn_order": order, **options})
         self.engine = engine = Engine(problems, checked)
-        self.autoreset = autoreset
+        self.autoreset, self._everyone = autoreset, everyone
         observation, reward = checked.observation.make(), checked.reward.make()
         overflow = engine.static.overflow_allowed
         self.single_observation_space = observation.space(engine.problems, overflow)
@@ -77,7 +85,9 @@ class BatchEnv(EzPickle):
         self.num_problems, self.num_agents = engine.nets.shape
         self.present = engine.tasks > 0
         self._buffers = StepBuffers.of(
-            self.num_problems, self.num_agents, self.single_observation_space.shape
+            self.num_problems,
+            self.num_agents if everyone else 1,
+            self.single_observation_space.shape,
         )
         self._state = np.empty((self.num_problems, *self.single_state_space.shape), np.float32)
 
@@ -88,6 +98,7 @@ class BatchEnv(EzPickle):
                 engine.part(part),
                 observation,
                 reward,
+                everyone=everyone,
                 buffers=StepBuffers._make(array[part] for array in self._buffers),
             )
             for part in map(slice, cuts, cuts[1:])
@@ -98,7 +109,7 @@ class BatchEnv(EzPickle):
         """Starts the episodes of all problems.
 
         Returns:
-            (M, N, *S) float32 observations, and an info like that of :meth:`step`.
+            (M, K, *S) float32 observations, and an info like that of :meth:`step`.
         """
         for player in self._players:
             player.reset()
@@ -109,26 +120,27 @@ class BatchEnv(EzPickle):
     ) -> tuple[
         NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], Info
     ]:
-        """Moves all agents, those of each problem in turn order.
+        """Moves the agents of all rows, those of each problem in turn order.
 
         Args:
-            actions: (M, N) integers, 0 to 5, or −1 for no move. Those of agents that are done or
+            actions: (M, K) integers, 0 to 5, or −1 for no move. Those of agents that are done or
                 absent are ignored.
 
         Returns:
-            * (M, N, *S) float32 observations,
-            * (M, N) float32 rewards: what the moves of the step paid each agent,
-            * (M, N) bool terminated: all tasks of the agent are joined,
-            * (M, N) bool truncated: all tasks of the agent have ended and some failed,
+            * (M, K, *S) float32 observations,
+            * (M, K) float32 rewards: what the moves of the step paid each agent,
+            * (M, K) bool terminated: all tasks of the agent are joined,
+            * (M, K) bool truncated: all tasks of the agent have ended and some failed,
             * an info, a dictionary of
 
-              * ``action_mask`` (M, N, 6) int8;
-              * ``active`` (M, N) bool: agents that can move next;
-              * ``acted`` (M, N) bool: agents that moved in this step;
-              * ``task_ended`` (M, N) int8: 1 where this step joined the agent's task, 2 where the
+              * ``agents`` (M, K) int32: the agent of each row, −1 for none;
+              * ``action_mask`` (M, K, 6) int8;
+              * ``active`` (M, K) bool: agents that can move next;
+              * ``acted`` (M, K) bool: agents that moved in this step;
+              * ``task_ended`` (M, K) int8: 1 where this step joined the agent's task, 2 where the
                 task failed, otherwise 0;
-              * ``final_obs`` (M, N, *S) float32 and ``final_mask`` (M, N, 6) int8: where a task
-                ended, what the agent saw on arrival, before its next task moved it elsewhere;
+              * ``final_obs`` (M, K, *S) float32 and ``final_mask`` (M, K, 6) int8: where a task
+                ended, or K = 1 and the turn passed, what the agent saw on arrival;
               * ``over`` (M,) bool: episodes that ended in this step;
               * ``overflow``, ``wirelength``, ``joined`` and ``steps`` (M,) integers: the present
                 metrics;
@@ -136,7 +148,7 @@ class BatchEnv(EzPickle):
                 last episode, 0 before the first one has ended.
 
             ``terminated`` and ``truncated`` stay true until the problem's next episode starts. To
-            bootstrap for an agent that acted, use ``final_obs`` if its task ended, otherwise the
+            bootstrap for an agent that acted, use ``final_obs`` where it is written, otherwise the
             observation. Do not bootstrap after a joined task; a failed task only ran out of steps.
 
         Raises:
@@ -145,7 +157,7 @@ class BatchEnv(EzPickle):
         b, actions = self._buffers, np.asarray(actions)
         if actions.shape != b.actions.shape:
             raise ValueError(f"actions: expected shape {b.actions.shape}, found {actions.shape}")
-        self.engine.check(actions)
+        self.engine.check(actions if self._everyone else actions[:, 0])
         b.actions[:] = actions
         first, *others = self._players
         running = [self._threads.submit(player.step, self.autoreset) for player in others]
@@ -178,6 +190,7 @@ class BatchEnv(EzPickle):
     def _info(self) -> Info:
         b, games = self._buffers, self.engine.games
         return {
+            "agents": b.agents,
             "action_mask": b.mask,
             "active": b.active,
             "acted": b.acted,

@@ -187,6 +187,17 @@ def test_the_same_moves_give_the_same_everywhere(
         over = terminated or truncated
     assert over
 
+    # The same in the batch, with one row per problem.
+    alone = BatchEnv([problem, problem], everyone=False, autoreset=False, **options)
+    rows, info = alone.reset()
+    for turn in turns:
+        assert info["agents"].tolist() == [[names.index(turn["agent"])]] * 2
+        np.testing.assert_array_equal(rows[:, 0], np.stack([turn["obs"]] * 2))
+        np.testing.assert_array_equal(info["action_mask"][1, 0], turn["mask"])
+        rows, reward, _, _, info = alone.step(np.full((2, 1), turn["move"]))
+        assert reward[1, 0] == pytest.approx(sum(turn["rewards"].values()), rel=1e-5, abs=1e-4)
+    assert (info["agents"] == NOBODY).all()
+
     # In AEC what others' moves pay accumulates until an agent's turn; nothing of it is lost.
     for agent, total in game["total"].items():
         paid = sum(turn["rewards"].get(agent, 0.0) for turn in turns)

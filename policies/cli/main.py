@@ -279,6 +279,7 @@ def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None
     if resume is not None:
         settings = replace(settings, out=str(resume))
     run = Run(settings, resume=resume is not None)
+    click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
     with training_bar(*run.episodes) as watch:
         rows = run.execute(watch)
     show(rows, str(run.folder))

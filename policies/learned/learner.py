@@ -111,6 +111,11 @@ class Learner(Rows, abc.ABC):
         module: nn.Module = options.network.make(obs_shape, MOVES)
         return module
 
+    @classmethod
+    def masks(cls, options: Any) -> bool:
+        """Whether only moves that cross an edge are chosen: ``masking`` among the options."""
+        return bool(getattr(options, "masking", False))
+
     @property
     def stored(self) -> NDArray[np.int64]:
         """(L,) transitions ever taken in."""
@@ -149,7 +154,7 @@ class Learner(Rows, abc.ABC):
         while b.active.any():
             with torch.no_grad():
                 outputs = view(torch.from_numpy(obs).to(self.device)[None])[0]
-            moves = best_moves(outputs, mask if self.options.masking else None)
+            moves = best_moves(outputs, mask if self.masks(self.options) else None)
             b.actions[:] = np.where(b.active, moves.reshape(b.actions.shape), NOBODY)
             player.step()
 

@@ -101,7 +101,7 @@ class TrainedPolicy:
         try:
             module = learner.cls.network(learner.options, obs_shape)
             module.load_state_dict(weights[row])
-            masking = bool(learner.options.masking)
+            masking = learner.cls.masks(learner.options)
         except (InputError, RuntimeError, AttributeError, TypeError, ArithmeticError) as error:
             reason = " ".join(str(error).split())[:120]
             raise InputError(f"{where}: weights do not fit the network: {reason}") from None

@@ -32,11 +32,6 @@ class LearnedRouter:
         self.policy = None if checkpoint is None else TrainedPolicy.load(checkpoint, network)
         self._watch = watch
 
-    @property
-    def name(self) -> str:
-        """What tables call it: the name of the learner."""
-        return self.config.learner.name
-
     def route(self, problem: Problem) -> Solution:
         """The best routes of a training, or those that the trained policy walks."""
         return self.solve(problem).solution

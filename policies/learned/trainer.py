@@ -100,7 +100,12 @@ class Trainer:
         use_threads(train.threads)
         device = _device(train.device)
         # What needs no game is checked first.
-        masks = bool(getattr(learner.options, "masking", False))
+        if not issubclass(learner.cls, Learner):
+            raise InputError(
+                f"learner: expected a class derived from {Learner.__module__}.Learner, "
+                f"found {learner.name}"
+            )
+        masks = learner.cls.masks(learner.options)
         self._whole = player_of(config.env, list(problems.values()), masks)
         engine, count = self._whole.engine, len(self.names)
         self._copies = int(getattr(learner.options, "copies", 1))
@@ -298,7 +303,7 @@ class Trainer:
         setup, learner = self.learner.setup, self.config.learner
         module = learner.cls.network(learner.options, setup.obs_shape)
         module.load_state_dict(self._state_dict(self._policies[row]))
-        masking = bool(learner.options.masking)
+        masking = learner.cls.masks(learner.options)
         origin = policy_origin(int(self.policy_episode[row]))
         return TrainedPolicy(module, masking, setup.obs_shape, self.config.env, origin)
 

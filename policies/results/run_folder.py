@@ -29,7 +29,8 @@ POLICY, RESULT = "policy.pt", "result.json"
 
 def solution_file(folder: Path, problem: str, router: str) -> Path:
     """The file of a router's solution of a problem."""
-    return folder / "solutions" / f"{problem}.{router}.solution"
+    # A learner may be called module:Class, and not every file system takes a colon.
+    return folder / "solutions" / f"{problem}.{router.replace(':', '-')}.solution"
 
 
 def read_result(folder: Path) -> list[Row]:
