@@ -104,6 +104,7 @@ SMALL: dict[str, Any] = {
     "burn_in_size": 1,
     "target_period": 2,
     "epsilon": 0.3,
+    "epsilon_final": None,
 }
 SMALL_PPO: dict[str, Any] = {
     "network": piece("network", {"kind": "mlp", "hidden": [8]}),
@@ -810,7 +811,7 @@ def test_only_a_joined_task_ends_the_sum_of_rewards(kind: type[DQN]) -> None:
 def test_epsilon_falls_from_an_episode_to_the_last() -> None:
     player = player_of([tiny()], multi=False)
     setup = setup_of(player, ["a"], episodes=5001)
-    constant = DQN(setup, options_of("dqn", epsilon=0.07))
+    constant = DQN(setup, options_of("dqn", epsilon=0.07, epsilon_final=None))
     assert {constant.exploration(e) for e in range(5001)} == {0.07}
     # The paper's Table 2, row 7: 0.05, falling to 0.01 from episode 2000 to the last.
     falling = DQN(

@@ -36,7 +36,13 @@ from policies.learned.trainer import Episode, Trainer
 
 PROBLEMS: dict[str, Any] = {"count": 2, "grid": [4, 4, 2], "nets": 3, "capacity": 2, "seed": 5}
 SMALL: dict[str, dict[str, Any]] = {
-    "dqn": {"burn_in_size": 100, "buffer_size": 500, "epsilon": 0.2, "target_period": 7},
+    "dqn": {
+        "burn_in_size": 100,
+        "buffer_size": 500,
+        "epsilon": 0.2,
+        "epsilon_final": None,
+        "target_period": 7,
+    },
     "ppo": {"copies": 2, "rollout": 48, "minibatch": 16},
 }
 """Options of learners whose trainings take a moment."""

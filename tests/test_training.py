@@ -87,7 +87,12 @@ def small_config(episodes: int = 6, seed: int = 0, **options: Any) -> Config:
         part: {k: options.pop(k) for k in list(options) if k in schema.__dataclass_fields__}
         for part, schema in (("env", EnvOptions), ("train", TrainOptions))
     }
-    small = {"burn_in_size": 100, "buffer_size": 5000, "network": {"hidden": [8]}}
+    small = {
+        "epsilon_final": None,
+        "burn_in_size": 100,
+        "buffer_size": 5000,
+        "network": {"hidden": [8]},
+    }
     raw = {
         "seed": seed,
         "env": {"max_steps": 12, **fields["env"]},

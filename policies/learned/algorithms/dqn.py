@@ -1,8 +1,9 @@
 """Deep Q-learning (Mnih et al., 2015) as in the paper, with the usual additions as switches.
 
-Deviations from the paper's text, all of them options: a target network (``target_period``), and a
-discount factor below 1. Without them hardly a net is joined, see docs/paper.md. The additions are
-off by default; each can be switched on without the others.
+Deviations from the paper's text, all of them options: a target network (``target_period``) and a
+discount factor below 1, without which hardly a net is joined (docs/paper.md), and a chance of
+random moves that falls to 0. The additions are off by default; each can be switched on without the
+others.
 
 * ``double``: the network chooses the next move, the target network values it (van Hasselt et al.,
   2016).
@@ -72,7 +73,7 @@ class DQNOptions:
     burn_in: str = "astar"
     burn_in_size: int = 10_000
     epsilon: float = 0.05
-    epsilon_final: float | None = None
+    epsilon_final: float | None = 0.0
     epsilon_decay_from: int = 0
     target_period: int = 1000
     steps_per_update: int = 1
