@@ -1,4 +1,4 @@
-"""BatchEnv against the Parallel face, problem by problem."""
+"""BatchEnv against the Parallel environment, problem by problem."""
 
 import pickle
 from typing import Any

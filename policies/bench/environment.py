@@ -1,4 +1,4 @@
-"""Speed of the environment: its faces, its start, its memory."""
+"""Speed of the environment: its interfaces, its start, its memory."""
 
 import json
 import os
@@ -43,7 +43,7 @@ def batch(bench: Bench) -> Iterator[Measurement]:
         "BatchEnv, 1024 problems of 50 nets",
         unit,
         one,
-        "Parallel face, 50 nets",
+        "Parallel environment, 50 nets",
         _parallel(global_routing_v0.parallel_env(_problem())),
         target="30 M",
     )
@@ -102,8 +102,8 @@ def _turns(env: Any, steps: int = 3000, *, last: bool = True) -> Work:
     return work
 
 
-def faces(bench: Bench) -> Iterator[Measurement]:
-    """The faces of PettingZoo, against environments that do nothing."""
+def interfaces(bench: Bench) -> Iterator[Measurement]:
+    """The interfaces of PettingZoo, against environments that do nothing."""
     from pettingzoo.utils import wrappers
 
     from policies.bench.floor import EmptyAEC
@@ -113,7 +113,7 @@ def faces(bench: Bench) -> Iterator[Measurement]:
 
     problem = _problem()
     yield bench.versus(
-        "AEC face: last() and step()",
+        "AEC environment: last() and step()",
         "steps/s",
         _turns(global_routing_v0.env(problem)),
         "an empty AEC environment under the same wrappers",
@@ -129,7 +129,7 @@ def faces(bench: Bench) -> Iterator[Measurement]:
         target="150 000",
     )
     yield bench.versus(
-        "Parallel face, 50 nets",
+        "Parallel environment, 50 nets",
         "agent-steps/s",
         _parallel(global_routing_v0.parallel_env(problem)),
         "raw_env: step()",
@@ -241,9 +241,9 @@ def large(bench: Bench) -> Iterator[Measurement]:
     del bench
     if sys.platform != "linux":
         return
-    for face in ("raw_env", "parallel_env"):
-        megabytes, made, reset = _child(_LARGE, face)
-        name = f"{face}, 10 000 nets on 64×64×2"
+    for made_by in ("raw_env", "parallel_env"):
+        megabytes, made, reset = _child(_LARGE, made_by)
+        name = f"{made_by}, 10 000 nets on 64×64×2"
         yield Measurement(f"{name}: memory", megabytes, megabytes, "MB", target="200 MB")
         yield Measurement(f"{name}: making it", made, made, "s")
         yield Measurement(f"{name}: reset()", reset, reset, "s", target="1 s")

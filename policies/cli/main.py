@@ -352,7 +352,7 @@ def bench(
 ) -> None:
     """Measure speed, as ratios to comparators that run in turns with the code.
 
-    SECTION is one of start, batch, faces, large, search, training and scaling; without it
+    SECTION is one of start, batch, interfaces, large, search, training and scaling; without it
     everything is measured, which takes several minutes.
     """
     from policies.bench import SECTIONS, Bench, Measurement, run
