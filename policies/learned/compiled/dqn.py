@@ -4,7 +4,7 @@ It gives the same results as :class:`policies.learned.algorithms.dqn.DQN` up to 
 times as fast. :func:`obstacle` says where it applies.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
@@ -128,13 +128,30 @@ def _play(steps: int, play: Play, nets: Networks, rule: StepRule) -> None:
 
 
 @threaded
-def _play_threaded(steps: int, play: Play, nets: Networks, rule: StepRule) -> None:
+def _play_threaded(
+    steps: int,
+    static: Static,
+    dynamic: Dynamic,
+    buffers: StepBuffers,
+    kernel_buffers: StepBuffers,
+    known: Known,
+    rest: tuple[Any, ...],
+    steps_per_update: int,
+    nets: Networks,
+    rule: StepRule,
+) -> None:
     """:func:`_play`, with the networks shared out among numba's threads.
 
     Each network and its games belong to one thread: the results do not depend on how many there
-    are. Numba's cache does not look at options, so this has to be a function of its own.
+    are. Numba's cache does not look at options, so this has to be a function of its own; and its
+    threads take no tuples inside tuples, so the parts of :class:`Play` come one by one.
     """
     for n in prange(len(nets.updates)):
+        values, before, keys, counters, epsilon, owed = rest
+        play = Play(
+            static, dynamic, buffers, kernel_buffers, known, values, before, keys, counters,
+            epsilon, owed, steps_per_update,
+        )  # fmt: skip
         _play_network(n, steps, play, nets, rule)
 
 
@@ -217,8 +234,12 @@ class FusedDQN(DQN):
             self.owed,
             self.options.steps_per_update,
         )
-        run = _play_threaded if self.setup.threads > 1 else _play
-        run(steps, play, self._nets, self._rule)
+        if self.setup.threads > 1:
+            *parts, steps_per_update = play
+            games, rest = parts[:5], tuple(parts[5:])
+            _play_threaded(steps, *games, rest, steps_per_update, self._nets, self._rule)
+        else:
+            _play(steps, play, self._nets, self._rule)
         self._counted()
 
     def walk(self, player: Player, network: int) -> None:
