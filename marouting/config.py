@@ -211,14 +211,15 @@ Named = Annotated[Piece, PlainValidator(lambda value: value)]
 """The type of a field that holds a piece; :func:`take_pieces` turns its value into one."""
 
 
-def piece_field(kind: str, name: str | None = None) -> Any:
+def piece_field(kind: str, name: str | None = None, **options: Any) -> Any:
     """A field of a schema that holds a piece.
 
     Args:
         kind: one of :data:`marouting.registry.KINDS`.
         name: the default piece; None: the first one registered.
+        **options: the options of the default piece that differ from its own defaults.
     """
-    return field(default=None, metadata={"kind": kind, "name": name})
+    return field(default=None, metadata={"kind": kind, "name": name, "options": options})
 
 
 def take_pieces(options: Any) -> None:
@@ -231,8 +232,10 @@ def take_pieces(options: Any) -> None:
     """
     for f in fields(options):
         if "kind" in f.metadata:
-            taken = piece(f.metadata["kind"], getattr(options, f.name), f.metadata["name"], f.name)
-            object.__setattr__(options, f.name, taken)
+            kind, name = f.metadata["kind"], f.metadata["name"]
+            value = getattr(options, f.name)
+            value = f.metadata["options"] if value is None else value
+            object.__setattr__(options, f.name, piece(kind, value, name, f.name))
 
 
 def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> Piece:

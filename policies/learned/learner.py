@@ -5,6 +5,7 @@ networks: one for each problem, or one that all problems share.
 """
 
 import abc
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -148,15 +149,13 @@ class Learner(Rows, abc.ABC):
             player: its episodes have just begun.
             network: the network's row.
         """
-        b = player.buffers
-        obs, mask = b.obs.reshape(-1, *b.obs.shape[2:]), b.mask.reshape(-1, MOVES)
         view = self.networks.row(network)
-        while b.active.any():
-            with torch.no_grad():
-                outputs = view(torch.from_numpy(obs).to(self.device)[None])[0]
-            moves = best_moves(outputs, mask if self.masks(self.options) else None)
-            b.actions[:] = np.where(b.active, moves.reshape(b.actions.shape), NOBODY)
-            player.step()
+        masking = self.masks(self.options)
+
+        def rate(obs: Tensor) -> Tensor:
+            return view(obs.to(self.device)[None])[0]
+
+        play_out(player, rate, masking=masking)
 
     def weights(self) -> list[dict[str, Tensor]]:
         """The networks as ``state_dict`` of ordinary modules, on the processor."""
@@ -165,6 +164,23 @@ class Learner(Rows, abc.ABC):
     def _games(self, array: NDArray[Any]) -> NDArray[Any]:
         """An array with one row per game as (L, games / L, …)."""
         return array.reshape(len(self.updates), -1, *array.shape[1:])
+
+
+def play_out(player: Player, rate: Callable[[Tensor], Tensor], *, masking: bool) -> None:
+    """Plays the games of a player to their end, always by the move that is rated highest.
+
+    Args:
+        player: its episodes have begun.
+        rate: (B, *S) float32 observations to (B, 6) ratings of the moves.
+        masking: whether only moves that cross an edge are chosen.
+    """
+    b = player.buffers
+    obs, mask = torch.from_numpy(b.obs).flatten(0, 1), b.mask.reshape(-1, MOVES)
+    while b.active.any():
+        with torch.no_grad():
+            moves = best_moves(rate(obs), mask if masking else None)
+        b.actions[:] = np.where(b.active, moves.reshape(b.actions.shape), NOBODY)
+        player.step()
 
 
 def best_moves(outputs: Tensor, mask: NDArray[np.int8] | None) -> NDArray[np.int8]:

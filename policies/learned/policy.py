@@ -12,11 +12,10 @@ from torch import nn
 from marouting import EnvOptions, InputError, Problem, Solution
 from marouting.config import build, piece
 from marouting.game.engine import Engine
-from marouting.game.state import NOBODY
 from marouting.options import ORDERS
 from marouting.player import Player
 from policies.learned.checkpoint import read_checkpoint
-from policies.learned.learner import best_moves
+from policies.learned.learner import best_moves, play_out
 
 
 def player_of(env: EnvOptions, problems: list[Problem], masks: bool) -> Player:
@@ -132,8 +131,5 @@ class TrainedPolicy:
                 f"found a network for {self.obs_shape}"
             )
         player.reset()
-        while b.active.any():
-            moves = self.moves(b.obs[0], b.mask[0])
-            b.actions[0] = np.where(b.active[0], moves, NOBODY)
-            player.step()
+        play_out(player, self.module, masking=self.masking)
         return Routed(player.engine.solution(), {"from": self.origin})

@@ -13,7 +13,7 @@ Deviations from the papers and from CleanRL's implementation:
   of the learning rate.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from marouting.config import MOST, Named, Piece, check, piece, take_pieces
+from marouting.config import MOST, Named, check, piece_field, take_pieces
 from marouting.game.observation import state
 from marouting.game.state import Ending
 from marouting.player import Player
@@ -32,10 +32,6 @@ from policies.learned.memory.before import Before
 from policies.learned.memory.rollout import LONGEST, Rollout, shuffled
 from policies.learned.networks.adam import Adam
 from policies.learned.networks.stack import Stack, View
-
-
-def _network() -> Piece:
-    return piece("network", {"kind": "mlp", "hidden": [64, 64]})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +60,7 @@ class PPOOptions:
 
     __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
 
-    network: Named = field(default_factory=_network, metadata={"kind": "network", "name": "mlp"})
+    network: Named = piece_field("network", "mlp", hidden=(64, 64))
     critic: Literal["own", "central"] = "own"
     copies: int = 32
     gamma: float = 0.95
