@@ -23,6 +23,7 @@ from marouting.game.observation import Observation, PaperObservation, write_pape
 from marouting.game.reward import PaperReward, Reward, paper_reward
 from marouting.game.rules import (
     free_moves,
+    may_move,
     move_agent,
     move_everyone,
     move_player,
@@ -289,15 +290,12 @@ class Player:
     def _turns(self, begins: NDArray[np.bool_]) -> Iterator[tuple[Any, Any]]:
         """Yields (M,) the agent that moves next in each problem, or NOBODY, and (M,) the moves."""
         engine, actions = self.engine, self.buffers.actions
-        rows = np.arange(len(begins))
-        in_turn = self.everyone and not engine.static.sequential
-        for k in range(engine.nets.shape[1] if in_turn else 1):
-            movers = engine.static.order[:, k] if in_turn else engine.games["agent"]
-            moves = actions[rows, movers] if self.everyone else actions[:, 0]
-            active = engine.agents["status"][rows, movers] == Status.ACTIVE
-            moving = (movers != NOBODY) & active & (moves != NOBODY) & ~begins
-            if moving.any():
-                yield np.where(moving, movers, NOBODY).astype(np.int32), moves
+        for k in range(engine.nets.shape[1] if self.everyone else 1):
+            movers, moves = np.empty(len(begins), np.int32), np.empty(len(begins), np.int8)
+            if _movers(
+                engine.static, engine.dynamic, self.everyone, k, actions, begins, movers, moves
+            ):
+                yield movers, moves
 
     def _pay(self, before: Dynamic, movers: NDArray[np.int32]) -> NDArray[np.float32]:
         """(M, N) float32, what moves pay; raises ValueError if the reward has a wrong shape."""
@@ -370,6 +368,32 @@ def _forget(dynamic: Dynamic) -> None:
     for m in range(dynamic.agents.shape[0]):
         for n in range(dynamic.agents.shape[1]):
             wait(dynamic, m, n)
+
+
+@compiled
+def _movers(
+    static: Static,
+    dynamic: Dynamic,
+    everyone: bool,
+    k: int,
+    actions: Any,
+    begins: Any,
+    movers: Any,
+    moves: Any,
+) -> bool:
+    """Fills in who moves k-th in each problem, or NOBODY, and the moves; whether anybody does."""
+    found = False
+    for m in range(len(begins)):
+        n = wide(static.order[m, k] if everyone else dynamic.games[m].agent)
+        moves[m] = NOBODY if n == NOBODY else actions[m, n if everyone else 0]
+        movers[m] = NOBODY
+        if n != NOBODY and not begins[m]:
+            if everyone and not may_move(static, dynamic, m, place(n), moves[m]):
+                continue
+            if moves[m] != NOBODY:
+                movers[m] = n
+                found = True
+    return found
 
 
 @compiled

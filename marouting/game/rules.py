@@ -193,21 +193,23 @@ def settle_player(static: Static, dynamic: Dynamic, m: int) -> None:
 
 
 @inlined
+def may_move(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> bool:
+    """Whether an agent makes a move when all are asked: if it is active and need not wait."""
+    in_turn = n == dynamic.games[m].agent or not static.sequential
+    return move != NOBODY and in_turn and dynamic.agents[m, n].status == Status.ACTIVE
+
+
+@inlined
 def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
     """In one problem, all agents make their moves of ``moves`` (M, N) in turn order.
 
     In sequential order only the agent whose turn it is moves.
     """
-    playing = dynamic.games[m].agent
     for k in range(static.order.shape[1]):
         if static.order[m, k] == NOBODY:
             break
         n = place(static.order[m, k])
-        if (
-            dynamic.agents[m, n].status == Status.ACTIVE
-            and moves[m, n] != NOBODY
-            and (n == playing or not static.sequential)
-        ):
+        if may_move(static, dynamic, m, n, moves[m, n]):
             move_agent(static, dynamic, m, n, place(moves[m, n]))
         else:
             wait(dynamic, m, n)
