@@ -388,7 +388,8 @@ def _movers(
         moves[m] = NOBODY if n == NOBODY else actions[m, n if everyone else 0]
         movers[m] = NOBODY
         if n != NOBODY and not begins[m]:
-            if everyone and not may_move(static, dynamic, m, place(n), moves[m]):
+            playing = dynamic.games[m].agent
+            if everyone and not may_move(static, dynamic, m, place(n), playing, moves[m]):
                 continue
             if moves[m] != NOBODY:
                 movers[m] = n

@@ -193,10 +193,19 @@ def settle_player(static: Static, dynamic: Dynamic, m: int) -> None:
 
 
 @inlined
-def may_move(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> bool:
-    """Whether an agent makes a move when all are asked: if it is active and need not wait."""
-    in_turn = n == dynamic.games[m].agent or not static.sequential
-    return move != NOBODY and in_turn and dynamic.agents[m, n].status == Status.ACTIVE
+def may_move(static: Static, dynamic: Dynamic, m: int, n: int, playing: int, move: int) -> bool:
+    """Whether an agent makes a move when all are asked: if it is active and need not wait.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        m: the problem.
+        n: the agent.
+        playing: the agent whose turn it is.
+        move: the agent's move, or NOBODY.
+    """
+    active = dynamic.agents[m, n].status == Status.ACTIVE
+    return active and move != NOBODY and (n == playing or not static.sequential)
 
 
 @inlined
@@ -205,11 +214,12 @@ def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
 
     In sequential order only the agent whose turn it is moves.
     """
+    playing = dynamic.games[m].agent
     for k in range(static.order.shape[1]):
         if static.order[m, k] == NOBODY:
             break
         n = place(static.order[m, k])
-        if may_move(static, dynamic, m, n, moves[m, n]):
+        if may_move(static, dynamic, m, n, playing, moves[m, n]):
             move_agent(static, dynamic, m, n, place(moves[m, n]))
         else:
             wait(dynamic, m, n)
