@@ -85,7 +85,7 @@ def stamp(module: str) -> str:
     return digest.hexdigest()
 
 
-compiled = _decorator(nogil=True, **_NO_REFERENCE_COUNTS)
+compiled = _decorator(nogil=True, error_model="numpy", **_NO_REFERENCE_COUNTS)
 """For kernels that allocate nothing: cached on disk, without the interpreter's lock, and without
 reference counts of arrays. Counting references at every call of a rule would take ten times as long
 as the rule itself."""

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
+from torch import Tensor
 
 from marouting.config import check
 from marouting.game.state import Dynamic, Ending, Static
@@ -240,7 +241,6 @@ class FusedDQN(DQN):
             _play_threaded(steps, *games, rest, steps_per_update, self._nets, self._rule)
         else:
             _play(steps, play, self._nets, self._rule)
-        self._counted()
 
     def walk(self, player: Player, network: int) -> None:
         """See :meth:`policies.learned.learner.Learner.walk`."""
@@ -253,10 +253,9 @@ class FusedDQN(DQN):
 
     def learn(self, due: NDArray[np.int64]) -> None:
         """See :meth:`policies.learned.algorithms.dqn.DQN.learn`."""
-        learn(self._nets, due.astype(np.int64), self._rule)
-        self._counted()
+        learn(self._nets, due, self._rule)
 
-    def _counted(self) -> None:
-        """Keeps the copies of the counts that torch works with up to date."""
-        self.memory.bind()
+    def state(self) -> dict[str, Tensor]:
+        """See :meth:`policies.learned.rows.Rows.state`; with the counts that torch works with."""
         self.adam.count.numpy()[:] = self.updates
+        return super().state()

@@ -117,8 +117,8 @@ class Replay(Rows):
         self.bind()
 
     def bind(self) -> None:
-        """Renews the device's copy of the counts."""
-        self._stored = torch.from_numpy(self.stored).to(self.device, copy=True)
+        """Renews the device's counts, which on the processor are the same numbers."""
+        self._stored = torch.from_numpy(self.stored).to(self.device)
 
     def add(self, before: Before, after: StepBuffers) -> None:
         """Stores the transitions of a step, those of agents that moved.
@@ -148,7 +148,8 @@ class Replay(Rows):
         if not here:
             place = place.to(self.device)
             self.store.view(-1, width)[place] = torch.from_numpy(rows[:count]).to(self.device)
-        self._stored.copy_(torch.from_numpy(self.stored))
+        if not here:
+            self._stored.copy_(torch.from_numpy(self.stored))
         self._added(place)
 
     def cut(self) -> None:
