@@ -252,7 +252,7 @@ class PPO(Learner):
         for _ in range(o.epochs):
             order = torch.from_numpy(shuffled(o.rollout, self.keys[n], self.updates[n]))
             for places in torch.split(order.to(self.device), o.minibatch):
-                part = {name: tensor[places] for name, tensor in batch.items()}
+                part = {name: tensor.index_select(0, places) for name, tensor in batch.items()}
                 pair = losses(actor[1], critic[1], part, o)
                 for loss, (weights, view, adam) in zip(pair, (actor, critic), strict=True):
                     gradient = torch.empty_like(weights)
@@ -279,13 +279,14 @@ def losses(
     scores = actor(part["obs"][None])[0]
     if o.masking:
         scores = scores.masked_fill(part["mask"] == 0, -1e9)
-    chances = torch.log_softmax(scores, dim=1)
+    # (6, B): torch does this several times as fast over the long axis.
+    chances = torch.log_softmax(scores.t(), dim=0)
     advantage = part["advantage"]
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-    ratio = (chances.gather(1, part["action"][:, None])[:, 0] - part["chance"]).exp()
+    ratio = (chances.gather(0, part["action"][None])[0] - part["chance"]).exp()
     clipped = ratio.clamp(1 - o.clip, 1 + o.clip)
     gain = torch.minimum(ratio * advantage, clipped * advantage).mean()
-    entropy = -(chances.exp() * chances).sum(dim=1).mean()
+    entropy = -(chances.exp() * chances).sum(dim=0).mean()
     seen = part["obs"]
     if o.critic == "central":
         seen = torch.cat((part["state_"].flatten(1), seen.flatten(1)), dim=1)

@@ -179,7 +179,8 @@ class Replay(Rows):
         networks, capacity, width = self.store.shape
         first = capacity * torch.arange(networks, device=self.device)[:, None]
         # One gather over the whole store is several times as quick as one per network.
-        rows = self.store.view(-1, width)[(place + first).view(-1)].view(*place.shape, width)
+        rows = self.store.view(-1, width).index_select(0, (place + first).view(-1))
+        rows = rows.view(*place.shape, width)
         f, rest = self.features, 2 * self.features
         return Batch(
             obs=rows[..., :f].view(*place.shape, *self.obs_shape),

@@ -54,7 +54,8 @@ class MLP(nn.Module):
         x = obs.flatten(obs.dim() - len(self.obs_shape))
         for layer in self.layers[:-1]:
             x = layer(x)
-            x = torch.relu(x) if self.activation == "relu" else torch.tanh(x)
+            # In place, because nothing else needs the sums.
+            x = torch.relu_(x) if self.activation == "relu" else torch.tanh_(x)
         x = self.layers[-1](x)
         return duel(x) if self.dueling else x
 
