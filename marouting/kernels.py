@@ -85,7 +85,9 @@ def stamp(module: str) -> str:
     return digest.hexdigest()
 
 
-compiled = _decorator(nogil=True, error_model="numpy", **_NO_REFERENCE_COUNTS)
+compiled = _decorator(
+    nogil=True, error_model="numpy", no_cfunc_wrapper=True, **_NO_REFERENCE_COUNTS
+)
 """For kernels that allocate nothing: cached on disk, without the interpreter's lock, and without
 reference counts of arrays. Counting references at every call of a rule would take ten times as long
 as the rule itself."""
@@ -110,8 +112,8 @@ ignores options, so a threaded kernel has to be a separate function."""
 def wide(index: Any) -> int:
     """An index from an array as int64.
 
-    Numba compiles a function again for every combination of integer types that it is called with.
-    If indices are widened when they are read from arrays, they all have the same type.
+    Numba compiles a function again for every combination of integer types that it is called with,
+    and for every integer that is written out. If all indices are widened, they have the same type.
     """
     return np.int64(index)  # type: ignore[return-value]
 

@@ -100,7 +100,6 @@ class Known(NamedTuple):
     """What the compiled step has to know about the pieces."""
 
     everyone: bool  # whether all agents have a row, or only the one whose turn it is
-    masks: bool  # whether to write masks
     observation: bool  # whether the observation is the paper's
     reward: bool  # whether the reward is the paper's
     via_capacity: float  # see PaperObservation
@@ -123,7 +122,6 @@ class Player:
         observation: what agents see.
         reward: what moves pay.
         everyone: whether all agents have a row, or only the one whose turn it is.
-        masks: whether to write masks; otherwise they stay as they are.
         buffers: the arrays to use; None: new ones.
 
     Attributes:
@@ -144,7 +142,6 @@ class Player:
         reward: Reward,
         *,
         everyone: bool = True,
-        masks: bool = True,
         buffers: StepBuffers | None = None,
     ) -> None:
         self.engine, self.observation, self.reward = engine, observation, reward
@@ -158,7 +155,6 @@ class Player:
         pays = reward if type(reward) is PaperReward else PaperReward()
         self.known = Known(
             everyone,
-            masks,
             looks is observation,
             pays is reward,
             looks.via_capacity,
@@ -186,16 +182,21 @@ class Player:
         self._before = engine.save() if own_reward else None
         if self.compiled:
             self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
-            self._step = bound(_step, *self._arguments, True)
+            kernel = _play_everyone if self.everyone else _play_player
+            self._step = bound(kernel, *self._arguments, True, True)
         else:
             self._arrived = np.zeros(engine.nets.shape, AGENT)
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
         """Starts the episodes of all problems, or of those where ``which`` (M,) is true."""
+        over = self.buffers.over
         if which is None:
-            which = np.ones(len(self.buffers.over), np.bool_)
+            which = np.ones(len(over), np.bool_)
         if self.compiled:
-            _start(*self._arguments, which)
+            were_over = over.copy()
+            over[:] = which
+            self._step(*self._arguments, False, True)
+            over[~which] = were_over[~which]
             return
         self._start(which)
         self._look(which)
@@ -208,7 +209,7 @@ class Player:
                 episode instead.
         """
         if self.compiled:
-            self._step(*self._arguments, restart)
+            self._step(*self._arguments, True, restart)
         else:
             self._step_by_turns(restart)
 
@@ -333,8 +334,7 @@ class Player:
         out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
         self.observation.write(engine, problems, agents, out)
         b.final_obs[rows] = out
-        if self.known.masks:
-            b.final_mask[rows] = engine.masks(problems, agents)
+        b.final_mask[rows] = engine.masks(problems, agents)
         engine.agents[place_of] = settled
 
     def _look(self, which: NDArray[np.bool_], asked: NDArray[np.int32] | None = None) -> None:
@@ -359,8 +359,7 @@ class Player:
         out = np.empty((len(agents), *b.obs.shape[2:]), np.float32)
         self.observation.write(engine, problems, agents, out)
         b.obs[chosen] = out.reshape(b.obs[chosen].shape)
-        if self.known.masks:
-            b.mask[chosen] = engine.masks(problems, agents).reshape(b.mask[chosen].shape)
+        b.mask[chosen] = engine.masks(problems, agents).reshape(b.mask[chosen].shape)
 
 
 @compiled
@@ -440,68 +439,41 @@ _MASKS = MASKS.view(np.int16)
 
 
 @inlined
-def _write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
-    free = free_moves(static, dynamic, m, n)
-    for pair in range(_MASKS.shape[1]):
-        out[m, row, pair] = _MASKS[free, pair]
-
-
-@inlined
-def _look_back(
-    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int
+def _look(
+    static: Static, dynamic: Dynamic, known: Known, m: int, n: int, obs: Any, mask: Any, row: int
 ) -> None:
-    """Writes what an agent saw where it arrived."""
-    write_paper(static, dynamic, known.via_capacity, m, n, b.final_obs[m], row)
-    if known.masks:
-        _write_mask(static, dynamic, m, n, b.final_mask, row)
+    """Writes what an agent sees; zeros and a mask of ones for NOBODY."""
+    free = wide(0)
+    if n != NOBODY:
+        free = free_moves(static, dynamic, m, place(n))
+    write_paper(static, dynamic, known.via_capacity, m, n, obs[m], row)
+    for pair in range(_MASKS.shape[1]):
+        mask[m, row, pair] = _MASKS[free, pair]
 
 
 @inlined
-def _take_stock(
-    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int
-) -> Any:
-    """Writes the result of an agent's move before it settles; returns the reward."""
+def _look_at_player(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+    """Writes what the agent whose turn it is sees."""
+    player = wide(dynamic.games[m].agent)
+    b.agents[m, 0] = player
+    b.active[m, 0] = player != NOBODY
+    _look(static, dynamic, known, m, player, b.obs, b.mask, wide(0))
+
+
+@inlined
+def _take_stock(dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int) -> Any:
+    """Writes the result of an agent's move; returns the reward."""
     agent = dynamic.agents[m, n]
     reward = paper_reward(known.prices, known.overflow_price, agent)
     b.acted[m, row] = agent.crossing != Crossing.NONE
     b.reward[m, row] = reward
     b.ending[m, row] = agent.ending
-    if agent.ending != Ending.NONE:
-        _look_back(static, dynamic, b, known, m, n, row)
     return reward
 
 
 @inlined
-def _look(
-    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int
-) -> None:
-    """Writes what an agent sees now."""
-    free = wide(0)
-    if known.masks:
-        free = free_moves(static, dynamic, m, n)
-    write_paper(static, dynamic, known.via_capacity, m, n, b.obs[m], row)
-    if known.masks:
-        for pair in range(_MASKS.shape[1]):
-            b.mask[m, row, pair] = _MASKS[free, pair]
-
-
-@inlined
-def _look_at_player(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
-    """Writes what the agent whose turn it is sees; zeros and a mask of ones after the episode."""
-    player = wide(dynamic.games[m].agent)
-    b.agents[m, 0] = player
-    b.active[m, 0] = player != NOBODY
-    if player == NOBODY:
-        write_paper(static, dynamic, known.via_capacity, m, player, b.obs[m], 0)
-        for pair in range(_MASKS.shape[1]):
-            b.mask[m, 0, pair] = _MASKS[0, pair]
-    else:
-        _look(static, dynamic, b, known, m, place(player), 0)
-
-
-@inlined
-def start_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
-    """Starts an episode of a problem."""
+def _start(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
+    """Starts an episode of a problem, in which nobody has acted yet."""
     reset_problem(static, dynamic, m)
     b.over[m] = False
     b.total[m] = 0
@@ -509,13 +481,69 @@ def start_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known
         b.acted[m, row] = b.terminated[m, row] = b.truncated[m, row] = False
         b.reward[m, row] = 0
         b.ending[m, row] = Ending.NONE
-    if not known.everyone:
-        _look_at_player(static, dynamic, b, known, m)
-        return
+
+
+@inlined
+def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
+    """After a step: records whether the episode has ended with it, and how."""
+    b.over[m] = playing and game.active == 0
+    if b.over[m]:
+        b.final[m].overflow = game.overflow
+        b.final[m].wirelength = game.wirelength
+        b.final[m].joined = game.joined
+        b.final[m].steps = game.steps
+
+
+@inlined
+def _step_everyone(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+    """A step of one problem in which all agents have a row."""
+    game = dynamic.games[m]
+    playing = game.active > 0
+    total = b.total[m]
+    move_everyone(static, dynamic, m, b.actions)
     for n in range(b.agents.shape[1]):
-        b.active[m, n] = dynamic.agents[m, n].status == Status.ACTIVE
-        if b.active[m, n]:
-            _look(static, dynamic, b, known, m, n, n)
+        # One loop does everything for an agent while its data is in the cache.
+        agent = dynamic.agents[m, n]
+        if agent.status == Status.ABSENT:
+            continue
+        total += _take_stock(dynamic, b, known, m, n, n)
+        if agent.ending != Ending.NONE:
+            _look(static, dynamic, known, m, n, b.final_obs, b.final_mask, n)
+            settle_agent(static, dynamic, m, n)
+        status = agent.status
+        b.terminated[m, n] = status == Status.TERMINATED
+        b.truncated[m, n] = status == Status.TRUNCATED
+        b.active[m, n] = status == Status.ACTIVE
+        _look(static, dynamic, known, m, n, b.obs, b.mask, n)
+    settle_turns(static, dynamic, m)
+    b.total[m] = total
+    _finish(b, m, playing, game)
+
+
+@inlined
+def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+    """A step of one problem in which only the agent whose turn it is has a row."""
+    game = dynamic.games[m]
+    playing = game.active > 0
+    mover, row = wide(game.agent), wide(0)
+    move_player(static, dynamic, m, wide(b.actions[m, 0]))
+    if mover == NOBODY:
+        b.acted[m, 0] = False
+        b.reward[m, 0] = 0
+        b.ending[m, 0] = Ending.NONE
+    else:
+        n = place(mover)
+        b.total[m] += _take_stock(dynamic, b, known, m, n, row)
+        passes = game.active > 1 and not static.sequential
+        if b.ending[m, 0] != Ending.NONE or (b.acted[m, 0] and passes):
+            _look(static, dynamic, known, m, n, b.final_obs, b.final_mask, row)
+        settle_agent(static, dynamic, m, n)
+        pass_turn(static, dynamic, m)
+        status = dynamic.agents[m, n].status
+        b.terminated[m, 0] = status == Status.TERMINATED
+        b.truncated[m, 0] = status == Status.TRUNCATED
+    _look_at_player(static, dynamic, b, known, m)
+    _finish(b, m, playing, game)
 
 
 @inlined
@@ -529,63 +557,48 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known,
         known: what is known about the pieces.
         m: the problem.
     """
-    game = dynamic.games[m]
-    playing = game.active > 0
-    total = b.total[m]
     if known.everyone:
-        move_everyone(static, dynamic, m, b.actions)
-        for n in range(b.agents.shape[1]):
-            # One loop does everything for an agent while its data is in the cache.
-            agent = dynamic.agents[m, n]
-            if agent.status == Status.ABSENT:
-                continue
-            total += _take_stock(static, dynamic, b, known, m, n, n)
-            if agent.ending != Ending.NONE:
-                settle_agent(static, dynamic, m, n)
-            status = agent.status
-            b.terminated[m, n] = status == Status.TERMINATED
-            b.truncated[m, n] = status == Status.TRUNCATED
-            b.active[m, n] = status == Status.ACTIVE
-            _look(static, dynamic, b, known, m, n, n)
-        settle_turns(static, dynamic, m)
+        _step_everyone(static, dynamic, b, known, m)
     else:
-        mover = wide(game.agent)
-        move_player(static, dynamic, m, wide(b.actions[m, 0]))
-        if mover == NOBODY:
-            b.acted[m, 0] = False
-            b.reward[m, 0] = 0
-            b.ending[m, 0] = Ending.NONE
-        else:
-            n = place(mover)
-            total += _take_stock(static, dynamic, b, known, m, n, 0)
-            settle_agent(static, dynamic, m, n)
-            pass_turn(static, dynamic, m)
-            if b.acted[m, 0] and b.ending[m, 0] == Ending.NONE and game.agent != mover:
-                _look_back(static, dynamic, b, known, m, n, 0)
-            status = dynamic.agents[m, n].status
-            b.terminated[m, 0] = status == Status.TERMINATED
-            b.truncated[m, 0] = status == Status.TRUNCATED
-        _look_at_player(static, dynamic, b, known, m)
-    b.total[m] = total
-    b.over[m] = playing and game.active == 0
-    if b.over[m]:
-        b.final[m].overflow = game.overflow
-        b.final[m].wirelength = game.wirelength
-        b.final[m].joined = game.joined
-        b.final[m].steps = game.steps
+        _step_player(static, dynamic, b, known, m)
+
+
+# Two kernels, because one for both would take half as long again to compile.
 
 
 @compiled
-def _start(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, which: Any) -> None:
-    for m in range(len(which)):
-        if which[m]:
-            start_problem(static, dynamic, b, known, m)
+def _play_everyone(
+    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, steps: bool, restarts: bool
+) -> None:
+    """Steps and restarts of all problems, where all agents have a row.
 
-
-@compiled
-def _step(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, restart: bool) -> None:
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        b: the buffers, with masks in pairs of bytes.
+        known: what is known about the pieces.
+        steps: whether problems make a step.
+        restarts: whether those whose episode is over start the next one instead.
+    """
     for m in range(len(b.over)):
-        if restart and b.over[m]:
-            start_problem(static, dynamic, b, known, m)
-        else:
-            step_problem(static, dynamic, b, known, m)
+        if restarts and b.over[m]:
+            _start(static, dynamic, b, m)
+            for n in range(b.agents.shape[1]):
+                b.active[m, n] = dynamic.agents[m, n].status == Status.ACTIVE
+                if b.active[m, n]:
+                    _look(static, dynamic, known, m, n, b.obs, b.mask, n)
+        elif steps:
+            _step_everyone(static, dynamic, b, known, m)
+
+
+@compiled
+def _play_player(
+    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, steps: bool, restarts: bool
+) -> None:
+    """:func:`_play_everyone` where only the agent whose turn it is has a row."""
+    for m in range(len(b.over)):
+        if restarts and b.over[m]:
+            _start(static, dynamic, b, m)
+            _look_at_player(static, dynamic, b, known, m)
+        elif steps:
+            _step_player(static, dynamic, b, known, m)

@@ -16,8 +16,8 @@ A worked example: the paper's 12 numbers, and the number of agents that are stil
 
         def space(self, problems, overflow):
             inner = self.paper.space(problems, overflow)
-            most = max(len(problem.nets) for problem in problems)
-            return Box(np.append(inner.low, 0), np.append(inner.high, most), dtype=np.float32)
+            most = np.float32(max(len(problem.nets) for problem in problems))
+            return Box(np.append(inner.low, np.float32(0)), np.append(inner.high, most))
 
         def write(self, engine, problems, agents, out):
             self.paper.write(engine, problems, agents, out[:, :-1])
@@ -153,8 +153,10 @@ def write_paper(
             static.position[target, 1],
             static.position[target, 2],
         )
-        east, west = _room(static, dynamic, m, cell, 0), _room(static, dynamic, m, cell, 1)
-        north, south = _room(static, dynamic, m, cell, 2), _room(static, dynamic, m, cell, 3)
+        east = _room(static, dynamic, m, cell, wide(0))
+        west = _room(static, dynamic, m, cell, wide(1))
+        north = _room(static, dynamic, m, cell, wide(2))
+        south = _room(static, dynamic, m, cell, wide(3))
         exits = static.exits[cell]
         out[row, 0], out[row, 1], out[row, 2] = np.float32(x), np.float32(y), np.float32(z)
         out[row, 3] = np.float32(np.int32(to_x - x))

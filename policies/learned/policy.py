@@ -18,20 +18,15 @@ from policies.learned.checkpoint import read_checkpoint
 from policies.learned.learner import best_moves, play_out
 
 
-def player_of(env: EnvOptions, problems: list[Problem], masks: bool) -> Player:
+def player_of(env: EnvOptions, problems: list[Problem]) -> Player:
     """What plays problems as a configuration's ``env`` says.
 
     Raises:
         InputError: the problems do not go together.
     """
     engine = Engine(problems, env, turn_order=env.turn_order or ORDERS[env.agents])
-    return Player(
-        engine,
-        env.observation.make(),
-        env.reward.make(),
-        everyone=env.agents == "multi",
-        masks=masks,
-    )
+    everyone = env.agents == "multi"
+    return Player(engine, env.observation.make(), env.reward.make(), everyone=everyone)
 
 
 def policy_origin(episodes: int) -> str:
@@ -123,7 +118,7 @@ class TrainedPolicy:
             InputError: the game shows observations of another shape than the network was trained
                 on.
         """
-        player = player_of(self.env, [problem], masks=True)
+        player = player_of(self.env, [problem])
         b = player.buffers
         if b.obs.shape[2:] != self.obs_shape:
             raise InputError(

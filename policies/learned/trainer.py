@@ -105,12 +105,11 @@ class Trainer:
                 f"learner: expected a class derived from {Learner.__module__}.Learner, "
                 f"found {learner.name}"
             )
-        masks = learner.cls.masks(learner.options)
-        self._whole = player_of(config.env, list(problems.values()), masks)
+        self._whole = player_of(config.env, list(problems.values()))
         engine, count = self._whole.engine, len(self.names)
         self._copies = int(getattr(learner.options, "copies", 1))
         each = [problem for problem in problems.values() for _ in range(self._copies)]
-        self.player = player_of(config.env, each, masks)
+        self.player = player_of(config.env, each)
         b = self.player.buffers
         self.learner: Learner = learner.cls.start(
             Setup(
@@ -185,12 +184,13 @@ class Trainer:
         moves = guide(learner.burn_in, self.problems, player.engine, config.seed)
         chance = Exploration(keys(config.seed, learner.setup.game_names, "burn-in").reshape(-1, 1))
         nothing = np.zeros(b.mask.shape, np.float32)
+        masking = learner.masks(learner.options)
         game = np.repeat(np.arange(len(games)), b.agents.shape[1])
         player.reset()
         filled = np.zeros(len(games), np.bool_)
         while not filled.all():
             if moves is None:
-                chance.epsilon_greedy(b, nothing, player.known.masks)
+                chance.epsilon_greedy(b, nothing, masking)
             else:
                 b.actions.reshape(-1)[:] = moves.moves(game, b.agents.reshape(-1))
             b.actions[filled] = NOBODY
