@@ -24,7 +24,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast, get_args, get_type_hints
+from typing import Annotated, Any, NoReturn, TypeVar, cast, get_args, get_type_hints
 
 import yaml
 from pydantic import PlainValidator, Tag, TypeAdapter, ValidationError
@@ -38,11 +38,50 @@ MOST = 2**31 - 1
 """The largest count; compiled code and arrays do not support integers of arbitrary size."""
 
 
-class _Loader(yaml.SafeLoader):
-    """The safe loader with two rules of YAML 1.2.
+MOST_VALUES = 100_000
+"""The largest number of values in YAML text; an alias counts as all that it stands for."""
 
-    ``1e-4`` is a number, not a string, and a key may occur only once in a mapping.
+DEEPEST = 50
+"""How deep they may be nested."""
+
+
+class _Loader(yaml.SafeLoader):
+    """The safe loader with YAML 1.2's numbers, and with bounds.
+
+    ``1e-4`` is a number and not a string, ``1:30`` is a string and not 90, ``010`` is 10 and not 8.
+    A key may occur only once in a mapping. A few aliases of aliases can stand for more values than
+    fit in memory, so they are counted before anything is made of them.
     """
+
+    def compose_document(self) -> yaml.Node | None:
+        """A document as written, if it is not too large."""
+        self._sizes: dict[yaml.Node, int] = {}
+        self._depth = 0
+        return super().compose_document()
+
+    def compose_node(self, parent: Any, index: Any) -> yaml.Node | None:
+        """A value as written, or the one that an alias stands for."""
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        mark = event.start_mark
+        self._depth += 1
+        if self._depth > DEEPEST:
+            self._refuse(f"values are nested more than {DEEPEST} deep", mark)
+        node: Any = super().compose_node(parent, index)
+        self._depth -= 1
+        if node not in self._sizes:
+            if isinstance(event, yaml.AliasEvent):
+                self._refuse("a value contains itself", mark)
+            inner: list[Any] = []
+            if isinstance(node, yaml.MappingNode):
+                inner = [part for pair in node.value for part in pair]
+            elif isinstance(node, yaml.SequenceNode):
+                inner = node.value
+            elif "\0" in node.value:
+                self._refuse("a text contains the character NUL", mark)
+            self._sizes[node] = 1 + sum(self._sizes[part] for part in inner)
+        if self._sizes[node] > MOST_VALUES:
+            self._refuse(f"there are more than {MOST_VALUES} values", mark)
+        return cast(yaml.Node, node)
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         """A mapping as written, before anything is merged into it."""
@@ -52,17 +91,38 @@ class _Loader(yaml.SafeLoader):
             if not isinstance(key, yaml.ScalarNode):
                 continue
             if key.value in seen:
-                problem = f"the key {key.value} occurs twice"
-                raise yaml.composer.ComposerError(None, None, problem, key.start_mark)
+                self._refuse(f"the key {key.value} occurs twice", key.start_mark)
             seen.add(key.value)
         return node
 
+    def construct_integer(self, node: yaml.ScalarNode) -> int:
+        """``10``, ``-010``, ``0o17`` or ``0x1f``."""
+        text = node.value
+        return int(text, {"0o": 8, "0x": 16}.get(text[:2], 10))
 
+    @staticmethod
+    def _refuse(problem: str, mark: Any) -> NoReturn:
+        raise yaml.composer.ComposerError(None, None, problem, mark)
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [rule for rule in rules if not rule[0].endswith((":int", ":float", ":timestamp"))]
+    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:int",
+    re.compile(r"^[-+]?[0-9]+$|^0o[0-7]+$|^0x[0-9a-fA-F]+$"),
+    list("-+0123456789"),
+)
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$|^[-+]?\.(inf|Inf|INF)$"),
+    re.compile(
+        r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$"
+        r"|^[-+]?\.(inf|Inf|INF)$|^\.(nan|NaN|NAN)$"
+    ),
     list("-+0123456789."),
 )
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_integer)
 
 
 def parse_yaml(text: str, name: str) -> Any:

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
@@ -103,6 +104,7 @@ class BatchEnv(EzPickle):
             )
             for part in map(slice, cuts, cuts[1:])
         ]
+        self._begun = False
         self._threads = ThreadPoolExecutor(threads)  # starts threads as they are needed
 
     def reset(self) -> tuple[NDArray[np.float32], Info]:
@@ -113,6 +115,7 @@ class BatchEnv(EzPickle):
         """
         for player in self._players:
             player.reset()
+        self._begun = True
         return self._buffers.obs, self._info()
 
     def step(
@@ -152,8 +155,11 @@ class BatchEnv(EzPickle):
             observation. Do not bootstrap after a joined task; a failed task only ran out of steps.
 
         Raises:
+            ResetNeeded: :meth:`reset` has not been called.
             ValueError: an array has a wrong shape, or an action is out of range.
         """
+        if not self._begun:
+            raise ResetNeeded("step: expected a call of reset() before it")
         b, actions = self._buffers, np.asarray(actions)
         if actions.shape != b.actions.shape:
             raise ValueError(f"actions: expected shape {b.actions.shape}, found {actions.shape}")
@@ -178,6 +184,7 @@ class BatchEnv(EzPickle):
         """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
         for player, kept in zip(self._players, saved, strict=True):
             player.restore(kept)
+        self._begun = True
 
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents; call :meth:`reset` afterwards.

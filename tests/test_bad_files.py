@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from strategies import solved_problems
 
 from marouting import Adjustment, InputError, Net, Pin, Problem, Solution
+from marouting.config import parse_yaml
 
 T = TypeVar("T")
 
@@ -366,3 +367,71 @@ def test_a_spoiled_solution_is_valid_or_refused(
     if again is not None:
         again.write(file)
         assert Solution.read(file, solution.problem) == again
+
+
+# --- YAML -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("10", 10),
+        ("010", 10),
+        ("-010", -10),
+        ("0o17", 15),
+        ("0x1f", 31),
+        ("1e-4", 1e-4),
+        (".5", 0.5),
+        ("-.inf", float("-inf")),
+        ("1:30", "1:30"),
+        ("1:30.5", "1:30.5"),
+        ("1_000", "1_000"),
+        ("2026-11-22", "2026-11-22"),
+        ("true", True),
+        ("~", None),
+    ],
+)
+def test_scalars_of_yaml(text: str, value: object) -> None:
+    found = parse_yaml(text, "a.yaml")
+    assert (type(found), found) == (type(value), value)
+
+
+def aliases(levels: int, each: int) -> str:
+    """Lists of lists, each of them ``each`` times the one before."""
+    lines = [f"a0: &a0 [{', '.join(['x'] * each)}]"]
+    for level in range(1, levels):
+        again = ", ".join([f"*a{level - 1}"] * each)
+        lines.append(f"a{level}: &a{level} [{again}]")
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (aliases(9, 9), "6: expected YAML: there are more than 100000 values"),
+        (aliases(25, 2), "16: expected YAML: there are more than 100000 values"),
+        ("a: 1\nb: &b {c: [*b]}", "2: expected YAML: a value contains itself"),
+        ("a: 1\nb: " + "[" * 900, "2: expected YAML: values are nested more than 50 deep"),
+        ('a: 1\nb: "c\\0"', "2: expected YAML: a text contains the character NUL"),
+    ],
+    ids=["nine times nine", "doubled", "itself", "deep", "NUL"],
+)
+def test_yaml_has_bounds(text: str, line: str) -> None:
+    tracemalloc.start()
+    with pytest.raises(InputError) as caught:
+        parse_yaml(text, "a.yaml")
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert str(caught.value) == f"a.yaml:{line}"
+    assert most < 20_000_000
+
+
+@given(st.text(st.sampled_from("&*ab:{}[],-#!|>?%@'\"\\0 19.e_x\n\t<~"), max_size=40))
+def test_any_yaml_is_data_or_refused(text: str) -> None:
+    said = "a.yaml"
+    try:
+        parse_yaml(text, "a.yaml")
+    except InputError as error:
+        said = str(error)
+    assert said.startswith("a.yaml")
+    assert "\n" not in said

@@ -13,6 +13,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -819,3 +820,93 @@ def test_a_problem_with_nothing_to_route() -> None:
     for make in MAKERS.values():
         with pytest.raises(InputError, match="expected a net with pins in two Gcells"):
             make(problem=dot)
+
+
+# --- steps that cannot be made --------------------------------------------------------------------
+
+
+def aec_steps(problem: Problem) -> tuple[Callable[[], Any], Callable[[Any], Any]]:
+    env = global_routing_v0.raw_env(problem)
+    return env.reset, env.step
+
+
+def wrapped_steps(problem: Problem) -> tuple[Callable[[], Any], Callable[[Any], Any]]:
+    env = global_routing_v0.env(problem)
+    return env.reset, env.step
+
+
+def parallel_steps(problem: Problem) -> tuple[Callable[[], Any], Callable[[Any], Any]]:
+    env = global_routing_v0.parallel_env(problem)
+    return env.reset, lambda action: env.step(dict.fromkeys(env.agents, action))
+
+
+def single_steps(problem: Problem) -> tuple[Callable[[], Any], Callable[[Any], Any]]:
+    env = single_env(problem)
+    return env.reset, env.step
+
+
+STEPS = {
+    "raw_env": aec_steps,
+    "env": wrapped_steps,
+    "parallel": parallel_steps,
+    "single": single_steps,
+}
+
+
+@pytest.mark.parametrize("face", STEPS)
+def test_the_same_actions_are_accepted_everywhere(face: str) -> None:
+    reset, step = STEPS[face](generate(1, nets=2)[0])
+    for action in (4, np.int8(4), np.int64(4), np.array(4), True):
+        reset()
+        step(action)
+    wrong: list[Any] = [
+        6, -1, 1.0, 1.5, np.float32(1), np.array([1]), np.array(1.0), "1", None, np.bool_(True)
+    ]  # fmt: skip
+    for action in wrong:
+        reset()
+        # PettingZoo's wrappers of `env` assert.
+        with pytest.raises(AssertionError if face == "env" else ValueError, match=r"action"):
+            step(action)
+
+
+@pytest.mark.parametrize("face", ["raw_env", "parallel", "single"])
+def test_a_step_needs_an_episode(face: str) -> None:
+    _, step = STEPS[face](generate(1, nets=2)[0])
+    with pytest.raises(ResetNeeded, match=r"expected a call of reset\(\)"):
+        step(0)
+
+
+def test_an_episode_that_is_over_changes_no_more() -> None:
+    problem = generate(1, nets=2)[0]
+
+    def figures(env: Any) -> Any:
+        return env.metrics(), env.solution()
+
+    aec = global_routing_v0.raw_env(problem, max_steps=3)
+    aec.reset()
+    while aec.agents:
+        agent = aec.agent_selection
+        aec.step(None if aec.terminations[agent] or aec.truncations[agent] else U)
+    last = figures(aec)
+    for action in (U, None):
+        with pytest.raises(ResetNeeded):
+            aec.step(action)
+    assert figures(aec) == last
+
+    parallel = global_routing_v0.parallel_env(problem, max_steps=3)
+    parallel.reset()
+    while parallel.agents:
+        parallel.step(dict.fromkeys(parallel.agents, U))
+    last = figures(parallel)
+    assert parallel.step({}) == parallel.step({"net_0": U}) == ({}, {}, {}, {}, {})
+    assert figures(parallel) == last
+
+    single: Any = single_env(problem, max_steps=3)
+    single.reset()
+    while not any(single.step(U)[2:4]):
+        pass
+    last = figures(single)
+    with pytest.warns(UserWarning, match="the episode is over"):
+        _, reward, terminated, truncated, _ = single.step(U)
+    assert (reward, terminated, truncated) == (0, False, True)
+    assert figures(single) == last

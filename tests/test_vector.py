@@ -5,13 +5,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 import marouting
-from marouting import InputError, global_routing_v0
+from marouting import InputError, generate, global_routing_v0
 from marouting.game.observation import PaperObservation
 from marouting.game.options import TurnOrder
 from marouting.game.reward import PaperReward
+from marouting.game.state import NOBODY
 from marouting.vector import BatchEnv
 
 PROBLEMS = [
@@ -202,3 +204,14 @@ def test_states_are_those_of_the_faces() -> None:
 def test_a_copy_by_pickle_plays_alike() -> None:
     env = BatchEnv(PROBLEMS, max_steps=7, threads=2)
     assert same(walk(pickle.loads(pickle.dumps(env))), walk(env))
+
+
+def test_a_step_needs_an_episode() -> None:
+    env = BatchEnv(generate(2, nets=3))
+    stay = np.full((2, 3), NOBODY, np.int8)
+    with pytest.raises(ResetNeeded, match=r"expected a call of reset\(\)"):
+        env.step(stay)
+    other = BatchEnv(generate(2, nets=3))
+    other.reset()
+    env.restore(other.save())
+    env.step(stay)

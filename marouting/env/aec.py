@@ -3,6 +3,7 @@
 from typing import Any
 
 from gymnasium import Space
+from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 from pettingzoo import AECEnv
@@ -39,6 +40,7 @@ class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
             agent: self._game.new_observation_space() for agent in self.possible_agents
         }
         self.action_spaces = {agent: Discrete(MOVES) for agent in self.possible_agents}
+        self.agents: list[str] = []
 
     def observation_space(self, agent: str) -> Space[Any]:
         """The agent's observation space, the same object every time."""
@@ -85,9 +87,12 @@ class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
             action: one of the six moves; None for an agent that is terminated or truncated.
 
         Raises:
+            ResetNeeded: there is no episode, or it is over.
             ValueError: the action is not one of the six moves, or not None for an agent that is
                 terminated or truncated.
         """
+        if not self.agents:
+            raise ResetNeeded("step: expected a call of reset() before it")
         game, agent = self._game, self.agent_selection
         if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)

@@ -1,12 +1,14 @@
 """What the interfaces of the environment have in common: a game made from options."""
 
 import copy
+import operator
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 from gymnasium import Space
+from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box, Dict, MultiBinary
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
@@ -32,8 +34,6 @@ METADATA: dict[str, Any] = {
     "is_parallelizable": True,
 }
 
-_MOVES = range(MOVES)
-
 
 class BaseGame:
     """A game of one problem with its observation, reward, masks, state and pictures.
@@ -50,6 +50,7 @@ class BaseGame:
         player: the player of the game.
         names: the names of the engine's agents.
         everyone: the names of all nets.
+        begun: whether an episode has begun.
 
     Raises:
         InputError: an option or the problem cannot be used.
@@ -72,6 +73,7 @@ class BaseGame:
         self._together = everyone
         self.render_mode = checked.render_mode
         self.masked = checked.mask_in_observation
+        self.begun = False
         self._window = Window()
         self._rng, _ = seeding.np_random(0)
 
@@ -100,6 +102,12 @@ class BaseGame:
             number = int(self._rng.integers(MAX_NUMBER))
             self._play(load_problem(replace(self._drawn, seed=number)))
         self.player.reset()
+        self.begun = True
+
+    def check_begun(self) -> None:
+        """Raises ResetNeeded before the first episode."""
+        if not self.begun:
+            raise ResetNeeded("step: expected a call of reset() before it")
 
     @property
     def problem(self) -> Problem:
@@ -198,10 +206,14 @@ class BaseGame:
 
 
 def checked_move(action: Any, name: str = "action") -> int:
-    """An action as an int; raises ValueError, naming it, for an action that is not 0 to 5."""
-    if action not in _MOVES:
+    """An integer of any type as an int; raises ValueError, naming it, for all but 0 to 5."""
+    try:
+        move = operator.index(action)
+    except TypeError:
+        move = MOVES
+    if not 0 <= move < MOVES:
         raise ValueError(f"{name}: expected 0 to {MOVES - 1}, found {action}")
-    return int(action)
+    return move
 
 
 class GameMethods:

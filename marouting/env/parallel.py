@@ -92,9 +92,11 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv, EzPickle):
             actions: a move for every agent in ``agents``.
 
         Raises:
+            ResetNeeded: no episode has begun. Once it is over, a step changes nothing.
             KeyError: an agent's action is missing.
             ValueError: an action is not one of the six moves.
         """
+        self._game.check_begun()
         agents, numbers, player = self.agents, self._numbers, self._game.player
         buffers = player.buffers
         buffers.actions[0, numbers] = _moves([actions[agent] for agent in agents], agents)

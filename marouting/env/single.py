@@ -3,6 +3,7 @@
 from typing import Any
 
 import gymnasium
+from gymnasium import logger
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 
@@ -66,11 +67,17 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any], EzPickle):
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Moves the net whose turn it is.
 
+        Once the episode is over, a step changes nothing, pays nothing and gives a warning.
+
         Raises:
+            ResetNeeded: no episode has begun.
             ValueError: the action is not one of the six moves.
         """
         game = self._game
         buffers = game.player.buffers
+        game.check_begun()
+        if buffers.agents.item() == NOBODY:
+            logger.warn("step(): the episode is over, and nothing changes before reset().")
         buffers.actions[0, 0] = checked_move(action)
         game.player.step()
         reward = buffers.reward.item()
