@@ -13,7 +13,8 @@ from marouting.errors import InputError
 def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yields a temporary path beside ``path`` and renames it to ``path`` if the block succeeds.
 
-    Readers see the old file or the new one, never half a file, even if the process is killed.
+    A symbolic link stays one: the file that it leads to is written. Readers see the old file or the
+    new one, never half a file, even if the process is killed.
 
     Args:
         path: the file to write; its folder is made if it is missing.
@@ -22,13 +23,18 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
         The temporary file to write into.
 
     Raises:
-        InputError: the folder cannot be made or written to.
+        InputError: the folder cannot be made or written to, or ``path`` is a folder, a device or
+            something else that is not a file.
     """
     target = Path(path)
     try:
+        if target.is_symlink():
+            target = target.resolve()
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.is_dir():
             raise IsADirectoryError(0, "it is a folder")
+        if target.exists() and not target.is_file():
+            raise OSError(0, "it is not a file")
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
         os.close(handle)
     except OSError as error:
@@ -36,10 +42,12 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        # mkstemp's file is private to its owner; the result has the usual permissions.
+        # mkstemp's file is private to its owner; the result has the permissions of the file that
+        # it replaces, or the usual ones.
         umask = os.umask(0)
         os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
+        mode = target.stat().st_mode & 0o7777 if target.exists() else 0o666 & ~umask
+        temporary.chmod(mode)
         with temporary.open("rb") as written:
             os.fsync(written.fileno())
         temporary.replace(target)

@@ -5,6 +5,7 @@ import json
 import os
 import pickle
 import shutil
+import stat
 import subprocess
 import sys
 import zipfile
@@ -750,7 +751,7 @@ BAD_CONFIGS: dict[str, tuple[str, str]] = {
     "a tab": ("env:\n\tagents: single\n", "bad.yaml:2"),
     "an object": ("out: !!python/object/apply:os.getcwd []", "bad.yaml:1"),
     "a tag": ("out: !!bool perhaps", "bad.yaml"),
-    "a date": ("out: 2020-01-01", "bad.yaml"),
+    "a date": ("seed: 2020-01-01", "seed"),
     "a circle": ("&a\nenv: *a", "bad.yaml"),
     "deep": (500 * "[", "bad.yaml"),
     "control": ("seed: \x01", "bad.yaml"),
@@ -1240,3 +1241,49 @@ def test_an_override_changes_one_place() -> None:
 def test_configurations_survive_their_files(scratch: Path, config: Config) -> None:
     write_config(config, scratch)
     assert load_config(scratch) == config
+
+
+# --- whose files they are -------------------------------------------------------------------------
+
+
+def test_generate_does_not_mix_sets(here: Path, refused: Callable[..., str]) -> None:
+    assert status(["generate", "--count", "3", "--nets", "2", "--out", "set"]) == 0
+    said = refused("generate", "--count", "2", "--nets", "2", "--out", "set")
+    assert said.endswith("expected no problems of another set, found problem_002.gr in it")
+    assert status(["generate", "--count", "4", "--nets", "2", "--out", "set"]) == 0
+    assert len(list((here / "set").iterdir())) == 4
+
+
+def test_quickstart_takes_no_folder_of_others(here: Path, refused: Callable[..., str]) -> None:
+    assert "found file in it" in refused("quickstart", "--out", ".")
+    assert status(["train", "small.yaml", "out=q/single"]) == 0
+    assert "or one of quickstart's" in refused("quickstart", "--out", "q")
+    (here / "q" / "problem.gr").write_bytes((here / "p.gr").read_bytes())
+    assert "or one of quickstart's" in refused("quickstart", "--out", "q")
+
+
+def test_an_experiment_takes_no_folder_of_others(here: Path, refused: Callable[..., str]) -> None:
+    config = {"problems": "p.gr", "routers": {"a": {"router": "astar"}}, "out": "."}
+    (here / "e.yaml").write_text(yaml.safe_dump(config))
+    assert "expected a new or an empty folder, found e.yaml" in refused("experiment", "e.yaml")
+
+
+def test_a_link_is_written_through_and_modes_stay(here: Path) -> None:
+    (here / "far").mkdir()
+    real, link = here / "far" / "real.solution", here / "link.solution"
+    real.write_text("old")
+    real.chmod(0o600)
+    link.symlink_to(real)
+    assert status(["route", "p.gr", "--router", "astar", "--out", "link.solution"]) == 0
+    assert link.is_symlink()
+    assert real.read_text() == (here / "p.solution").read_text()
+    assert real.stat().st_mode & 0o777 == 0o600
+    assert [path.name for path in (here / "far").iterdir()] == ["real.solution"]
+
+
+def test_what_is_no_file_is_not_written(here: Path, refused: Callable[..., str]) -> None:
+    os.mkfifo(here / "pipe")
+    for target in ("pipe", "/dev/null"):
+        said = refused("route", "p.gr", "--router", "astar", "--out", target)
+        assert said.endswith(f"{target}: cannot be written: it is not a file")
+    assert stat.S_ISFIFO((here / "pipe").stat().st_mode)

@@ -2,7 +2,9 @@
 
 import json
 import os
+import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -412,6 +414,34 @@ def test_an_interrupt_waits_for_the_end_of_a_step(
     assert outcome(folder) == outcome(whole)
 
 
+@pytest.mark.parametrize("answering", [signal.default_int_handler, signal.SIG_IGN])
+def test_sigterm_leaves_a_checkpoint(
+    answering: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also in a process that ignores Ctrl-C, as those in the background do."""
+    burn_in, whole, folder = Trainer.burn_in, tmp_path / "whole", tmp_path / "stopped"
+    Run(config_in(whole)).execute()
+
+    def terminated(self: Trainer) -> None:
+        signal.raise_signal(signal.SIGTERM)
+        burn_in(self)
+
+    before = signal.signal(signal.SIGINT, answering)
+    try:
+        monkeypatch.setattr(Trainer, "burn_in", terminated)
+        with pytest.raises(SystemExit) as caught:
+            Run(config_in(folder)).execute()
+        assert caught.value.code == 128 + signal.SIGTERM
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+        assert signal.getsignal(signal.SIGINT) is answering
+    finally:
+        signal.signal(signal.SIGINT, before)
+    monkeypatch.undo()
+    assert (folder / "checkpoint.pt").exists()
+    Run(config_in(folder), resume=True).execute()
+    assert outcome(folder) == outcome(whole)
+
+
 @pytest.mark.usefixtures("_answering")
 def test_a_second_interrupt_does_not_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def twice(_self: Trainer) -> None:
@@ -618,6 +648,50 @@ def test_a_folder_with_a_run_is_refused(short: Path) -> None:
     assert snapshot(short) == before
 
 
+def test_a_folder_of_somebody_elses_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "tensorboard").mkdir()
+    (tmp_path / "metrics.jsonl").write_text("mine\n")
+    with pytest.raises(InputError, match=r"a new or an empty folder, found metrics\.jsonl"):
+        Run(config_in(tmp_path, 2))
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["metrics.jsonl", "tensorboard"]
+    assert (tmp_path / "metrics.jsonl").read_text() == "mine\n"
+
+
+def test_one_process_at_a_time_works_in_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, said = tmp_path / "run", []
+    first, original = Run(config_in(folder)), Trainer.burn_in
+
+    def meanwhile(self: Trainer) -> None:
+        monkeypatch.undo()
+        before = snapshot(folder)
+        for arguments in ({}, {"resume": True}):
+            with pytest.raises(InputError) as caught:
+                Run(config_in(folder), **arguments).execute()
+            said.append(str(caught.value))
+        assert snapshot(folder) == before
+        original(self)
+
+    monkeypatch.setattr(Trainer, "burn_in", meanwhile)
+    first.execute()
+    process = f"process {os.getpid()} on {socket.gethostname()}"
+    assert said[0].startswith(f"{folder}: holds a run")
+    assert said[1] == f"{folder}: {process} works there"
+    assert not (folder / ".lock").exists()
+    Run(config_in(folder), resume=True).execute()
+
+
+def test_what_killed_runs_left_is_removed(short: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(short, folder)
+    for name in (".lock", ".checkpoint.pt.ab12_xyz", ".mine.txt.ab12_xyz", ".checkpoint.pt.mine"):
+        (folder / name).write_text("")
+    Run(config_in(folder, 3), resume=True).execute()
+    hidden = sorted(path.name for path in folder.glob(".*"))
+    assert hidden == [".checkpoint.pt.mine", ".mine.txt.ab12_xyz"]
+
+
 def test_clear_removes_a_run_and_nothing_else(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     Run(config_in(folder, 2, tensorboard=True)).execute()
@@ -751,7 +825,8 @@ def test_a_folder_that_cannot_be_made_is_refused(depth: int, tmp_path: Path) -> 
 
 def test_a_metrics_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    (folder / "metrics.jsonl").mkdir(parents=True)
+    run = Run(config_in(folder, 2))
+    (folder / "metrics.jsonl").mkdir()
     with pytest.raises(InputError, match=r"metrics\.jsonl: cannot be written"):
-        Run(config_in(folder, 2)).execute()
+        run.execute()
     assert list((folder / "metrics.jsonl").iterdir()) == []

@@ -88,6 +88,9 @@ def generate(out: Path, **options: Any) -> None:
     from marouting.source import load_problems
 
     problems = load_problems(GeneratorOptions(**options))
+    for path in sorted(out.glob("*.gr")):
+        if path.stem not in problems:
+            raise InputError(f"{out}: expected no problems of another set, found {path.name} in it")
     for name, problem in problems.items():
         problem.write(out / f"{name}.gr")
     click.echo(f"{len(problems)} problems in {out}")
@@ -272,6 +275,7 @@ def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None
     from policies.cli.tables import show
     from policies.learned.config import load_config
     from policies.learned.run import Run
+    from policies.results.run_folder import CHECKPOINT
 
     if resume is not None and not (resume / "config.yaml").exists():
         raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
@@ -279,6 +283,8 @@ def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None
     if resume is not None:
         settings = replace(settings, out=str(resume))
     run = Run(settings, resume=resume is not None)
+    if resume is not None and not (resume / CHECKPOINT).exists():
+        click.echo(f"{resume}: no checkpoint yet, so the training starts again", err=True)
     click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
     with training_bar(*run.episodes) as watch:
         rows = run.execute(watch)

@@ -6,7 +6,7 @@ from typing import get_args
 
 import click
 
-from marouting import Problem, Solution
+from marouting import InputError, Problem, Solution
 from marouting.generator import GeneratorOptions
 from marouting.options import Agents, EnvOptions
 from marouting.source import load_problem
@@ -17,6 +17,7 @@ from policies.figures.plot import reward_figures, run_figures
 from policies.learned.config import Config, TrainOptions
 from policies.learned.router import LearnedRouter
 from policies.learned.run import Run, clear
+from policies.results.folder import check_own
 from policies.results.rows import Row, solution_row
 from policies.results.run_folder import METRICS, solution_file
 from policies.routers.astar import AStarRouter
@@ -36,7 +37,15 @@ def run(out: Path) -> None:
         out: the folder for the results.
     """
     problem = load_problem(PROBLEM)
-    problem.write(out / "problem.gr")
+    check_own(out, ("problem.gr", "solutions.png", *get_args(Agents)))
+    kept = out / "problem.gr"
+    if (
+        out.is_dir()
+        and any(out.iterdir())
+        and not (kept.exists() and Problem.read(kept) == problem)
+    ):
+        raise InputError(f"{out}: expected a new or an empty folder, or one of quickstart's")
+    problem.write(kept)
     click.echo("Compiling, once on a machine ...", err=True)
     _compile()
     rows, solutions = [], {}

@@ -25,6 +25,7 @@ from policies.experiment.config import (
 from policies.experiment.part import Part
 from policies.experiment.processes import cores, work_on
 from policies.results.experiment_folder import CONFIG, RESULTS, SUMMARY, solution_file
+from policies.results.folder import check_own, working_in
 from policies.results.rows import Row, read_rows, to_csv
 from policies.results.run_folder import METRICS
 from policies.results.statistics import ALL, add_gaps, baseline, by_set, summarise
@@ -70,6 +71,7 @@ class Experiment:
         """The configuration of all that the folder holds; raises InputError if it does not fit."""
         kept = self.folder / CONFIG
         if not kept.exists():
+            check_own(self.folder, ("problems", "rows", CONFIG))
             return None
         if "routers" not in read_yaml(kept):
             raise InputError(f"{self.folder}: holds a training: expected another out=")
@@ -183,10 +185,11 @@ class Experiment:
         Returns:
             What ``summary.json`` holds.
         """
-        left = [part for part in self.parts if not part.rows.exists()]
-        if left:
-            self._work(left, watch)
-        return self._write(self.entries)
+        with working_in(self.folder):
+            left = [part for part in self.parts if not part.rows.exists()]
+            if left:
+                self._work(left, watch)
+            return self._write(self.entries)
 
     def _write(self, entries: Sequence[Entry]) -> dict[str, Any]:
         """Writes the results of finished routers; returns what ``summary.json`` holds."""

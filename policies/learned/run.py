@@ -25,6 +25,7 @@ from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
 from policies.learned.logs import Logs
 from policies.learned.trainer import Episode, Trainer
+from policies.results.folder import check_own, remove_temporary, working_in
 from policies.results.rows import Row, solution_row
 from policies.results.run_folder import (
     CHECKPOINT,
@@ -35,6 +36,8 @@ from policies.results.run_folder import (
     solution_file,
 )
 from policies.routers.astar import AStarRouter
+
+_FILES = (CONFIG, METRICS, CHECKPOINT, POLICY, RESULT)
 
 
 def write_config(config: Config, path: Path) -> None:
@@ -63,10 +66,8 @@ class Run:
         self.folder = Path(config.out)
         if resume:
             self._check_same()
-        elif (self.folder / CONFIG).exists():
-            raise InputError(
-                f"{self.folder}: holds a run: expected another out=, or --resume {self.folder}"
-            )
+        else:
+            self._check_new()
         source = str(self.folder / "problems") if resume else config.env.problem
         # In an order that does not depend on where they come from.
         self.problems = dict(sorted(load_problems(source).items()))
@@ -82,9 +83,19 @@ class Run:
                     f"{self.folder / 'problems'}: expected no problems but this run's, "
                     f"found {min(kept - self.problems.keys())}.gr"
                 )
-            for name, problem in self.problems.items():
-                problem.write(self.folder / "problems" / f"{name}.gr")
-            write_config(config, self.folder / CONFIG)
+            with working_in(self.folder):
+                self._check_new()
+                for name, problem in self.problems.items():
+                    problem.write(self.folder / "problems" / f"{name}.gr")
+                write_config(config, self.folder / CONFIG)
+
+    def _check_new(self) -> None:
+        """A new run starts in a folder of its own."""
+        if (self.folder / CONFIG).exists():
+            raise InputError(
+                f"{self.folder}: holds a run: expected another out=, or --resume {self.folder}"
+            )
+        check_own(self.folder, ("problems", *_FILES[:1]))
 
     def _check_same(self) -> None:
         """A resumed run has the configuration that it started with."""
@@ -95,7 +106,7 @@ class Run:
     def _load(self) -> None:
         path = self.folder / CHECKPOINT
         if not path.exists():
-            return  # stopped before the first checkpoint: it starts again
+            return  # killed before the first checkpoint: it starts again
         state = read_checkpoint(path, training=True)
         try:
             self.trainer.load_state(state, str(path))
@@ -123,6 +134,11 @@ class Run:
         Returns:
             The rows of ``result.json``.
         """
+        with working_in(self.folder):
+            remove_temporary(self.folder, _FILES)
+            return self._execute(watch)
+
+    def _execute(self, watch: Callable[[Sequence[Episode]], Any] | None) -> list[Row]:
         config, trainer = self.config, self.trainer
         started = time.monotonic() - self._seconds
         saved = time.monotonic()
@@ -139,6 +155,8 @@ class Run:
                     self._seconds, self._logged = time.monotonic() - started, logs.flush()
                     _save(self._state(), self.folder / CHECKPOINT)
                     saved = time.monotonic()
+                if signal.SIGTERM in interrupts:
+                    raise SystemExit(128 + signal.SIGTERM)
                 if interrupts:
                     raise KeyboardInterrupt
             self._seconds, self._logged = time.monotonic() - started, logs.flush()
@@ -175,34 +193,39 @@ class Run:
 
 @contextlib.contextmanager
 def _holding_interrupts() -> Iterator[list[int]]:
-    """Holds Ctrl-C back: within a step of the trainer there is no state to save.
+    """Holds Ctrl-C and SIGTERM back: within a step of the trainer there is no state to save.
 
     Yields:
-        A list that is no longer empty after a Ctrl-C. A second one is not held back.
+        A list of the signals that have come. A second one is not held back.
     """
     held: list[int] = []
-    ours = threading.current_thread() is threading.main_thread()
-    if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield held  # somebody else's
-        return
+    usual: dict[int, Any] = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+    }
 
     def hold(number: int, _frame: Any) -> None:
         if held:
             raise KeyboardInterrupt
         held.append(number)
 
-    signal.signal(signal.SIGINT, hold)
+    ours = threading.current_thread() is threading.main_thread()
+    # A signal with another handler is somebody else's.
+    holding = [number for number in usual if ours and signal.getsignal(number) is usual[number]]
+    for number in holding:
+        signal.signal(number, hold)
     try:
         yield held
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number in holding:
+            signal.signal(number, usual[number])
 
 
 def clear(folder: Path) -> None:
     """Removes a run from its folder, and nothing else that lies there."""
     if not (folder / CONFIG).exists():
         return
-    for name in (CONFIG, METRICS, CHECKPOINT, POLICY, RESULT):
+    for name in _FILES:
         (folder / name).unlink(missing_ok=True)
     for name in ("problems", "solutions", "tensorboard", "figures"):
         shutil.rmtree(folder / name, ignore_errors=True)
