@@ -744,8 +744,10 @@ def test_folders_that_hold_something_else(
     finished: Path, here: Path, refused: Callable[..., str]
 ) -> None:
     config = write_config(here / "c.yaml")
-    (here / "rows").mkdir()
-    assert "holds rows without config.yaml" in refused("experiment", config, f"out={here}")
+    (here / "r" / "rows").mkdir(parents=True)
+    assert "r: expected a new or an empty folder, found rows in it" in refused(
+        "experiment", config, f"out={here / 'r'}"
+    )
     run = finished / "runs" / "small" / "dqn.seed0" / "problem_000"
     assert "holds a training" in refused("experiment", config, f"out={run}")
     (here / "a" / "problems" / "small").mkdir(parents=True)

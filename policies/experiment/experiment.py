@@ -71,7 +71,7 @@ class Experiment:
         """The configuration of all that the folder holds; raises InputError if it does not fit."""
         kept = self.folder / CONFIG
         if not kept.exists():
-            check_own(self.folder, ("problems", "rows", CONFIG))
+            check_own(self.folder, ("problems", CONFIG))
             return None
         if "routers" not in read_yaml(kept):
             raise InputError(f"{self.folder}: holds a training: expected another out=")
@@ -134,8 +134,6 @@ class Experiment:
 
     def _keep(self, before: ExperimentConfig | None) -> None:
         """Writes the new problems, and then the configuration of all that the folder holds."""
-        if before is None and (self.folder / "rows").exists():
-            raise InputError(f"{self.folder}: holds rows without {CONFIG}: expected another out=")
         new = dict(self.sets)
         if before is not None:
             held = self.sets if isinstance(before.problems, str) else before.problems
