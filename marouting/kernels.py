@@ -3,7 +3,9 @@
 Compiled code is kept on disk. Numba considers it fresh as long as the function's own source file
 has not changed, although functions of other files are compiled into it. Here it is fresh as long as
 no source file of the function's package, or of this package, has changed (:func:`stamp`). After an
-upgrade, or an edit of a rule, every loop that contains the rule is compiled again.
+upgrade, or an edit of a rule, every loop that contains the rule is compiled again. So is a function
+whose file on disk is damaged. Where nothing can be kept on disk, functions are compiled in every
+process, and one warning says why.
 
 Some of numba's options and attributes used here are private. If a release of numba lacks them, the
 functions are compiled without them: they are slower and give the same results.
@@ -11,6 +13,7 @@ functions are compiled without them: they are slower and give the same results.
 
 import functools
 import hashlib
+import pickle
 import sys
 import warnings
 from collections.abc import Callable
@@ -21,6 +24,9 @@ import llvmlite
 import numba
 import numpy as np
 from numba import njit, typeof
+
+_caching: Any = sys.modules.get("numba.core.caching")
+"""Private to numba. Without it, nothing is kept on disk."""
 
 _NO_REFERENCE_COUNTS = {"_nrt": False}
 _PRIVATE = {"forceinline", "no_cpython_wrapper", "no_cfunc_wrapper", *_NO_REFERENCE_COUNTS}
@@ -43,24 +49,72 @@ def _decorator(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """A decorator that compiles a function with these options, and keeps the result on disk."""
 
     def compile_with(function: Callable[..., Any]) -> Any:
-        known = _known(options)
+        dispatcher = njit(**_known(options))(function)
         try:
-            dispatcher = njit(cache=True, **known)(function)
-            # Numba compares this with what it finds on disk.
-            dispatcher._cache._cache_file._source_stamp = stamp(function.__module__)
-        except (RuntimeError, AttributeError) as error:
+            dispatcher._cache = _cache_of(function)
+        except (RuntimeError, AttributeError, TypeError, OSError) as error:
             # Either there is nowhere to write, or numba's cache has changed, and stale code could
             # no longer be recognised.
-            _warn_once(str(error))
-            return njit(**known)(function)
+            _not_kept(error)
         return dispatcher
 
     return compile_with
 
 
-@functools.cache
-def _warn_once(reason: str) -> None:
-    warnings.warn(f"compiled code is not kept on disk: {reason}", RuntimeWarning, stacklevel=2)
+def _cache_of(function: Callable[..., Any]) -> Any:
+    """What keeps the compiled code of a function on disk."""
+    cache = _Cache(function)
+    files = cache._cache_file
+    cache._cache_file = _Files(
+        files._cache_path, cache._impl.filename_base, stamp(function.__module__)
+    )
+    return cache
+
+
+class _Cache(getattr(_caching, "FunctionCache", object)):  # type: ignore[misc]
+    """Numba's cache of a function; a file that cannot be written is done without."""
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        try:
+            super().save_overload(signature, data)
+        except OSError as error:
+            _not_kept(error)
+
+
+class _Files(getattr(_caching, "IndexDataCacheFile", object)):  # type: ignore[misc]
+    """The files of a function's cache, with a digest of their content and of the sources."""
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except Exception:  # damaged files fail in many ways
+            return {}
+
+    def _digest(self, code: bytes) -> bytes:
+        return hashlib.sha256(self._source_stamp.encode() + code).digest()
+
+    def save(self, key: Any, data: Any) -> None:
+        code = self._dump(data)
+        super().save(key, (self._digest(code), code))
+
+    def load(self, key: Any) -> Any:
+        try:
+            digest, code = super().load(key)
+            # A process that was killed may have left older code under the name of newer code.
+            return pickle.loads(code) if digest == self._digest(code) else None
+        except Exception:  # damaged, or not there
+            return None
+
+
+def _not_kept(error: Exception) -> None:
+    """Warns, once in a process, that compiled code is not kept on disk."""
+    if not _reasons:
+        text = f"compiled code is not kept on disk: {' '.join(str(error).split())}"
+        warnings.warn_explicit(text, RuntimeWarning, __name__, 1)  # without a line of the source
+    _reasons.append(str(error))
+
+
+_reasons: list[str] = []
 
 
 @functools.cache

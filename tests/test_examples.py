@@ -6,10 +6,10 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from importlib import metadata
 from pathlib import Path
 
 import pytest
+import wheels
 
 import marouting
 from marouting.config import config_file, read_yaml
@@ -191,23 +191,8 @@ def test_configurations_are_found_from_any_folder(
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder into which a wheel of this checkout is installed, without its dependencies."""
     folder = tmp_path_factory.mktemp("wheel")
-    source = folder / "source"  # setuptools leaves files in the folder that it builds
-    shutil.copytree(
-        ROOT,
-        source,
-        ignore=lambda where, _: (
-            {".git", "runs", "docs", "tests", "build", "dist"} if Path(where) == ROOT else set()
-        ),
-    )
-    pip = "-m", "pip", "--quiet", "--disable-pip-version-check"
-    # Where setuptools is installed and new enough nothing has to be fetched.
-    version = next(iter(metadata.distributions(name="setuptools")), None)
-    offline = version is not None and int(version.version.split(".")[0]) >= 77
-    build = ["--no-build-isolation"] if offline else []
-    python(*pip, "wheel", "--no-deps", *build, "-w", folder, source, cwd=folder)
-    (wheel,) = folder.glob("*.whl")
     target = folder / "installed"
-    python(*pip, "install", "--no-deps", "--no-index", "--target", target, wheel, cwd=folder)
+    wheels.install(wheels.build(wheels.source(folder), folder), target)
     return target
 
 

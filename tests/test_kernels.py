@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import wheels
 from numba.core.cpu import CPUTargetOptions
 
 import marouting
@@ -27,9 +28,12 @@ print(int(info["steps"][0]), int(info["wirelength"][0]))
 """
 
 
-def play(copy: Path, cache: Path) -> list[int]:
+def play(copy: Path, cache: Path | None) -> list[int]:
     """Steps and wirelength after one step of three nets, by the package in a folder."""
-    variables = {**os.environ, "PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(cache)}
+    variables = {**os.environ, "PYTHONPATH": str(copy)}
+    variables.pop("NUMBA_CACHE_DIR", None)  # None: beside the sources
+    if cache is not None:
+        variables["NUMBA_CACHE_DIR"] = str(cache)
     code = _PLAY.format(copy=str(copy))
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -59,6 +63,22 @@ def test_an_edited_rule_is_played_by_code_that_was_compiled_before(tmp_path: Pat
     assert source.count("game.wirelength += new\n") == 1
     rules.write_text(source.replace("game.wirelength += new\n", "game.wirelength += 5 * new\n"))
     assert play(copy, cache) == [3, 15]
+
+
+@pytest.mark.slow
+def test_an_upgrade_is_played_by_code_that_was_compiled_before_it(tmp_path: Path) -> None:
+    """Two wheels that differ in a rule, the second installed over the first."""
+    site, source = tmp_path / "site", wheels.source(tmp_path)
+    first = wheels.build(source, tmp_path / "first")
+    rules = source / "marouting" / "game" / "rules.py"
+    text = rules.read_text(encoding="utf-8")
+    rules.write_text(text.replace("game.wirelength += new\n", "game.wirelength += 5 * new\n"))
+    second = wheels.build(source, tmp_path / "second")
+    for cache in (tmp_path / "cache", None):  # pip leaves __pycache__ behind as well
+        for wheel, wirelength in ((first, 3), (second, 15), (first, 3)):
+            wheels.install(wheel, site)
+            assert play(site, cache) == [3, wirelength]
+            assert play(site, cache) == [3, wirelength]
 
 
 def test_a_stamp_depends_on_all_sources_of_the_package() -> None:
@@ -98,13 +118,93 @@ def test_without_a_cache_functions_are_compiled_all_the_same(
         raise AttributeError("no such attribute")
 
     monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.__init__", changed)
-    kernels._warn_once.cache_clear()
+    monkeypatch.setattr(kernels, "_reasons", [])
     with pytest.warns(RuntimeWarning, match="compiled code is not kept on disk"):
         compiled = kernels._decorator()(double)
     assert compiled(21) == 42
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert kernels._decorator()(double)(4) == 8  # said once
+
+
+def run_mine(
+    folder: Path, cache: Path, before: str = "", source: str = "2 * x"
+) -> tuple[list[int], str]:
+    """The result of a compiled function and whether it was on disk, and standard error."""
+    (folder / "mine.py").write_text(
+        "from marouting.kernels import compiled\n\n@compiled\ndef double(x):\n"
+        f"    return {source}\n"
+    )
+    path = os.pathsep.join((str(folder), str(Path(marouting.__file__).parents[1])))
+    done = subprocess.run(
+        [sys.executable, "-c", f"{before}\nimport mine\nprint(mine.double(21))\n"
+         "print(sum(mine.double.stats.cache_hits.values()))"],
+        env={**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(cache)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return list(map(int, done.stdout.split())), done.stderr
+
+
+@pytest.fixture(scope="module")
+def mine(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[Path, bytes]]:
+    """A folder with a module, a cache that has its code, and the files there."""
+    folder = tmp_path_factory.mktemp("mine")
+    cache = folder / "cache"
+    assert run_mine(folder, cache)[0] == [42, 0]
+    assert run_mine(folder, cache)[0] == [42, 1]
+    files = {file: file.read_bytes() for file in sorted(cache.rglob("mine*.nb?"))}
+    assert {file.suffix for file in files} == {".nbi", ".nbc"}
+    return folder, cache, files
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize("damage", ["empty", "truncated", "garbage", "flipped"])
+def test_a_damaged_file_of_compiled_code_is_made_again(
+    mine: tuple[Path, Path, dict[Path, bytes]], suffix: str, damage: str
+) -> None:
+    folder, cache, files = mine
+    for file, content in files.items():
+        file.write_bytes(content)
+        if file.suffix == suffix:
+            half = len(content) // 2
+            flipped = content[:half] + bytes([content[half] ^ 1]) + content[half + 1 :]
+            file.write_bytes(
+                {"empty": b"", "truncated": content[:half], "garbage": b"no pickle"}.get(
+                    damage, flipped
+                )
+            )
+    assert run_mine(folder, cache) in (([42, 0], ""), ([42, 1], ""))
+    assert run_mine(folder, cache) == ([42, 1], "")
+
+
+def test_older_code_under_the_name_of_newer_code_is_not_run(
+    mine: tuple[Path, Path, dict[Path, bytes]],
+) -> None:
+    """As after a process that was killed between writing the index and writing the code."""
+    folder, cache, files = mine
+    assert run_mine(folder, cache, source="3 * x")[0] == [63, 0]
+    for file, content in files.items():
+        if file.suffix == ".nbc":
+            file.write_bytes(content)
+    assert run_mine(folder, cache, source="3 * x")[0] == [63, 0]
+
+
+_FULL = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))"
+_NOWHERE = "import numba.core.caching as c; c.CacheImpl._locator_classes = []"
+
+
+@pytest.mark.parametrize("trouble", ["full disk", "nowhere to write"])
+def test_where_nothing_can_be_kept_one_line_says_so(tmp_path: Path, trouble: str) -> None:
+    cache = tmp_path / "cache"
+    before = {"full disk": _FULL, "nowhere to write": _NOWHERE}[trouble]
+    for _ in range(2):
+        results, errors = run_mine(tmp_path, cache, before)
+        assert results == [42, 0]
+        (line,) = errors.splitlines()
+        assert "compiled code is not kept on disk: " in line
 
 
 def test_bound_functions_without_machine_code() -> None:
