@@ -8,6 +8,9 @@ from pathlib import Path
 
 from marouting.errors import InputError
 
+TEMPORARY = ".marouting-tmp"
+"""How the names of temporary files end, so that what a killed process left can be told."""
+
 
 @contextlib.contextmanager
 def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
@@ -35,7 +38,7 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
             raise IsADirectoryError(0, "it is a folder")
         if target.exists() and not target.is_file():
             raise OSError(0, "it is not a file")
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=TEMPORARY)
         os.close(handle)
     except OSError as error:
         raise unusable(target, "cannot be written", error) from None
@@ -71,6 +74,15 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Writes ``text`` to ``path`` as UTF-8, whole or not at all; raises InputError if it cannot."""
     with writing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+@contextlib.contextmanager
+def naming(path: str | os.PathLike[str], what: str) -> Iterator[None]:
+    """Turns an operating system's error into an InputError about ``path``."""
+    try:
+        yield
+    except OSError as error:
+        raise unusable(path, what, error) from None
 
 
 def unusable(path: str | os.PathLike[str], what: str, error: OSError) -> InputError:

@@ -356,6 +356,27 @@ def test_a_trained_policy_can_take_part(finished: Path, tmp_path: Path) -> None:
         assert Solution.read(file, problem) == walked
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"checkpoint": "nope.pt"}, "nope.pt: cannot be read"),
+        ({"checkpoint": "garbage.solution"}, "garbage.solution: expected a checkpoint"),
+        ({**DQN, "learner": {"burn_in": "garbage.solution"}}, "expected a folder"),
+        ({**DQN, "train": {"device": "cuda:99"}}, "device: expected cpu"),
+    ],
+)
+def test_what_is_wrong_is_said_before_there_is_a_folder(
+    options: dict[str, Any], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("garbage.solution").write_text("garbage\n")
+    routers = {"late": {"router": "dqn", **options}}
+    config = write_config(tmp_path / "c.yaml", problems={"small": SMALL}, routers=routers)
+    with pytest.raises(InputError, match=message):
+        Experiment(load_experiment(config))
+    assert not (tmp_path / "out").exists()
+
+
 # --- going on -------------------------------------------------------------------------------------
 
 

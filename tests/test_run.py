@@ -35,6 +35,7 @@ from policies.learned.logs import Logs
 from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run, clear
 from policies.learned.trainer import Episode, Trainer
+from policies.routers.astar import AStarRouter
 
 PROBLEMS: dict[str, Any] = {"count": 2, "grid": [4, 4, 2], "nets": 3, "capacity": 2, "seed": 5}
 SMALL: dict[str, dict[str, Any]] = {
@@ -676,8 +677,7 @@ def test_one_process_at_a_time_works_in_a_folder(
     monkeypatch.setattr(Trainer, "burn_in", meanwhile)
     first.execute()
     process = f"process {os.getpid()} on {socket.gethostname()}"
-    assert said[0].startswith(f"{folder}: holds a run")
-    assert said[1] == f"{folder}: {process} works there"
+    assert said == [f"{folder}: {process} works there"] * 2
     assert not (folder / ".lock").exists()
     Run(config_in(folder), resume=True).execute()
 
@@ -685,11 +685,68 @@ def test_one_process_at_a_time_works_in_a_folder(
 def test_what_killed_runs_left_is_removed(short: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     shutil.copytree(short, folder)
-    for name in (".lock", ".checkpoint.pt.ab12_xyz", ".mine.txt.ab12_xyz", ".checkpoint.pt.mine"):
+    for name in (".lock", ".ab12_xyz.marouting-tmp", ".mine.tmp", "mine.marouting-tmp"):
         (folder / name).write_text("")
+        (folder / "problems" / name).write_text("")
     Run(config_in(folder, 3), resume=True).execute()
-    hidden = sorted(path.name for path in folder.glob(".*"))
-    assert hidden == [".checkpoint.pt.mine", ".mine.txt.ab12_xyz"]
+    left = sorted(str(path.relative_to(folder)) for path in folder.rglob("*m*p"))
+    names = [".mine.tmp", "mine.marouting-tmp"]
+    assert left == [*names, *(f"problems/{name}" for name in names)]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"burn_in": "garbage.solution"}, r"garbage\.solution:1: expected"),
+        ({"burn_in": "nowhere.solution"}, "burn_in: expected one of astar, random"),
+        ({"device": "cuda:99"}, "device: expected cpu"),
+        ({"kind": "ppo", "turn_order": "round_robin"}, "turn_order: expected sequential"),
+    ],
+)
+def test_what_is_wrong_is_said_before_there_is_a_folder(
+    wrong: dict[str, Any], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("garbage.solution").write_text("garbage\n")
+    one = {**PROBLEMS, "count": 1}
+    with pytest.raises(InputError, match=message):
+        Run(config_in(tmp_path / "run", 2, problem=one, **wrong))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_resumed_run_no_longer_needs_the_files_of_its_burn_in(tmp_path: Path) -> None:
+    problem = generate(1, grid=(4, 4, 2), nets=3)[0]
+    problem.write(tmp_path / "a.gr")
+    file = tmp_path / "a.solution"
+    AStarRouter().route(problem).write(file)
+    config = config_in(tmp_path / "run", 2, problem=str(tmp_path / "a.gr"), burn_in=str(file))
+    Run(config).execute()
+    file.unlink()
+    Run(config, resume=True).execute()
+
+
+class Broken:
+    """A reward that fails with the first move."""
+
+    def __call__(self, *_: Any) -> Any:
+        raise InputError("broken")
+
+
+def test_a_run_that_never_began_gives_its_folder_up(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    with pytest.raises(InputError, match="broken"):
+        Run(config_in(folder, 2, reward=f"{__name__}:Broken")).execute()
+    assert (folder / "config.yaml").exists()
+    Run(config_in(folder, 2)).execute()
+    with pytest.raises(InputError, match="holds a run"):
+        Run(config_in(folder, 2))
+
+
+def test_a_configuration_of_ones_own_is_no_run_that_never_began(tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text("seed: 1\n")
+    with pytest.raises(InputError, match="holds a run"):
+        Run(config_in(tmp_path, 2))
+    assert (tmp_path / "config.yaml").read_text() == "seed: 1\n"
 
 
 def test_clear_removes_a_run_and_nothing_else(tmp_path: Path) -> None:

@@ -142,9 +142,10 @@ class Experiment:
             name = path.parent.name
             if (before is None or name in new) and path.stem not in self.sets.get(name, ()):
                 raise InputError(f"{path}: expected no problems but the experiment's")
-        for part in self.parts:
-            if part.entry.router == PUBLISHED and not part.rows.exists():
-                part.quote()  # raises an error now, not after hours
+        # One part of each router and set, of those that are not finished.
+        parts = {(part.set, part.entry.name): part for part in self.parts if not part.rows.exists()}
+        for part in parts.values():
+            part.check(self.sets[part.set])
         for name, problems in new.items():
             for problem in problems:
                 problems[problem].write(self.folder / "problems" / name / f"{problem}.gr")

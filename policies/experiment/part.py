@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from marouting import InputError, Problem, Solution, generate
 from marouting.config import build
 from marouting.files import write_text
 from policies.experiment.config import PARTS, PUBLISHED, Entry, Published
+from policies.learned.burn_in import read_solutions
 from policies.learned.config import Config, load_config
 from policies.results import experiment_folder, run_folder
 from policies.results.rows import COLUMNS, Row, solution_row
@@ -76,6 +78,27 @@ class Part:
         about = {"set": self.set, "router": self.entry.name, "kind": self.entry.router}
         full = [{**dict.fromkeys(COLUMNS), **row, **about, "seed": self.seed} for row in rows]
         write_text(self.rows, json.dumps(full, indent=1) + "\n")
+
+    def check(self, problems: Mapping[str, Problem]) -> None:
+        """Raises InputError for files that the router cannot use: now, not after hours.
+
+        Args:
+            problems: all problems of the set, by name.
+        """
+        if self.entry.router == PUBLISHED:
+            self.quote()
+        elif self.entry.trains:
+            from policies.learned.trainer import Trainer  # torch: only if something learned
+
+            first = self.problems[0]
+            learner = Trainer({first: problems[first]}, self._training()).learner
+            if learner.fill:
+                _ = read_solutions(learner.burn_in, problems)
+        elif "checkpoint" in self.entry.options and is_learner(self.entry.router):
+            from policies.learned.policy import TrainedPolicy
+
+            for name, problem in problems.items():
+                TrainedPolicy.load(self.entry.options["checkpoint"], name).check(problem)
 
     def quote(self) -> list[Row]:
         """The rows of a published router; raises InputError if one is missing."""

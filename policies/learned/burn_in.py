@@ -27,7 +27,13 @@ class Guide(Protocol):
         ...
 
 
-def guide(burn_in: str, problems: Mapping[str, Problem], engine: Engine, seed: int) -> Guide | None:
+def guide(
+    burn_in: str,
+    problems: Mapping[str, Problem],
+    engine: Engine,
+    seed: int,
+    replayed: Sequence[Solution] = (),
+) -> Guide | None:
     """Who moves the agents in the burn-in.
 
     Args:
@@ -38,12 +44,13 @@ def guide(burn_in: str, problems: Mapping[str, Problem], engine: Engine, seed: i
         problems: by name; the engine plays as many games of each, one after another.
         engine: the games.
         seed: where the router's random numbers start.
+        replayed: the solutions in the files, see :func:`read_solutions`.
 
     Returns:
         Who moves them; None for random moves.
 
     Raises:
-        InputError: there is no such guide, or a solution cannot be read or does not fit.
+        InputError: a router cannot route a problem.
     """
     if burn_in == "random":
         return None
@@ -54,15 +61,22 @@ def guide(burn_in: str, problems: Mapping[str, Problem], engine: Engine, seed: i
         if any(f.name == "seed" for f in fields(piece("router", chosen).options)):
             chosen["seed"] = seed
         router = piece("router", chosen).make()
-        solutions = [router.route(problem) for problem in problems.values()]
-    else:
-        paths = solution_files(burn_in, tuple(problems))
-        solutions = list(map(Solution.read, paths, problems.values()))
+        replayed = [router.route(problem) for problem in problems.values()]
     copies = len(engine.problems) // len(problems)
-    return RouteFollower(engine, [solution for solution in solutions for _ in range(copies)])
+    return RouteFollower(engine, [solution for solution in replayed for _ in range(copies)])
 
 
-def solution_files(burn_in: str, wanted: Sequence[str]) -> list[Path]:
+def read_solutions(burn_in: str, problems: Mapping[str, Problem]) -> list[Solution]:
+    """The solutions that a burn-in replays from files, one for each problem; none for a router.
+
+    Raises:
+        InputError: there is no such guide, or a solution cannot be read or does not fit.
+    """
+    paths = _solution_files(burn_in, tuple(problems))
+    return list(map(Solution.read, paths, problems.values()))
+
+
+def _solution_files(burn_in: str, wanted: Sequence[str]) -> list[Path]:
     """The files that a burn-in replays, one for each problem; none if it replays no files.
 
     Raises:

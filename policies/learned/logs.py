@@ -1,8 +1,10 @@
 """What a training logs: a line of JSON for every episode, and the same for TensorBoard."""
 
+import functools
 import json
 import os
 import shutil
+import threading
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -10,7 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from marouting import InputError
-from marouting.files import unusable
+from marouting.files import naming
 from policies.learned.trainer import Episode
 
 CURVES = ("reward", "joined", "overflow", "wirelength", "steps", "epsilon", "loss")
@@ -32,14 +34,16 @@ class Logs:
 
     def __init__(self, folder: Path, logged: int, tensorboard: bool) -> None:
         path = folder / "metrics.jsonl"
-        try:
+        self._lines_named, self._events_named = (
+            functools.partial(naming, named, "cannot be written")
+            for named in (path, folder / "tensorboard")
+        )
+        with self._lines_named():
             folder.mkdir(parents=True, exist_ok=True)
             self._lines = path.open("a+", encoding="utf-8", newline="\n")
             if self._lines.tell() < logged:
                 raise InputError(f"{path}: expected at least {logged} bytes, as when it was saved")
             self._lines.truncate(logged)
-        except OSError as error:
-            raise unusable(path, "cannot be written", error) from None
         self._events = None
         if tensorboard:
             from torch.utils.tensorboard import SummaryWriter
@@ -47,7 +51,8 @@ class Logs:
             # The lines hold all that was logged: a resumed run's events are made anew from them,
             # without those that a killed run wrote after its last checkpoint.
             shutil.rmtree(folder / "tensorboard", ignore_errors=True)
-            self._events = SummaryWriter(str(folder / "tensorboard"))
+            with self._events_named():
+                self._events = SummaryWriter(str(folder / "tensorboard"))
             self._lines.seek(0)
             for number, line in enumerate(self._lines, 1):
                 try:
@@ -57,13 +62,16 @@ class Logs:
 
     def write(self, episodes: Sequence[Episode]) -> None:
         """Logs finished episodes."""
+        with self._lines_named():
+            self._lines.writelines(json.dumps(asdict(episode)) + "\n" for episode in episodes)
         for episode in episodes:
-            self._lines.write(json.dumps(asdict(episode)) + "\n")
             self._show(episode)
 
     def _show(self, episode: Episode) -> None:
         """Hands an episode to TensorBoard, if it is wanted."""
-        if self._events is not None:
+        if self._events is None:
+            return
+        with self._events_named():
             for curve in CURVES:
                 self._events.add_scalar(
                     f"{curve}/{episode.problem}", getattr(episode, curve), episode.episode
@@ -71,14 +79,22 @@ class Logs:
 
     def flush(self) -> int:
         """Puts everything on disk; returns the bytes of ``metrics.jsonl``."""
-        self._lines.flush()
-        os.fsync(self._lines.fileno())
+        with self._lines_named():
+            self._lines.flush()
+            os.fsync(self._lines.fileno())
+            size = self._lines.seek(0, os.SEEK_END)
         if self._events is not None:
-            self._events.flush()
-        return self._lines.seek(0, os.SEEK_END)
+            with self._events_named():
+                self._events.flush()
+        return size
 
     def __enter__(self) -> Self:
         """The logs themselves."""
+        self._hook = threading.excepthook
+        # An error in TensorBoard's thread is raised again by the next call.
+        threading.excepthook = lambda args: (
+            None if type(args.thread).__module__.startswith("tensorboard.") else self._hook(args)
+        )
         return self
 
     def __exit__(
@@ -88,6 +104,9 @@ class Logs:
         trace: TracebackType | None,
     ) -> None:
         """Closes the files."""
-        self._lines.close()
+        threading.excepthook = self._hook
+        with self._lines_named():
+            self._lines.close()
         if self._events is not None:
-            self._events.close()
+            with self._events_named():
+                self._events.close()

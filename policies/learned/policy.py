@@ -111,6 +111,22 @@ class TrainedPolicy:
             ratings = self.module(torch.from_numpy(observations))
         return best_moves(ratings, masks if self.masking else None)
 
+    def check(self, problem: Problem) -> Player:
+        """What plays a problem, in the game that the policy was trained in.
+
+        Raises:
+            InputError: the game shows observations of another shape than the network was trained
+                on.
+        """
+        player = player_of(self.env, [problem])
+        shape = player.buffers.obs.shape[2:]
+        if shape != self.obs_shape:
+            raise InputError(
+                f"checkpoint: expected observations of shape {shape}, "
+                f"found a network for {self.obs_shape}"
+            )
+        return player
+
     def solve(self, problem: Problem) -> Routed:
         """The routes that the policy walks on a problem, in the game that it was trained in.
 
@@ -118,13 +134,7 @@ class TrainedPolicy:
             InputError: the game shows observations of another shape than the network was trained
                 on.
         """
-        player = player_of(self.env, [problem])
-        b = player.buffers
-        if b.obs.shape[2:] != self.obs_shape:
-            raise InputError(
-                f"checkpoint: expected observations of shape {b.obs.shape[2:]}, "
-                f"found a network for {self.obs_shape}"
-            )
+        player = self.check(problem)
         player.reset()
         play_out(player, self.module, masking=self.masking)
         return Routed(player.engine.solution(), {"from": self.origin})

@@ -25,7 +25,7 @@ from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
 from policies.learned.logs import Logs
 from policies.learned.trainer import Episode, Trainer
-from policies.results.folder import check_own, remove_temporary, working_in
+from policies.results.folder import check_own, working_in
 from policies.results.rows import Row, solution_row
 from policies.results.run_folder import (
     CHECKPOINT,
@@ -42,12 +42,31 @@ _FILES = (CONFIG, METRICS, CHECKPOINT, POLICY, RESULT)
 
 def write_config(config: Config, path: Path) -> None:
     """Writes a whole configuration as YAML."""
-    write_text(path, yaml.safe_dump(plain(config), sort_keys=False))
+    write_text(path, _yaml(config))
+
+
+def _yaml(config: Config) -> str:
+    return yaml.safe_dump(plain(config), sort_keys=False)
+
+
+def _never_began(folder: Path) -> bool:
+    """Whether a folder holds only what a run writes before its first episode."""
+    config, metrics = folder / CONFIG, folder / METRICS
+    if (folder / CHECKPOINT).exists() or (metrics.exists() and metrics.stat().st_size > 0):
+        return False
+    try:
+        return config.read_text(encoding="utf-8") == _yaml(load_config(config))
+    except (InputError, OSError, UnicodeDecodeError):
+        return False  # not written by a run
 
 
 def _save(state: Mapping[str, Any], path: Path) -> None:
     with writing(path) as temporary:
-        torch.save(dict(state), temporary)
+        try:
+            torch.save(dict(state), temporary)
+        except RuntimeError as error:  # torch's word for a full disk
+            reason = f"is the disk full? {error}"
+            raise OSError(0, reason.splitlines()[0]) from None
 
 
 class Run:
@@ -77,6 +96,7 @@ class Run:
         if resume:
             self._load()
         else:
+            _ = self.trainer.replayed  # raises an error now, not when there is a folder
             kept = {path.stem for path in (self.folder / "problems").glob("*.gr")}
             if kept - self.problems.keys():
                 raise InputError(
@@ -90,12 +110,13 @@ class Run:
                 write_config(config, self.folder / CONFIG)
 
     def _check_new(self) -> None:
-        """A new run starts in a folder of its own."""
-        if (self.folder / CONFIG).exists():
+        """A new run starts in a folder of its own, or in place of one without any episode."""
+        if not (self.folder / CONFIG).exists():
+            check_own(self.folder, ("problems", CONFIG))
+        elif not _never_began(self.folder):
             raise InputError(
                 f"{self.folder}: holds a run: expected another out=, or --resume {self.folder}"
             )
-        check_own(self.folder, ("problems", *_FILES[:1]))
 
     def _check_same(self) -> None:
         """A resumed run has the configuration that it started with."""
@@ -135,7 +156,6 @@ class Run:
             The rows of ``result.json``.
         """
         with working_in(self.folder):
-            remove_temporary(self.folder, _FILES)
             return self._execute(watch)
 
     def _execute(self, watch: Callable[[Sequence[Episode]], Any] | None) -> list[Row]:

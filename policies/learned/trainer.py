@@ -7,6 +7,7 @@ problem has its own network and random numbers; playing them together only saves
 that has trained its episodes leaves. With ``shared: true`` there is one network for all problems.
 """
 
+import functools
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -22,7 +23,7 @@ from marouting.game.engine import Metrics
 from marouting.game.observation import state_space
 from marouting.game.state import NOBODY
 from marouting.player import Saved, StepBuffers
-from policies.learned.burn_in import guide, solution_files
+from policies.learned.burn_in import guide, read_solutions
 from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration
@@ -131,8 +132,6 @@ class Trainer:
             ),
             learner.options,
         )
-        if self.learner.fill:
-            _ = solution_files(self.learner.burn_in, self.names)  # whether they are there
         # What stays of each problem, and of each network.
         self.episodes = np.zeros(count, np.int64)
         self.score = np.full((count, 3), np.inf)  # of the best episode: less is better
@@ -175,13 +174,18 @@ class Trainer:
         games = len(self.player.buffers.over)
         return np.repeat(self.learner.updates, games // len(self.learner.updates))
 
+    @functools.cached_property
+    def replayed(self) -> list[Solution]:
+        """The solutions that the burn-in replays; raises InputError if they cannot be used."""
+        return read_solutions(self.learner.burn_in, self.problems) if self.learner.fill else []
+
     def burn_in(self) -> None:
         """Shows the learner the moves of a guide until every network has seen enough of them."""
         player, learner, config = self.player, self.learner, self.config
         if learner.fill == 0:
             return
         b, games = player.buffers, self.games
-        moves = guide(learner.burn_in, self.problems, player.engine, config.seed)
+        moves = guide(learner.burn_in, self.problems, player.engine, config.seed, self.replayed)
         chance = Exploration(keys(config.seed, learner.setup.game_names, "burn-in").reshape(-1, 1))
         nothing = np.zeros(b.mask.shape, np.float32)
         masking = learner.masks(learner.options)

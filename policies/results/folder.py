@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import re
 import socket
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -10,38 +9,38 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from marouting import InputError
-from marouting.files import unusable
+from marouting.files import TEMPORARY, naming
 
 LOCK = ".lock"
 """The file that a process at work in a folder holds; it says which process it is."""
-
-_TEMPORARY = r"\.{}\.[a-z0-9_]{{8}}"
-"""What :func:`marouting.files.writing` calls its temporary files."""
 
 
 @contextlib.contextmanager
 def working_in(folder: Path) -> Iterator[None]:
     """Keeps other processes out of a folder, which is made if it is missing.
 
-    The lock goes with the process, even one that is killed.
+    The lock goes with the process, even one that is killed. The temporary files that killed
+    processes have left in the folder are removed.
 
     Raises:
         InputError: another process works there, or the folder cannot be written to.
     """
     path = folder / LOCK
-    try:
+    lock = FileLock(path, timeout=0)
+    with naming(path, "cannot be written"):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(path, timeout=0)
-        lock.acquire()
-    except Timeout:
-        with contextlib.suppress(OSError):
-            holder = path.read_text(encoding="utf-8", errors="replace")
+        try:
+            lock.acquire()
+        except Timeout:
+            holder = ""
+            with contextlib.suppress(OSError):
+                holder = path.read_text(encoding="utf-8", errors="replace")
             raise InputError(f"{folder}: {holder or 'another process'} works there") from None
-        raise InputError(f"{folder}: another process works there") from None
-    except OSError as error:
-        raise unusable(path, "cannot be written", error) from None
     try:
-        path.write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")
+        with naming(path, "cannot be written"):
+            path.write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")
+            for left in folder.rglob(f".*{TEMPORARY}"):
+                left.unlink(missing_ok=True)
         yield
     finally:
         path.unlink(missing_ok=True)  # while it is held: nobody can have taken it meanwhile
@@ -52,18 +51,6 @@ def check_own(folder: Path, own: Collection[str]) -> None:
     """Raises InputError if a folder holds anything but these files, and what killed runs left."""
     if not folder.is_dir():
         return
-    ours = {*own, LOCK}
     for name in sorted(path.name for path in folder.iterdir()):
-        if name not in ours and not any(_is_temporary(name, of) for of in own):
+        if name not in (*own, LOCK) and not name.endswith(TEMPORARY):
             raise InputError(f"{folder}: expected a new or an empty folder, found {name} in it")
-
-
-def remove_temporary(folder: Path, own: Collection[str]) -> None:
-    """Removes what killed processes left behind when they wrote these files of a folder."""
-    for path in folder.glob(".*"):
-        if any(_is_temporary(path.name, of) for of in own):
-            path.unlink(missing_ok=True)
-
-
-def _is_temporary(name: str, of: str) -> bool:
-    return re.fullmatch(_TEMPORARY.format(re.escape(of)), name) is not None
