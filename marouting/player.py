@@ -225,6 +225,30 @@ class Player:
         """A copy of the state of all games, for :meth:`restore`."""
         return Saved(self.engine.save(), StepBuffers._make(a.copy() for a in self.buffers))
 
+    def check_saved(self, saved: Saved) -> None:
+        """Raises ValueError unless a state can be one of these games, wherever it is from."""
+        self.engine.check_saved(saved.dynamic)
+        b = saved.buffers
+        if self.everyone:
+            rows, active = self.buffers.agents, saved.dynamic.agents["status"] == Status.ACTIVE
+        else:
+            rows = saved.dynamic.games["agent"][:, None]
+            active = rows != NOBODY
+        holds = {
+            "agents": b.agents == rows,
+            "active": b.active == active,
+            "actions": (b.actions >= NOBODY) & (b.actions < MOVES),
+            "ending": (b.ending >= 0) & (b.ending <= max(Ending)),
+        }
+        for name in ("mask", "final_mask"):
+            mask = getattr(b, name)
+            holds[name] = ((mask == 0) | (mask == 1)) & mask.any(axis=2, keepdims=True)
+        for name in ("obs", "final_obs", "reward", "total"):
+            holds[name] = np.isfinite(getattr(b, name))
+        for name, hold in holds.items():
+            if not np.all(hold):
+                raise ValueError(f"{name}: expected that of a game of these problems")
+
     def restore(self, saved: Saved) -> None:
         """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
         self.engine.restore(saved.dynamic)
@@ -299,11 +323,16 @@ class Player:
                 yield movers, moves
 
     def _pay(self, before: Dynamic, movers: NDArray[np.int32]) -> NDArray[np.float32]:
-        """(M, N) float32, what moves pay; raises ValueError if the reward has a wrong shape."""
+        """(M, N) float32, what moves pay; raises ValueError for a wrong shape, NaN or infinity."""
         paid = np.asarray(self.reward(self.engine, before, movers), np.float32)
         if paid.shape != self.engine.nets.shape:
             raise ValueError(
                 f"reward: expected shape {self.engine.nets.shape}, found {paid.shape} from "
+                f"{type(self.reward).__name__}"
+            )
+        if not np.isfinite(paid).all():
+            raise ValueError(
+                f"reward: expected finite numbers, found {paid[~np.isfinite(paid)][0]} from "
                 f"{type(self.reward).__name__}"
             )
         if self._before is None:  # the paper's reward pays only the agents that moved

@@ -595,12 +595,12 @@ def test_burn_in_can_replay_solutions(agents: Any, tmp_path: Path) -> None:
     config = small_config(burn_in=str(tmp_path / "p0.mine.solution"), burn_in_size=50)
     Trainer(single, config).burn_in()
     with pytest.raises(InputError, match="expected a folder"):
-        Trainer(problems, config)
+        Trainer(problems, config).burn_in()
     with pytest.raises(InputError, match=r"expected one of astar, random, .* found 'asrat'"):
-        Trainer(single, small_config(burn_in="asrat"))
+        Trainer(single, small_config(burn_in="asrat")).burn_in()
     routed["p0"].write(tmp_path / "p0.other.solution")
     with pytest.raises(InputError, match=r"expected one file p0.solution or .* found 2"):
-        Trainer(single, small_config(burn_in=str(tmp_path)))
+        Trainer(single, small_config(burn_in=str(tmp_path))).burn_in()
 
 
 def test_burn_in_with_masking_walks_through_open_edges_only() -> None:

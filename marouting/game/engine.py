@@ -21,6 +21,7 @@ from marouting.game.rules import (
     settle_player,
     write_mask,
 )
+from marouting.game.saved import check_saved
 from marouting.game.setup import static_state
 from marouting.game.state import AGENT, GAME, NOBODY, Dynamic, Static
 from marouting.kernels import compiled, place, wide
@@ -232,6 +233,13 @@ class Engine:
     def save(self) -> Dynamic:
         """A copy of the state of all games, for :meth:`restore`."""
         return Dynamic._make(array.copy() for array in self.dynamic)
+
+    def check_saved(self, saved: Dynamic) -> None:
+        """Raises ValueError unless a state can be one of these games, wherever it is from."""
+        for array, kept in zip(self.dynamic, saved, strict=True):
+            if array.shape != kept.shape or array.dtype != kept.dtype:
+                raise ValueError(f"saved: expected shape {array.shape}, found {kept.shape}")
+        check_saved(self.static, saved)
 
     def restore(self, saved: Dynamic) -> None:
         """Puts all games back into a saved state.

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 from pydantic import ConfigDict
 
 from marouting.config import check
-from marouting.problem.problem import UNLIMITED, check_choice
+from marouting.problem.problem import check_choice
 from marouting.trees.decomposition import Decomposition
 
 TurnOrder = Literal["sequential", "round_robin"]
@@ -14,6 +14,9 @@ NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
 Overflow = Literal["forbidden", "allowed"]
 
 _MAX_STEPS = 50
+
+MOST_STEPS = 1_000_000
+"""The largest ``max_steps``: a policy that goes in circles takes them all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,8 +29,8 @@ class RuleOptions:
             interfaces where every net is an agent, otherwise ``sequential``.
         net_order: ``half_perimeter``, largest bounding box first (the authors' code), ties in file
             order; ``half_perimeter_up``, smallest first; or ``file``.
-        max_steps: steps after which a task fails (the paper's T_max). None: 50 as in the paper, or
-            2 (X + Y) if that is more, because 50 steps do not cross a large grid.
+        max_steps: steps after which a task fails (the paper's T_max), up to a million. None: 50 as
+            in the paper, or 2 (X + Y) if that is more, because 50 steps do not cross a large grid.
         overflow: ``forbidden``, a move across a full edge is blocked (the paper), or ``allowed``,
             it overflows the edge, at a price that the reward sets.
         decomposition: the tree along which a net's pins are split into tasks: ``mst``, a minimum
@@ -52,8 +55,8 @@ class RuleOptions:
         check_choice("overflow", self.overflow, Overflow)
         check_choice("decomposition", self.decomposition, Decomposition)
         steps = self.max_steps
-        in_range = steps is None or 1 <= steps <= UNLIMITED
-        check("max_steps", in_range, f"1 to {UNLIMITED}, found {steps}")
+        in_range = steps is None or 1 <= steps <= MOST_STEPS
+        check("max_steps", in_range, f"1 to {MOST_STEPS}, found {steps}")
 
     def steps_per_task(self, grid: tuple[int, int, int]) -> int:
         """Steps after which a task fails on a grid of X×Y×Z Gcells."""

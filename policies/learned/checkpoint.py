@@ -1,11 +1,18 @@
-"""Checkpoints and policy files, read with care: plain data and tensors, nothing that runs code."""
+"""Checkpoints and policy files, read with care: plain data and tensors, nothing that runs code.
 
+What a file holds is believed only as far as it has been checked: :func:`read_checkpoint` checks its
+form, :func:`checked` every tensor against the one that it is to replace.
+"""
+
+import math
 import os
 import zipfile
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from marouting import InputError
 from marouting.files import unusable
@@ -13,6 +20,15 @@ from marouting.files import unusable
 POLICY_FORMAT, TRAINING_FORMAT = "marouting-policy-1", "marouting-training-1"
 """Mark a file of trained networks, and the checkpoint of a training, which holds them too; the
 number goes up when the content changes."""
+
+FINITE = (-float(np.finfo(np.float64).max), float(np.finfo(np.float64).max))
+"""The limits of numbers that may be any but NaN or infinite."""
+
+ANY = (-math.inf, math.inf)
+"""The limits of numbers that may be any but NaN."""
+
+_MOST_VALUES = 1_000_000
+_DEEPEST = 50
 
 
 def read_checkpoint(path: str | os.PathLike[str], *, training: bool) -> Mapping[str, Any]:
@@ -29,10 +45,14 @@ def read_checkpoint(path: str | os.PathLike[str], *, training: bool) -> Mapping[
     try:
         # torch does not look at the archive's checksums.
         with zipfile.ZipFile(path) as archive:
+            # A few compressed bytes can stand for more than fits in memory.
+            if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
+                raise zipfile.BadZipFile("it is compressed")
             damaged = archive.testzip()
         if damaged is not None:
             raise zipfile.BadZipFile(f"bad checksum of {damaged}")
         state = torch.load(path, map_location="cpu", weights_only=True)
+        _count(state, _MOST_VALUES, _DEEPEST)
     except OSError as error:
         raise unusable(path, "cannot be read", error) from None
     except Exception as error:
@@ -45,3 +65,56 @@ def read_checkpoint(path: str | os.PathLike[str], *, training: bool) -> Mapping[
     if not isinstance(state, Mapping) or state.get("format") not in known:
         raise InputError(f"{os.fspath(path)}: expected a file of format {' or '.join(known)}")
     return state
+
+
+def _count(value: Any, most: int, deep: int) -> int:
+    """How many values there are in a value; raises ValueError if there are too many.
+
+    The same list may stand in a list more than once, so a small file can stand for any number.
+    """
+    if deep == 0:
+        raise ValueError(f"values are nested more than {_DEEPEST} deep")
+    count = 1
+    inner: Any = ()
+    if isinstance(value, Mapping):
+        inner = [part for pair in value.items() for part in pair]
+    elif isinstance(value, list | tuple | set | frozenset):
+        inner = value
+    for part in inner:
+        count += _count(part, most - count, deep - 1)
+        if count > most:
+            raise ValueError(f"there are more than {_MOST_VALUES} values")
+    return count
+
+
+def checked(kept: Any, now: Tensor, name: str, limits: tuple[float, float] = FINITE) -> Tensor:
+    """A tensor from a file, in place of another one.
+
+    Args:
+        kept: what the file holds.
+        now: a tensor of the right type and shape.
+        name: what it is called in messages.
+        limits: the least and the largest of its numbers.
+
+    Raises:
+        InputError: it is something else.
+    """
+    expected, found = _form(now), _form(kept)
+    if found != expected:
+        raise InputError(f"{name}: expected {expected}, found {found}")
+    if kept.dtype == torch.bool:
+        limits = (0, 1)
+    if kept.numel() and (kept.is_floating_point() or limits != FINITE):
+        numbers = kept.contiguous().view(torch.uint8) if kept.dtype == torch.bool else kept
+        least, most = (float(end) for end in torch.aminmax(numbers))
+        if not (limits[0] <= least and most <= limits[1]):  # NaN is neither
+            text = "finite numbers" if limits == FINITE else f"{limits[0]:g} to {limits[1]:g}"
+            raise InputError(f"{name}: expected {text}, found {least:g} to {most:g}")
+    return kept
+
+
+def _form(value: Any) -> str:
+    if not isinstance(value, Tensor):
+        return type(value).__name__
+    dense = "" if value.layout == torch.strided else f"{value.layout} "
+    return f"{dense}{value.dtype} of shape {tuple(value.shape)}".removeprefix("torch.")

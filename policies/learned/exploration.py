@@ -13,7 +13,7 @@ from marouting.game.state import NOBODY
 from marouting.kernels import compiled
 from marouting.player import StepBuffers
 from marouting.problem.grid import MOVES
-from policies.learned.rows import Rows
+from policies.learned.rows import COUNT, Rows
 from policies.learned.streams import uniform
 
 
@@ -34,6 +34,10 @@ class Exploration(Rows):
         self.keys = keys.copy()
         self.counters = np.zeros(keys.shape, np.int64)
         self.epsilon = np.ones(keys.shape)
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`policies.learned.rows.Rows.limits`."""
+        return {**super().limits(), "counters": COUNT, "epsilon": (0.0, 1.0)}
 
     def epsilon_greedy(self, now: StepBuffers, values: NDArray[np.float32], masking: bool) -> None:
         """Writes the best moves into a player's buffers, with chance ε random ones.

@@ -19,7 +19,7 @@ from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned.memory.before import Before
 from policies.learned.networks.stack import Stack
-from policies.learned.rows import Rows
+from policies.learned.rows import COUNT, Rows
 from policies.learned.streams import keys
 
 
@@ -100,6 +100,10 @@ class Learner(Rows, abc.ABC):
         count = len(setup.names)
         self.updates = np.zeros(count, np.int64)
         self.loss = torch.zeros(count, dtype=torch.float64, device=setup.device)
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`policies.learned.rows.Rows.limits`."""
+        return {**super().limits(), "updates": COUNT}
 
     @classmethod
     def start(cls, setup: Setup, options: Any) -> "Learner":

@@ -1,6 +1,10 @@
 """Trained networks that play: in a loop over the environment, and on whole problems."""
 
+import contextlib
+import functools
 import os
+import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,11 +14,11 @@ from numpy.typing import NDArray
 from torch import nn
 
 from marouting import EnvOptions, InputError, Problem, Solution
-from marouting.config import build, piece
+from marouting.config import MOST, build, piece
 from marouting.game.engine import Engine
 from marouting.options import ORDERS
 from marouting.player import Player
-from policies.learned.checkpoint import read_checkpoint
+from policies.learned.checkpoint import checked, read_checkpoint
 from policies.learned.learner import best_moves, play_out
 
 
@@ -27,6 +31,15 @@ def player_of(env: EnvOptions, problems: list[Problem]) -> Player:
     engine = Engine(problems, env, turn_order=env.turn_order or ORDERS[env.agents])
     everyone = env.agents == "multi"
     return Player(engine, env.observation.make(), env.reward.make(), everyone=everyone)
+
+
+def _check_weights(weights: Mapping[str, Any], module: nn.Module) -> None:
+    """Raises InputError unless weights from a file are those of a network."""
+    expected = module.state_dict()
+    if weights.keys() != expected.keys():
+        raise InputError(f"expected {', '.join(expected)}, found {', '.join(map(str, weights))}")
+    for name, tensor in expected.items():
+        _ = checked(weights[name], tensor, name)
 
 
 def policy_origin(episodes: int) -> str:
@@ -79,8 +92,13 @@ class TrainedPolicy:
         state = read_checkpoint(path, training=False)
         try:
             names, weights = list(state["names"]), list(state["weights"])
-            episodes = [int(count) for count in state["episodes"]]
-            obs_shape = tuple(int(size) for size in state["obs_shape"])
+            episodes, obs_shape = list(state["episodes"]), tuple(state["obs_shape"])
+            if not all(type(name) is str for name in names):
+                raise ValueError("names: expected texts")
+            if not all(type(count) is int and 0 <= count <= MOST for count in episodes):
+                raise ValueError("episodes: expected whole numbers from 0")
+            if not all(type(size) is int and 0 < size <= MOST for size in obs_shape):
+                raise ValueError("obs_shape: expected whole numbers above 0")
             env = build(EnvOptions, state["env"], f"{where}: env")
             learner = piece("learner", state["learner"], where=f"{where}: learner")
             if not names or len({len(names), len(weights), len(episodes)}) > 1:
@@ -90,10 +108,16 @@ class TrainedPolicy:
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{where}: expected a whole file of networks: {error!r}") from None
         if len(names) > 1 and name not in names:
-            raise InputError(f"{where}: expected a problem named as one of {names}, found {name}")
+            known = textwrap.shorten(str(names), 80)
+            raise InputError(f"{where}: expected a problem named as one of {known}, found {name}")
         row = names.index(name) if name in names else 0
         try:
-            module = learner.cls.network(learner.options, obs_shape)
+            make = functools.partial(learner.cls.network, learner.options, obs_shape)
+            # First without memory, whatever sizes the file names; not every network can be made so.
+            with contextlib.suppress(RuntimeError, NotImplementedError), torch.device("meta"):
+                _check_weights(weights[row], make())
+            module = make()
+            _check_weights(weights[row], module)
             module.load_state_dict(weights[row])
             masking = learner.cls.masks(learner.options)
         except (InputError, RuntimeError, AttributeError, TypeError, ArithmeticError) as error:

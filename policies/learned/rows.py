@@ -12,7 +12,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from policies.learned.checkpoint import FINITE, checked
+
 Array = TypeVar("Array", NDArray[Any], Tensor)
+
+
+COUNT = (0.0, 2.0**53)
+"""The limits of what is counted."""
 
 
 def kept(store: Array, which: NDArray[np.integer]) -> Array:
@@ -31,6 +37,16 @@ class Rows:
 
     parts: ClassVar[tuple[str, ...]] = ()
     """Attributes that are themselves :class:`Rows`; one that is None is left out."""
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """The least and the largest number of rows, for what a checkpoint says.
+
+        Of rows that are not among them any finite number is right.
+        """
+        return {}
+
+    def check(self, state: Mapping[str, Tensor]) -> None:
+        """Raises InputError for rows of a checkpoint that are wrong in other ways."""
 
     def _parts(self) -> dict[str, "Rows"]:
         return {name: part for name in self.parts if (part := getattr(self, name)) is not None}
@@ -59,12 +75,26 @@ class Rows:
         }
         return state | {name: torch.as_tensor(getattr(self, name)).cpu() for name in self.rows}
 
-    def load_state(self, state: Mapping[str, Tensor]) -> None:
-        """Goes back to what :meth:`state` gave, of the same shapes."""
+    def load_state(self, state: Mapping[str, Any], where: str = "") -> None:
+        """Goes back to what :meth:`state` gave.
+
+        Args:
+            state: the saved state.
+            where: what the names of rows are preceded by in messages.
+
+        Raises:
+            InputError: a row is of another type or shape, or its numbers are out of range.
+        """
         for name, part in self._parts().items():
             start = f"{name}."
             own = {key: tensor for key, tensor in state.items() if key.startswith(start)}
-            part.load_state({key.removeprefix(start): tensor for key, tensor in own.items()})
+            own = {key.removeprefix(start): tensor for key, tensor in own.items()}
+            part.load_state(own, where + start)
+        limits = self.limits()
+        for name in self.rows:
+            now = torch.as_tensor(getattr(self, name))
+            _ = checked(state.get(name), now, where + name, limits.get(name, FINITE))
+        self.check(state)
         for name in self.rows:
             row = getattr(self, name)
             if isinstance(row, Tensor):

@@ -5,6 +5,7 @@ The run folder is described in :mod:`policies.results.run_folder`.
 
 import contextlib
 import json
+import math
 import shutil
 import signal
 import threading
@@ -131,7 +132,11 @@ class Run:
         state = read_checkpoint(path, training=True)
         try:
             self.trainer.load_state(state, str(path))
-            self._seconds, self._logged = float(state["seconds"]), int(state["logged"])
+            self._seconds, self._logged = state["seconds"], state["logged"]
+            if not (type(self._seconds) is float and 0 <= self._seconds < math.inf):
+                raise InputError(f"{path}: seconds: expected a number from 0")
+            if not (type(self._logged) is int and self._logged >= 0):
+                raise InputError(f"{path}: logged: expected a whole number from 0")
         except InputError:
             raise
         except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:

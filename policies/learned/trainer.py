@@ -8,9 +8,10 @@ that has trained its episodes leaves. With ``shared: true`` there is one network
 """
 
 import functools
+import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -18,13 +19,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
-from marouting.config import one_line, plain
+from marouting.config import plain
 from marouting.game.engine import Metrics
 from marouting.game.observation import state_space
-from marouting.game.state import NOBODY
+from marouting.game.saved import checked_demand
+from marouting.game.state import NOBODY, Dynamic
 from marouting.player import Saved, StepBuffers
 from policies.learned.burn_in import guide, read_solutions
-from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT
+from policies.learned.checkpoint import ANY, FINITE, POLICY_FORMAT, TRAINING_FORMAT, checked
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
@@ -320,13 +322,9 @@ class Trainer:
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         """What changes in training but the learner, as arrays to copy from or into."""
-        own = (
-            "episodes", "score", "best_episode", "best_used", "places", "_before",
-            "policy_score", "policy_episode", "_evaluated",
-        )  # fmt: skip
         engine, buffers = self.player.engine, self.player.buffers
         return {
-            **{name: getattr(self, name) for name in own},
+            **{name: getattr(self, name) for name in _OWN},
             "policies": self._policies.numpy(),
             # Records have no counterpart in torch: their bytes do.
             **{f"game.{k}": _bytes(v) for k, v in engine.dynamic._asdict().items()},
@@ -372,33 +370,71 @@ class Trainer:
             where: the file it is from, for messages.
 
         Raises:
-            InputError: it is of another kind, shape or set of problems.
+            InputError: it is of another kind, shape or set of problems, or cannot be the state of
+                such a training.
         """
         if state["problems"] != list(self.names):
-            found = one_line(str(state["problems"]))
+            found = textwrap.shorten(str(state["problems"]), 80)
             raise InputError(f"{where}: expected problems {self.names}, found {found}")
-        places = np.asarray(state["trainer"]["places"], np.int64)
-        if not np.array_equal(places, np.intersect1d(self.places, places)) or not len(places):
-            raise InputError(f"{where}: expected places of problems, found {places.tolist()}")
+        given = state["trainer"]["places"]
+        some = given[: len(self.places)]  # a few of them, whatever the file holds
+        within = (0, len(self.places) - 1)
+        places = checked(some, torch.from_numpy(self.places[: len(some)]), "places", within).numpy()
+        if len(some) < len(given) or len(some) == 0 or (np.diff(places) <= 0).any():
+            raise InputError(f"{where}: places: expected some of {len(self.places)} problems")
         if len(places) < len(self.places):
             self._keep(np.searchsorted(self.places, places))
-        learner = self.learner.state()
-        arrays = {name: torch.from_numpy(array) for name, array in self._arrays().items()}
-        for kept, now in ((state["training"], learner), (state["trainer"], arrays)):
-            for name, tensor in now.items():
-                if name not in kept or kept[name].shape != tensor.shape:
-                    shape = tuple(kept[name].shape) if name in kept else "nothing"
-                    raise InputError(
-                        f"{where}: {name}: expected shape {tuple(tensor.shape)}, found {shape}"
-                    )
-            if more := kept.keys() - now.keys():
+        now: dict[str, NDArray[Any]] = self._arrays()
+        for part, names in (("training", self.learner.state().keys()), ("trainer", now.keys())):
+            if more := state[part].keys() - names:
                 raise InputError(f"{where}: {min(more)}: expected nothing of that name")
-        for name, tensor in arrays.items():
-            tensor.copy_(state["trainer"][name])
-        engine, buffers = self.player.engine, self.player.buffers
-        self.player.restore(Saved(engine.save(), StepBuffers._make(a.copy() for a in buffers)))
-        self.learner.load_state(state["training"])
+        most = self.config.train.episodes
+        limits = {
+            **dict.fromkeys(("score", "policy_score"), ANY),
+            **dict.fromkeys(("episodes", "policy_episode", "_evaluated"), (0, most)),
+            "best_episode": (NOBODY, most - 1),
+        }
+        arrays = {
+            name: checked(
+                state["trainer"].get(name),
+                torch.from_numpy(array),
+                f"{where}: {name}",
+                limits.get(name, FINITE),
+            ).numpy()
+            for name, array in now.items()
+        }
+        dynamic, buffers = self.player.engine.dynamic, self.player.buffers
+        saved = Saved(_records("game", dynamic, arrays), _records("buffers", buffers, arrays))
+        try:
+            self.player.check_saved(saved)
+            for m in range(len(self.names)):
+                _ = checked_demand(self._whole.engine.static, arrays["best_used"], m)
+        except ValueError as error:
+            raise InputError(f"{where}: {error}") from None
+        self.learner.load_state(state["training"], f"{where}: ")
+        self.player.restore(saved)
+        for name in (*_OWN, "policies"):
+            now[name][...] = arrays[name]
+        gone = np.setdiff1d(np.arange(len(self.names)), self.places)
+        over = (saved.dynamic.games["active"] == 0).reshape(-1, self._copies)
+        if (self.running[:, None] & over).any() or (self.episodes[gone] < most).any():
+            raise InputError(f"{where}: expected games of all problems with episodes to train")
         self._tell_episodes()
+
+
+_OWN = (
+    "episodes", "score", "best_episode", "best_used", "places", "_before",
+    "policy_score", "policy_episode", "_evaluated",
+)  # fmt: skip
+"""Attributes of a trainer that a checkpoint holds, beside the learner and the games."""
+
+Tuple = TypeVar("Tuple", Dynamic, StepBuffers)
+
+
+def _records(part: str, like: Tuple, arrays: Mapping[str, NDArray[Any]]) -> Tuple:
+    """Arrays from a checkpoint, with the types and names of others."""
+    names = like._asdict().items()
+    return type(like)(*(arrays[f"{part}.{k}"].view(array.dtype) for k, array in names))
 
 
 def _score(metrics: Metrics, reward: float | None) -> tuple[float, ...]:

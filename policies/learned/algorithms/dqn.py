@@ -132,6 +132,10 @@ class DQN(Learner):
         self._burning_in = False
         self.bind()
 
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`policies.learned.rows.Rows.limits`."""
+        return {**super().limits(), "owed": (0, self.options.steps_per_update - 1)}
+
     def _stack(self) -> Stack:
         seeds = self.setup.network_keys("weights").astype(np.int64).tolist()
         make = lambda: self.network(self.options, self.setup.obs_shape)  # noqa: E731

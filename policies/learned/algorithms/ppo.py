@@ -127,6 +127,10 @@ class PPO(Learner):
         self.keys = setup.network_keys("sample")
         self.progress = np.zeros(count)  # episodes played, as a share of all
 
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`policies.learned.rows.Rows.limits`."""
+        return {**super().limits(), "progress": (0.0, 1.0)}
+
     def _stack(self, purpose: str, sees: tuple[int, ...], outputs: int) -> Stack:
         seeds = self.setup.network_keys(purpose).astype(np.int64).tolist()
         return Stack(lambda: self.options.network.make(sees, outputs), seeds, self.device)

@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from policies.learned.checkpoint import FINITE
 from policies.learned.memory.replay import Batch, Replay
 from policies.learned.rows import Rows
 from policies.learned.streams import uniforms
@@ -35,6 +36,10 @@ class SumTree(Rows):
         self.tops, self.middles, self.leaves = (
             torch.zeros(networks, width**level, device=device) for level in (1, 2, 3)
         )
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`policies.learned.rows.Rows.limits`."""
+        return {**super().limits(), **dict.fromkeys(self.rows, (0.0, FINITE[1]))}
 
     def set(self, place: Tensor, number: Tensor) -> None:
         """Changes numbers.
@@ -102,6 +107,10 @@ class Prioritised(Replay):
         # The largest priority so far: what is new gets it, to be drawn at least once or so.
         self.most = torch.ones(networks, 1, device=self.device)
         self.beta = torch.full((networks, 1), beta, device=self.device)
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`policies.learned.rows.Rows.limits`."""
+        return {**super().limits(), "most": (0.0, FINITE[1]), "beta": (0.0, 1.0)}
 
     def _added(self, place: Tensor) -> None:
         if len(place):

@@ -15,6 +15,7 @@ F … 2F − 1            next_obs, in the same task
 ====================  ==============================================================================
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -27,8 +28,9 @@ from marouting.game.state import Ending
 from marouting.kernels import compiled
 from marouting.player import StepBuffers
 from marouting.problem.grid import MOVES
+from policies.learned.checkpoint import checked
 from policies.learned.memory.before import Before
-from policies.learned.rows import Rows
+from policies.learned.rows import COUNT, Rows
 from policies.learned.streams import uniforms
 
 MOVE, REWARD, GOES_ON, MASK = range(4)
@@ -115,6 +117,22 @@ class Replay(Rows):
         self.unfinished = np.zeros((*shape, n_step, width), np.float32)
         self._place = np.zeros(0, np.int64)
         self.bind()
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`policies.learned.rows.Rows.limits`."""
+        waiting = (0.0, max(self.n_step - 1.0, 0.0))
+        return {**super().limits(), "stored": COUNT, "waiting": waiting}
+
+    def check(self, state: Mapping[str, Tensor]) -> None:
+        """Raises InputError for moves or masks that are none in a checkpoint."""
+        first = 2 * self.features
+        columns = [(MOVE, "moves", MOVES - 1), (GOES_ON, "weights", 1)]
+        if self.masks:
+            columns += [(MASK + move, "masks", 1) for move in range(MOVES)]
+        for name in ("store", "unfinished"):
+            for column, what, most in columns:
+                numbers = state[name][..., first + column]
+                _ = checked(numbers, numbers, f"{name}, {what}", (0, most))
 
     def bind(self) -> None:
         """Renews the device's counts, which on the processor are the same numbers."""

@@ -79,6 +79,17 @@ class Rollout(Rows):
         self.state_ = np.zeros((*each, *state_shape) if state_shape else (*each, 0), np.float32)
         self.count = np.zeros(networks, np.int64)
 
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`policies.learned.rows.Rows.limits`."""
+        return {
+            **super().limits(),
+            "mask": (0, 1),
+            "action": (0, MOVES - 1),
+            "ending": (0, max(Ending)),
+            "stream": (0, self.streams - 1),
+            "count": (0, self.size - 1),
+        }
+
     def add(
         self,
         before: Before,

@@ -5,7 +5,8 @@ import copy
 import torch
 from torch import Tensor
 
-from policies.learned.rows import Rows
+from policies.learned.checkpoint import FINITE
+from policies.learned.rows import COUNT, Rows
 
 _NOTHING = 1e-18
 """A gradient too small to matter."""
@@ -38,6 +39,10 @@ class Adam(Rows):
         self.mean, self.square = torch.zeros_like(weights), torch.zeros_like(weights)
         self.count = torch.zeros(len(weights), dtype=torch.int64, device=weights.device)
         self.bind()
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`policies.learned.rows.Rows.limits`."""
+        return {**super().limits(), "square": (0.0, FINITE[1]), "count": COUNT}
 
     def bind(self) -> None:
         """Renews the working array."""
