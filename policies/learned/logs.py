@@ -11,7 +11,7 @@ from typing import Self
 
 from marouting import InputError
 from marouting.files import unusable
-from policies.learned.trainer import Episode
+from policies.results.run_folder import METRICS, Episode, read_episodes
 
 CURVES = ("reward", "joined", "overflow", "wirelength", "steps", "epsilon", "loss")
 """The fields of an episode that TensorBoard shows."""
@@ -31,7 +31,7 @@ class Logs:
     """
 
     def __init__(self, folder: Path, logged: int, tensorboard: bool) -> None:
-        path = folder / "metrics.jsonl"
+        path = folder / METRICS
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self._lines = path.open("a+", encoding="utf-8", newline="\n")
@@ -48,12 +48,8 @@ class Logs:
             # without those that a killed run wrote after its last checkpoint.
             shutil.rmtree(folder / "tensorboard", ignore_errors=True)
             self._events = SummaryWriter(str(folder / "tensorboard"))
-            self._lines.seek(0)
-            for number, line in enumerate(self._lines, 1):
-                try:
-                    self._show(Episode(**json.loads(line)))
-                except (ValueError, TypeError, RecursionError):
-                    raise InputError(f"{path}:{number}: expected an episode") from None
+            for episode in read_episodes(path):
+                self._show(episode)
 
     def write(self, episodes: Sequence[Episode]) -> None:
         """Logs finished episodes."""
@@ -65,9 +61,9 @@ class Logs:
         """Hands an episode to TensorBoard, if it is wanted."""
         if self._events is not None:
             for curve in CURVES:
-                self._events.add_scalar(
-                    f"{curve}/{episode.problem}", getattr(episode, curve), episode.episode
-                )
+                value = getattr(episode, curve)
+                if value is not None:
+                    self._events.add_scalar(f"{curve}/{episode.problem}", value, episode.episode)
 
     def flush(self) -> int:
         """Puts everything on disk; returns the bytes of ``metrics.jsonl``."""

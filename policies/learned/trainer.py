@@ -8,7 +8,7 @@ that has trained its episodes leaves. With ``shared: true`` there is one network
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -31,40 +31,8 @@ from policies.learned.memory.before import Before
 from policies.learned.policy import TrainedPolicy, player_of, policy_origin
 from policies.learned.streams import keys
 from policies.learned.threads import use_threads
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One finished episode of one problem, as ``metrics.jsonl`` holds it.
-
-    Attributes:
-        problem: the problem's name.
-        episode: counted from 0.
-        reward: summed over all moves.
-        joined: two-pin tasks joined.
-        tasks: two-pin tasks in all.
-        overflow: of the routes, joined or not.
-        wirelength: of the routes, joined or not.
-        steps: moves made.
-        epsilon: chance of a random move.
-        loss: mean loss of the gradient steps taken during the episode.
-        updates: gradient steps of the problem's network so far.
-        best: whether no earlier episode was better.
-    """
-
-    problem: str
-    episode: int
-    reward: float
-    joined: int
-    tasks: int
-    overflow: int
-    wirelength: int
-    steps: int
-    epsilon: float
-    loss: float
-    updates: int
-    best: bool
-
+from policies.results.rows import LARGEST
+from policies.results.run_folder import Episode
 
 SHARED = ("all",)
 """The name of the network that all problems share, where there is one."""
@@ -231,20 +199,23 @@ class Trainer:
                 continue  # another copy has played the last one
             metrics = player.engine.metrics(g)
             reward = float(player.buffers.total[g])
+            if not abs(reward) <= LARGEST:  # nor NaN
+                raise InputError(f"reward: expected finite rewards, found {reward} in an episode")
             score = _score(metrics, reward if self.config.train.best == "reward" else None)
             best = bool(score < tuple(self.score[problem].tolist()))
             if best:
                 self.score[problem] = score
                 self.best_episode[problem] = self.episodes[problem]
                 self.best_used[problem] = player.engine.dynamic.used[g]
-            loss, steps = losses[g] - self._before[0, g], updates[g] - self._before[1, g]
+            steps = updates[g] - self._before[1, g]
+            loss = float((losses[g] - self._before[0, g]) / max(steps, 1))
             finished.append(
                 Episode(
                     problem=self.names[problem],
                     episode=int(self.episodes[problem]),
                     reward=reward,
                     epsilon=self.learner.exploration(int(self.episodes[problem])),
-                    loss=float(loss / max(steps, 1)),
+                    loss=loss if abs(loss) <= LARGEST else None,
                     updates=int(updates[g]),
                     best=best,
                     **asdict(metrics),
