@@ -7,6 +7,7 @@ them.
 """
 
 import contextlib
+import io
 import json
 import sys
 import time
@@ -402,6 +403,10 @@ def quickstart(out: Path) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command line and exits with its status."""
+    for stream in (sys.stdout, sys.stderr):
+        # Not every terminal has the characters of every name, and a path need not be UTF-8.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     sys.exit(status(arguments))
 
 
