@@ -193,7 +193,10 @@ def build(schema: type[Schema], raw: Mapping[str, Any], where: str = "") -> Sche
     """
     try:
         # From JSON, a list can become a tuple and an integer a float; nothing else is converted.
-        text = json.dumps(raw, default=_jsonable)
+        text = json.dumps(raw, default=_jsonable, ensure_ascii=False).encode()
+    except UnicodeEncodeError as error:
+        found = error.object[max(0, error.start - 40) : error.end]
+        raise InputError(f"{_prefix(where)}expected text in UTF-8, found {found!r}") from None
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(one_line(f"{_prefix(where)}expected plain data: {error}")) from None
     return build_json(schema, text, where)

@@ -191,7 +191,8 @@ class Published:
     """The options of an entry ``published``: results as others report them.
 
     Attributes:
-        file: a CSV file with the columns ``set`` and ``problem``, and a row for every problem.
+        file: a CSV file with the columns ``set`` and ``problem``, and a row for every problem, as
+            :func:`policies.results.rows.read_published` reads it.
         overflow: the name of the overflow's column.
         wirelength: the name of the wirelength's column.
         optimal: whether these are proven optima, from which gaps are measured.

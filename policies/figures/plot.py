@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
-from marouting.files import FILE_NAME, is_file_name
 from policies import figures
 from policies.results import experiment_folder, run_folder
 from policies.results.rows import Row
@@ -321,8 +320,8 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
 
 def _of(folder: Path, problem: Path) -> Path:
     """The folder for the figures of a problem; raises InputError if none can be called after it."""
-    if not is_file_name(problem.stem):
-        raise InputError(f"{problem}: expected {FILE_NAME}")
+    if problem.stem in (".", ".."):
+        raise InputError(f"{problem}: expected another name: figures would leave their folder")
     return folder / problem.stem
 
 
