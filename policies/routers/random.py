@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marouting import Engine, InputError, Problem, Solution, evaluate
+from marouting import Engine, InputError, Problem, Solution
 from marouting.game.state import NOBODY
 
 
@@ -60,9 +60,6 @@ class RandomRouter:
         Returns:
             A solution without overflow, in which usually few nets are joined.
         """
-        nothing = Solution(problem, (np.empty(0, np.int64),) * len(problem.nets))
-        if not evaluate(problem, nothing).tasks:  # in which nobody could move
-            return nothing
         engine = Engine([problem], max_steps=self.max_steps)
         policy = RandomPolicy(self.seed)
         move = np.empty(1, np.int8)
