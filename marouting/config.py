@@ -193,9 +193,17 @@ def build(schema: type[Schema], raw: Mapping[str, Any], where: str = "") -> Sche
     """
     try:
         # From JSON, a list can become a tuple and an integer a float; nothing else is converted.
-        text = json.dumps(raw, default=_jsonable)
+        text = json.dumps(raw, default=_jsonable, ensure_ascii=False).encode()
+    except UnicodeEncodeError as error:
+        found = error.object[max(0, error.start - 40) : error.end]
+        raise InputError(f"{_prefix(where)}expected text in UTF-8, found {found!r}") from None
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(one_line(f"{_prefix(where)}expected plain data: {error}")) from None
+    return build_json(schema, text, where)
+
+
+def build_json(schema: type[Schema], text: str | bytes, where: str = "") -> Schema:
+    """Fills a schema from JSON text, as :func:`build` does from plain data; raises InputError."""
     try:
         built: Schema = _adapter(cast(Any, schema)).validate_json(text, strict=True)
     except ValidationError as error:
@@ -488,9 +496,10 @@ def _explain(schema: type, error: ValidationError) -> str:
     key = ".".join(path)
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return _unknown_key(key, _keys(schema, path[:-1]))
-    message = first["msg"].replace("\n", " ")
+    message = first["msg"].replace("\n", " ").replace("Invalid JSON", "expected JSON")
     message = message.removeprefix("Value error, ").replace("Input should be", "expected")
-    found = f", found {first['input']!r}"[:200] if first["type"] != "value_error" else ""
+    said = first["type"] in ("value_error", "json_invalid", "missing", "missing_argument")
+    found = "" if said else f", found {first['input']!r}"[:200]
     return f"{_prefix(key)}{message}{found}"
 
 

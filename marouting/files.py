@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -58,6 +59,28 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise unusable(target, "cannot be written", error) from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+FILE_NAME = f"a name for files: not empty or too long, no dot at its start, no {os.sep} or controls"
+"""What :func:`is_file_name` asks for, as error messages say it."""
+
+_LONGEST = 255
+"""Bytes in a file's name; no common file system takes more."""
+
+_UNFIT = re.compile(rf"[/{re.escape(os.sep)}\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+"""What parts folders, controls terminals, breaks lines, or is no character in UTF-8."""
+
+
+def is_file_name(name: str, suffix: str = "") -> bool:
+    """Whether a file can have a name: it stays in its folder and is none of our hidden files.
+
+    Args:
+        name: of a problem, a set, a router.
+        suffix: the longest text that follows it in names of files.
+    """
+    if not name or name.startswith(".") or _UNFIT.search(name):
+        return False
+    return len((name + suffix).encode()) <= _LONGEST
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.errors import InputError
 from marouting.game.engine import Engine
 from marouting.game.observation import Observation, PaperObservation, write_paper
 from marouting.game.reward import PaperReward, Reward, paper_reward
@@ -323,15 +324,15 @@ class Player:
                 yield movers, moves
 
     def _pay(self, before: Dynamic, movers: NDArray[np.int32]) -> NDArray[np.float32]:
-        """(M, N) float32, what moves pay; raises ValueError for a wrong shape, NaN or infinity."""
+        """(M, N) float32, what moves pay; raises InputError for a wrong shape, NaN or infinity."""
         paid = np.asarray(self.reward(self.engine, before, movers), np.float32)
         if paid.shape != self.engine.nets.shape:
-            raise ValueError(
+            raise InputError(
                 f"reward: expected shape {self.engine.nets.shape}, found {paid.shape} from "
                 f"{type(self.reward).__name__}"
             )
         if not np.isfinite(paid).all():
-            raise ValueError(
+            raise InputError(
                 f"reward: expected finite numbers, found {paid[~np.isfinite(paid)][0]} from "
                 f"{type(self.reward).__name__}"
             )

@@ -23,6 +23,8 @@ def checked_source(source: Source) -> Problem | GeneratorOptions | tuple[str, ..
         return SMALL
     if isinstance(source, Problem | GeneratorOptions):
         return source
+    if isinstance(source, str | os.PathLike):
+        return (os.fspath(source),)  # which need not be UTF-8, as the text of a configuration is
     checked = build(GameOptions, {"problem": source}).problem
     return (checked,) if isinstance(checked, str) else checked
 

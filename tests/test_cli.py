@@ -1287,3 +1287,52 @@ def test_what_is_no_file_is_not_written(here: Path, refused: Callable[..., str])
         said = refused("route", "p.gr", "--router", "astar", "--out", target)
         assert said.endswith(f"{target}: cannot be written: it is not a file")
     assert stat.S_ISFIFO((here / "pipe").stat().st_mode)
+
+
+NOTHING = """\
+grid 3 2 2
+vertical capacity 0 4
+horizontal capacity 6 0
+minimum width 1 1
+minimum spacing 0 0
+via spacing 0 0
+0 0 10 10
+num net 1
+A 1 2 1
+5 5 1
+6 6 1
+"""
+"""A problem whose only net lies in one Gcell."""
+
+
+def test_a_problem_with_nothing_to_route(
+    here: Path, capsys: pytest.CaptureFixture[str], refused: Callable[..., str]
+) -> None:
+    Path("p.gr").write_text(NOTHING)
+    for router in ("astar", "pathfinder", "optimal"):
+        done = ["route", "p.gr", "--router", router, "--out", "p.solution", "--json"]
+        for command in (done, ["evaluate", "p.gr", "p.solution", "--json"]):
+            found = only_object(printed(capsys, *command))
+            assert (found["overflow"], found["wirelength"], found["tasks"]) == (0, 0, 0)
+            assert found["connected"]
+    assert len(pictures(printed(capsys, "plot", "p.gr", "p.solution"))) == 5
+    routers = {name: {"router": name} for name in ("astar", "pathfinder", "optimal")}
+    config = {"out": "out", "jobs": 1, "reference": "astar", "problems": {"s": "p.gr"}}
+    Path("e.yaml").write_text(yaml.safe_dump({**config, "routers": routers}))
+    summary = only_object(printed(capsys, "experiment", "e.yaml", "--json"))
+    for row in summary["sets"]["s"]:
+        assert (row["overflow"], row["wirelength"]["mean"], row["gap"]["mean"]) == (0, 0, 0)
+        if row["router"] != "astar":
+            assert row["astar"] == {"wins": 0, "ties": 1, "losses": 0}
+            assert row["lower_wirelength"]["percent"] == 0
+    assert len(pictures(printed(capsys, "plot", "out"))) == 3
+    said = "expected a net with pins in two Gcells or more"
+    for command in (
+        ["train", "small.yaml", "env.problem=p.gr", "out=r"],
+        ["route", "p.gr", "--router", "dqn", *FAST],
+        ["route", "p.gr", "--router", "random"],
+    ):
+        assert said in refused(*command)
+    assert not (here / "r").exists()
+    with pytest.raises(InputError, match=said):
+        marouting.make({"env": {"problem": "p.gr"}})

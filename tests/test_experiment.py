@@ -678,9 +678,48 @@ PUBLICATIONS: dict[str, tuple[str, str]] = {
     ),
     "no number": (
         "set,problem,overflow,wirelength\nsmall,problem_000,0,x\n",
-        "p.csv:2: expected whole numbers",
+        "p.csv:2: wirelength: expected a valid integer, found 'x'",
     ),
-    "half a row": ("set,problem,overflow,wirelength\nsmall\n", "p.csv:2: expected whole numbers"),
+    "half a row": (
+        "set,problem,overflow,wirelength\nsmall\n",
+        "p.csv:2: expected 4 cells as in line 1, found 1",
+    ),
+    "a cell too many": (
+        "set,problem,overflow,wirelength\nsmall,problem_000,0,9,\n",
+        "p.csv:2: expected 4 cells as in line 1, found 5",
+    ),
+    "a column twice": (
+        "set,problem,overflow,wirelength,overflow\n",
+        "p.csv:1: expected a column overflow, and only one",
+    ),
+    "a negative number": (
+        "set,problem,overflow,wirelength\nsmall,problem_000,0,-9\n",
+        "p.csv:2: wirelength: expected a valid integer, found '-9'",
+    ),
+    "digits of another kind": (
+        "set,problem,overflow,wirelength\nsmall,problem_000,0,１２\n",
+        "p.csv:2: wirelength: expected a valid integer, found '１２'",
+    ),
+    "too large a number": (
+        "set,problem,overflow,wirelength\nsmall,problem_000,0,9999999999999999999\n",
+        "p.csv:2: wirelength: expected less than 9223372036854775808",
+    ),
+    "no name": (
+        "set,problem,overflow,wirelength\nsmall,,0,9\n",
+        "p.csv:2: problem: expected a name for files",
+    ),
+    "a NUL": (
+        "set,problem,overflow,wirelength\nsmall,problem\0,0,9\n",
+        "p.csv:2: problem: expected a name for files",
+    ),
+    "an open quote": (
+        'set,problem,overflow,wirelength\nsmall,"problem_000,0,9\n',
+        "p.csv:2: expected CSV: unexpected end of data",
+    ),
+    "a huge field": (
+        "set,problem,overflow,wirelength\nsmall," + 200_000 * "x" + ",0,9\n",
+        "p.csv:2: expected CSV: field larger than field limit",
+    ),
     "a row twice": (
         "set,problem,overflow,wirelength\n" + 2 * "small,problem_000,0,9\n",
         "p.csv:3: expected small/problem_000 once",
@@ -779,12 +818,29 @@ def test_folders_that_hold_something_else(
 def test_rows_that_are_none(finished: Path, here: Path, refused: Callable[..., str]) -> None:
     shutil.copytree(finished, here / "copy")
     damaged = here / "copy" / "rows" / "small" / "astar" / "problem_000.json"
-    for text in ("", "{}", "[1]", "[{}]", '[{"set": "small"}]'):
+    (row,) = json.loads(damaged.read_text())
+    for text, said in (
+        ("", ": expected rows in JSON: "),
+        ("{}", ": expected rows in JSON: "),
+        ("[1]", ": row 1: expected an object, found 1"),
+        ("[{}]", ": row 1: set: Field required"),
+        (json.dumps([row, row]), ": row 2: expected every router once for each problem and seed"),
+        (json.dumps([{**row, "overflow": -5}]), ": row 1: overflow: expected greater than or"),
+        (json.dumps([{**row, "overflow": True}]), ": row 1: overflow: expected a valid integer"),
+        (json.dumps([{**row, "seconds": math.nan}]), ": row 1: seconds: expected a finite number"),
+        (json.dumps([{**row, "joined": 99}]), ": row 1: joined: expected at most the tasks"),
+        (json.dumps([{**row, "joined": None}]), ": row 1: joined: expected at most the tasks"),
+        (json.dumps([{**row, "vias": 10**6}]), ": row 1: vias: expected at most the wirelength"),
+        (json.dumps([{**row, "set": "../x"}]), ": row 1: set: expected a name for files"),
+    ):
         damaged.write_text(text)
         line = refused("experiment", here / "copy" / "config.yaml", f"out={here / 'copy'}")
-        assert f"{damaged}: expected rows in JSON" in line
+        assert f"{damaged}{said}" in line
         (here / "copy" / "results.json").write_text(text)
-        assert "results.json: expected rows in JSON" in refused("plot", here / "copy")
+        assert f"results.json{said}" in refused("plot", here / "copy")
+    damaged.write_text(json.dumps([{**row, "router": "random"}]))
+    line = refused("experiment", here / "copy" / "config.yaml", f"out={here / 'copy'}")
+    assert f"{damaged}: expected rows of small, astar, problem_000" in line
 
 
 def test_an_error_at_work_is_one_line(here: Path, refused: Callable[..., str]) -> None:

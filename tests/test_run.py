@@ -887,3 +887,33 @@ def test_a_metrics_file_that_cannot_be_written_is_refused(tmp_path: Path) -> Non
     with pytest.raises(InputError, match=r"metrics\.jsonl: cannot be written"):
         run.execute()
     assert list((folder / "metrics.jsonl").iterdir()) == []
+
+
+class Endless:
+    """A reward that grows beyond all numbers."""
+
+    def __call__(self, game: Any, before: Any, movers: Any) -> Any:
+        del before, movers
+        return np.full(game.agents.shape, np.inf)
+
+
+def test_rewards_that_are_no_numbers_end_a_training(tmp_path: Path) -> None:
+    run = Run(config_in(tmp_path, reward="test_run:Endless"))
+    with pytest.raises(InputError, match="reward: expected finite numbers, found inf"):
+        run.execute()
+    assert metrics(tmp_path) == []
+
+
+@pytest.mark.parametrize("change", [{"reward": None}, {"joined": 99}, {"episode": -1}, {"best": 1}])
+def test_a_resumed_run_reads_what_was_logged(
+    change: dict[str, Any], finished: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(finished, folder)
+    lines = (folder / "metrics.jsonl").read_text().splitlines()
+    lines[2] = json.dumps({**json.loads(lines[2]), **change})
+    # No shorter than it was, or it would be refused for that.
+    (folder / "metrics.jsonl").write_text("\n".join(lines) + "\n" + 200 * "\n")
+    run = Run(replace(load_config(folder / "config.yaml"), out=str(folder)), resume=True)
+    with pytest.raises(InputError, match=rf"metrics\.jsonl:3: {next(iter(change))}: expected"):
+        run.execute()

@@ -7,6 +7,7 @@ them.
 """
 
 import contextlib
+import io
 import json
 import sys
 import time
@@ -402,6 +403,11 @@ def quickstart(out: Path) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command line and exits with its status."""
+    for stream in (sys.stdout, sys.stderr):
+        # Not every terminal has the characters of every name, and a path need not be UTF-8. A
+        # question mark is as wide as what it stands for, so tables stay in order.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     sys.exit(status(arguments))
 
 
@@ -417,6 +423,8 @@ def status(arguments: Sequence[str] | None = None) -> int:
         return _complain(error.format_message())
     except ModuleNotFoundError as error:
         return _complain(f"{error.name} is missing: pip install 'marouting[learn]'")
+    except UnicodeEncodeError as error:  # of a path; all that is printed can be
+        return _complain(f"{error.object[:200]}: expected a path in the encoding {error.encoding}")
     except MemoryError as error:
         return _complain(f"expected a smaller problem or configuration: out of memory: {error}")
     except OSError as error:
@@ -428,8 +436,10 @@ def status(arguments: Sequence[str] | None = None) -> int:
 
 
 def _complain(message: str) -> int:
-    """One line on standard error; returns the status for bad input."""
-    click.echo(f"marouting: {' '.join(message.split())}", err=True)
+    """One line on standard error, nothing in it that controls a terminal; returns the status."""
+    line = " ".join(message.split())
+    shown = "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in line)
+    click.echo(f"marouting: {shown}", err=True)
     return 2
 
 

@@ -16,7 +16,7 @@ from rich.progress import (
 )
 
 if TYPE_CHECKING:
-    from policies.learned.trainer import Episode
+    from policies.results.run_folder import Episode
 
 
 @contextlib.contextmanager
@@ -64,7 +64,7 @@ def _bar(unit: str) -> Iterator[tuple[Progress, TaskID]]:
     """A bar that shows what is done of how many, and the time, if standard error is a terminal."""
     console = Console(stderr=True)
     with Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),  # names may contain brackets
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn(unit),

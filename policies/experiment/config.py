@@ -1,6 +1,5 @@
 """The configuration of an experiment: sets of problems, routers, seeds, figures."""
 
-import csv
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -10,9 +9,10 @@ from typing import Any
 
 from marouting import InputError, Problem
 from marouting.config import build, check, override, plain, read_yaml
-from marouting.files import unusable
+from marouting.files import is_file_name
 from marouting.source import load_problems
 from policies.learned.config import Config, for_learner
+from policies.results.rows import read_published
 from policies.results.statistics import ALL
 from policies.results.study import Study
 from policies.routers.registry import (
@@ -62,7 +62,7 @@ class ExperimentConfig:
 
     def __post_init__(self) -> None:
         for name, study in self.studies.items():
-            check(f"studies.{name}", _is_name(name), "a name of letters, digits, _ and -")
+            _check_name(f"studies.{name}", name)
             for title, column in study.columns.items():
                 key = f"studies.{name}.columns.{title}"
                 for part, routers in (("router", (column.router,)), ("beside", column.beside)):
@@ -81,7 +81,7 @@ class ExperimentConfig:
         for name in self.problems if isinstance(self.problems, dict) else ():
             _check_set(name)
         for name in self.routers:  # in file names, a dot and the seed follow
-            check(f"routers.{name}", _is_name(name), "a name of letters, digits, _ and -")
+            _check_name(f"routers.{name}", name)
         if self.reference is not None and self.reference not in self.routers:
             raise unknown("reference", self.reference, tuple(self.routers))
         studies = {}
@@ -103,13 +103,19 @@ class ExperimentConfig:
         return tuple(Entry.of(name, raw or {}) for name, raw in self.routers.items())
 
 
-def _is_name(name: str) -> bool:
-    return re.fullmatch(r"\w[\w-]*", name) is not None
+def _check_name(key: str, name: str, also: str = "") -> None:
+    """Raises InputError unless names of files can contain a name."""
+    fits = re.fullmatch(rf"\w[\w{also}-]*", name) and is_file_name(name, _SUFFIX)
+    check(key, fits, f"a name of letters, digits, _ and -{also and ' and '}{also}, not too long")
+
+
+_SUFFIX = 48 * "."
+"""As long as what follows a set, a router or a study in names of files, at most."""
 
 
 def _check_set(name: str) -> None:
-    """Raises InputError unless file names can carry the name of a set."""
-    check(f"problems.{name}", re.fullmatch(r"\w[\w.-]*", name), "a name of letters, digits, _ - .")
+    """Raises InputError unless a set may have a name."""
+    _check_name(f"problems.{name}", name, ".")
     check(f"problems.{name}", name != ALL, "another name: all sets together are called this")
 
 
@@ -185,7 +191,8 @@ class Published:
     """The options of an entry ``published``: results as others report them.
 
     Attributes:
-        file: a CSV file with the columns ``set`` and ``problem``, and a row for every problem.
+        file: a CSV file with the columns ``set`` and ``problem``, and a row for every problem, as
+            :func:`policies.results.rows.read_published` reads it.
         overflow: the name of the overflow's column.
         wirelength: the name of the wirelength's column.
         optimal: whether these are proven optima, from which gaps are measured.
@@ -200,27 +207,7 @@ class Published:
 
     def read(self) -> dict[tuple[str, str], tuple[int, int]]:
         """Overflow and wirelength by set and problem; raises InputError naming file and line."""
-        found: dict[tuple[str, str], tuple[int, int]] = {}
-        try:
-            with Path(self.file).open(encoding="utf-8", newline="") as lines:
-                reader = csv.DictReader(lines)
-                for column in ("set", "problem", self.overflow, self.wirelength):
-                    if column not in (reader.fieldnames or ()):
-                        raise InputError(f"{self.file}:1: expected a column {column}")
-                for line in reader:
-                    where = f"{self.file}:{reader.line_num}"
-                    key = line["set"], line["problem"]
-                    if key in found:
-                        raise InputError(f"{where}: expected {'/'.join(key)} once")
-                    try:
-                        found[key] = int(line[self.overflow]), int(line[self.wirelength])
-                    except (TypeError, ValueError):
-                        raise InputError(f"{where}: expected whole numbers") from None
-        except OSError as error:
-            raise unusable(self.file, "cannot be read", error) from None
-        except (UnicodeDecodeError, csv.Error):
-            raise InputError(f"{self.file}: expected CSV in UTF-8") from None
-        return found
+        return read_published(self.file, self.overflow, self.wirelength)
 
 
 @dataclass(frozen=True)

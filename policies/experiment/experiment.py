@@ -13,7 +13,7 @@ import yaml
 
 from marouting import InputError, Problem, Solution
 from marouting.config import check, check_same, read_yaml
-from marouting.files import write_text
+from marouting.files import FILE_NAME, is_file_name, write_text
 from marouting.source import load_problems
 from policies.experiment.config import (
     PUBLISHED,
@@ -134,6 +134,10 @@ class Experiment:
 
     def _keep(self, before: ExperimentConfig | None) -> None:
         """Writes the new problems, and then the configuration of all that the folder holds."""
+        for part in self.parts:
+            for name in part.problems:
+                fits = is_file_name(name, f".{part.label}.solution")
+                check(f"problems.{part.set}: {name[:80]!r}", fits, FILE_NAME)
         new = dict(self.sets)
         if before is not None:
             held = self.sets if isinstance(before.problems, str) else before.problems
@@ -255,8 +259,13 @@ class Experiment:
             if part.entry.name not in names:
                 continue
             found = read_rows(part.rows)
-            if [row["problem"] for row in found] != list(part.problems):
-                raise InputError(f"{part.rows}: expected rows of {', '.join(part.problems)}")
+            about = {"set": part.set, "router": part.entry.name, "kind": part.entry.router}
+            own = [{**about, "seed": part.seed, "problem": name} for name in part.problems]
+            if [{key: row[key] for key in own[0]} for row in found] != own:
+                raise InputError(
+                    f"{part.rows}: expected rows of {part.set}, {part.label}, "
+                    f"{', '.join(part.problems)}"
+                )
             for row in found:
                 rows[part.set, row["problem"], part.entry.name, part.seed] = row
         ordered = [

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator, SymmetricalLogLocator
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from policies.figures.style import INK, LINES, PALE, RED
+from policies.figures.style import INK, LINES, PALE, RED, literal
 from policies.results.scaling import curves, exponent
 
 # Training ---------------------------------------------------------------------------------------
@@ -51,7 +51,7 @@ def reward_curves(
     axes = figure.subplots()
     draw_rewards(axes, curves, log, smoothing)
     mean_note = f"dark: mean of the last {smoothing} episodes" if smoothing > 1 else ""
-    axes.set_title("\n".join(filter(None, (title, mean_note))), fontsize=11)
+    axes.set_title(literal("\n".join(filter(None, (title, mean_note)))), fontsize=11)
     if len(curves) <= 10:
         axes.legend(frameon=False, loc="lower right", fontsize=9, ncols=-(-len(curves) // 5))
     return figure
@@ -73,7 +73,15 @@ def draw_rewards(
         if smoothing > 1:
             axes.plot(episode, values, color=colour, linewidth=0.6, alpha=0.25, zorder=1)
         mean = _running_mean(values, smoothing)
-        axes.plot(episode, mean, color=colour, linewidth=1.6, linestyle=style, label=name, zorder=2)
+        axes.plot(
+            episode,
+            mean,
+            color=colour,
+            linewidth=1.6,
+            linestyle=style,
+            label=literal(name),
+            zorder=2,
+        )
     scale = ""
     if log:
         axes.set_yscale("symlog", linthresh=_TASK_REWARD, linscale=0.5)
@@ -131,7 +139,7 @@ def by_problem(
     figure = Figure(figsize=(9, 5.5), layout="constrained")
     axes = figure.subplots()
     draw_by_problem(axes, values, order, quantity, order_by)
-    axes.set_title(title, fontsize=12)
+    axes.set_title(literal(title), fontsize=12)
     figure.legend(frameon=False, loc="outside lower center", ncols=min(len(values), 4))
     return figure
 
@@ -157,11 +165,11 @@ def draw_by_problem(
             marker=_MARKERS[index % len(_MARKERS)],
             # Smaller from router to router, so that all of them show where they agree.
             markersize=max(0.3 * marks, marks - 1.2 * index) * min(1.0, (60 / len(order)) ** 0.5),
-            label=f"{name} (without {missing})" if missing else name,
+            label=literal(f"{name} (without {missing})" if missing else name),
         )
     axes.grid(color=PALE, linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.set_xlabel(f"problems, sorted by {order_by} [rank]")
+    axes.set_xlabel(literal(f"problems, sorted by {order_by} [rank]"))
     axes.set_ylabel(quantity)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -196,9 +204,10 @@ def decrease_histogram(
     panels = figure.subplots(len(known), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, (name, values) in zip(panels, known.items(), strict=True):
         draw_decreases(axes, values, bins)
-        axes.set_title(f"{name}: {decrease_note(values)}", fontsize=10)
-    panels[-1].set_xlabel(f"decrease in wirelength = {baseline}'s minus the router's [edges]")
-    figure.suptitle(title, fontsize=12)
+        axes.set_title(literal(f"{name}: {decrease_note(values)}"), fontsize=10)
+    less = f"decrease in wirelength = {baseline}'s minus the router's [edges]"
+    panels[-1].set_xlabel(literal(less))
+    figure.suptitle(literal(title), fontsize=12)
     return figure
 
 
@@ -258,13 +267,14 @@ def scaling(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
     drawn = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (family, works) in zip(drawn, panels.items(), strict=True):
         for index, (work, points) in enumerate(works.items()):
+            power = exponent(points)
             axes.loglog(
                 *points,
                 color=LINES[index % len(LINES)],
                 marker=_MARKERS[index % len(_MARKERS)],
                 markersize=5,
                 linewidth=1.4,
-                label=f"{work}: exponent {exponent(points):.2f}",
+                label=literal(work if np.isnan(power) else f"{work}: exponent {power:.2f}"),
             )
         edges, seconds = np.concatenate(list(works.values()), axis=1)
         ends = np.array([edges.min(), edges.max()])
@@ -279,10 +289,10 @@ def scaling(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
         )
         axes.grid(color=PALE, linewidth=0.6)
         axes.set_axisbelow(True)
-        axes.set_title(family, fontsize=11)
+        axes.set_title(literal(family), fontsize=11)
         axes.set_xlabel("routed edges")
         axes.set_ylabel("time [s]")
         axes.tick_params(labelleft=True)
         axes.legend(frameon=False, loc="upper left", fontsize=9)
-    figure.suptitle(title, fontsize=12)
+    figure.suptitle(literal(title), fontsize=12)
     return figure

@@ -3,7 +3,6 @@
 What the folders look like on disk is known to :mod:`policies.results`.
 """
 
-import json
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -14,11 +13,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
-from marouting.files import unusable
 from policies import figures
 from policies.results import experiment_folder, run_folder
 from policies.results.rows import Row
 from policies.results.run_folder import read_rewards
+from policies.results.scaling import read_scaling
 from policies.results.statistics import (
     baseline,
     by_router,
@@ -110,7 +109,7 @@ def run_figures(run: Path, folder: Path | None = None) -> list[Path]:
             if row["problem"] == path.stem
             and (file := run_folder.solution_file(run, path.stem, row["router"])).exists()
         }
-        written += problem_figures(problem, solutions, folder / path.stem)
+        written += problem_figures(problem, solutions, _of(folder, path))
     return written
 
 
@@ -158,9 +157,11 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
             figure = figures.by_problem(values, order, f"{quantity} [{unit}]", by, title)
             write(figure, f"{name}_{quantity}")
         decreases = {
-            router: lengths[astar] - values
+            router: decrease
             for router, values in shown.items()
             if astar is not None and router != astar
+            # One of them may join what the other leaves open.
+            if not np.isnan(decrease := lengths[astar] - values).all()
         }
         if astar is not None and decreases:
             write(figures.decrease_histogram(decreases, astar, title), f"{name}_decrease")
@@ -200,16 +201,18 @@ def _column(
         return None
     own = routers[column.router]
     # The paper's legend names the kind of router; its entry's name tells two of a kind apart.
-    first = next(iter(own.values()))[0]
+    first = next(rows for rows in own.values() if rows)[0]
     alike = {column.router, first["kind"]} & {astar, reference}
     title = column.router if alike else first["kind"]
     shown = {astar: routers[astar], title: own}
     if reference in routers:
         shown[reference] = routers[reference]
-    chosen = column.problem or next(iter(own))[1]
+    chosen = column.problem or first["problem"]
     problem = Problem.read(experiment_folder.problem_file(experiment, name, chosen))
 
     def solution(router: str) -> Solution:
+        if not routers[router].get((name, chosen)):
+            raise InputError(f"{experiment}: expected a row of {router} on {name}, {chosen}")
         seed = routers[router][name, chosen][0]["seed"]
         file = experiment_folder.solution_file(experiment, name, chosen, router, seed)
         return Solution.read(file, problem)
@@ -232,9 +235,11 @@ def _column(
     if "mean_reward" in study.panels:
         for router in (column.router, *column.beside):
             if router in routers:
-                seeds = [row["seed"] for row in next(iter(routers[router].values()))]
+                seeds = dict.fromkeys(row["seed"] for of in routers[router].values() for row in of)
                 curves = [curve for seed in seeds for curve in rewards(router, seed).values()]
-                means[router] = np.mean(curves, axis=0)
+                # One of them may be of a training that is not finished.
+                common = min(map(len, curves))
+                means[router] = np.mean([curve[:common] for curve in curves], axis=0)
     return figures.ColumnData(
         problem,
         solution(astar),
@@ -256,15 +261,8 @@ def scaling_figure(bench: Path, folder: Path) -> Path:
     Raises:
         InputError: the file cannot be read, or lacks the section ``scaling``.
     """
-    try:
-        report = json.loads(bench.read_text(encoding="utf-8"))
-        figure = figures.scaling(report["scaling"], f"measured {report['machine']['date']}")
-    except OSError as error:
-        raise unusable(bench, "cannot be read", error) from None
-    except (ValueError, KeyError, TypeError):
-        raise InputError(
-            f"{bench}: expected what marouting bench --out stores, with the section scaling"
-        ) from None
+    report = read_scaling(bench)
+    figure = figures.scaling(report["scaling"], f"measured {report['machine']['date']}")
     path = folder / "scaling.png"
     figures.save(figure, path)
     return path
@@ -315,9 +313,16 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
         problem = Problem.read(path)
         solutions = {_router(file, path): Solution.read(file, problem) for file in files}
         solutions = solutions or {"astar": AStarRouter().route(problem)}
-        folder = (out or path.parent / "figures") / path.stem
+        folder = _of(out or path.parent / "figures", path)
         written += problem_figures(problem, solutions, folder)
     return written
+
+
+def _of(folder: Path, problem: Path) -> Path:
+    """The folder for the figures of a problem; raises InputError if none can be called after it."""
+    if problem.stem in (".", ".."):
+        raise InputError(f"{problem}: expected another name: figures would leave their folder")
+    return folder / problem.stem
 
 
 def _router(file: Path, problem: Path) -> str:

@@ -18,7 +18,7 @@ from marouting.errors import InputError
 from marouting.problem.grid import AXES
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution, evaluate
-from policies.figures.style import BAND, BLUE, INK, LINES, ORANGE, PALE, RED, VIA
+from policies.figures.style import BAND, BLUE, INK, LINES, ORANGE, PALE, RED, VIA, literal
 from policies.results.utilisation import (
     demand_on,
     histogram_counts,
@@ -217,7 +217,7 @@ def edges_before_after(problem: Problem, solution: Solution, title: str = "") ->
     axes = figure.subplots()
     draw_edges(axes, problem, solution)
     kind = axes.get_title()
-    axes.set_title(f"{title}: {kind}" if title else kind, fontsize=12)
+    axes.set_title(literal(f"{title}: {kind}" if title else kind), fontsize=12)
     axes.legend(frameon=False, loc="upper left", ncols=3)
     return figure
 
@@ -507,7 +507,7 @@ def _heading(problem: Problem, solution: Solution, title: str) -> str:
     line = f"WL {figures.wirelength}, OF {figures.overflow}"
     if figures.disconnected:
         line += f", {len(figures.disconnected)} of {len(problem.nets)} nets not joined"
-    return f"{title}: {line}" if title else line
+    return literal(f"{title}: {line}" if title else line)
 
 
 def _prepare(axes: Axes, problem: Problem, title: str) -> None:

@@ -1,6 +1,7 @@
 """Colours, and writing figures to files."""
 
 import os
+import warnings
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -19,6 +20,16 @@ VIA = "#808080"
 DPI = 150
 
 
+def literal(text: str) -> str:
+    """A text with names in it, for matplotlib to show as it stands.
+
+    A name may contain dollar signs that do not mean formulas, or half a character, as in the name
+    of a file that is not UTF-8. Legends leave out labels that begin with an underscore.
+    """
+    text = text.replace("$", r"\$").encode(errors="backslashreplace").decode()
+    return f"\N{ZERO WIDTH SPACE}{text}" if text.startswith("_") else text
+
+
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Writes a figure at 150 dpi, whole or not at all.
 
@@ -33,5 +44,7 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     kind = target.suffix[1:].lower() or "png"
     if kind not in figure.canvas.get_supported_filetypes():
         raise InputError(f"{target}: expected a picture's suffix such as .png, .pdf or .svg")
-    with writing(target) as temporary:
+    with writing(target) as temporary, warnings.catch_warnings():
+        # What the font lacks is drawn as a box.
+        warnings.filterwarnings("ignore", "Glyph|Matplotlib currently does not", UserWarning)
         figure.savefig(temporary, format=kind, dpi=DPI, bbox_inches="tight", pad_inches=0.1)

@@ -13,7 +13,7 @@ from typing import Self
 
 from marouting import InputError
 from marouting.files import naming
-from policies.learned.trainer import Episode
+from policies.results.run_folder import METRICS, Episode, read_episodes
 
 CURVES = ("reward", "joined", "overflow", "wirelength", "steps", "epsilon", "loss")
 """The fields of an episode that TensorBoard shows."""
@@ -33,7 +33,7 @@ class Logs:
     """
 
     def __init__(self, folder: Path, logged: int, tensorboard: bool) -> None:
-        path = folder / "metrics.jsonl"
+        path = folder / METRICS
         self._lines_named, self._events_named = (
             functools.partial(naming, named, "cannot be written")
             for named in (path, folder / "tensorboard")
@@ -53,12 +53,8 @@ class Logs:
             shutil.rmtree(folder / "tensorboard", ignore_errors=True)
             with self._events_named():
                 self._events = SummaryWriter(str(folder / "tensorboard"))
-            self._lines.seek(0)
-            for number, line in enumerate(self._lines, 1):
-                try:
-                    self._show(Episode(**json.loads(line)))
-                except (ValueError, TypeError, RecursionError):
-                    raise InputError(f"{path}:{number}: expected an episode") from None
+            for episode in read_episodes(path):
+                self._show(episode)
 
     def write(self, episodes: Sequence[Episode]) -> None:
         """Logs finished episodes."""
@@ -73,9 +69,9 @@ class Logs:
             return
         with self._events_named():
             for curve in CURVES:
-                self._events.add_scalar(
-                    f"{curve}/{episode.problem}", getattr(episode, curve), episode.episode
-                )
+                value = getattr(episode, curve)
+                if value is not None:
+                    self._events.add_scalar(f"{curve}/{episode.problem}", value, episode.episode)
 
     def flush(self) -> int:
         """Puts everything on disk; returns the bytes of ``metrics.jsonl``."""

@@ -8,7 +8,8 @@ from typing import Any
 from marouting import Problem, Solution
 from policies.learned.config import Config
 from policies.learned.policy import Routed, TrainedPolicy
-from policies.learned.trainer import Episode, Trainer
+from policies.learned.trainer import Trainer
+from policies.results.run_folder import Episode
 
 
 class LearnedRouter:

@@ -19,13 +19,13 @@ import torch
 import yaml
 
 from marouting import InputError
-from marouting.config import check_same, plain
-from marouting.files import write_text, writing
+from marouting.config import check, check_same, plain
+from marouting.files import FILE_NAME, is_file_name, write_text, writing
 from marouting.source import load_problems
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
 from policies.learned.logs import Logs
-from policies.learned.trainer import Episode, Trainer
+from policies.learned.trainer import Trainer
 from policies.results.folder import check_own, working_in
 from policies.results.rows import Row, solution_row
 from policies.results.run_folder import (
@@ -34,6 +34,7 @@ from policies.results.run_folder import (
     METRICS,
     POLICY,
     RESULT,
+    Episode,
     solution_file,
 )
 from policies.routers.astar import AStarRouter
@@ -91,6 +92,9 @@ class Run:
         source = str(self.folder / "problems") if resume else config.env.problem
         # In an order that does not depend on where they come from.
         self.problems = dict(sorted(load_problems(source).items()))
+        for name in self.problems:
+            fits = is_file_name(name, f".{config.learner.name}_policy.solution")
+            check(f"problem {name[:80]!r}", fits, FILE_NAME)
         self.trainer = Trainer(self.problems, config)
         self._seconds = 0.0
         self._logged = 0

@@ -10,7 +10,7 @@ that has trained its episodes leaves. With ``shared: true`` there is one network
 import functools
 import textwrap
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any, TypeVar
 
 import numpy as np
@@ -34,40 +34,8 @@ from policies.learned.memory.before import Before
 from policies.learned.policy import TrainedPolicy, player_of, policy_origin
 from policies.learned.streams import keys
 from policies.learned.threads import use_threads
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One finished episode of one problem, as ``metrics.jsonl`` holds it.
-
-    Attributes:
-        problem: the problem's name.
-        episode: counted from 0.
-        reward: summed over all moves.
-        joined: two-pin tasks joined.
-        tasks: two-pin tasks in all.
-        overflow: of the routes, joined or not.
-        wirelength: of the routes, joined or not.
-        steps: moves made.
-        epsilon: chance of a random move.
-        loss: mean loss of the gradient steps taken during the episode.
-        updates: gradient steps of the problem's network so far.
-        best: whether no earlier episode was better.
-    """
-
-    problem: str
-    episode: int
-    reward: float
-    joined: int
-    tasks: int
-    overflow: int
-    wirelength: int
-    steps: int
-    epsilon: float
-    loss: float
-    updates: int
-    best: bool
-
+from policies.results.rows import LARGEST
+from policies.results.run_folder import Episode
 
 SHARED = ("all",)
 """The name of the network that all problems share, where there is one."""
@@ -237,20 +205,23 @@ class Trainer:
                 continue  # another copy has played the last one
             metrics = player.engine.metrics(g)
             reward = float(player.buffers.total[g])
+            if not abs(reward) <= LARGEST:  # nor NaN
+                raise InputError(f"reward: expected finite rewards, found {reward} in an episode")
             score = _score(metrics, reward if self.config.train.best == "reward" else None)
             best = bool(score < tuple(self.score[problem].tolist()))
             if best:
                 self.score[problem] = score
                 self.best_episode[problem] = self.episodes[problem]
                 self.best_used[problem] = player.engine.dynamic.used[g]
-            loss, steps = losses[g] - self._before[0, g], updates[g] - self._before[1, g]
+            steps = updates[g] - self._before[1, g]
+            loss = float((losses[g] - self._before[0, g]) / max(steps, 1))
             finished.append(
                 Episode(
                     problem=self.names[problem],
                     episode=int(self.episodes[problem]),
                     reward=reward,
                     epsilon=self.learner.exploration(int(self.episodes[problem])),
-                    loss=float(loss / max(steps, 1)),
+                    loss=loss if abs(loss) <= LARGEST else None,
                     updates=int(updates[g]),
                     best=best,
                     **asdict(metrics),
@@ -376,16 +347,16 @@ class Trainer:
         if state["problems"] != list(self.names):
             found = textwrap.shorten(str(state["problems"]), 80)
             raise InputError(f"{where}: expected problems {self.names}, found {found}")
-        given = state["trainer"]["places"]
+        given, named = state["trainer"]["places"], f"{where}: places"
         some = given[: len(self.places)]  # a few of them, whatever the file holds
-        within = (0, len(self.places) - 1)
-        places = checked(some, torch.from_numpy(self.places[: len(some)]), "places", within).numpy()
+        now = torch.from_numpy(self.places[: len(some)])
+        places = checked(some, now, named, (0, len(self.places) - 1)).numpy()
         if len(some) < len(given) or len(some) == 0 or (np.diff(places) <= 0).any():
-            raise InputError(f"{where}: places: expected some of {len(self.places)} problems")
+            raise InputError(f"{named}: expected some of {len(self.places)} problems")
         if len(places) < len(self.places):
             self._keep(np.searchsorted(self.places, places))
-        now: dict[str, NDArray[Any]] = self._arrays()
-        for part, names in (("training", self.learner.state().keys()), ("trainer", now.keys())):
+        own: dict[str, NDArray[Any]] = self._arrays()
+        for part, names in (("training", self.learner.state().keys()), ("trainer", own.keys())):
             if more := state[part].keys() - names:
                 raise InputError(f"{where}: {min(more)}: expected nothing of that name")
         most = self.config.train.episodes
@@ -401,7 +372,7 @@ class Trainer:
                 f"{where}: {name}",
                 limits.get(name, FINITE),
             ).numpy()
-            for name, array in now.items()
+            for name, array in own.items()
         }
         dynamic, buffers = self.player.engine.dynamic, self.player.buffers
         saved = Saved(_records("game", dynamic, arrays), _records("buffers", buffers, arrays))
@@ -414,7 +385,7 @@ class Trainer:
         self.learner.load_state(state["training"], f"{where}: ")
         self.player.restore(saved)
         for name in (*_OWN, "policies"):
-            now[name][...] = arrays[name]
+            own[name][...] = arrays[name]
         gone = np.setdiff1d(np.arange(len(self.names)), self.places)
         over = (saved.dynamic.games["active"] == 0).reshape(-1, self._copies)
         if (self.running[:, None] & over).any() or (self.episodes[gone] < most).any():

@@ -1,38 +1,88 @@
-"""Rows of results: one router on one problem, as result files and tables hold them."""
+"""Rows of results: one router on one problem, as result files and tables hold them.
+
+Every file of rows, ours or another's, is read by the types that stand here.
+"""
 
 import csv
 import io
-import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NotRequired
+
+from pydantic import AfterValidator, Field
+from typing_extensions import TypedDict
 
 from marouting import InputError, Solution, evaluate
-from marouting.files import unusable
+from marouting.config import build, build_json, check
+from marouting.files import FILE_NAME, is_file_name, unusable
 
 Row = dict[str, Any]
 """One router on one problem (in an experiment: with one seed), plain data by column."""
 
-COLUMNS = {
-    "set": str,
-    "problem": str,
-    "router": str,
-    "kind": str,
-    "seed": int | None,
-    "overflow": int,
-    "max_overflow": int | None,
-    "wirelength": int,
-    "vias": int | None,
-    "connected": bool | None,
-    "joined": int | None,
-    "tasks": int | None,
-    "proven": bool | None,
-    "seconds": float | int | None,
-    "gap": float | int | None,
-    "from": str | None,
-}
-"""The columns of an experiment's rows and their types.
+
+def _name(name: str) -> str:
+    if not is_file_name(name):
+        raise ValueError(f"expected {FILE_NAME}, found {name[:80]!r}")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_name)]
+"""The name of a set, a problem or a router: files are called after it."""
+
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+"""A whole number from 0."""
+
+LARGEST = 2.0**63
+"""What is larger than the largest count is no result but a mistake."""
+
+Measure = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+"""A number, neither infinite nor NaN; also one that JSON writes as a whole number."""
+
+Seconds = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
+"""A time."""
+
+ResultRow = TypedDict(
+    "ResultRow",
+    {
+        "problem": Name,
+        "router": Name,
+        "overflow": Count,
+        "max_overflow": Count,
+        "wirelength": Count,
+        "vias": Count,
+        "connected": bool,
+        "joined": Count,
+        "tasks": Count,
+        "seconds": Seconds,
+        "from": NotRequired[str | None],
+    },
+)
+"""A row of a training's results, in the columns of :class:`ExperimentRow`."""
+
+ExperimentRow = TypedDict(
+    "ExperimentRow",
+    {
+        "set": Name,
+        "problem": Name,
+        "router": Name,
+        "kind": Name,
+        "seed": Count | None,
+        "overflow": Count,
+        "max_overflow": Count | None,
+        "wirelength": Count,
+        "vias": Count | None,
+        "connected": bool | None,
+        "joined": Count | None,
+        "tasks": Count | None,
+        "proven": bool | None,
+        "seconds": Seconds | None,
+        "gap": Measure | None,
+        "from": str | None,
+    },
+)
+"""A row of an experiment's results.
 
 ``router`` is the name of the experiment's entry and ``kind`` the registered name (or
 ``module:Class``) of the router behind it. ``joined`` and ``tasks`` count two-pin tasks, ``proven``
@@ -41,6 +91,18 @@ says whether the solution is known to be optimal, ``seconds`` is the time to rou
 that a learner's routes come from. A value that is not known is None: published results give only
 overflow and wirelength.
 """
+
+COLUMNS = tuple(ExperimentRow.__annotations__)
+"""The columns of an experiment's rows."""
+
+
+class PublishedRow(TypedDict):
+    """What published results say of a problem."""
+
+    set: Name
+    problem: Name
+    overflow: Count
+    wirelength: Count
 
 
 def solution_row(solution: Solution, seconds: float) -> Row:
@@ -55,35 +117,108 @@ def solution_row(solution: Solution, seconds: float) -> Row:
     return {**figures, "seconds": round(seconds, 6)}
 
 
-def read_rows(path: Path, columns: Mapping[str, Any] = COLUMNS) -> list[Row]:
-    """Reads the rows in a JSON file.
+def read_rows(path: Path, schema: type[Any] = ExperimentRow) -> list[Row]:
+    """Reads the rows in a JSON file; columns that the schema lacks are left out.
 
     Args:
         path: the file.
-        columns: the columns that every row must have, with their types.
+        schema: the columns that every row must have, and their types.
 
     Raises:
-        InputError: the file cannot be read or does not hold such rows.
+        InputError: the file cannot be read or does not hold such rows; the message names the row,
+            counted from 1, and the column.
     """
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_bytes()
     except OSError as error:
         raise unusable(path, "cannot be read", error) from None
-    except (ValueError, RecursionError):
-        rows = None
-    if not isinstance(rows, list) or not all(
-        isinstance(row, dict)
-        and all(name in row and isinstance(row[name], kind) for name, kind in columns.items())
-        for row in rows
-    ):
-        raise InputError(f"{path}: expected rows in JSON, with {', '.join(columns)}")
-    return rows
+    rows: dict[tuple[Any, ...], Row] = {}
+    for number, raw in enumerate(build_json(list[Any], text, f"{path}: expected rows in JSON"), 1):
+        where = f"{path}: row {number}"
+        row: Row = build(schema, raw, where)
+        for less, more in (("max_overflow", "overflow"), ("vias", "wirelength")):
+            of = row[less]
+            check(f"{where}: {less}", of is None or of <= row[more], f"at most the {more}")
+        joined, tasks = row["joined"], row["tasks"]
+        fits = joined == tasks if None in (joined, tasks) else joined <= tasks
+        check(f"{where}: joined", fits, "at most the tasks")
+        key = tuple(row.get(column) for column in ("set", "problem", "router", "seed"))
+        check(where, key not in rows, "every router once for each problem and seed")
+        rows[key] = row
+    return list(rows.values())
+
+
+_FORMULA = re.compile(r"'*[=+\-@\t\r]")
+"""What spreadsheets take for a formula, which can do harm, unless an apostrophe stands before it.
+
+One more is put before apostrophes that are there already, so that it can be taken away again.
+"""
 
 
 def to_csv(rows: Sequence[Row]) -> str:
-    """Rows of an experiment as CSV text; unknown values are empty fields."""
+    """Rows of an experiment as CSV text; unknown values are empty fields.
+
+    Text that a spreadsheet would take for a formula has an apostrophe before it, as OWASP
+    recommends.
+    """
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    for row in rows:
+        formulas = {
+            column: f"'{cell}"
+            for column, cell in row.items()
+            if isinstance(cell, str) and _FORMULA.match(cell)
+        }
+        writer.writerow({**row, **formulas})
     return text.getvalue()
+
+
+def read_published(
+    path: str, overflow: str = "overflow", wirelength: str = "wirelength"
+) -> dict[tuple[str, str], tuple[int, int]]:
+    """Reads overflow and wirelength by set and problem in a CSV file.
+
+    Args:
+        path: the file, with the columns ``set`` and ``problem``; further columns do not matter.
+        overflow: the name of the overflow's column.
+        wirelength: the name of the wirelength's column.
+
+    Raises:
+        InputError: the file cannot be read or does not hold such rows; the message names the line.
+    """
+    columns = {"set": "set", "problem": "problem", "overflow": overflow, "wirelength": wirelength}
+    found: dict[tuple[str, str], tuple[int, int]] = {}
+    try:
+        with Path(path).open(encoding="utf-8-sig", newline="") as lines:  # as Excel writes it
+            reader = csv.reader(lines, strict=True)
+            header = next(reader, [])
+            for column in columns.values():
+                check(f"{path}:1", header.count(column) == 1, f"a column {column}, and only one")
+            for cells in reader:
+                where = f"{path}:{reader.line_num}"
+                if not cells:
+                    continue
+                fits = len(cells) == len(header)
+                check(where, fits, f"{len(header)} cells as in line 1, found {len(cells)}")
+                text = {key: cells[header.index(column)] for key, column in columns.items()}
+                names = {
+                    key: text[key][_FORMULA.match(text[key]) and text[key][0] == "'" :]
+                    for key in ("set", "problem")
+                }
+                # Only plain digits are a number: int() takes more, such as 1_000.
+                counts = {
+                    key: int(text[key]) if re.fullmatch("[0-9]{1,19}", text[key]) else text[key]
+                    for key in ("overflow", "wirelength")
+                }
+                row = build(PublishedRow, {**names, **counts}, where)
+                key = row["set"], row["problem"]
+                check(where, key not in found, f"{'/'.join(key)} once")
+                found[key] = row["overflow"], row["wirelength"]
+    except OSError as error:
+        raise unusable(path, "cannot be read", error) from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: expected CSV in UTF-8") from None
+    except csv.Error as error:
+        raise InputError(f"{path}:{reader.line_num}: expected CSV: {error}") from None
+    return found

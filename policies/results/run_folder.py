@@ -14,14 +14,17 @@ figures/               pictures
 =====================  ==========================================================================
 """
 
-import json
 from collections import defaultdict
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+from pydantic import Field
 
 from marouting import InputError
+from marouting.config import build_json, check
 from marouting.files import unusable
-from policies.results.rows import Row, read_rows
+from policies.results.rows import Count, Measure, Name, ResultRow, Row, read_rows
 
 CONFIG, METRICS, CHECKPOINT = "config.yaml", "metrics.jsonl", "checkpoint.pt"
 POLICY, RESULT = "policy.pt", "result.json"
@@ -35,25 +38,60 @@ def solution_file(folder: Path, problem: str, router: str) -> Path:
 
 def read_result(folder: Path) -> list[Row]:
     """The rows of a finished training; raises InputError if there are none."""
-    return read_rows(folder / RESULT, {"router": str, "problem": str})
+    return read_rows(folder / RESULT, ResultRow)
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One finished episode of one problem, as ``metrics.jsonl`` holds it.
+
+    Attributes:
+        problem: the problem's name.
+        episode: counted from 0.
+        reward: summed over all moves.
+        joined: two-pin tasks joined.
+        tasks: two-pin tasks in all.
+        overflow: of the routes, joined or not.
+        wirelength: of the routes, joined or not.
+        steps: moves made.
+        epsilon: chance of a random move.
+        loss: mean loss of the gradient steps taken during the episode; None if it is no finite
+            number any more.
+        updates: gradient steps of the problem's network so far.
+        best: whether no earlier episode was better.
+    """
+
+    problem: Name
+    episode: Count
+    reward: Measure
+    joined: Count
+    tasks: Count
+    overflow: Count
+    wirelength: Count
+    steps: Count
+    epsilon: Annotated[float, Field(ge=0, le=1)]
+    loss: Measure | None
+    updates: Count
+    best: bool
+
+    def __post_init__(self) -> None:
+        check("joined", self.joined <= self.tasks, "at most the tasks")
+
+
+def read_episodes(metrics: Path) -> list[Episode]:
+    """The episodes in a ``metrics.jsonl``; raises InputError naming the line."""
+    try:
+        lines = metrics.read_bytes().splitlines()
+    except OSError as error:
+        raise unusable(metrics, "cannot be read", error) from None
+    return [build_json(Episode, line, f"{metrics}:{n}") for n, line in enumerate(lines, 1)]
 
 
 def read_rewards(metrics: Path) -> dict[str, list[float]]:
     """The reward of every episode in a ``metrics.jsonl``, by problem; raises InputError."""
     curves: dict[str, list[float]] = defaultdict(list)
-    try:
-        for number, line in enumerate(metrics.read_text(encoding="utf-8").splitlines(), 1):
-            try:
-                entry: Any = json.loads(line)
-                curves[str(entry["problem"])].append(float(entry["reward"]))
-            except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
-                raise InputError(
-                    f"{metrics}:{number}: expected an episode with problem and reward"
-                ) from None
-    except OSError as error:
-        raise unusable(metrics, "cannot be read", error) from None
-    except UnicodeDecodeError:
-        raise InputError(f"{metrics}: expected UTF-8 text") from None
+    for episode in read_episodes(metrics):
+        curves[episode.problem].append(episode.reward)
     if not curves:
         raise InputError(f"{metrics}: expected at least one episode")
     return curves

@@ -1,14 +1,54 @@
 """How time grows with routed edges: curves and exponents of the rows that a benchmark stores.
 
-A row has at least ``family`` (of problems), ``work`` (what was done), ``edges`` (routed edges) and
-``seconds``; see :class:`policies.bench.scaling.Timing`.
+The rows are those of :class:`policies.bench.scaling.Timing`, or have at least the columns of
+:class:`TimingRow`.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from marouting.config import build_json
+from marouting.files import unusable
+from policies.results.rows import LARGEST, Count
+
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class TimingRow(TypedDict):
+    """How long some work took on a problem of a family, with as many routed edges."""
+
+    family: Text
+    work: Text
+    edges: Annotated[Count, Field(ge=1)]
+    seconds: Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
+
+
+class Machine(TypedDict):
+    """What the rows were measured on."""
+
+    date: Text
+
+
+class ScalingReport(TypedDict):
+    """What ``marouting bench scaling --out`` stores, as far as it is drawn."""
+
+    machine: Machine
+    scaling: Annotated[list[TimingRow], Field(min_length=1)]
+
+
+def read_scaling(bench: Path) -> ScalingReport:
+    """Reads what ``marouting bench scaling --out`` stored; raises InputError naming the key."""
+    where = f"{bench}: expected what marouting bench --out stores, with the section scaling"
+    try:
+        return build_json(ScalingReport, bench.read_bytes(), where)
+    except OSError as error:
+        raise unusable(bench, "cannot be read", error) from None
 
 
 def curves(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, NDArray[np.float64]]]:
@@ -35,6 +75,8 @@ def exponents(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
 
 
 def exponent(points: NDArray[np.float64]) -> float:
-    """The exponent of one curve, (2, sizes) edges and seconds."""
+    """The exponent of one curve, (2, sizes) edges and seconds; NaN unless the edges differ."""
     edges, seconds = np.log(points)
+    if np.ptp(edges) == 0:
+        return float("nan")
     return float(np.polyfit(edges, seconds, 1)[0])

@@ -25,7 +25,7 @@ ALL = "all"
 """The name of all sets together, which no set may have."""
 
 _Problems = Mapping[tuple[str, str], Sequence[Row]]
-"""The rows of one router by set and problem, one for each seed."""
+"""The rows of one router by set and problem, one for each seed; none where it has no results."""
 
 
 def rank(row: Mapping[str, Any]) -> tuple[int, int, int]:
@@ -41,7 +41,8 @@ def add_gaps(rows: Sequence[Row]) -> None:
     """Fills in ``gap`` of every row: its wirelength above the proven optimum's, in %.
 
     The gap is None if no row of the problem is proven optimal, or if the solution has open tasks or
-    overflow that the optimum lacks: less wirelength is then no merit.
+    overflow that the optimum lacks: less wirelength is then no merit. Nor is anything a share of an
+    optimum of 0, which a problem has whose nets lie in one Gcell each.
     """
     optimum: dict[tuple[str, str], Row] = {}
     for row in rows:
@@ -49,10 +50,13 @@ def add_gaps(rows: Sequence[Row]) -> None:
             optimum.setdefault((row["set"], row["problem"]), row)
     for row in rows:
         best = optimum.get((row["set"], row["problem"]))
-        comparable = best is not None and rank(row)[:2] == rank(best)[:2]
-        row["gap"] = (
-            100 * (row["wirelength"] / best["wirelength"] - 1) if best and comparable else None
-        )
+        if best is None or rank(row)[:2] != rank(best)[:2]:
+            row["gap"] = None
+        elif row["wirelength"] == best["wirelength"]:
+            row["gap"] = 0.0
+        else:
+            least = best["wirelength"]
+            row["gap"] = 100 * (row["wirelength"] / least - 1) if least else None
 
 
 def mean_interval(values: NDArray[np.float64]) -> dict[str, float | None]:
@@ -78,11 +82,16 @@ def share_interval(share: float, count: int) -> tuple[float, float]:
 
 
 def by_router(rows: Sequence[Row]) -> dict[str, dict[tuple[str, str], list[Row]]]:
-    """The rows by router, and then by set and problem, one for each seed, in their order."""
-    grouped: dict[str, dict[tuple[str, str], list[Row]]] = defaultdict(lambda: defaultdict(list))
+    """The rows by router, and then by set and problem, one for each seed, in their order.
+
+    Every router has the same problems, those of all the rows, some of them perhaps without a row.
+    """
+    problems = dict.fromkeys((row["set"], row["problem"]) for row in rows)
+    grouped: dict[str, dict[tuple[str, str], list[Row]]] = {}
     for row in rows:
-        grouped[row["router"]][row["set"], row["problem"]].append(row)
-    return {name: dict(problems) for name, problems in grouped.items()}
+        own = grouped.setdefault(row["router"], {problem: [] for problem in problems})
+        own[row["set"], row["problem"]].append(row)
+    return grouped
 
 
 def by_set(rows: Sequence[Row]) -> dict[str, list[Row]]:
@@ -91,8 +100,10 @@ def by_set(rows: Sequence[Row]) -> dict[str, list[Row]]:
     for row in rows:
         grouped[row["set"]].append(row)
     sets = dict(grouped)
-    routers = by_router(rows).items()
-    everywhere = {name for name, own in routers if {key[0] for key in own} == sets.keys()}
+    on: dict[str, set[str]] = defaultdict(set)
+    for row in rows:
+        on[row["router"]].add(row["set"])
+    everywhere = {name for name, own in on.items() if own == sets.keys()}
     if len(sets) > 1 and everywhere:
         sets[ALL] = [row for row in rows if row["router"] in everywhere]
     return sets
@@ -104,7 +115,7 @@ def baseline(rows: Sequence[Row]) -> str | None:
 
 
 def mean_wirelength(problems: _Problems) -> NDArray[np.float64]:
-    """(problems,) wirelength, averaged over the seeds; NaN where tasks stayed open."""
+    """(problems,) wirelength, averaged over the seeds; NaN where tasks stayed open or no row is."""
 
     def value(row: Row) -> float | None:
         return None if rank(row)[0] else row["wirelength"]
@@ -118,24 +129,29 @@ def mean_overflow(problems: _Problems) -> NDArray[np.float64]:
 
 
 def _values(problems: _Problems, value: Callable[[Row], float | None]) -> NDArray[np.float64]:
-    """(problems, seeds) a value of every row; NaN for None."""
-    return np.array([[value(row) for row in rows] for rows in problems.values()], np.float64)
+    """(problems, seeds) a value of every row; NaN for None, and where there is no row."""
+    return _array([[value(row) for row in rows] for rows in problems.values()])
+
+
+def _array(values: Sequence[Sequence[float | None]]) -> NDArray[np.float64]:
+    """(problems, seeds) values; NaN for None, and where a problem has fewer than another."""
+    columns = list(itertools.zip_longest(*values))
+    return np.array(columns, np.float64).reshape(-1, len(values)).T
 
 
 def _against(
     problems: _Problems, others: _Problems, value: Callable[[Row, Row], float]
 ) -> NDArray[np.float64]:
-    """(problems, seeds) a value of every row and the other router's row, seed by seed."""
+    """(problems, seeds) a value of every row and the other router's, seed by seed, as above."""
 
     def pairs(rows: Sequence[Row], other: Sequence[Row]) -> list[tuple[Row, Row]]:
         # A router without seeds has one row, which is compared with all seeds of the other.
-        count = max(len(rows), len(other))
+        count = max(len(rows), len(other)) if rows and other else 0
         cycles = itertools.cycle(rows), itertools.cycle(other)
         return list(itertools.islice(zip(*cycles, strict=False), count))
 
-    return np.array(
-        [[value(*pair) for pair in pairs(rows, others[key])] for key, rows in problems.items()],
-        np.float64,
+    return _array(
+        [[value(*pair) for pair in pairs(rows, others[key])] for key, rows in problems.items()]
     )
 
 
@@ -150,12 +166,11 @@ def summarise(rows: Sequence[Row], reference: str | None = None) -> list[dict[st
     """A summary of each router, in the order of the rows.
 
     Args:
-        rows: the rows of one set of problems, or of several taken as one; every router must have
-            rows on all problems.
+        rows: the rows of one set of problems, or of several taken as one.
         reference: a router to compare all others with, besides A*.
 
     Returns:
-        For each router:
+        For each router, of the problems that it has rows on:
 
         ``router``, ``kind``, and the numbers of ``problems`` and ``seeds``;
         ``overflow``, the total in tracks; ``zero_overflow``, the number of problems without
@@ -165,7 +180,8 @@ def summarise(rows: Sequence[Row], reference: str | None = None) -> list[dict[st
         known;
         ``lower_wirelength``: ``percent`` of the problems with less wirelength than A* and no more
         open tasks (the paper's "DRL win"), ``low`` and ``high`` (95 % by Wilson's score);
-        ``astar`` and ``reference``: ``wins``, ``ties`` and ``losses`` by :func:`rank`;
+        ``astar`` and ``reference``: ``wins``, ``ties`` and ``losses`` by :func:`rank`, on the
+        problems that both have rows on;
         ``seconds``: the median over the problems;
         ``spread``: standard deviations over the seeds of the set's figures; None for one seed.
 
@@ -187,7 +203,8 @@ def summarise(rows: Sequence[Row], reference: str | None = None) -> list[dict[st
 def _summary(
     name: str, problems: _Problems, astar: _Problems | None, reference: _Problems | None
 ) -> dict[str, Any]:
-    first = next(iter(problems.values()))
+    problems = {key: rows for key, rows in problems.items() if rows}
+    seeds = max(map(len, problems.values()))
     overflow = _values(problems, lambda row: row["overflow"])
     wirelength = _values(problems, lambda row: row["wirelength"])
     clean = _values(problems, lambda row: rank(row)[:2] == (0, 0))
@@ -198,9 +215,9 @@ def _summary(
     seconds = _over_seeds(_values(problems, lambda row: row["seconds"]))
     return {
         "router": name,
-        "kind": first[0]["kind"],
+        "kind": next(iter(problems.values()))[0]["kind"],
         "problems": len(problems),
-        "seeds": len(first),
+        "seeds": seeds,
         "overflow": _total(overflow),
         "zero_overflow": _total(clean),
         "open": _total(_values(problems, lambda row: rank(row)[0])),
@@ -211,7 +228,7 @@ def _summary(
         "reference": None if reference is None else _record(problems, reference),
         "seconds": None if np.isnan(seconds).any() else float(np.median(seconds)),
         "spread": None
-        if len(first) == 1
+        if seeds == 1
         else {
             "overflow": _spread(overflow.sum(axis=0)),
             "zero_overflow": _spread(clean.sum(axis=0)),
@@ -227,34 +244,38 @@ def _is_lower(row: Row, other: Row) -> float:
     return rank(row)[0] <= rank(other)[0] and row["wirelength"] < other["wirelength"]
 
 
-def _record(problems: _Problems, others: _Problems) -> dict[str, float]:
-    """Wins, ties and losses against another router."""
+def _record(problems: _Problems, others: _Problems) -> dict[str, float] | None:
+    """Wins, ties and losses against another router; None if no problem has rows of both."""
 
     def sign(row: Row, other: Row) -> int:
         return (rank(row) > rank(other)) - (rank(row) < rank(other))
 
     signs = _against(problems, others, sign)
-    return {
-        "wins": _total(signs < 0),
-        "ties": _total(signs == 0),
-        "losses": _total(signs > 0),
-    }
+    unknown = np.isnan(signs)
+    if unknown.all():
+        return None
+    results = {"wins": signs < 0, "ties": signs == 0, "losses": signs > 0}
+    return {name: _total(np.where(unknown, np.nan, holds)) for name, holds in results.items()}
 
 
-def _share(holds: NDArray[np.float64]) -> dict[str, float]:
+def _share(holds: NDArray[np.float64]) -> dict[str, float] | None:
     """The share of problems where a condition (problems, seeds) holds, and its interval, in %."""
-    share = float(_over_seeds(holds).mean())
-    low, high = share_interval(share, len(holds))
+    known = _over_seeds(holds)
+    known = known[~np.isnan(known)]
+    if not len(known):
+        return None
+    share = float(known.mean())
+    low, high = share_interval(share, len(known))
     return {"percent": 100 * share, "low": 100 * low, "high": 100 * high}
 
 
-def _total(values: NDArray[np.floating | np.bool_]) -> float:
+def _total(values: NDArray[np.float64]) -> float:
     """The sum over the problems of the means over the seeds; an int if it is whole."""
-    total = float(_over_seeds(values.astype(np.float64)).sum())
+    total = float(np.nansum(_over_seeds(values)))
     return round(total) if math.isclose(total, round(total), abs_tol=1e-9) else total
 
 
 def _spread(of_seeds: NDArray[Any]) -> float | None:
-    """The standard deviation of (seeds,) figures; None if one of them is NaN."""
-    spread = float(np.std(of_seeds, ddof=1))
-    return None if math.isnan(spread) else spread
+    """The standard deviation of (seeds,) figures; None if there are none, or one of them is NaN."""
+    known = len(of_seeds) and not np.isnan(of_seeds).any()
+    return float(np.std(of_seeds, ddof=1)) if known else None

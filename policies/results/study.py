@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from marouting.config import build, check, read_yaml
+from marouting.files import FILE_NAME, is_file_name
 
 Panel = Literal[
     "edges",
@@ -90,6 +91,10 @@ class FigureOptions:
 
     reference: str | None = None
     studies: dict[str, Study] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in self.studies:
+            check(f"studies.{name}", is_file_name(name, ".png"), FILE_NAME)
 
     @staticmethod
     def read(config: Path) -> "FigureOptions":

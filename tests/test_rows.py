@@ -1,0 +1,350 @@
+"""Rows of results: what files of them hold is read whole, or refused in one line."""
+
+import csv
+import io
+import json
+import math
+import re
+from collections.abc import Callable, Iterator
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from marouting import InputError
+from policies import figures
+from policies.figures.plot import experiment_figures, reward_figures, scaling_figure
+from policies.results.rows import COLUMNS, ResultRow, read_published, read_rows, to_csv
+from policies.results.run_folder import read_rewards
+from policies.results.statistics import add_gaps, by_set, summarise
+
+DOCS = Path(__file__).resolve().parents[1] / "docs" / "results"
+
+
+def row(problem: str, router: str, seed: int | None, **figures: Any) -> dict[str, Any]:
+    """A row of an experiment."""
+    known = {"overflow": 1, "max_overflow": 1, "wirelength": 20, "vias": 4, "connected": True}
+    known |= {"joined": 3, "tasks": 3, "seconds": 0.5}
+    about = {"set": "s", "problem": problem, "router": router, "kind": router, "seed": seed}
+    return {**dict.fromkeys(COLUMNS), **about, **known, **figures}
+
+
+ROWS = [
+    row("p", "astar", None),
+    row("q", "astar", None, wirelength=22),
+    *(row(problem, "dqn", seed, **{"from": "episode 3"}) for problem in "pq" for seed in (0, 4)),
+    row("p", "optimal", None, overflow=0, max_overflow=0, wirelength=19, proven=True, gap=0.0),
+    row("q", "optimal", None, overflow=1, proven=True),
+    row("p", "random", 0, set="t", joined=1, connected=False),
+]
+RESULTS = [
+    {key: value for key, value in of.items() if key in {*ResultRow.__annotations__, "from"}}
+    for of in ROWS[2:4:2]
+]
+EPISODE = {"reward": -12.5, "joined": 2, "tasks": 3, "overflow": 0, "wirelength": 17, "steps": 40}
+EPISODE |= {"epsilon": 0.05, "loss": 0.25, "updates": 7, "best": False}
+EPISODES = [{"problem": name, "episode": n, **EPISODE} for n in range(2) for name in "pq"]
+TIMES = [
+    {"family": family, "work": work, "edges": edges, "seconds": edges / 1000}
+    for family in ("near", "far")
+    for work in ("A*", "a step")
+    for edges in (10, 100)
+]
+BENCH = {"machine": {"date": "2026-11-22"}, "scaling": TIMES}
+
+
+def sane(value: Any) -> bool:
+    """Whether plain data has only finite numbers."""
+    if isinstance(value, dict):
+        return all(map(sane, value.values()))
+    if isinstance(value, list):
+        return all(map(sane, value))
+    return not isinstance(value, float) or math.isfinite(value)
+
+
+def summarised(file: Path) -> None:
+    """Reads the rows of an experiment and does with them all that is done but pictures."""
+    rows = read_rows(file)
+    add_gaps(rows)
+    for of in rows:
+        counts = (of[key] for key in ("overflow", "wirelength", "joined", "tasks", "vias"))
+        assert all(count is None or (type(count) is int and count >= 0) for count in counts)
+    assert sane(rows)
+    summary = {name: summarise(own, "dqn") for name, own in by_set(rows).items()}
+    assert sane(summary)
+    for of in (of for own in summary.values() for of in own):
+        assert of["problems"] > 0
+        assert min(of["overflow"], of["open"], of["zero_overflow"]) >= 0
+        assert of["zero_overflow"] <= of["problems"]
+    assert len(list(csv.reader(io.StringIO(to_csv(rows))))) == len(rows) + 1
+
+
+def drawn(file: Path) -> None:
+    """Draws the rows of an experiment."""
+    (file.parent / "config.yaml").write_text("{}")
+    experiment_figures(file.parent)
+
+
+def finished(file: Path) -> None:
+    """Reads the rows of a training."""
+    assert all(of["wirelength"] >= of["vias"] >= 0 for of in read_rows(file, ResultRow))
+
+
+def rewarded(file: Path) -> None:
+    """Reads the episodes of a training."""
+    assert sane(read_rewards(file))
+
+
+def quoted(file: Path) -> None:
+    """Reads published rows."""
+    for names, counts in read_published(str(file)).items():
+        assert all(names)
+        assert all(type(count) is int and 0 <= count < 2**63 for count in counts)
+
+
+def as_lines(episodes: Any) -> str:
+    return "".join(json.dumps(of) + "\n" for of in episodes)
+
+
+def as_table(rows: Any) -> str:
+    """Rows of results as CSV, one for each problem."""
+    text = io.StringIO()
+    table = csv.writer(text)
+    table.writerow(COLUMNS)
+    table.writerows(of.values() if isinstance(of, dict) else [of] for of in rows)
+    return text.getvalue()
+
+
+Kind = tuple[str, Any, Callable[[Any], str], Callable[[Path], object]]
+READ: dict[str, Kind] = {
+    "an experiment": ("results.json", ROWS, json.dumps, summarised),
+    "a training": ("result.json", RESULTS, json.dumps, finished),
+    "episodes": ("metrics.jsonl", EPISODES, as_lines, rewarded),
+    "published": ("published.csv", ROWS[:2], as_table, quoted),
+}
+DRAWN: dict[str, Kind] = {
+    "an experiment": ("results.json", ROWS, json.dumps, drawn),
+    "episodes": (
+        "metrics.jsonl",
+        EPISODES,
+        as_lines,
+        lambda file: reward_figures(file, file.parent),
+    ),
+    "a benchmark": ("b.json", BENCH, json.dumps, lambda file: scaling_figure(file, file.parent)),
+}
+
+NUMBERS = [0, 1, -5, 2**31, 2**63 - 1, 2**63, -(2**63), 10**400, 0.5, 1e-300, 1e18, 1e300]
+TEXTS = ["", "p", "q", "dqn", "t", "..", "a/b", "\0", "\ud800", "１２", " 5 ", "1_000", "5", "=1+1"]
+TEXTS += ["$\\frac$", "[/]", "_x", "x" * 300]
+NASTY = st.sampled_from(
+    [None, True, False, math.nan, math.inf, [], [[]], {}, {"a": 1}, *NUMBERS, *TEXTS]
+)
+TOKENS = [b"NaN", b"-Infinity", b"1e999", b"9" * 5000, b'"', b"\xff", b"\0", b"\n", b",", b"\r"]
+TOKENS += [b"[" * 3000, b"]", b"{", b"}", b'"\\ud800"', b"-0", b"0x1", b"\xef\xbb\xbf", b"", b"'="]
+
+
+def places(data: Any) -> Iterator[tuple[Any, Any]]:
+    """The containers in plain data, each with every key."""
+    for key in range(len(data)) if isinstance(data, list) else list(data):
+        yield data, key
+        if isinstance(data[key], dict | list):
+            yield from places(data[key])
+
+
+@st.composite
+def spoiled(draw: st.DrawFn, kind: Kind) -> bytes:
+    """The text of a file after a few accidents to its values or its characters."""
+    _, data, as_text, _ = kind
+    data = deepcopy(data)
+    for _ in range(draw(st.integers(0, 3))):
+        found = list(places(data))
+        if not found:
+            break
+        container, key = draw(st.sampled_from(found))
+        what = draw(st.sampled_from(["set", "set", "drop", "again", "elsewhere", "more"]))
+        if what == "set":
+            container[key] = deepcopy(draw(NASTY))
+        elif what == "drop":
+            del container[key]
+        elif what == "elsewhere":
+            other, place = draw(st.sampled_from(found))
+            if place in other if isinstance(other, dict) else place < len(other):
+                container[key] = deepcopy(other[place])
+        elif isinstance(container, list):
+            container.append(deepcopy(container[key]))
+        else:
+            container["more"] = deepcopy(draw(NASTY))
+    content = as_text(data).encode(errors="surrogatepass")
+    for _ in range(draw(st.integers(0, 1))):
+        parts = re.split(rb"([\[\]{},:\n])", content)
+        parts[draw(st.integers(0, len(parts) - 1))] = draw(st.sampled_from(TOKENS))
+        content = b"".join(parts)
+    return content
+
+
+def read_or_refused(read: Callable[[Path], object], file: Path, content: bytes) -> bool:
+    """Whether a file is read; raises what is no InputError of one line that names it."""
+    file.write_bytes(content)
+    try:
+        read(file)
+    except InputError as error:
+        message = str(error)
+        assert message.startswith(f"{file}:")
+        assert len(message.splitlines()) == 1
+        assert len(message) < len(str(file)) + 400
+        return False
+    return True
+
+
+def spoiling(examples: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    checks = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture]
+    return settings(max_examples=examples, deadline=None, suppress_health_check=checks)
+
+
+@pytest.mark.parametrize("kind", [*READ.values(), *DRAWN.values()], ids=[*READ, *map(str, DRAWN)])
+def test_the_files_are_good_before_they_are_spoiled(kind: Kind, tmp_path: Path) -> None:
+    name, data, as_text, read = kind
+    assert read_or_refused(read, tmp_path / name, as_text(data).encode())
+
+
+def test_published_files_are_read(tmp_path: Path) -> None:
+    for name in ("shuffle26_single.json", "shuffle26_multi.json"):
+        assert len(read_rows(DOCS / name, ResultRow)) == 22
+    assert scaling_figure(DOCS / "performance.json", tmp_path).exists()
+    tables = [*DOCS.glob("paper/*.csv"), DOCS / "liao2019.csv"]
+    assert len(tables) == 8
+    for path in tables:
+        with path.open(newline="") as lines:
+            found = list(csv.DictReader(lines))
+        # A router and a seed at a time: a table of ours has several.
+        for one in {(of["router"], of["seed"]) for of in found}:
+            own = [of for of in found if (of["router"], of["seed"]) == one]
+            (tmp_path / "one.csv").write_text(as_table(own))
+            table = path.read_text().splitlines()[0]
+            text = (tmp_path / "one.csv").read_text().split("\n", 1)[1]
+            (tmp_path / "one.csv").write_text(f"{table}\n{text}")
+            assert read_published(str(tmp_path / "one.csv")) == {
+                (of["set"], of["problem"]): (int(of["overflow"]), int(of["wirelength"]))
+                for of in own
+            }
+
+
+NAMES = ["=1+1", "-2", "+3", "@sum", "'=1+1", "''-", "'quoted'", "a,b", 'a"b', "plain", "3"]
+
+
+def test_names_in_tables_are_no_formulas_and_are_read_back(tmp_path: Path) -> None:
+    rows = [row(name, "astar", None, wirelength=n) for n, name in enumerate(NAMES, 4)]
+    rows[0] |= {"gap": -0.5, "from": "\tx"}
+    text = to_csv(rows)
+    for cells in csv.reader(io.StringIO(text)):
+        for cell in cells:
+            assert not re.match(r"[=+\-@\t\r]", cell) or re.fullmatch(r"-?[0-9.]+", cell)
+    (tmp_path / "results.csv").write_text(text)
+    assert list(read_published(str(tmp_path / "results.csv"))) == [("s", name) for name in NAMES]
+    (tmp_path / "theirs.csv").write_text("set,problem,overflow,wirelength\ns,=1+1,0,2\ns,--x,0,3\n")
+    found = read_published(str(tmp_path / "theirs.csv"))
+    assert found == {("s", "=1+1"): (0, 2), ("s", "--x"): (0, 3)}
+
+
+def test_a_table_as_excel_writes_it(tmp_path: Path) -> None:
+    text = "\ufeffset,problem,overflow,wirelength\r\ns,p,0,2\r\n\r\n"
+    (tmp_path / "p.csv").write_bytes(text.encode())
+    assert read_published(str(tmp_path / "p.csv")) == {("s", "p"): (0, 2)}
+
+
+def test_gaps_to_an_optimum_of_nothing() -> None:
+    none = {"overflow": 0, "max_overflow": 0, "vias": 0, "joined": 0, "tasks": 0}
+    rows = [
+        row("p", name, None, **none, wirelength=length, proven=name == "optimal")
+        for name, length in (("optimal", 0), ("astar", 0), ("dqn", 2))
+    ]
+    add_gaps(rows)
+    assert [of["gap"] for of in rows] == [0.0, 0.0, None]
+    best, astar, dqn = summarise(rows)
+    assert astar["gap"] == {"mean": 0.0, "low": None, "high": None, "problems": 1}
+    assert dqn["gap"] is None
+    assert best["astar"] == {"wins": 0, "ties": 1, "losses": 0}
+    assert dqn["lower_wirelength"]["percent"] == 0
+
+
+def test_routers_are_compared_where_both_have_rows() -> None:
+    rows = [
+        row("p", "astar", None, wirelength=20),
+        row("q", "astar", None, wirelength=20),
+        row("q", "dqn", 0, wirelength=18),
+        row("q", "dqn", 4, wirelength=22),
+        row("r", "dqn", 0, wirelength=10),
+        row("r", "random", 0, wirelength=30),
+    ]
+    _, dqn, random = summarise(rows, "random")
+    assert dqn["problems"] == dqn["seeds"] == 2
+    assert dqn["wirelength"]["mean"] == 15
+    assert dqn["astar"] == {"wins": 0.5, "ties": 0, "losses": 0.5}
+    assert dqn["lower_wirelength"]["percent"] == 50
+    assert dqn["reference"] == {"wins": 1, "ties": 0, "losses": 0}
+    assert dqn["spread"]["wirelength"] is None
+    assert random["astar"] is None
+    assert random["lower_wirelength"] is None
+
+
+@pytest.mark.parametrize("kind", READ.values(), ids=READ)
+@spoiling(150)
+@given(data=st.data())
+def test_spoiled_rows_are_sane_or_refused(kind: Kind, tmp_path: Path, data: st.DataObject) -> None:
+    read_or_refused(kind[3], tmp_path / kind[0], data.draw(spoiled(kind)))
+
+
+@pytest.mark.parametrize("kind", DRAWN.values(), ids=DRAWN)
+@spoiling(20)
+@given(data=st.data())
+def test_spoiled_rows_are_drawn_or_refused(kind: Kind, tmp_path: Path, data: st.DataObject) -> None:
+    def laid_out(figure: Any, file: Path) -> None:
+        assert file.parent == tmp_path / "figures" or file.parent == tmp_path
+        figure.draw_without_rendering()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figures, "save", laid_out)
+        read_or_refused(kind[3], tmp_path / kind[0], data.draw(spoiled(kind)))
+
+
+COUNTS = st.sampled_from([0, 0, 1, 2, 3, 50, 2**31, 2**53 + 1, 2**63 - 1])
+
+
+@st.composite
+def valid(draw: st.DrawFn) -> list[dict[str, Any]]:
+    """Rows of any routers on any problems: with every count that the columns allow, none of them
+    with the same problems and seeds."""
+    about = st.tuples(
+        st.sampled_from("st"),
+        st.sampled_from(["p", "q", "=1+1", "$\\frac$"]),
+        st.sampled_from(["astar", "dqn", "_x", "pathfinder"]),
+        st.sampled_from([None, 0, 4]),
+    )
+    rows = []
+    for set, problem, router, seed in draw(st.lists(about, min_size=1, max_size=12, unique=True)):
+        overflow, wirelength, tasks = draw(st.tuples(COUNTS, COUNTS, COUNTS))
+        figures = {"set": set, "overflow": overflow, "max_overflow": min(overflow, draw(COUNTS))}
+        figures |= {"wirelength": wirelength, "vias": min(wirelength, draw(COUNTS))}
+        figures |= {"joined": min(tasks, draw(COUNTS)), "tasks": tasks, "seconds": draw(COUNTS)}
+        figures["proven"] = draw(st.sampled_from([None, False, True]))
+        rows.append(row(problem, router, seed, **figures))
+    return rows
+
+
+@spoiling(150)
+@given(rows=valid())
+def test_any_rows_have_statistics(rows: list[dict[str, Any]], tmp_path: Path) -> None:
+    (tmp_path / "results.json").write_text(json.dumps(rows))
+    summarised(tmp_path / "results.json")
+
+
+@spoiling(15)
+@given(rows=valid())
+def test_any_rows_are_drawn(rows: list[dict[str, Any]], tmp_path: Path) -> None:
+    (tmp_path / "results.json").write_text(json.dumps(rows))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figures, "save", lambda figure, _: figure.draw_without_rendering())
+        drawn(tmp_path / "results.json")
