@@ -132,7 +132,7 @@ class Solution:
             InputError: the file cannot be read, is not of this format, or does not fit the
                 problem; the message names the file, the line, and what was expected.
         """
-        record = ispd.read_solution(path, [(net.name, net.id) for net in problem.nets])
+        record = ispd.read_solution(path, ((net.name, net.id) for net in problem.nets))
         try:
             segment, edge = covered_edges(problem, record.points)
         except FieldError as error:

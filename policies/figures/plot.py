@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
-from marouting.files import unusable
+from marouting.files import read_text
 from policies import figures
 from policies.results import experiment_folder, run_folder
-from policies.results.rows import Row
+from policies.results.rows import MOST_BYTES, Row
 from policies.results.run_folder import read_rewards
 from policies.results.statistics import (
     baseline,
@@ -257,10 +257,10 @@ def scaling_figure(bench: Path, folder: Path) -> Path:
         InputError: the file cannot be read, or lacks the section ``scaling``.
     """
     try:
-        report = json.loads(bench.read_text(encoding="utf-8"))
+        report = json.loads(read_text(bench, MOST_BYTES))
         figure = figures.scaling(report["scaling"], f"measured {report['machine']['date']}")
-    except OSError as error:
-        raise unusable(bench, "cannot be read", error) from None
+    except InputError:
+        raise
     except (ValueError, KeyError, TypeError):
         raise InputError(
             f"{bench}: expected what marouting bench --out stores, with the section scaling"

@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Solution, evaluate
-from marouting.files import unusable
+from marouting.files import read_text
 
 Row = dict[str, Any]
 """One router on one problem (in an experiment: with one seed), plain data by column."""
+
+MOST_BYTES = 2**30
+"""The largest file of results that is read."""
 
 COLUMNS = {
     "set": str,
@@ -66,9 +69,9 @@ def read_rows(path: Path, columns: Mapping[str, Any] = COLUMNS) -> list[Row]:
         InputError: the file cannot be read or does not hold such rows.
     """
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise unusable(path, "cannot be read", error) from None
+        rows = json.loads(read_text(path, MOST_BYTES))
+    except InputError:
+        raise
     except (ValueError, RecursionError):
         rows = None
     if not isinstance(rows, list) or not all(

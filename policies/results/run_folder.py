@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError
-from marouting.files import unusable
-from policies.results.rows import Row, read_rows
+from marouting.files import read_text
+from policies.results.rows import MOST_BYTES, Row, read_rows
 
 CONFIG, METRICS, CHECKPOINT = "config.yaml", "metrics.jsonl", "checkpoint.pt"
 POLICY, RESULT = "policy.pt", "result.json"
@@ -41,19 +41,14 @@ def read_result(folder: Path) -> list[Row]:
 def read_rewards(metrics: Path) -> dict[str, list[float]]:
     """The reward of every episode in a ``metrics.jsonl``, by problem; raises InputError."""
     curves: dict[str, list[float]] = defaultdict(list)
-    try:
-        for number, line in enumerate(metrics.read_text(encoding="utf-8").splitlines(), 1):
-            try:
-                entry: Any = json.loads(line)
-                curves[str(entry["problem"])].append(float(entry["reward"]))
-            except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
-                raise InputError(
-                    f"{metrics}:{number}: expected an episode with problem and reward"
-                ) from None
-    except OSError as error:
-        raise unusable(metrics, "cannot be read", error) from None
-    except UnicodeDecodeError:
-        raise InputError(f"{metrics}: expected UTF-8 text") from None
+    for number, line in enumerate(read_text(metrics, MOST_BYTES).splitlines(), 1):
+        try:
+            entry: Any = json.loads(line)
+            curves[str(entry["problem"])].append(float(entry["reward"]))
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            raise InputError(
+                f"{metrics}:{number}: expected an episode with problem and reward"
+            ) from None
     if not curves:
         raise InputError(f"{metrics}: expected at least one episode")
     return curves
