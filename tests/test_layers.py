@@ -23,7 +23,7 @@ OPTIONAL = {"matplotlib"}
 
 ROOMS = {
     "marouting": (
-        ("_version", "errors", "files", "kernels", "registry", "config"),
+        ("_version", "errors", "files", "memory", "kernels", "registry", "config"),
         ("problem",),
         ("trees",),
         ("game",),

@@ -5,6 +5,7 @@ All rules are in :mod:`marouting.game.rules`, all state in :mod:`marouting.game.
 
 import copy
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,6 +25,7 @@ from marouting.game.rules import (
 from marouting.game.setup import static_state
 from marouting.game.state import AGENT, GAME, NOBODY, Dynamic, Static
 from marouting.kernels import compiled, place, wide
+from marouting.memory import check_memory
 from marouting.problem.grid import MOVES, Grid, Move
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
@@ -128,8 +130,8 @@ class Engine:
         dynamic: the arrays that do.
 
     Raises:
-        InputError: there is no problem, the grids differ, a problem has nothing to route, or an
-            option is out of range.
+        InputError: there is no problem, the grids differ, a problem has nothing to route, they take
+            too much memory, or an option is out of range.
     """
 
     def __init__(
@@ -140,10 +142,14 @@ class Engine:
         self.static, self.nets = static_state(self.problems, self.rules)
         self.grid = Grid.of(self.problems[0].grid)
         m, n = self.nets.shape
+        bits = (m, n, (self.grid.edges + 7) // 8)
+        check_memory(
+            f"{m * n} nets on a grid of {self.grid}, a bit for each net and edge", math.prod(bits)
+        )
         self.dynamic = Dynamic(
             remaining=np.empty((m, self.grid.edges), np.int32),
             # Zeros take no memory until they are written to, and _reset does not touch them.
-            used=np.zeros((m, n, (self.grid.edges + 7) // 8), np.uint8),
+            used=np.zeros(bits, np.uint8),
             agents=np.zeros((m, n), AGENT),
             games=np.zeros(m, GAME),
         )

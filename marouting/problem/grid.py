@@ -54,6 +54,10 @@ class Grid:
         """The grid of shape (X, Y, Z); equal shapes share one object."""
         return Grid(shape)
 
+    def __str__(self) -> str:
+        """``8x8x2``."""
+        return "x".join(map(str, self.shape))
+
     @functools.cached_property
     def gcells(self) -> int:
         """The number of Gcells, G = X·Y·Z."""

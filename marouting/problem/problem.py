@@ -200,7 +200,7 @@ class Problem:
 
     @functools.cached_property
     def adjusted(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-        """(adjusted edges,) twice: the edges that have adjustments, ascending, and their capacity."""
+        """(adjusted edges,) twice: the edges with adjustments, ascending, and their capacity."""
         # Of several adjustments of one edge the last one counts: the first from behind.
         edge, last = np.unique(self._adjusted_edges[::-1], return_index=True)
         capacity = np.array([adjustment.capacity for adjustment in self.adjustments], np.int32)
