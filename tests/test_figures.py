@@ -180,7 +180,9 @@ def test_edges_before_and_after_are_in_order(worked):
 
     (axes,) = figures.edges_before_after(*worked).axes
     lines = {
-        patch.get_label(): patch.get_data().values
+        patch.get_label(): np.repeat(
+            patch.get_data().values, np.diff(patch.get_data().edges).astype(int)
+        )
         for patch in axes.patches
         if isinstance(patch, StepPatch) and not patch.get_label().startswith("_")
     }
