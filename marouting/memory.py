@@ -25,10 +25,11 @@ SEARCH = 121  #: working arrays of A* (97), and room for a route (24)
 NEGOTIATION = 75  #: topology, capacities and prices of negotiated congestion
 PROOF = 240  #: wires and prices of the proof of an optimum
 
-NET = 300
+# Bytes of each object.
+NET = 300  #: without its pins
 PIN = 120
 ADJUSTMENT = 200
-"""Bytes of the objects of a problem."""
+DRAWN = 1500  #: an edge in a drawing of routes
 
 
 def check_memory(what: str, size: float) -> None:

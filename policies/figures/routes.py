@@ -16,6 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
+from marouting.memory import DRAWN, check_memory
 from marouting.problem.grid import AXES
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution, evaluate
@@ -346,6 +347,7 @@ def _tracks(problem: Problem, solution: Solution) -> NDArray[np.int64]:
 
 def _drawing(problem: Problem, solution: Solution) -> _Drawing:
     grid = problem.topology
+    check_memory(f"a drawing of {len(solution.uses[1])} edges", DRAWN * len(solution.uses[1]))
     track = _tracks(problem, solution)
     pitch = min(_TRACK, _SPREAD / (int(track.max()) + 1))
     # 0, +1, −1, +2, …: the first tracks in the middle.
