@@ -133,7 +133,7 @@ def generate(
 
 def generate_from(options: GeneratorOptions) -> list[Problem]:
     """:func:`generate` with its arguments in one object."""
-    check_memory(f"count: {options.count} problems", options.count * _size(options))
+    check_memory(options.count * _size(options), "count: {} problems", options.count)
     return list(generate_each(options))
 
 
@@ -143,7 +143,7 @@ def generate_each(options: GeneratorOptions) -> Iterator[Problem]:
     Raises:
         InputError: a single problem takes too much memory.
     """
-    check_memory(f"nets: a problem of {options.nets}", _size(options))
+    check_memory(_size(options), "nets: a problem of {}", options.nets)
     capacity = options.reduced_capacity
     if capacity is None:
         capacity = max(options.capacity - REDUCTION, 0)

@@ -6,6 +6,7 @@ what it is going to take before it takes it. docs/performance.md has the measure
 """
 
 import contextlib
+import functools
 import math
 import os
 from pathlib import Path
@@ -18,6 +19,9 @@ VARIABLE = "MAROUTING_MAX_GIB"
 SHARE = 0.75
 """The limit without it, as a share of the memory that this process may use."""
 
+SMALL = 2**24
+"""So many bytes are always there, and not worth a look at the limit."""
+
 # Bytes per Gcell.
 TABLES = 88  #: topology (63) and what the game makes of it (25)
 PLAYED = 36  #: capacities of each problem that is played: as given, at the start, remaining
@@ -29,16 +33,25 @@ PROOF = 240  #: wires and prices of the proof of an optimum
 NET = 300  #: without its pins
 PIN = 120
 ADJUSTMENT = 200
-DRAWN = 1500  #: an edge in a drawing of routes
+DRAWN = 1000  #: an edge in a drawing of routes
 
 
-def check_memory(what: str, size: float) -> None:
-    """Raises InputError, starting with ``what``, if ``size`` bytes are more than the limit."""
+def check_memory(size: float, what: str, *values: object) -> None:
+    """Raises InputError if ``size`` bytes are more than the limit.
+
+    Args:
+        size: an estimate.
+        what: the start of the message, a format string for the values.
+        *values: what is only put into words if it is needed: small games are made by the thousand.
+    """
+    if size < SMALL:
+        return
     most = limit()
     if size > most:
         raise InputError(
-            f"{what}: expected to take at most {most / 2**30:.1f} GiB of memory, found an estimate "
-            f"of {size / 2**30:.1f} GiB; the environment variable {VARIABLE} sets the limit"
+            f"{what.format(*values)}: expected to take at most {most / 2**30:.1f} GiB of memory, "
+            f"found an estimate of {size / 2**30:.1f} GiB; "
+            f"the environment variable {VARIABLE} sets the limit"
         )
 
 
@@ -56,6 +69,7 @@ def limit() -> float:
     return most * 2**30
 
 
+@functools.cache
 def _installed() -> float:
     """The memory that this process may use, in bytes: the machine's or the container's."""
     most = [math.inf]

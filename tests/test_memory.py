@@ -140,16 +140,16 @@ def test_what_nets_use_counts_in_games(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_limit_that_is_none(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
     monkeypatch.setenv(VARIABLE, value)
     with pytest.raises(InputError, match=f"^MAROUTING_MAX_GIB: .* above 0, found '{value}'$"):
-        check_memory("anything", 1)
+        check_memory(2**30, "anything")
 
 
 def test_the_limit_is_a_share_of_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(VARIABLE, raising=False)
-    check_memory("little", 2**20)
+    check_memory(2**25, "little")
     with pytest.raises(InputError, match="much: expected"):
-        check_memory("much", 2**60)
+        check_memory(2**60, "much")
     monkeypatch.setenv(VARIABLE, "inf")
-    check_memory("much", 2**60)
+    check_memory(2**60, "much")
 
 
 # --- generated problems ---------------------------------------------------------------------------

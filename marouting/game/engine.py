@@ -143,9 +143,8 @@ class Engine:
         self.grid = Grid.of(self.problems[0].grid)
         m, n = self.nets.shape
         bits = (m, n, (self.grid.edges + 7) // 8)
-        check_memory(
-            f"{m * n} nets on a grid of {self.grid}, a bit for each net and edge", math.prod(bits)
-        )
+        what = "{} nets on a grid of {}, a bit for each net and edge"
+        check_memory(math.prod(bits), what, m * n, self.grid)
         self.dynamic = Dynamic(
             remaining=np.empty((m, self.grid.edges), np.int32),
             # Zeros take no memory until they are written to, and _reset does not touch them.

@@ -53,8 +53,10 @@ def static_state(
             raise InputError(f"problem {m}: expected a net with pins in two Gcells or more")
     shape = len(problems), max(counts)
     check_memory(
-        f"{shape[0]} problems of up to {shape[1]} nets on a grid of {grid}",
         grid.gcells * (TABLES + PLAYED * shape[0]) + 8 * math.prod(shape) * grid.shape[2],
+        "{} problems of up to {} nets on a grid of {}",
+        *shape,
+        grid,
     )
     agent_net, order = np.empty((2, *shape), np.int32)
     first = np.zeros((shape[0], shape[1] + 1), np.int32)

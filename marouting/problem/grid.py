@@ -110,9 +110,10 @@ class Grid:
 
     def ends(self, edges: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """The two Gcells that each edge joins, lower number first; both shaped like ``edges``."""
-        near, axis = np.divmod(np.asarray(edges, np.int64), AXES)
+        edge: NDArray[np.int64] = np.asarray(edges, np.int64)
+        near = edge // AXES  # takes a third of the time of np.divmod
         stride = np.array([self.shape[1] * self.shape[2], self.shape[2], 1], np.int64)
-        return near, near + stride[axis]
+        return near, near + stride[edge - AXES * near]
 
 
 _ALL, _NEAR, _FAR = slice(None), slice(None, -1), slice(1, None)

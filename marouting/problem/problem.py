@@ -215,11 +215,11 @@ class Problem:
         Returns:
             (n,) int32, in tracks.
         """
-        gcell, axis = np.divmod(edge, AXES)
-        capacity: NDArray[np.int32] = self.layer_capacity[gcell % self.grid[2], axis]
+        gcell = edge // AXES
+        capacity: NDArray[np.int32] = self.layer_capacity[gcell % self.grid[2], edge - AXES * gcell]
         adjusted, value = self.adjusted
         if len(adjusted):
-            at = np.searchsorted(adjusted, edge).clip(max=len(adjusted) - 1)
+            at = np.minimum(np.searchsorted(adjusted, edge), len(adjusted) - 1)
             capacity = np.where(adjusted[at] == edge, value[at], capacity)
         return capacity
 

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from marouting.errors import InputError
 from marouting.kernels import compiled, wide
@@ -225,7 +223,7 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
         overflow=int(overflow.sum()),
         max_overflow=int(overflow.max(initial=0)),
         wirelength=len(edge),
-        vias=int(np.count_nonzero(edge % AXES == VIA_AXIS)),
+        vias=int(np.count_nonzero(edge - edge // AXES * AXES == VIA_AXIS)),
         connected=not len(disconnected),
         joined=len(pin_net) - len(np.unique(pin_part)),
         tasks=len(pin_net) - len(problem.nets),
@@ -297,9 +295,29 @@ def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64],
     pin_net = np.repeat(np.arange(len(problem.nets)), np.diff(first))
     pairs = np.concatenate((net, net, pin_net)) * problem.topology.gcells
     pairs += np.concatenate((near, far, pins))
-    vertices, inverse = np.unique(pairs, return_inverse=True)
-    index = inverse.astype(np.int32)  # scipy's graph routines refuse others before 1.16
-    ends = index[: len(edge)], index[len(edge) : 2 * len(edge)]
-    graph = coo_array((np.ones(len(edge), np.int8), ends), shape=(len(vertices), len(vertices)))
-    _, part = connected_components(graph, directed=False)
-    return pin_net, part[index[2 * len(edge) :]].astype(np.int64)
+    vertices, index = np.unique(pairs, return_inverse=True)
+    part = np.arange(len(vertices))
+    _join(index[: len(edge)], index[len(edge) : 2 * len(edge)], part)
+    return pin_net, part[index[2 * len(edge) :]]
+
+
+@compiled
+def _join(near: Any, far: Any, part: Any) -> None:
+    """Joins vertices to connected parts.
+
+    Args:
+        near: (n,) one end of every edge.
+        far: (n,) the other.
+        part: (vertices,) each its own number; receives the lowest number in its part.
+    """
+    for edge in range(len(near)):
+        a, b = near[edge], far[edge]
+        while part[a] != a:
+            part[a] = part[part[a]]
+            a = part[a]
+        while part[b] != b:
+            part[b] = part[part[b]]
+            b = part[b]
+        part[max(a, b)] = min(a, b)
+    for vertex in range(len(part)):  # the number there is lower, and has been through this
+        part[vertex] = part[part[vertex]]

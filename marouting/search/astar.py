@@ -173,7 +173,7 @@ def sequential_astar(
     """
     check_choice("target", target, Target)
     grid = problem.topology
-    check_memory(f"A* on a grid of {grid}", grid.gcells * (TABLES + PLAYED + SEARCH))
+    check_memory(grid.gcells * (TABLES + PLAYED + SEARCH), "A* on a grid of {}", grid)
     _, gcells = problem.flat_pin_gcells
     tasks = len(gcells) - len(problem.nets)
     uses, size, turn = np.empty(_EDGES_PER_TASK * tasks + grid.edges, np.int64), 0, 0

@@ -347,7 +347,8 @@ def _tracks(problem: Problem, solution: Solution) -> NDArray[np.int64]:
 
 def _drawing(problem: Problem, solution: Solution) -> _Drawing:
     grid = problem.topology
-    check_memory(f"a drawing of {len(solution.uses[1])} edges", DRAWN * len(solution.uses[1]))
+    drawn = len(solution.uses[1])
+    check_memory(DRAWN * drawn, "a drawing of {} edges", drawn)
     track = _tracks(problem, solution)
     pitch = min(_TRACK, _SPREAD / (int(track.max()) + 1))
     # 0, +1, −1, +2, …: the first tracks in the middle.

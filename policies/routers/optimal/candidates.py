@@ -43,7 +43,7 @@ class Candidates:
 
     def __init__(self, problem: Problem, most_pins: int | None = None) -> None:
         grid = problem.topology
-        check_memory(f"a proof on a grid of {grid}", PROOF * grid.gcells)
+        check_memory(PROOF * grid.gcells, "a proof on a grid of {}", grid)
         self.problem = problem
         self.nets = [n for n, gcells in enumerate(problem.pin_gcells) if len(gcells) > 1]
         self.pins = [problem.pin_gcells[n] for n in self.nets]

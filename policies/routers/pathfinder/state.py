@@ -132,7 +132,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
     """The problem as arrays, and a routing without any trees."""
     first, pin = problem.flat_pin_gcells
     grid = problem.topology
-    check_memory(f"negotiated congestion on a grid of {grid}", NEGOTIATION * grid.gcells)
+    check_memory(NEGOTIATION * grid.gcells, "negotiated congestion on a grid of {}", grid)
     nets = len(problem.nets)
     arrays = ProblemArrays(
         size=np.array(problem.grid, np.int64),
