@@ -25,15 +25,16 @@ SMALL = 2**24
 # Bytes per Gcell.
 TABLES = 88  #: topology (63) and what the game makes of it (25)
 PLAYED = 36  #: capacities of each problem that is played: as given, at the start, remaining
+STATE = 105  #: bounds of the state space of an environment
 SEARCH = 121  #: working arrays of A* (97), and room for a route (24)
 NEGOTIATION = 75  #: topology, capacities and prices of negotiated congestion
-PROOF = 240  #: wires and prices of the proof of an optimum
+PROOF = 300  #: wires and prices of the proof of an optimum
 
 # Bytes of each object.
 NET = 300  #: without its pins
 PIN = 120
 ADJUSTMENT = 200
-DRAWN = 1000  #: an edge in a drawing of routes
+DRAWN = 1300  #: an edge in a drawing of routes
 
 
 def check_memory(size: float, what: str, *values: object) -> None:

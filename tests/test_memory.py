@@ -5,6 +5,7 @@ import resource
 import subprocess
 import sys
 import tracemalloc
+from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 
 from marouting import Engine, InputError, Net, Pin, Problem, generate, sequential_astar
 from marouting.generator import GeneratorOptions, generate_each
+from marouting.global_routing_v0 import parallel_env, raw_env
 from marouting.memory import VARIABLE, check_memory
 from marouting.source import load_problem
 from marouting.vector import BatchEnv
@@ -134,6 +136,15 @@ def test_what_nets_use_counts_in_games(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sequential_astar(problem).uses[1].size == 3000  # which needs no such bits
     monkeypatch.setenv(VARIABLE, "0.1")
     Engine([problem])
+
+
+@pytest.mark.parametrize("kind", [raw_env, parallel_env])
+def test_a_promise_is_no_environment_beyond_the_limit(
+    promise: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, kind: Callable[[str], object]
+) -> None:
+    monkeypatch.setenv(VARIABLE, "1")
+    with pytest.raises(InputError, match="an environment on a grid of 4096x4096x1: expected to"):
+        kind(str(promise[0]))
 
 
 @pytest.mark.parametrize("value", ["", "x", "0", "-1", "nan"])
