@@ -34,6 +34,7 @@ PROOF = 300  #: wires and prices of the proof of an optimum
 NET = 300  #: without its pins
 PIN = 120
 ADJUSTMENT = 200
+USED = 150  #: an edge of a route that is read and evaluated
 DRAWN = 1300  #: an edge in a drawing of routes
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marouting import Engine, InputError, Net, Pin, Problem, generate, sequential_astar
+from marouting import Engine, InputError, Net, Pin, Problem, Solution, generate, sequential_astar
 from marouting.generator import GeneratorOptions, generate_each
 from marouting.global_routing_v0 import parallel_env, raw_env
 from marouting.memory import VARIABLE, check_memory
@@ -107,6 +107,15 @@ def test_drawing_without_a_solution_is_refused_beyond_the_limit(
     done, _, said = run("plot", promise[0], "--out", tmp_path / "figures", most_gib=1)
     assert done == 2
     assert said.startswith("marouting: A* on a grid of 4096x4096x1: expected to take at most")
+
+
+def test_long_segments_count(promise: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line of a solution may cover thousands of edges."""
+    problem = Problem.read(promise[0])
+    promise[1].write_text("A 0\n" + "(5,5,1)-(40955,5,1)\n" * 1000 + "!\n")
+    monkeypatch.setenv(VARIABLE, "0.5")
+    with pytest.raises(InputError, match="a solution of 4095000 edges: expected to take at most"):
+        Solution.read(promise[1], problem)
 
 
 def wide(nets: int, layers: int = 1) -> Problem:
