@@ -31,12 +31,15 @@ from pydantic import PlainValidator, Tag, TypeAdapter, ValidationError
 from pydantic.errors import PydanticUserError
 
 from marouting.errors import InputError
-from marouting.files import unusable
+from marouting.files import read_text
 from marouting.registry import lookup, name_of, names
 
 MOST = 2**31 - 1
 """The largest count; compiled code and arrays do not support integers of arbitrary size."""
 
+
+MOST_TEXT = 2**24
+"""The largest YAML file, in bytes."""
 
 MOST_VALUES = 100_000
 """The largest number of values in YAML text; an alias counts as all that it stands for."""
@@ -162,13 +165,7 @@ def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
     Args:
         path: a path as :func:`config_file` takes it.
     """
-    try:
-        text = config_file(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise unusable(path, "cannot be read", error) from None
-    except UnicodeDecodeError:
-        raise InputError(f"{os.fspath(path)}: expected UTF-8 text") from None
-    data = parse_yaml(text, os.fspath(path))
+    data = parse_yaml(read_text(config_file(path), MOST_TEXT), os.fspath(path))
     if data is None:
         return {}
     if not isinstance(data, dict):

@@ -1,16 +1,59 @@
-"""Files are written whole or not at all; errors of reading and writing become one-line messages."""
+"""Files are written whole or not at all, and read within bounds.
+
+Errors of reading and writing become one-line messages.
+"""
 
 import contextlib
 import os
 import re
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from marouting.errors import InputError
 
 TEMPORARY = ".marouting-tmp"
 """How the names of temporary files end, so that what a killed process left can be told."""
+LONGEST_LINE = 2**20
+"""The most bytes in a line of a file that is read line by line."""
+
+
+@contextlib.contextmanager
+def reading(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Opens a file or a pipe, such as ``/dev/stdin``, for reading.
+
+    Raises:
+        InputError: it cannot be read, or it is a device, which may never end.
+    """
+    try:
+        if stat.S_ISCHR(mode := os.stat(path).st_mode) or stat.S_ISBLK(mode):  # noqa: PTH116
+            raise InputError(f"{os.fspath(path)}: expected a file, found a device")
+        with open(path, "rb") as file:  # noqa: PTH123 (PathLike without Path)
+            yield file
+    except OSError as error:
+        raise unusable(path, "cannot be read", error) from None
+
+
+def read_text(path: str | os.PathLike[str], most: int) -> str:
+    """The UTF-8 text in a file.
+
+    Args:
+        path: the file.
+        most: the largest size accepted, in bytes.
+
+    Raises:
+        InputError: it cannot be read, is larger, or is not UTF-8 text.
+    """
+    with reading(path) as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise InputError(f"{os.fspath(path)}: expected at most {most / 2**20:g} MiB")
+    try:
+        return content.decode()
+    except UnicodeDecodeError:
+        raise InputError(f"{os.fspath(path)}: expected UTF-8 text") from None
 
 
 @contextlib.contextmanager

@@ -5,14 +5,16 @@ Pins lie in layer 1. Some edges then get a reduced capacity: those that the solu
 A* use most, in each problem by itself or in the whole set.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from marouting.errors import InputError
+from marouting.memory import ADJUSTMENT, NET, PIN, check_memory
+from marouting.problem.grid import AXES
 from marouting.problem.net import Adjustment, Net, Pin, check_numbers
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_grid
 from marouting.search.astar import sequential_astar
@@ -69,6 +71,7 @@ class GeneratorOptions:
         for name, least in (("count", 1), ("nets", 1), ("max_pins", 2)):
             if getattr(self, name) < least:
                 raise InputError(f"{name}: expected at least {least}, found {getattr(self, name)}")
+            check_numbers(name, [getattr(self, name)])
         check_numbers("capacity and reduced_edges", (self.capacity, self.reduced_edges))
         check_numbers("reduced_capacity", [n for n in (self.reduced_capacity,) if n is not None])
         check_choice("reduced_per", self.reduced_per, ReducedPer)
@@ -111,7 +114,7 @@ def generate(
         The problems, ``count`` of them.
 
     Raises:
-        InputError: a value is out of range.
+        InputError: a value is out of range, or the problems take too much memory.
     """
     return generate_from(
         GeneratorOptions(
@@ -130,19 +133,45 @@ def generate(
 
 def generate_from(options: GeneratorOptions) -> list[Problem]:
     """:func:`generate` with its arguments in one object."""
-    streams = np.random.SeedSequence(options.seed).spawn(options.count)
-    problems = [_unreduced(options, np.random.default_rng(stream)) for stream in streams]
-    if not options.reduced_edges:
-        return problems
+    check_memory(options.count * _size(options), "count: {} problems", options.count)
+    return list(generate_each(options))
+
+
+def generate_each(options: GeneratorOptions) -> Iterator[Problem]:
+    """The problems of :func:`generate_from`, each made when it is asked for.
+
+    Raises:
+        InputError: a single problem takes too much memory.
+    """
+    check_memory(_size(options), "nets: a problem of {}", options.nets)
     capacity = options.reduced_capacity
     if capacity is None:
         capacity = max(options.capacity - REDUCTION, 0)
-    groups = [problems] if options.reduced_per == "set" else [[problem] for problem in problems]
-    reduced = []
-    for group in groups:
-        adjustments = _reduced(group, options.reduced_edges, capacity)
-        reduced += [replace(problem, adjustments=adjustments) for problem in group]
-    return reduced
+    seed = np.random.SeedSequence(options.seed)
+
+    def unreduced() -> Iterator[Problem]:
+        for number in range(options.count):
+            # The children of seed.spawn(count), without a list of all of them.
+            stream = np.random.SeedSequence(seed.entropy, spawn_key=(number,))
+            yield _unreduced(options, np.random.default_rng(stream))
+
+    if not options.reduced_edges:
+        yield from unreduced()
+    elif options.reduced_per == "problem":
+        for problem in unreduced():
+            adjustments = _reduced([problem], options.reduced_edges, capacity)
+            yield replace(problem, adjustments=adjustments)
+    else:  # each problem is made twice, so that no two need be kept at a time
+        adjustments = _reduced(unreduced(), options.reduced_edges, capacity)
+        for problem in unreduced():
+            yield replace(problem, adjustments=adjustments)
+
+
+def _size(options: GeneratorOptions) -> float:
+    """About what a problem takes in memory, in bytes."""
+    pins = (2 + options.max_pins) / 2
+    edges = min(options.reduced_edges, AXES * math.prod(options.grid))
+    return options.nets * (NET + PIN * pins) + ADJUSTMENT * edges
 
 
 def _unreduced(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
@@ -165,13 +194,13 @@ def _unreduced(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
     )
 
 
-def _reduced(problems: Sequence[Problem], edges: int, capacity: int) -> tuple[Adjustment, ...]:
+def _reduced(problems: Iterable[Problem], edges: int, capacity: int) -> tuple[Adjustment, ...]:
     """A capacity for the edges that the A* solutions of these problems together use most."""
-    problem = problems[0]  # all have the same grid and capacities
-    demand: NDArray[np.int64] = np.sum(
-        [sequential_astar(one).edge_demand for one in problems], axis=0
-    )
-    # Vias have unlimited capacity, edges across their layer's direction have none.
+    demand: Any = 0
+    for problem in problems:
+        demand = demand + sequential_astar(problem).edge_demand
+    # All have the same grid and capacities. Vias have unlimited capacity, edges across their
+    # layer's direction have none.
     reducible = np.flatnonzero((problem.capacity > 0) & (problem.capacity < UNLIMITED))
     busiest = np.argsort(-demand[reducible], kind="stable")[:edges]
     near, far = problem.topology.ends(reducible[busiest])

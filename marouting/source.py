@@ -43,7 +43,7 @@ def load_problems(source: Source) -> dict[str, Problem]:
     if isinstance(source, Problem):
         return {"problem": source}
     if isinstance(source, GeneratorOptions):
-        return {f"problem_{i:03d}": p for i, p in enumerate(generate_from(source))}
+        return {generated_name(i): p for i, p in enumerate(generate_from(source))}
     files: list[Path] = []
     for entry in map(Path, source):
         inside = sorted(entry.glob("*.gr")) if entry.is_dir() else [entry]
@@ -58,8 +58,16 @@ def load_problems(source: Source) -> dict[str, Problem]:
     return {name: Problem.read(file) for name, file in zip(names, files, strict=True)}
 
 
+def generated_name(number: int) -> str:
+    """The name of a generated problem, given its place in the set."""
+    return f"problem_{number:03d}"
+
+
 def load_problem(source: Source) -> Problem:
     """The only problem that a source names; raises InputError for none or several."""
+    source = checked_source(source)
+    if isinstance(source, GeneratorOptions) and source.count != 1:
+        raise InputError(f"problem: expected one, found {source.count}")
     problems = load_problems(source)
     if len(problems) != 1:
         raise InputError(f"problem: expected one, found {len(problems)}")

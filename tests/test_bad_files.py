@@ -1,5 +1,6 @@
 """Files that cannot be used: one line that names file and line, fast, and never another error."""
 
+import os
 import time
 import tracemalloc
 import warnings
@@ -14,7 +15,11 @@ from hypothesis import strategies as st
 from strategies import solved_problems
 
 from marouting import Adjustment, InputError, Net, Pin, Problem, Solution
-from marouting.config import parse_yaml
+from marouting.config import parse_yaml, read_yaml
+from marouting.files import LONGEST_LINE
+from policies.results import rows, run_folder
+from policies.results.rows import read_rows
+from policies.results.run_folder import read_rewards
 
 T = TypeVar("T")
 
@@ -87,6 +92,70 @@ def test_a_missing_file_or_a_folder(tmp_path: Path, kind: Callable[[Path], objec
     missing = tmp_path / "missing"
     assert "No such file" in refused(lambda: read(missing), missing)
     assert "Is a directory" in refused(lambda: read(tmp_path), tmp_path)
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="there are no devices in files")
+@pytest.mark.parametrize("device", ["/dev/zero", "/dev/urandom", "/dev/null"])
+def test_devices_are_no_files(tmp_path: Path, device: str) -> None:
+    (tmp_path / "good.gr").write_text(GR)
+    problem = Problem.read(tmp_path / "good.gr")
+    reads: list[Callable[[Path], object]] = [Problem.read, read_yaml, read_rows, read_rewards]
+    for read in (*reads, lambda path: Solution.read(path, problem)):
+        assert refused(lambda read=read: read(Path(device)), Path(device)) == (
+            " expected a file, found a device"
+        )
+
+
+def test_a_line_without_an_end(tmp_path: Path) -> None:
+    message = "expected lines of at most 1048576 bytes"
+    assert refused_problem(tmp_path, b"x" * (LONGEST_LINE + 1)) == f"1: {message}"
+    assert refused_problem(tmp_path, GR.encode() + b"\0" * 2**21) == f"17: {message}"
+    assert refused_solution(tmp_path, b"A 1\n" + b" " * 2**21) == f"2: {message}"
+    # White space is ignored, up to that.
+    (tmp_path / "wide.gr").write_text(GR.replace("\n", " " * 1000 + "\n"))
+    assert len(Problem.read(tmp_path / "wide.gr").nets) == 2
+    endless = tmp_path / "endless.gr"
+    with endless.open("wb") as file:
+        file.truncate(2**33)  # takes no room on most disks
+    tracemalloc.start()
+    try:
+        assert refused(lambda: Problem.read(endless), endless) == f"1: {message}"
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 4e6
+
+
+def test_files_of_configurations_and_results_have_a_largest_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "large"
+    file.write_bytes(b"#" * (2**24 + 1))
+    assert refused(lambda: read_yaml(file), file) == " expected at most 16 MiB"
+    file.write_bytes(b"#" * 2**20)
+    assert read_yaml(file) == {}
+    assert rows.MOST_BYTES == 2**30
+    for module in (rows, run_folder):
+        monkeypatch.setattr(module, "MOST_BYTES", 2**19)
+    assert refused(lambda: read_rows(file), file) == " expected at most 0.5 MiB"
+    assert refused(lambda: read_rewards(file), file) == " expected at most 0.5 MiB"
+
+
+@pytest.mark.skipif(not Path("/dev/fd").exists(), reason="pipes have no names here")
+def test_pipes_are_read(tmp_path: Path) -> None:
+    """As in ``marouting evaluate <(zcat problem.gr.gz) /dev/stdin``."""
+    (tmp_path / "good.gr").write_text(GR)
+    problem = Problem.read(tmp_path / "good.gr")
+    reads: list[tuple[str, Callable[[str], object]]] = [
+        (GR, Problem.read),
+        (SOLUTION, lambda path: Solution.read(path, problem)),
+    ]
+    for text, read in reads:
+        end, start = os.pipe()
+        os.write(start, text.encode())
+        os.close(start)
+        assert read(f"/dev/fd/{end}") is not None
+        os.close(end)
 
 
 def test_writing_over_a_folder(tmp_path: Path) -> None:

@@ -3,6 +3,9 @@ import sys
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import solved_problems
 
 from marouting.errors import InputError
 from marouting.problem.net import Adjustment, Net, Pin
@@ -104,6 +107,66 @@ def test_utilisation_without_capacity():
     assert "no capacity" in [text.get_text() for text in legend.get_texts()]
 
 
+@settings(deadline=None, max_examples=60)
+@given(solved_problems(), st.sampled_from([1, 2, 3, 1024]))
+def test_utilisation_against_tables_of_all_edges(solution, most):
+    problem = solution.problem
+    shape = (*problem.grid, 3)
+    demand = solution.edge_demand.reshape(shape)
+    capacity = problem.capacity.astype(np.int64).reshape(shape)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(utilisation, "MOST_FIELDS", most)
+        maps = utilisation.utilisation_maps(problem, solution)
+    side = -(-max(problem.grid[:2]) // most)
+    assert maps.side == side
+
+    def blocks(table):
+        for axis in (0, 1):
+            table = np.add.reduceat(table, np.arange(0, table.shape[axis], side), axis=axis)
+        return table
+
+    for axis, found, overflow in (
+        (0, maps.horizontal, maps.horizontal_overflow),
+        (1, maps.vertical, maps.vertical_overflow),
+    ):
+        existing = (slice(-1), slice(None)) if axis == 0 else (slice(None), slice(-1))
+        wanted, offered = demand[*existing, :, axis], capacity[*existing, :, axis]
+        if not wanted.size:
+            assert not found.size
+            continue
+        with np.errstate(all="ignore"):
+            expected = 100 * blocks(wanted.sum(axis=2)) / blocks(offered.sum(axis=2))
+        np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(overflow, blocks((wanted > offered).sum(axis=2)) > 0)
+    uses = np.bincount(solution.uses[1], minlength=demand.size).reshape(shape)
+    np.testing.assert_array_equal(maps.via, blocks(uses[..., 2].sum(axis=2)))
+
+    flat, offered = solution.edge_demand, problem.capacity.astype(np.int64)
+    inside = np.arange(len(flat)) % 3 < 2
+    routable = np.flatnonzero(inside & (offered > 0))
+    tenth = np.minimum(10 * flat[routable] // offered[routable], 10)
+    tenth += flat[routable] > offered[routable]
+    counts = [np.bincount(tenth[routable % 3 == axis], minlength=12) for axis in (0, 1)]
+    assert utilisation.histogram_counts(problem, solution).tolist() == np.array(counts).tolist()
+    full = routable[flat[routable] >= offered[routable]]
+    assert utilisation.depleted_edges(problem, solution).tolist() == full.tolist()
+    over = np.flatnonzero(flat > offered)
+    assert utilisation.overflowed_edges(problem, solution).tolist() == over.tolist()
+    stray = np.count_nonzero((flat > 0) & (offered == 0))
+    assert utilisation.stray_edges(problem, solution) == stray
+
+
+def test_a_field_of_several_gcells_is_named(worked, monkeypatch):
+    monkeypatch.setattr(utilisation, "MOST_FIELDS", 2)
+    figure = figures.heat_maps(*worked)
+    via, vertical, _ = (axes for axes in figure.axes if axes.images)
+    assert via.images[0].get_extent() == [-0.5, 3.5, -0.5, 3.5]
+    assert (via.get_xlim(), via.get_ylim()) == ((-0.5, 2.5), (-0.5, 2.5))
+    assert vertical.images[0].get_array().shape == (1, 2)
+    notes = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "a field shows 2x2 Gcells" in notes
+
+
 def test_heat_maps_draw_the_numbers_between_the_gcells(worked):
     figure = figures.heat_maps(*worked, title="A*")
     via, vertical, horizontal = (axes for axes in figure.axes if axes.images)
@@ -180,7 +243,9 @@ def test_edges_before_and_after_are_in_order(worked):
 
     (axes,) = figures.edges_before_after(*worked).axes
     lines = {
-        patch.get_label(): patch.get_data().values
+        patch.get_label(): np.repeat(
+            patch.get_data().values, np.diff(patch.get_data().edges).astype(int)
+        )
         for patch in axes.patches
         if isinstance(patch, StepPatch) and not patch.get_label().startswith("_")
     }

@@ -23,7 +23,7 @@ OPTIONAL = {"matplotlib"}
 
 ROOMS = {
     "marouting": (
-        ("_version", "errors", "files", "kernels", "registry", "config"),
+        ("_version", "errors", "files", "memory", "kernels", "registry", "config"),
         ("problem",),
         ("trees",),
         ("game",),
@@ -226,7 +226,6 @@ def test_dependencies_are_the_declared_ones() -> None:
         "pettingzoo",
         "pydantic",
         "yaml",
-        "scipy",
     }
     allowed = declared | OPTIONAL | {"marouting"} | sys.stdlib_module_names
     for file in FILES:

@@ -18,7 +18,7 @@ from matplotlib.text import Text
 from marouting import Problem, generate, sequential_astar
 from policies import figures
 from policies.cli.main import main
-from policies.cli.progress import experiment_bar, training_bar
+from policies.cli.progress import problems_bar, training_bar
 from policies.results.run_folder import Episode
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -105,7 +105,7 @@ def test_bars_show_names_as_they_are(
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "200")
-    with experiment_bar(f"runs/{name}") as watch:
+    with problems_bar(f"runs/{name}") as watch:
         watch(1, 2)
     assert f"runs/{name}" in capsys.readouterr().err
     episode = Episode(name, 0, 1.0, 1, 1, 0, 1, 1, 0.0, None, 0, True)

@@ -12,6 +12,7 @@ from strategies import solved_problems
 
 from marouting import Adjustment, Evaluation, InputError, Net, Pin, Problem, Solution, evaluate
 from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.net import MAX_NUMBER
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data" / "liao2019"
 
@@ -181,6 +182,37 @@ def test_evaluation_against_plain_definitions(solution: Solution) -> None:
     assert evaluation.disconnected == tuple(
         net.name for net, ok in zip(problem.nets, joined, strict=True) if not ok
     )
+
+
+@settings(deadline=None)
+@given(solution=solved_problems())
+def test_edges_in_use_against_tables_of_all_edges(solution: Solution) -> None:
+    problem = solution.problem
+    existing = np.flatnonzero(problem.topology.exists)
+    capacity = problem.capacity_of(existing)
+    assert capacity.dtype == problem.capacity.dtype
+    np.testing.assert_array_equal(capacity, problem.capacity[existing])
+    demand = np.zeros(problem.topology.edges, np.int64)
+    for net, edges in enumerate(solution.edges):
+        demand[edges] += problem.net_demand[net, edges // AXES % problem.grid[2]]
+    demand[VIA_AXIS::AXES] = 0
+    np.testing.assert_array_equal(solution.edge_demand, demand)
+    edge, tracks = solution.used_edges
+    np.testing.assert_array_equal(edge, np.unique(solution.uses[1]))
+    np.testing.assert_array_equal(tracks, demand[edge])
+    overflow = np.maximum(demand - problem.capacity, 0)
+    evaluation = evaluate(problem, solution)
+    assert (evaluation.overflow, evaluation.max_overflow) == (overflow.sum(), overflow.max())
+
+
+def test_the_largest_demands_add_up() -> None:
+    """Widths and spacings at their limits, on an edge at the end of a grid at its limit."""
+    nets = tuple(Net(f"n{n}", n, (Pin(0, 0, 1), Pin(0, 1, 1)), MAX_NUMBER) for n in range(3))
+    large = Problem((4096, 4096, 1), (7,), (7,), nets, (0,), (MAX_NUMBER,), (0,))
+    last = AXES * (large.topology.gcells - 2) + 1
+    solution = Solution(large, [np.array([last])] * 3)
+    assert [column.tolist() for column in solution.used_edges] == [[last], [6 * MAX_NUMBER]]
+    assert evaluate(large, solution).overflow == 6 * MAX_NUMBER - 7
 
 
 def test_published_figures_of_all_published_solutions() -> None:

@@ -18,9 +18,10 @@ from marouting.game.observation import nets_on_edges, state, state_space
 from marouting.game.options import TurnOrder
 from marouting.game.state import NOBODY, Status
 from marouting.generator import GeneratorOptions
+from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.options import game_options
 from marouting.player import Player
-from marouting.problem.grid import MOVES
+from marouting.problem.grid import MOVES, Grid
 from marouting.problem.net import MAX_NUMBER
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
@@ -82,7 +83,12 @@ class BaseGame:
         if isinstance(source, GeneratorOptions) and source.seed is None:
             self._drawn = source
             source = replace(source, seed=0)
-        self._play(load_problem(source))
+        loaded = load_problem(source)
+        grid = Grid.of(loaded.grid)
+        check_memory(
+            grid.gcells * (TABLES + PLAYED + STATE), "an environment on a grid of {}", grid
+        )
+        self._play(loaded)
         problems, overflow = self.engine.problems, self.engine.static.overflow_allowed
         self._box = self._observation.space(problems, overflow)
         self.state_space: Box = state_space(problems, overflow)

@@ -5,6 +5,7 @@ All rules are in :mod:`marouting.game.rules`, all state in :mod:`marouting.game.
 
 import copy
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,6 +26,7 @@ from marouting.game.saved import check_saved
 from marouting.game.setup import static_state
 from marouting.game.state import AGENT, GAME, NOBODY, Dynamic, Static
 from marouting.kernels import compiled, place, wide
+from marouting.memory import check_memory
 from marouting.problem.grid import MOVES, Grid, Move
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
@@ -129,8 +131,8 @@ class Engine:
         dynamic: the arrays that do.
 
     Raises:
-        InputError: there is no problem, the grids differ, a problem has nothing to route, or an
-            option is out of range.
+        InputError: there is no problem, the grids differ, a problem has nothing to route, they take
+            too much memory, or an option is out of range.
     """
 
     def __init__(
@@ -141,10 +143,13 @@ class Engine:
         self.static, self.nets = static_state(self.problems, self.rules)
         self.grid = Grid.of(self.problems[0].grid)
         m, n = self.nets.shape
+        bits = (m, n, (self.grid.edges + 7) // 8)
+        what = "{} nets on a grid of {}, a bit for each net and edge"
+        check_memory(math.prod(bits), what, m * n, self.grid)
         self.dynamic = Dynamic(
             remaining=np.empty((m, self.grid.edges), np.int32),
             # Zeros take no memory until they are written to, and _reset does not touch them.
-            used=np.zeros((m, n, (self.grid.edges + 7) // 8), np.uint8),
+            used=np.zeros(bits, np.uint8),
             agents=np.zeros((m, n), AGENT),
             games=np.zeros(m, GAME),
         )
@@ -236,9 +241,7 @@ class Engine:
 
     def check_saved(self, saved: Dynamic) -> None:
         """Raises ValueError unless a state can be one of these games, wherever it is from."""
-        for array, kept in zip(self.dynamic, saved, strict=True):
-            if array.shape != kept.shape or array.dtype != kept.dtype:
-                raise ValueError(f"saved: expected shape {array.shape}, found {kept.shape}")
+        _ = self._pairs(saved)
         check_saved(self.static, saved)
 
     def restore(self, saved: Dynamic) -> None:
@@ -251,13 +254,17 @@ class Engine:
         Raises:
             ValueError: its shapes do not fit.
         """
+        for array, kept in self._pairs(saved):
+            array[...] = kept
+
+    def _pairs(self, saved: Dynamic) -> list[tuple[NDArray[Any], NDArray[Any]]]:
+        """The arrays of the state, each with the saved one; raises ValueError if they differ."""
         pairs: list[tuple[NDArray[Any], NDArray[Any]]]
         pairs = list(zip(self.dynamic, saved, strict=True))
         for array, kept in pairs:
-            if array.shape != kept.shape:
+            if array.shape != kept.shape or array.dtype != kept.dtype:
                 raise ValueError(f"saved: expected shape {array.shape}, found {kept.shape}")
-        for array, kept in pairs:
-            array[...] = kept
+        return pairs
 
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents, and starts all episodes.

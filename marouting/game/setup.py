@@ -1,5 +1,6 @@
 """Setting up the game: the constant arrays of a batch of problems."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ from marouting.errors import InputError
 from marouting.game.options import NetOrder, RuleOptions
 from marouting.game.state import NOBODY, Static
 from marouting.kernels import compiled, wide
+from marouting.memory import PLAYED, TABLES, check_memory
 from marouting.problem.grid import OFF_GRID, VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem
 from marouting.trees.decomposition import two_pin_tasks
@@ -33,7 +35,7 @@ def static_state(
 
     Raises:
         InputError: there is no problem, the grids differ, a problem has nothing to route, demands
-            do not fit into 32 bits, or there is not one rank per net.
+            do not fit into 32 bits, there is not one rank per net, or they take too much memory.
     """
     if not problems:
         raise InputError("problems: expected at least one")
@@ -50,6 +52,12 @@ def static_state(
         if not count:
             raise InputError(f"problem {m}: expected a net with pins in two Gcells or more")
     shape = len(problems), max(counts)
+    check_memory(
+        grid.gcells * (TABLES + PLAYED * shape[0]) + 8 * math.prod(shape) * grid.shape[2],
+        "{} problems of up to {} nets on a grid of {}",
+        *shape,
+        grid,
+    )
     agent_net, order = np.empty((2, *shape), np.int32)
     first = np.zeros((shape[0], shape[1] + 1), np.int32)
     demand = np.zeros((*shape, grid.shape[2]), np.int32)

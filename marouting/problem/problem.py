@@ -183,14 +183,52 @@ class Problem:
     @functools.cached_property
     def capacity(self) -> NDArray[np.int32]:
         """(E,) capacity of every edge in tracks: UNLIMITED for vias, 0 for edges off the grid."""
-        vias = (UNLIMITED,) * self.grid[2]
-        layers = np.array((self.horizontal_capacity, self.vertical_capacity, vias), np.int32).T
-        exists = self.topology.exists.reshape(-1, *layers.shape)
-        edges: NDArray[np.int32] = (exists * layers).reshape(-1)
+        exists = self.topology.exists.reshape(-1, *self.layer_capacity.shape)
+        edges: NDArray[np.int32] = (exists * self.layer_capacity).reshape(-1)
         # Of several values for one edge numpy keeps the last, as it should be.
         edges[self._adjusted_edges] = [adjustment.capacity for adjustment in self.adjustments]
         edges.setflags(write=False)
         return edges
+
+    @functools.cached_property
+    def layer_capacity(self) -> NDArray[np.int32]:
+        """(Z, 3) capacity in tracks of the edges of each layer and axis that have no adjustment."""
+        vias = (UNLIMITED,) * self.grid[2]
+        layers = np.array((self.horizontal_capacity, self.vertical_capacity, vias), np.int32).T
+        layers.setflags(write=False)
+        return layers
+
+    @functools.cached_property
+    def adjusted(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+        """(adjusted edges,) twice: the edges with adjustments, ascending, and their capacity."""
+        # Of several adjustments of one edge the last one counts: the first from behind.
+        edge, last = np.unique(self._adjusted_edges[::-1], return_index=True)
+        capacity = np.array([adjustment.capacity for adjustment in self.adjustments], np.int32)
+        return edge, capacity[::-1][last]
+
+    def capacity_of(self, edge: NDArray[np.int64]) -> NDArray[np.int32]:
+        """The capacity of some edges, without the memory that :attr:`capacity` takes for all.
+
+        Args:
+            edge: (n,) int64, edges that exist.
+
+        Returns:
+            (n,) int32, in tracks.
+        """
+        gcell = edge // AXES
+        capacity: NDArray[np.int32] = self.layer_capacity[gcell % self.grid[2], edge - AXES * gcell]
+        adjusted, value = self.adjusted
+        if len(adjusted):
+            at = np.minimum(np.searchsorted(adjusted, edge), len(adjusted) - 1)
+            capacity = np.where(adjusted[at] == edge, value[at], capacity)
+        return capacity
+
+    @functools.cached_property
+    def net_width(self) -> NDArray[np.int64]:
+        """(nets,) the minimum width of each net."""
+        width = np.fromiter((net.min_width for net in self.nets), np.int64, len(self.nets))
+        width.setflags(write=False)
+        return width
 
     @functools.cached_property
     def net_demand(self) -> NDArray[np.int32]:
@@ -199,7 +237,7 @@ class Problem:
         The width is the larger of the net's and the layer's minimum width, the spacing the
         layer's minimum spacing (ISPD 2008 evaluator).
         """
-        width = np.array([net.min_width for net in self.nets], np.int32)[:, None]
+        width = self.net_width.astype(np.int32)[:, None]
         demand = np.maximum(width, np.array(self.min_width, np.int32))
         demand += np.array(self.min_spacing, np.int32)
         demand.setflags(write=False)

@@ -6,6 +6,7 @@ Points are given as in ISPD files: x and y in chip coordinates, layer from 1.
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.memory import USED, check_memory
 from marouting.problem.grid import AXES, OFF_GRID
 from marouting.problem.net import FieldError
 from marouting.problem.problem import Problem
@@ -26,6 +27,7 @@ def covered_edges(
     Raises:
         FieldError: an end is off the grid, or a segment is not straight; ``row`` tells the
             segment, ``field`` is ``"segments"``.
+        InputError: the edges would take too much memory.
     """
     gcells = problem.gcells(points.reshape(-1, 3)).reshape(-1, 2)
     position = np.stack(np.unravel_index(gcells.clip(0), problem.grid), axis=-1)
@@ -40,6 +42,8 @@ def covered_edges(
                 break
         raise FieldError(f"expected {expected}", "segments", row)
     axis, length = span.argmax(axis=1), span.sum(axis=1)
+    edges = int(length.sum())  # a line of text may cover millions
+    check_memory(USED * edges, "a solution of {} edges", edges)
     segment = np.repeat(np.arange(len(length)), length)
     step = np.arange(len(segment)) - np.repeat(np.cumsum(length) - length, length)
     first = AXES * gcells.min(axis=1) + axis

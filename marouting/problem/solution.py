@@ -6,16 +6,16 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from marouting.errors import InputError
+from marouting.kernels import compiled, wide
 from marouting.problem import ispd
 from marouting.problem.grid import AXES, VIA_AXIS
-from marouting.problem.net import FieldError
+from marouting.problem.net import MAX_NUMBER, FieldError
 from marouting.problem.problem import Problem
 from marouting.problem.segments import covered_edges, longest_segments
 
@@ -99,13 +99,21 @@ class Solution:
         return tuple(edge[a:b] for a, b in itertools.pairwise(bounds))
 
     @functools.cached_property
-    def edge_demand(self) -> NDArray[np.int64]:
-        """(E,) tracks that the nets together take of each edge; 0 for vias.
+    def used_edges(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(used edges,) int64 twice: the edges in use, ascending, and the tracks taken of each.
 
         A net takes max(its width, the layer's minimum width) + the layer's minimum spacing of every
-        edge that it uses, once (:attr:`Problem.net_demand`).
+        edge that it uses, once (:attr:`Problem.net_demand`), and nothing of a via.
         """
-        return _edge_demand(self.problem, self)
+        return _used_edges(self.problem, self)
+
+    @functools.cached_property
+    def edge_demand(self) -> NDArray[np.int64]:
+        """(E,) the tracks of :attr:`used_edges`; 0 for all other edges."""
+        demand = np.zeros(self.problem.topology.edges, np.int64)
+        edge, tracks = self.used_edges
+        demand[edge] = tracks
+        return demand
 
     @staticmethod
     def read(path: str | os.PathLike[str], problem: Problem) -> "Solution":
@@ -122,7 +130,7 @@ class Solution:
             InputError: the file cannot be read, is not of this format, or does not fit the
                 problem; the message names the file, the line, and what was expected.
         """
-        record = ispd.read_solution(path, [(net.name, net.id) for net in problem.nets])
+        record = ispd.read_solution(path, ((net.name, net.id) for net in problem.nets))
         try:
             segment, edge = covered_edges(problem, record.points)
         except FieldError as error:
@@ -204,16 +212,18 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
         problem.nets,
     ):
         raise InputError("solution: expected one of a problem with the same grid and nets")
-    overflow = np.maximum(_edge_demand(problem, solution) - problem.capacity, 0)
+    # Looked up for the edges in use only: a file may promise a grid far larger than its routes.
+    used, tracks = solution.used_edges if own is problem else _used_edges(problem, solution)
+    overflow = np.maximum(tracks - problem.capacity_of(used), 0)
     _, edge = solution.uses
     pin_net, pin_part = _pin_parts(problem, solution)
     first = np.searchsorted(pin_net, np.arange(len(problem.nets)))
     disconnected = np.unique(pin_net[pin_part != pin_part[first][pin_net]])
     return Evaluation(
         overflow=int(overflow.sum()),
-        max_overflow=int(overflow.max()),
+        max_overflow=int(overflow.max(initial=0)),
         wirelength=len(edge),
-        vias=int(np.count_nonzero(edge % AXES == VIA_AXIS)),
+        vias=int(np.count_nonzero(edge - edge // AXES * AXES == VIA_AXIS)),
         connected=not len(disconnected),
         joined=len(pin_net) - len(np.unique(pin_part)),
         tasks=len(pin_net) - len(problem.nets),
@@ -221,14 +231,56 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
     )
 
 
-def _edge_demand(problem: Problem, solution: Solution) -> NDArray[np.int64]:
-    """(E,) :attr:`Solution.edge_demand`, but with the widths and spacings of ``problem``."""
-    net, edge = solution.uses
-    gcell, axis = np.divmod(edge, AXES)
-    tracks = problem.net_demand[net, gcell % problem.grid[2]].astype(np.int64)
-    demand = np.zeros(AXES * int(np.prod(problem.grid)), np.int64)
-    np.add.at(demand, edge, np.where(axis == VIA_AXIS, 0, tracks))
-    return demand
+def _used_edges(
+    problem: Problem, solution: Solution
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """:attr:`Solution.used_edges`, but with the widths and spacings of ``problem``."""
+    edge = np.empty(len(solution.uses[1]), np.int64)
+    min_width, spacing = np.array(problem.min_width), np.array(problem.min_spacing)
+    _write_tracks(*solution.uses, problem.net_width, min_width, spacing, edge)
+    edge.sort()
+    tracks = np.empty_like(edge)
+    size = _sum_tracks(edge, tracks)
+    return edge[:size].copy(), tracks[:size].copy()
+
+
+_TRACK_BITS = (2 * MAX_NUMBER).bit_length()
+"""Bits for what a net takes of an edge, width plus spacing; an edge's number fits above them."""
+
+
+@compiled
+def _write_tracks(net: Any, edge: Any, width: Any, min_width: Any, spacing: Any, out: Any) -> None:
+    """For every use, edge and tracks in one number, which is sorted faster than an index is."""
+    for use in range(len(edge)):
+        gcell = edge[use] // AXES
+        tracks = wide(0)
+        if edge[use] - AXES * gcell != VIA_AXIS:
+            layer = gcell % len(spacing)
+            tracks = max(width[net[use]], min_width[layer]) + spacing[layer]
+        out[use] = (edge[use] << _TRACK_BITS) + tracks
+
+
+@compiled
+def _sum_tracks(edge: Any, tracks: Any) -> int:
+    """Takes the sorted numbers of :func:`_write_tracks` apart, with the tracks of an edge summed.
+
+    Args:
+        edge: (uses,) the numbers; receives the edges, each once.
+        tracks: (uses,) receives their tracks.
+
+    Returns:
+        How many edges there are.
+    """
+    size = wide(0)
+    for use in range(len(edge)):
+        own = edge[use] & ((1 << _TRACK_BITS) - 1)
+        now = edge[use] >> _TRACK_BITS
+        if size and edge[size - 1] == now:
+            tracks[size - 1] += own
+        else:
+            edge[size], tracks[size] = now, own
+            size += 1
+    return size
 
 
 def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -243,9 +295,29 @@ def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64],
     pin_net = np.repeat(np.arange(len(problem.nets)), np.diff(first))
     pairs = np.concatenate((net, net, pin_net)) * problem.topology.gcells
     pairs += np.concatenate((near, far, pins))
-    vertices, inverse = np.unique(pairs, return_inverse=True)
-    index = inverse.astype(np.int32)  # scipy's graph routines refuse others before 1.16
-    ends = index[: len(edge)], index[len(edge) : 2 * len(edge)]
-    graph = coo_array((np.ones(len(edge), np.int8), ends), shape=(len(vertices), len(vertices)))
-    _, part = connected_components(graph, directed=False)
-    return pin_net, part[index[2 * len(edge) :]].astype(np.int64)
+    vertices, index = np.unique(pairs, return_inverse=True)
+    part = np.arange(len(vertices))
+    _join(index[: len(edge)], index[len(edge) : 2 * len(edge)], part)
+    return pin_net, part[index[2 * len(edge) :]]
+
+
+@compiled
+def _join(near: Any, far: Any, part: Any) -> None:
+    """Joins vertices to connected parts.
+
+    Args:
+        near: (n,) one end of every edge.
+        far: (n,) the other.
+        part: (vertices,) each its own number; receives the lowest number in its part.
+    """
+    for edge in range(len(near)):
+        a, b = near[edge], far[edge]
+        while part[a] != a:
+            part[a] = part[part[a]]
+            a = part[a]
+        while part[b] != b:
+            part[b] = part[part[b]]
+            b = part[b]
+        part[max(a, b)] = min(a, b)
+    for vertex in range(len(part)):  # the number there is lower, and has been through this
+        part[vertex] = part[part[vertex]]

@@ -20,6 +20,7 @@ from marouting.game.rules import begin_task, move_agent
 from marouting.game.setup import static_state
 from marouting.game.state import AGENT, GAME, NOBODY, Crossing, Dynamic, Static, Status
 from marouting.kernels import compiled, wide
+from marouting.memory import PLAYED, SEARCH, TABLES, check_memory
 from marouting.problem.problem import Problem, check_choice
 from marouting.problem.solution import Solution
 from marouting.search.bounded import SearchBuffers, path_to_goals, search_buffers, shortest_path
@@ -167,10 +168,12 @@ def sequential_astar(
         A solution in which every net is joined, with overflow where A* found no cheaper way.
 
     Raises:
-        InputError: there is no such order, target or decomposition.
+        InputError: there is no such order, target or decomposition, or the grid takes too much
+            memory.
     """
     check_choice("target", target, Target)
     grid = problem.topology
+    check_memory(grid.gcells * (TABLES + PLAYED + SEARCH), "A* on a grid of {}", grid)
     _, gcells = problem.flat_pin_gcells
     tasks = len(gcells) - len(problem.nets)
     uses, size, turn = np.empty(_EDGES_PER_TASK * tasks + grid.edges, np.int64), 0, 0

@@ -85,16 +85,21 @@ def cli() -> None:
 @click.option("--out", type=Path, required=True, help="Folder for the .gr files.")
 def generate(out: Path, **options: Any) -> None:
     """Generate random problems: OUT/problem_000.gr and so on."""
-    from marouting.generator import GeneratorOptions
-    from marouting.source import load_problems
+    from marouting.generator import GeneratorOptions, generate_each
+    from marouting.source import generated_name
+    from policies.cli.progress import problems_bar
 
-    problems = load_problems(GeneratorOptions(**options))
+    checked = GeneratorOptions(**options)
     for path in sorted(out.glob("*.gr")):
-        if path.stem not in problems:
+        digits = path.stem.removeprefix("problem_")
+        number = int(digits) if digits.isdecimal() else checked.count
+        if number >= checked.count or generated_name(number) != path.stem:
             raise InputError(f"{out}: expected no problems of another set, found {path.name} in it")
-    for name, problem in problems.items():
-        problem.write(out / f"{name}.gr")
-    click.echo(f"{len(problems)} problems in {out}")
+    with problems_bar(str(out)) as watch:
+        for number, problem in enumerate(generate_each(checked)):
+            problem.write(out / f"{generated_name(number)}.gr")
+            watch(number + 1, checked.count)
+    click.echo(f"{checked.count} problems in {out}")
 
 
 @cli.command()
@@ -303,12 +308,12 @@ def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     the experiment, the key `out`. An experiment that was stopped or killed continues when the same
     command is given again.
     """
-    from policies.cli.progress import experiment_bar
+    from policies.cli.progress import problems_bar
     from policies.cli.tables import show_experiment
     from policies.experiment import Experiment, load_experiment
 
     task = Experiment(load_experiment(config, overrides))
-    with experiment_bar(str(task.folder)) as watch:
+    with problems_bar(str(task.folder)) as watch:
         summary = task.execute(watch)
     if as_json:
         click.echo(json.dumps(summary))

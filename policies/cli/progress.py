@@ -45,14 +45,14 @@ def training_bar(done: int, total: int) -> "Iterator[Callable[[Sequence[Episode]
 
 
 @contextlib.contextmanager
-def experiment_bar(name: str) -> Iterator[Callable[[float, int], None]]:
-    """Shows the progress of an experiment.
+def problems_bar(name: str) -> Iterator[Callable[[float, int], None]]:
+    """Shows the progress of work on one problem after another.
 
     Args:
         name: what the bar is called.
 
     Yields:
-        A function to call with the number of problems routed so far, and their number in all.
+        A function to call with the number of problems done so far, and their number in all.
     """
     with _bar("problems") as (bar, task):
         bar.update(task, description=name)

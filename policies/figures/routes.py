@@ -1,27 +1,29 @@
 """Figures of a problem and its solutions: edge utilisation and routes."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
+from marouting.memory import DRAWN, check_memory
 from marouting.problem.grid import AXES
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution, evaluate
 from policies.figures.style import BAND, BLUE, INK, LINES, ORANGE, PALE, RED, VIA, literal
 from policies.results.utilisation import (
-    demand_on,
     histogram_counts,
+    overflowed_edges,
     routable_edges,
     stray_edges,
     utilisation_maps,
@@ -99,13 +101,14 @@ def draw_map(
             transform=axes.transAxes,
         )
         return
-    # A field is one Gcell wide and high and lies in the middle between the Gcells it joins.
-    left, bottom = (columns - len(values)) / 2 - 0.5, (rows - values.shape[1]) / 2 - 0.5
+    # A field of one Gcell's size lies in the middle between the Gcells it joins.
+    side = maps.side
+    left, bottom = -0.5 * (direction != "horizontal"), -0.5 * (direction != "vertical")
     image = axes.imshow(
         # Demand without capacity is infinite, which matplotlib would take for missing.
         np.minimum(values, 1e9).T,
         origin="lower",
-        extent=(left, left + len(values), bottom, bottom + values.shape[1]),
+        extent=(left, left + side * len(values), bottom, bottom + side * values.shape[1]),
         cmap=matplotlib.colormaps["viridis"].with_extremes(over=RED, bad=_NO_CAPACITY),
         vmin=0,
         vmax=max(1, values.max()) if overflow is None else 100,
@@ -119,10 +122,13 @@ def draw_map(
         bar.locator = MaxNLocator(nbins=8, integer=True)
         return
     bar.set_label("demand / capacity [%]")
-    outlines = [Rectangle((x + left, y + bottom), 1, 1) for x, y in np.argwhere(overflow)]
-    axes.add_collection(
-        PatchCollection(outlines, facecolor="none", edgecolor=RED, linewidth=2, zorder=3)
+    # The last fields may reach beyond the grid, which is all that is to be seen.
+    axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
+    corners = np.argwhere(overflow)[:, None] + np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+    outlines = PolyCollection(
+        corners * side + (left, bottom), facecolor="none", edgecolor=RED, linewidth=2, zorder=3
     )
+    axes.add_collection(outlines)
 
 
 _NO_CAPACITY = "#BBBBBB"
@@ -137,6 +143,9 @@ def map_notes(problem: Problem, solution: Solution) -> list[Patch]:
         notes.append(Patch(facecolor="none", edgecolor=RED, linewidth=2, label=label))
     if np.isnan(maps.vertical).any() or np.isnan(maps.horizontal).any():
         notes.append(Patch(facecolor=_NO_CAPACITY, label="no capacity"))
+    if maps.side > 1:
+        label = f"a field shows {maps.side}x{maps.side} Gcells"
+        notes.append(Patch(facecolor="none", edgecolor=INK, label=label))
     return notes
 
 
@@ -224,15 +233,15 @@ def edges_before_after(problem: Problem, solution: Solution, title: str = "") ->
 
 def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
     """Draws :func:`edges_before_after`; the title names the type of the problem."""
-    edge = routable_edges(problem)
-    before = problem.capacity[edge].astype(np.int64)
-    after = before - demand_on(problem, solution)[edge]
+    _, _, before, demand, count = routable_edges(problem, solution)
+    after = before - demand
     order = np.lexsort((-before, -after))
-    before, after = before[order], after[order]
-    borders = np.arange(len(edge) + 1) - 0.5
+    before, after, count = before[order], after[order], count[order]
+    borders = np.cumsum([0, *count]) - 0.5
+    edges = int(count.sum())
     full, over = int(np.count_nonzero(after <= 0)), int(np.count_nonzero(after < 0))
     axes.axhline(0, color=INK, linewidth=0.8)
-    if len(edge):  # stairs need a step to fill
+    if edges:  # stairs need a step to fill
         axes.stairs(before, borders, baseline=after, fill=True, color=BLUE, alpha=0.1)
     for remaining, colour, style, label in (
         (before, BLUE, "-", "before routing"),
@@ -249,7 +258,7 @@ def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
         )
     if over:
         axes.plot(
-            np.arange(len(edge) - over, len(edge)),
+            np.arange(edges - over, edges),
             after[-over:],
             linestyle="none",
             marker="v",
@@ -260,18 +269,18 @@ def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
     top, bottom = max(int(before.max(initial=1)), 1), min(int(after.min(initial=0)), 0)
     axes.set_ylim(bottom - 0.08 * (top - bottom), top + 0.25 * (top - bottom))
     if full:
-        start = len(edge) - full
-        axes.axvspan(start - 0.5, len(edge) - 0.5, color=RED, alpha=0.12, linewidth=0)
+        start = edges - full
+        axes.axvspan(start - 0.5, edges - 0.5, color=RED, alpha=0.12, linewidth=0)
         axes.annotate(
-            f"{full} of {len(edge)} fully used",
-            xy=((start + len(edge) - 1) / 2, 0),
-            xytext=(0.45 * len(edge), 0.12 * top),
+            f"{full} of {edges} fully used",
+            xy=((start + edges - 1) / 2, 0),
+            xytext=(0.45 * edges, 0.12 * top),
             color=RED,
             ha="center",
             bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1},
             arrowprops={"arrowstyle": "->", "color": RED, "linewidth": 1.5},
         )
-    axes.set_xlim(-0.5, max(len(edge), 1) - 0.5)
+    axes.set_xlim(-0.5, max(edges, 1) - 0.5)
     axes.set_xlabel("edges, sorted by remaining capacity after routing [rank]")
     axes.set_ylabel("remaining capacity [tracks]")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -323,7 +332,7 @@ def _tracks(problem: Problem, solution: Solution) -> NDArray[np.int64]:
         np.unique(np.concatenate((*problem.topology.ends(edges), pins)) // layers).tolist()
         for edges, pins in zip(solution.edges, problem.pin_gcells, strict=True)
     ]
-    taken = [0] * (problem.grid[0] * problem.grid[1])  # bit t: track t
+    taken: defaultdict[int, int] = defaultdict(int)  # bit t: track t
     track = np.zeros(len(columns), np.int64)
     for net in sorted(range(len(columns)), key=lambda net: -len(columns[net])):
         busy = 0
@@ -338,6 +347,8 @@ def _tracks(problem: Problem, solution: Solution) -> NDArray[np.int64]:
 
 def _drawing(problem: Problem, solution: Solution) -> _Drawing:
     grid = problem.topology
+    drawn = len(solution.uses[1])
+    check_memory(DRAWN * drawn, "a drawing of {} edges", drawn)
     track = _tracks(problem, solution)
     pitch = min(_TRACK, _SPREAD / (int(track.max()) + 1))
     # 0, +1, −1, +2, …: the first tracks in the middle.
@@ -345,7 +356,7 @@ def _drawing(problem: Problem, solution: Solution) -> _Drawing:
 
     net, edge = solution.uses
     near, far = grid.ends(edge)
-    start, stop = grid.position[near].astype(np.float64), grid.position[far].astype(np.float64)
+    start, stop = _points(problem, near), _points(problem, far)
     start[:, :2] += shift[net, None]
     stop[:, :2] += shift[net, None]
     ends, layer, is_via = np.stack([start, stop], axis=1), near % problem.grid[2], edge % AXES == 2
@@ -359,12 +370,18 @@ def _drawing(problem: Problem, solution: Solution) -> _Drawing:
     np.maximum.at(via_layers[:, 1], index, layer[is_via] + 1)
     vias = np.stack(np.divmod(stack[:, 1], problem.grid[1]), axis=1) + shift[stack[:, 0], None]
 
-    pins = grid.position[np.concatenate(problem.pin_gcells)].astype(np.float64)
-    owner = np.repeat(np.arange(len(problem.nets)), [len(p) for p in problem.pin_gcells])
+    first, gcell = problem.flat_pin_gcells
+    pins = _points(problem, gcell)
+    owner = np.repeat(np.arange(len(problem.nets)), np.diff(first))
     pins[:, :2] += shift[owner, None]
-    overflow = np.flatnonzero(demand_on(problem, solution) > problem.capacity)
-    overflowed = grid.position[np.stack(grid.ends(overflow), axis=1)].astype(np.float64)
+    overflow = overflowed_edges(problem, solution)
+    overflowed = _points(problem, np.stack(grid.ends(overflow), axis=1))
     return _Drawing(lines, vias, via_layers, pins, overflowed, pitch)
+
+
+def _points(problem: Problem, gcells: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(…, 3) x, y and layer of Gcells (…)."""
+    return np.stack(np.unravel_index(gcells, problem.grid), axis=-1).astype(np.float64)
 
 
 def solution_2d(problem: Problem, solution: Solution, title: str = "") -> Figure:
@@ -394,12 +411,13 @@ def solution_2d(problem: Problem, solution: Solution, title: str = "") -> Figure
 def draw_routes(axes: Axes, problem: Problem, solution: Solution, title: str, gcell: float) -> None:
     """Draws :func:`solution_2d`; ``gcell`` is about the width of a Gcell in inches."""
     _prepare(axes, problem, _heading(problem, solution, title))
-    for x in range(problem.grid[0] + 1):
-        axes.axvline(x - 0.5, color=PALE, linewidth=0.5, zorder=0)
-    for y in range(problem.grid[1] + 1):
-        axes.axhline(y - 0.5, color=PALE, linewidth=0.5, zorder=0)
-    drawing = _drawing(problem, solution)
     points = 72 * gcell
+    if points >= 1:  # the lines of a finer grid would cover all
+        for x in range(problem.grid[0] + 1):
+            axes.axvline(x - 0.5, color=PALE, linewidth=0.5, zorder=0)
+        for y in range(problem.grid[1] + 1):
+            axes.axhline(y - 0.5, color=PALE, linewidth=0.5, zorder=0)
+    drawing = _drawing(problem, solution)
     width = float(np.clip(0.65 * points * drawing.pitch, 0.6, 2))
     axes.add_collection(
         LineCollection(
@@ -574,6 +592,6 @@ def route_notes(
             [], [], color=INK, marker="o", markerfacecolor="white", linestyle="none", label="via"
         )
     )
-    if any((demand_on(problem, solution) > problem.capacity).any() for solution in solutions):
+    if any(len(overflowed_edges(problem, solution)) for solution in solutions):
         handles.append(Patch(color=BAND, label="overflowed edge"))
     return handles

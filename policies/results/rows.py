@@ -16,7 +16,10 @@ from typing_extensions import TypedDict
 
 from marouting import InputError, Solution, evaluate
 from marouting.config import build, build_json, check
-from marouting.files import FILE_NAME, is_file_name, unusable
+from marouting.files import FILE_NAME, is_file_name, read_text, unusable
+
+MOST_BYTES = 2**30
+"""The largest file of results that is read."""
 
 Row = dict[str, Any]
 """One router on one problem (in an experiment: with one seed), plain data by column."""
@@ -128,10 +131,7 @@ def read_rows(path: Path, schema: type[Any] = ExperimentRow) -> list[Row]:
         InputError: the file cannot be read or does not hold such rows; the message names the row,
             counted from 1, and the column.
     """
-    try:
-        text = path.read_bytes()
-    except OSError as error:
-        raise unusable(path, "cannot be read", error) from None
+    text = read_text(path, MOST_BYTES)
     rows: dict[tuple[Any, ...], Row] = {}
     for number, raw in enumerate(build_json(list[Any], text, f"{path}: expected rows in JSON"), 1):
         where = f"{path}: row {number}"

@@ -23,8 +23,8 @@ from pydantic import Field
 
 from marouting import InputError
 from marouting.config import build_json, check
-from marouting.files import unusable
-from policies.results.rows import Count, Measure, Name, ResultRow, Row, read_rows
+from marouting.files import read_text
+from policies.results.rows import MOST_BYTES, Count, Measure, Name, ResultRow, Row, read_rows
 
 CONFIG, METRICS, CHECKPOINT = "config.yaml", "metrics.jsonl", "checkpoint.pt"
 POLICY, RESULT = "policy.pt", "result.json"
@@ -80,10 +80,9 @@ class Episode:
 
 def read_episodes(metrics: Path) -> list[Episode]:
     """The episodes in a ``metrics.jsonl``; raises InputError naming the line."""
-    try:
-        lines = metrics.read_bytes().splitlines()
-    except OSError as error:
-        raise unusable(metrics, "cannot be read", error) from None
+    # Only line feeds end a line: JSON may hold other separators.
+    text = read_text(metrics, MOST_BYTES)
+    lines = text.removesuffix("\n").split("\n") if text else []
     return [build_json(Episode, line, f"{metrics}:{n}") for n, line in enumerate(lines, 1)]
 
 

@@ -14,8 +14,8 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from marouting.config import build_json
-from marouting.files import unusable
-from policies.results.rows import LARGEST, Count
+from marouting.files import read_text
+from policies.results.rows import LARGEST, MOST_BYTES, Count
 
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 
@@ -45,10 +45,7 @@ class ScalingReport(TypedDict):
 def read_scaling(bench: Path) -> ScalingReport:
     """Reads what ``marouting bench scaling --out`` stored; raises InputError naming the key."""
     where = f"{bench}: expected what marouting bench --out stores, with the section scaling"
-    try:
-        return build_json(ScalingReport, bench.read_bytes(), where)
-    except OSError as error:
-        raise unusable(bench, "cannot be read", error) from None
+    return build_json(ScalingReport, read_text(bench, MOST_BYTES), where)
 
 
 def curves(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, NDArray[np.float64]]]:

@@ -1,4 +1,8 @@
-"""How much of each edge's capacity a solution uses: the numbers behind the paper's figures."""
+"""How much of each edge's capacity a solution uses: the numbers behind the paper's figures.
+
+They take memory for the edges in use and for those with adjustments, not for every edge of the
+grid.
+"""
 
 from typing import Literal, NamedTuple
 
@@ -10,9 +14,14 @@ from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 
+MOST_FIELDS = 1024
+"""The most fields of a map along x and y; on larger grids a field shows several Gcells."""
+
 
 class UtilisationMaps(NamedTuple):
     """The utilisation of the edges in each direction, summed over all layers.
+
+    A field shows one Gcell or edge; on grids longer than MOST_FIELDS, all those of a square.
 
     Attributes:
         via: (X, Y) int64, vias in use at each column of Gcells, counted once per net.
@@ -21,6 +30,7 @@ class UtilisationMaps(NamedTuple):
         horizontal: (X − 1, Y) float64, the same from column x to x + 1.
         vertical_overflow: (X, Y − 1) bool, whether the edge overflows on any layer.
         horizontal_overflow: (X − 1, Y) bool, likewise.
+        side: how many Gcells a field is wide and high. All shapes are divided by it, rounded up.
     """
 
     via: NDArray[np.int64]
@@ -28,32 +38,93 @@ class UtilisationMaps(NamedTuple):
     horizontal: NDArray[np.float64]
     vertical_overflow: NDArray[np.bool_]
     horizontal_overflow: NDArray[np.bool_]
+    side: int
 
 
 def utilisation_maps(problem: Problem, solution: Solution) -> UtilisationMaps:
     """The utilisation in each direction; raises InputError if the grids differ."""
-    shape = (*problem.grid, AXES)
-    demand = demand_on(problem, solution).reshape(shape)
-    _, used = solution.uses
-    uses = np.bincount(used, minlength=demand.size).reshape(shape)
-    capacity = problem.capacity.astype(np.int64).reshape(shape)
+    edge, demand = _used_edges(problem, solution)
+    adjusted, adjusted_capacity = problem.adjusted
+    unadjusted = problem.layer_capacity.astype(np.int64)
+    columns, rows, layers = problem.grid
+    side = -(-max(columns, rows) // MOST_FIELDS)
+
+    def fields(edges: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        x, y = np.divmod(edges // (AXES * layers), rows)
+        return x // side, y // side
+
+    def counts(length: int) -> NDArray[np.int64]:
+        """How many of so many edges in a row are in each field."""
+        return np.diff(np.arange(0, length + side, side).clip(max=length))
 
     def direction(axis: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        part = (slice(-1), slice(None))[:: 1 if axis == 0 else -1]
-        wanted, offered = demand[*part, :, axis], capacity[*part, :, axis]
+        offered = unadjusted[:, axis].sum() * np.outer(
+            counts(columns - (axis == 0)), counts(rows - (axis == 1))
+        )
+        own = adjusted[adjusted % AXES == axis]
+        more = adjusted_capacity[adjusted % AXES == axis] - unadjusted[own // AXES % layers, axis]
+        np.add.at(offered, fields(own), more)
+        taken, tracks = edge[edge % AXES == axis], demand[edge % AXES == axis]
+        wanted, overflow = np.zeros_like(offered), np.zeros(offered.shape, np.bool_)
+        np.add.at(wanted, fields(taken), tracks)
+        overflow[fields(taken[tracks > problem.capacity_of(taken)])] = True
         with np.errstate(divide="ignore", invalid="ignore"):
-            percent = 100 * wanted.sum(axis=2) / offered.sum(axis=2)
-        return percent, np.any(wanted > offered, axis=2)
+            return 100 * wanted / offered, overflow
 
     horizontal, horizontal_overflow = direction(0)
     vertical, vertical_overflow = direction(1)
-    return UtilisationMaps(
-        uses[..., VIA_AXIS].sum(axis=2),
-        vertical,
-        horizontal,
-        vertical_overflow,
-        horizontal_overflow,
+    via = np.zeros((len(counts(columns)), len(counts(rows))), np.int64)
+    _, used = solution.uses
+    np.add.at(via, fields(used[used % AXES == VIA_AXIS]), 1)
+    return UtilisationMaps(via, vertical, horizontal, vertical_overflow, horizontal_overflow, side)
+
+
+class EdgeGroups(NamedTuple):
+    """The edges inside layers: one by one where used or adjusted, the others by layer and axis.
+
+    Attributes:
+        edge: (k,) int64, the edge's number, ascending; -1 for several edges, which come last.
+        axis: (k,) int64, 0 along x, 1 along y.
+        capacity: (k,) int64, of each edge.
+        demand: (k,) int64, on each edge.
+        number: (k,) int64, how many edges they are.
+    """
+
+    edge: NDArray[np.int64]
+    axis: NDArray[np.int64]
+    capacity: NDArray[np.int64]
+    demand: NDArray[np.int64]
+    number: NDArray[np.int64]
+
+    def where(self, chosen: NDArray[np.bool_]) -> "EdgeGroups":
+        """Some of the groups."""
+        return EdgeGroups._make(column[chosen] for column in self)
+
+
+def edge_groups(problem: Problem, solution: Solution) -> EdgeGroups:
+    """Capacity and demand of all edges inside layers; raises InputError if the grids differ."""
+    used, tracks = _used_edges(problem, solution)
+    single = np.union1d(used, problem.adjusted[0])
+    single = single[single % AXES != VIA_AXIS]
+    demand = np.zeros_like(single)
+    demand[np.searchsorted(single, used[used % AXES != VIA_AXIS])] = tracks[used % AXES != VIA_AXIS]
+    columns, rows, layers = problem.grid
+    others = np.tile([(columns - 1) * rows, columns * (rows - 1)], (layers, 1))
+    np.subtract.at(others, (single // AXES % layers, single % AXES), 1)
+    nothing = np.zeros(others.size, np.int64)
+    return EdgeGroups(
+        np.concatenate((single, nothing - 1)),
+        np.concatenate((single % AXES, np.tile([0, 1], layers))),
+        np.concatenate((problem.capacity_of(single), problem.layer_capacity[:, :VIA_AXIS].ravel())),
+        np.concatenate((demand, nothing)),
+        np.concatenate((np.ones_like(single), others.ravel())),
     )
+
+
+def routable_edges(problem: Problem, solution: Solution) -> EdgeGroups:
+    """The :func:`edge_groups` with capacity."""
+    groups = edge_groups(problem, solution)
+    return groups.where((groups.capacity > 0) & (groups.number > 0))
 
 
 def histogram_counts(problem: Problem, solution: Solution) -> NDArray[np.int64]:
@@ -63,11 +134,11 @@ def histogram_counts(problem: Problem, solution: Solution) -> NDArray[np.int64]:
         (2, 12) int64: horizontal and vertical edges with utilisation 0 to below 10 %, …, 90 to
         below 100 %, exactly 100 %, above 100 %.
     """
-    edge = routable_edges(problem)
-    demand, capacity = demand_on(problem, solution)[edge], problem.capacity[edge].astype(np.int64)
+    _, axis, capacity, demand, number = routable_edges(problem, solution)
+    counts = np.zeros((VIA_AXIS, 12), np.int64)
     # In integers: 29 of 100 tracks are exactly 29 %.
-    tenth = np.minimum(10 * demand // capacity, 10) + (demand > capacity)
-    return np.stack([np.bincount(tenth[edge % AXES == axis], minlength=12) for axis in (0, 1)])
+    np.add.at(counts, (axis, np.minimum(10 * demand // capacity, 10) + (demand > capacity)), number)
+    return counts
 
 
 def depleted_edges(problem: Problem, solution: Solution) -> NDArray[np.int64]:
@@ -76,8 +147,14 @@ def depleted_edges(problem: Problem, solution: Solution) -> NDArray[np.int64]:
     Returns:
         Sorted edge numbers, int64.
     """
-    edge = routable_edges(problem)
-    return edge[demand_on(problem, solution)[edge] >= problem.capacity[edge]]
+    groups = routable_edges(problem, solution)
+    return groups.where(groups.demand >= groups.capacity).edge
+
+
+def overflowed_edges(problem: Problem, solution: Solution) -> NDArray[np.int64]:
+    """The edges whose demand exceeds their capacity: sorted edge numbers, int64."""
+    groups = edge_groups(problem, solution)
+    return groups.where(groups.demand > groups.capacity).edge
 
 
 def problem_type(problem: Problem, solution: Solution) -> Literal["I", "II"]:
@@ -93,21 +170,18 @@ def problem_type(problem: Problem, solution: Solution) -> Literal["I", "II"]:
     return "II" if len(depleted_edges(problem, solution)) else "I"
 
 
-def demand_on(problem: Problem, solution: Solution) -> NDArray[np.int64]:
-    """(E,) the solution's demand in tracks; raises InputError unless the grids are the same."""
+def stray_edges(problem: Problem, solution: Solution) -> int:
+    """The number of edges without capacity that are used: overflow that no percentage shows."""
+    groups = edge_groups(problem, solution)
+    return int(np.count_nonzero((groups.capacity == 0) & (groups.demand > 0)))
+
+
+def _used_edges(
+    problem: Problem, solution: Solution
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """:attr:`Solution.used_edges`; raises InputError unless the grids are the same."""
     if solution.problem.grid != problem.grid:
         raise InputError(
             f"solution: expected one for the grid {problem.grid}, found {solution.problem.grid}"
         )
-    return solution.edge_demand
-
-
-def stray_edges(problem: Problem, solution: Solution) -> int:
-    """The number of edges without capacity that are used: overflow that no percentage shows."""
-    return int(np.count_nonzero((problem.capacity == 0) & (demand_on(problem, solution) > 0)))
-
-
-def routable_edges(problem: Problem) -> NDArray[np.int64]:
-    """(k,) int64, the numbers of the edges along x and y that have capacity, ascending."""
-    along = np.arange(len(problem.capacity)) % AXES != VIA_AXIS
-    return np.flatnonzero(along & (problem.capacity > 0)).astype(np.int64)
+    return solution.used_edges

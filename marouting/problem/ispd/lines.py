@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import BinaryIO
 
+from marouting import files
 from marouting.errors import InputError
-from marouting.files import unusable
 from marouting.problem.net import FieldError
 
 NUMBER = "[+-]?[0-9]{1,18}"
@@ -26,12 +26,15 @@ class Lines:
 
     def __init__(self, file: BinaryIO) -> None:
         self.number = 0
-        self._file = file
+        self._readline = file.readline
 
     def next(self) -> list[str]:
         """The tokens of the next line that has any; none at the end of the file."""
-        for line in self._file:
+        # A file without line breaks must not be taken into memory as one line.
+        while line := self._readline(files.LONGEST_LINE + 1):
             self.number += 1
+            if len(line) > files.LONGEST_LINE:
+                raise InputError(f"expected lines of at most {files.LONGEST_LINE} bytes")
             try:
                 tokens = line.decode().split()
             except UnicodeDecodeError:
@@ -69,15 +72,12 @@ def reading(path: str | os.PathLike[str]) -> Iterator[Lines]:
         InputError: the file cannot be read, or the block raised an InputError, to which the file
             and the current line are added.
     """
-    try:
-        with open(path, "rb") as file:  # noqa: PTH123 (PathLike without Path)
-            lines = Lines(file)
-            try:
-                yield lines
-            except InputError as error:
-                raise _at(os.fspath(path), lines.number, error) from None
-    except OSError as error:
-        raise unusable(path, "cannot be read", error) from None
+    with files.reading(path) as file:
+        lines = Lines(file)
+        try:
+            yield lines
+        except InputError as error:
+            raise _at(os.fspath(path), lines.number, error) from None
 
 
 def unexpected(expected: str, tokens: list[str]) -> InputError:

@@ -236,6 +236,21 @@ def _obstacles(fields: Mapping[str, Any], form: _Form) -> Iterator[str]:
                 yield f"net {net.name}: expected pins in layer {_LAYER}, found {tuple(pin)}"
 
 
+class _Numbers(dict[str, int]):
+    """Numbers by their text. Coordinates recur: each is parsed once and takes memory once."""
+
+    def __missing__(self, text: str) -> int:
+        if not is_number(text):
+            raise ValueError(text)
+        number = int(text)
+        if len(self) < _RECURRING:
+            self[text] = number
+        return number
+
+
+_RECURRING = 2**16
+
+
 def _read_nets(lines: Lines, where: dict[str, "array[int]"], form: _Form) -> tuple[Net, ...]:
     """Reads ``num net`` and the nets; records the lines of nets and pins in ``where``."""
     tokens = lines.next()
@@ -246,6 +261,7 @@ def _read_nets(lines: Lines, where: dict[str, "array[int]"], form: _Form) -> tup
         raise InputError(f"expected at least one net, found {count}")
     where["nets"], where["pins"] = array("q"), array("q")
     nets: list[Net] = []
+    number = _Numbers().__getitem__
     while len(nets) < count:
         tokens = lines.next()
         if not tokens:
@@ -259,12 +275,16 @@ def _read_nets(lines: Lines, where: dict[str, "array[int]"], form: _Form) -> tup
             tokens = lines.next()
             if not tokens:
                 raise InputError(f"file ends after {len(pins)} of {pin_count} pins of net {name}")
-            if len(tokens) != len(form.pin) or not all(map(is_number, tokens)):
+            try:
+                pin = tuple(map(number, tokens))
+            except ValueError:
+                pin = ()
+            if len(pin) != len(form.pin):
                 raise unexpected(
                     f"pin {len(pins) + 1} of {pin_count} of net {name} ({', '.join(form.pin)})",
                     tokens,
                 )
-            pins.append(Pin(*[*map(int, tokens), _LAYER][:3]))
+            pins.append(Pin._make((*pin, _LAYER)[:3]))
             where["pins"].append(lines.number)
         nets.append(Net(name, id_, tuple(pins), width))
     return tuple(nets)

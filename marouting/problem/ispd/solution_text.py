@@ -48,7 +48,11 @@ def read_solution(path: str | os.PathLike[str], nets: Iterable[tuple[str, int]])
         InputError: the file cannot be read, is not of this format, or names a net twice, an
             unknown net, or a net with another id.
     """
-    known = {name: (index, id_) for index, (name, id_) in enumerate(nets)}
+    ids: list[int] = []
+    known: dict[str, int] = {}
+    for index, (name, id_) in enumerate(nets):
+        known[name] = index
+        ids.append(id_)
     net, numbers, points = array("q"), array("q"), array("q")
     with reading(path) as lines:
         while header := lines.next():
@@ -57,9 +61,9 @@ def read_solution(path: str | os.PathLike[str], nets: Iterable[tuple[str, int]])
             name, found = header[0], int(header[1])
             if name not in known:
                 raise unexpected("a net of the problem that no earlier block is of", header)
-            index, id_ = known.pop(name)
-            if found != id_:
-                raise InputError(f"net {name}: expected id {id_}, found {found}")
+            index = known.pop(name)
+            if found != ids[index]:
+                raise InputError(f"net {name}: expected id {ids[index]}, found {found}")
             while (tokens := lines.next()) != ["!"]:
                 if not tokens:
                     raise InputError(f"file ends inside net {name}, expected '!'")
@@ -72,8 +76,8 @@ def read_solution(path: str | os.PathLike[str], nets: Iterable[tuple[str, int]])
     return SolutionRecord(
         os.fspath(path),
         {"segments": numbers},
-        np.array(net, np.int64),
-        np.array(points, np.int64).reshape(-1, 2, 3),
+        np.frombuffer(net, np.int64),
+        np.frombuffer(points, np.int64).reshape(-1, 2, 3),
     )
 
 

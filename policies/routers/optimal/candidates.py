@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import Problem, Solution
+from marouting.memory import PROOF, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
 from policies.routers.optimal.priced_tree import NEVER, Window, cheapest_priced_tree
 
@@ -42,6 +43,7 @@ class Candidates:
 
     def __init__(self, problem: Problem, most_pins: int | None = None) -> None:
         grid = problem.topology
+        check_memory(PROOF * grid.gcells, "a proof on a grid of {}", grid)
         self.problem = problem
         self.nets = [n for n, gcells in enumerate(problem.pin_gcells) if len(gcells) > 1]
         self.pins = [problem.pin_gcells[n] for n in self.nets]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import Problem
+from marouting.memory import NEGOTIATION, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.exact_tree import Search, make_search
 from marouting.trees.lattice import Lattice, make_lattice
@@ -131,6 +132,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
     """The problem as arrays, and a routing without any trees."""
     first, pin = problem.flat_pin_gcells
     grid = problem.topology
+    check_memory(NEGOTIATION * grid.gcells, "negotiated congestion on a grid of {}", grid)
     nets = len(problem.nets)
     arrays = ProblemArrays(
         size=np.array(problem.grid, np.int64),
