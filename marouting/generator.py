@@ -15,7 +15,7 @@ import numpy as np
 from marouting.errors import InputError
 from marouting.memory import ADJUSTMENT, NET, PIN, check_memory
 from marouting.problem.grid import AXES
-from marouting.problem.net import Adjustment, Net, Pin, check_numbers
+from marouting.problem.net import Adjustment, Net, Pin, check_numbers, is_whole, whole_numbers
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_grid
 from marouting.search.astar import sequential_astar
 
@@ -63,6 +63,7 @@ class GeneratorOptions:
     seed: int | None = 0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "grid", whole_numbers("grid", self.grid, 3))
         check_grid(self.grid)
         if self.grid[0] * self.grid[1] < 2:
             raise InputError(
@@ -75,8 +76,8 @@ class GeneratorOptions:
         check_numbers("capacity and reduced_edges", (self.capacity, self.reduced_edges))
         check_numbers("reduced_capacity", [n for n in (self.reduced_capacity,) if n is not None])
         check_choice("reduced_per", self.reduced_per, ReducedPer)
-        if self.seed is not None and self.seed < 0:
-            raise InputError(f"seed: expected a number from 0, found {self.seed}")
+        if self.seed is not None and not (is_whole(self.seed) and self.seed >= 0):
+            raise InputError(f"seed: expected a whole number from 0, found {self.seed!r}")
 
 
 def generate(

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Tag
 
-from marouting.config import Named, build, piece_field, take_pieces
+from marouting.config import Named, build, check, piece_field, take_pieces
 from marouting.game.options import RuleOptions, TurnOrder
 from marouting.generator import GeneratorOptions
 
@@ -62,6 +62,11 @@ class GameOptions(RuleOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         take_pieces(self)
+        for name, methods in (("observation", ("space", "write")), ("reward", ("__call__",))):
+            given = getattr(self, name)
+            defined = {method for base in given.cls.__mro__ for method in vars(base)}
+            what = f"an object that has {' and '.join(methods)}, found {given.name}"
+            check(name, defined.issuperset(methods), what)
 
 
 ORDERS: dict[Agents, TurnOrder] = {"single": "sequential", "multi": "round_robin"}
@@ -90,6 +95,8 @@ def game_options(options: Mapping[str, Any]) -> GameOptions:
         InputError: an option cannot be used; the message names it and what was expected.
     """
     plain = dict(options)
+    for name in ("observation", "reward"):
+        check(name, plain.get(name, name) is not None, "a name, a mapping or an object, found None")
     pieces = {
         name: plain.pop(name)
         for name in ("observation", "reward")

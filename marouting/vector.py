@@ -4,6 +4,7 @@ In every step every net of every problem moves, or only the one whose turn it is
 own interface to the latter, use ``gymnasium.make_vec``.
 """
 
+import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -18,6 +19,7 @@ from marouting.game.engine import Engine
 from marouting.game.observation import state, state_space
 from marouting.options import ORDERS, game_options
 from marouting.player import Player, Saved, StepBuffers
+from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 
 _FIGURES = ("overflow", "wirelength", "joined", "steps")
@@ -73,8 +75,8 @@ class BatchEnv(EzPickle):
         EzPickle.__init__(
             self, problems, everyone=everyone, autoreset=autoreset, threads=threads, **options
         )
-        if threads < 1:
-            raise InputError(f"threads: expected at least 1, found {threads}")
+        if not (is_whole(threads) and threads >= 1):
+            raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
         order = ORDERS["multi" if everyone else "single"]
         checked = game_options({"turn_order": order, **options})
         self.engine = engine = Engine(problems, checked)
@@ -105,7 +107,12 @@ class BatchEnv(EzPickle):
             for part in map(slice, cuts, cuts[1:])
         ]
         self._begun = False
-        self._threads = ThreadPoolExecutor(threads)  # starts threads as they are needed
+        self._start_threads()
+
+    def _start_threads(self) -> None:
+        """Prepares threads, which start as they are needed."""
+        self._process = os.getpid()
+        self._threads = ThreadPoolExecutor(len(self._players))
 
     def reset(self) -> tuple[NDArray[np.float32], Info]:
         """Starts the episodes of all problems.
@@ -166,6 +173,8 @@ class BatchEnv(EzPickle):
         self.engine.check(actions if self._everyone else actions[:, 0])
         b.actions[:] = actions
         first, *others = self._players
+        if self._process != os.getpid():  # a fork: the threads have stayed behind
+            self._start_threads()
         running = [self._threads.submit(player.step, self.autoreset) for player in others]
         first.step(self.autoreset)
         for other in running:
@@ -175,6 +184,23 @@ class BatchEnv(EzPickle):
     def state(self) -> NDArray[np.float32]:
         """(M, X, Y, 5 Z) float32, the global states; see :func:`.observation.state`."""
         return state(self.engine, self._state)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What made the environment, and where it stands: a copy goes on from there."""
+        order = self.engine.static.order
+        return {
+            **super().__getstate__(),
+            "order": order,
+            "saved": self.save(),
+            "begun": self._begun,
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Makes the environment anew and puts it where the copied one stands."""
+        super().__setstate__(state)
+        self.engine.static.order[...] = state["order"]
+        self.restore(state["saved"])
+        self._begun = state["begun"]
 
     def save(self) -> list[Saved]:
         """A copy of the state of all games, for :meth:`restore`."""

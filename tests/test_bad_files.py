@@ -175,7 +175,7 @@ def test_writing_over_a_folder(tmp_path: Path) -> None:
         ("grid 3 2 2", "grid 3 0 2", 1, "from 1"),
         ("grid 3 2 2", "grid 99999 99999 2", 1, "Gcells in all"),
         ("grid 3 2 2", f"grid 3 2 {HUGE}", 1, "found 'grid 3 2 9999"),
-        ("capacity 6 0", "capacity 6 0 0", 3, "expected 2 values, one a layer, found 3"),
+        ("capacity 6 0", "capacity 6 0 0", 3, "expected 2 values, one per layer, found 3"),
         ("capacity 0 4", "capacity -1 4", 2, "found -1"),
         ("capacity 0 4", "capacity 0 1.5", 2, "'vertical capacity' and a number"),
         ("capacity 0 4", "capacity 0 1_0", 2, "'vertical capacity' and a number"),
@@ -274,7 +274,7 @@ def test_a_truncated_problem(tmp_path: Path, keep: int) -> None:
         ("\n2\n1 0", "\n1000000000\n1 0", "file ends after 2 of 1000000000 adjustments"),
         ("grid 3 2 2", "grid 1000000000 1000000000 1000000000", "Gcells in all"),
         ("grid 3 2 2", "grid 2 2 1000000000", "Gcells in all"),
-        ("grid 3 2 2", "grid 1 1 16777216", "expected 16777216 values, one a layer, found 2"),
+        ("grid 3 2 2", "grid 1 1 16777216", "expected 16777216 values, one per layer, found 2"),
         # As large as may be: not refused for its size, and yet costs nothing.
         ("grid 3 2 2", "grid 2048 4096 2", "a capacity from 0"),
     ],

@@ -445,7 +445,7 @@ def test_views_are_those_of_now() -> None:
         ({"net_order": "largest"}, "net_order: expected one of"),
         ({"overflow": True}, "overflow: expected one of"),
         ({"decomposition": "tree"}, "decomposition: expected one of"),
-        ({"max_steps": 0}, "max_steps: expected 1 to 2147483647, found 0"),
+        ({"max_steps": 0}, "max_steps: expected 1 to 1000000, found 0"),
     ],
 )
 def test_bad_options(bad: dict[str, Any], expected: str) -> None:

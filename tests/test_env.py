@@ -408,20 +408,25 @@ def test_a_drawn_problem_is_generated_from_what_was_asked_for() -> None:
 
 def transcript(env: Any, seed: int) -> list[Any]:
     """A seeded episode of an environment of any face."""
+    return [pins_after_reset(env, seed), *rest_of_episode(env, seed)]
+
+
+def rest_of_episode(env: Any, seed: int, most: int = 10**6) -> list[Any]:
+    """What comes of random moves, at most a number of them, to the end of an episode."""
     rng = np.random.default_rng(seed)
-    kept: list[Any] = [pins_after_reset(env, seed)]
+    kept: list[Any] = []
     if hasattr(env, "agent_iter"):
-        for agent in env.agent_iter():
+        for agent in env.agent_iter(most):
             observation, reward, termination, truncation, info = env.last()
             dead = termination or truncation
             kept.append((agent, observation.tolist(), reward, termination, truncation, str(info)))
             env.step(None if dead else int(rng.integers(6)))
     elif hasattr(env, "possible_agents"):
-        while env.agents:
+        while env.agents and len(kept) < most:
             kept.append(str(env.step({agent: int(rng.integers(6)) for agent in env.agents})))
     else:
         over = False
-        while not over:
+        while not over and len(kept) < most:
             observation, reward, terminated, truncated, info = env.step(int(rng.integers(6)))
             over = terminated or truncated
             kept.append((observation.tolist(), reward, terminated, truncated, str(info)))
@@ -445,6 +450,32 @@ def test_copies_play_alike(
     assert transcript(copied(twin), 11) == expected
     assert transcript(env, 11) == expected
     assert transcript(env, 12) != expected
+
+
+class TeamReward:
+    """Pays everybody for every move."""
+
+    def __call__(self, game: Engine, before: Dynamic, movers: NDArray[np.int32]) -> Any:
+        del before, movers
+        return np.full(game.nets.shape, game.games["wirelength"][:, None], np.float32)
+
+
+@makers
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("source", [DRAWN, generate(1, nets=4, max_pins=3, seed=5)[0]])
+@pytest.mark.parametrize("reward", ["paper", f"{__name__}:TeamReward"])
+def test_copies_in_mid_episode_go_on(
+    make: Callable[..., Any], copied: Callable[[Any], Any], source: Any, reward: str
+) -> None:
+    env = make(problem=source, max_steps=9, reward=reward)
+    env.reset(seed=4)
+    rest_of_episode(env, 1, 12)
+    twin, saved = copied(env), env.unwrapped.save()
+    expected = rest_of_episode(env, 2)
+    assert rest_of_episode(twin, 2) == expected
+    assert transcript(twin, 11) == transcript(env, 11)
+    env.unwrapped.restore(saved)
+    assert rest_of_episode(env, 2) == expected
 
 
 # Rewards and other pieces ------------------------------------------------------------------------
@@ -754,7 +785,7 @@ def test_make_from_a_file(tmp_path: Path) -> None:
         ({"observation": {"via": 1}}, "observation.via: unknown key; "),
         ({"max_steps": "ten"}, "max_steps: expected a valid integer, found 'ten'"),
         ({"max_steps": True}, "max_steps: expected a valid integer, found True"),
-        ({"max_steps": 0}, "max_steps: expected 1 to 2147483647, found 0"),
+        ({"max_steps": 0}, "max_steps: expected 1 to 1000000, found 0"),
         ({"turn_order": "sequentiel"}, "turn_order: expected 'sequential' or 'round_robin'"),
         ({"mask_in_observation": "yes"}, "mask_in_observation: expected a valid boolean"),
         ({"render_mode": "svg"}, "render_mode: expected 'ansi', 'rgb_array' or 'human'"),

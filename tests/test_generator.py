@@ -178,7 +178,7 @@ def test_sizes_of_nets_are_uniform() -> None:
         ({"reduced_edges": -1}, "reduced_edges: expected a number from 0"),
         ({"reduced_capacity": -1}, "reduced_capacity: expected a number from 0"),
         ({"reduced_per": "sets"}, "reduced_per: expected one of problem, set, found 'sets'"),
-        ({"seed": -1}, "seed: expected a number from 0"),
+        ({"seed": -1}, "seed: expected a whole number from 0"),
     ],
 )
 def test_arguments_out_of_range(bad: dict[str, Any], expected: str) -> None:

@@ -272,8 +272,14 @@ def test_no_such_format(tmp_path: Path) -> None:
     [
         (LAYERED, "grid 4 3 2", "grid 4", 1, "columns, rows and layers, or 'grid' and columns"),
         (LAYERED, "grid 4 3 2", "grid 4 3 0", 1, "columns, rows and layers from 1"),
-        (LAYERED, "grid 4 3 2", "grid 4 3 3", 2, "expected 3 values, one a layer, found 2"),
-        (LAYERED, "capacity  0 4", "capacity 0 4 1", 2, "expected 2 values, one a layer, found 3"),
+        (LAYERED, "grid 4 3 2", "grid 4 3 3", 2, "expected 3 values, one per layer, found 2"),
+        (
+            LAYERED,
+            "capacity  0 4",
+            "capacity 0 4 1",
+            2,
+            "expected 2 values, one per layer, found 3",
+        ),
         (LAYERED, "width 1 1 \nvia", "width 1 \nvia", 5, "min_spacing: expected 2 values"),
         (LAYERED, "width 1 1 \nvia", "widths 1 1\nvia", 5, "or 'minimum width' and a number"),
         # Called by its right name, the spacing makes it a file of the contest, with widths.

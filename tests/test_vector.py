@@ -1,6 +1,8 @@
 """BatchEnv against the Parallel environment, problem by problem."""
 
+import os
 import pickle
+import signal
 from typing import Any
 
 import numpy as np
@@ -136,7 +138,7 @@ def test_threads_change_nothing(turn_order: TurnOrder) -> None:
     for threads in (2, 3, 8):
         env = BatchEnv(PROBLEMS, turn_order=turn_order, max_steps=7, threads=threads)
         assert same(walk(env), expected)
-    with pytest.raises(InputError, match="threads: expected at least 1, found 0"):
+    with pytest.raises(InputError, match="threads: expected a whole number from 1, found 0"):
         BatchEnv(PROBLEMS, threads=0)
 
 
@@ -204,6 +206,37 @@ def test_states_are_those_of_the_faces() -> None:
 def test_a_copy_by_pickle_plays_alike() -> None:
     env = BatchEnv(PROBLEMS, max_steps=7, threads=2)
     assert same(walk(pickle.loads(pickle.dumps(env))), walk(env))
+
+
+def test_a_copy_in_mid_episode_goes_on() -> None:
+    env = BatchEnv(PROBLEMS, max_steps=7, threads=2)
+    env.set_order(
+        env.engine.static.order[:, ::-1] if env.present.all() else env.engine.static.order
+    )
+    env.reset()
+    for _ in range(3):
+        env.step(np.ones((env.num_problems, env.num_agents), np.int8))
+    twin = pickle.loads(pickle.dumps(env))
+    for move in (0, 2, 1, 3, 4) * 3:
+        actions = np.full((env.num_problems, env.num_agents), move)
+        results = [batch.step(actions) for batch in (env, twin)]
+        for a, b in zip(*(result[:4] for result in results), strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks on this system")
+def test_a_forked_process_has_threads_of_its_own() -> None:
+    env = BatchEnv(PROBLEMS, max_steps=7, threads=2)
+    env.reset()
+    stay = np.full((env.num_problems, env.num_agents), NOBODY, np.int8)
+    env.step(stay)
+    child = os.fork()
+    if child == 0:
+        signal.alarm(60)
+        env.step(stay)
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
+    env.step(stay)
 
 
 def test_a_step_needs_an_episode() -> None:

@@ -15,7 +15,7 @@ from marouting.problem.grid import MOVES
 from marouting.source import Source
 
 
-class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
+class GlobalRoutingAEC(GameMethods, AECEnv):
     """Global routing in which every net is an agent, one move at a time.
 
     An agent's observation and mask are those of the moment when it is selected. Its reward is what
@@ -28,10 +28,14 @@ class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
     """
 
     metadata = METADATA
+    _episode = (
+        "agents", "rewards", "_cumulative_rewards", "terminations", "truncations", "infos",
+        "agent_selection", "_skip_agent_selection", "_number", "_mover",
+    )  # fmt: skip
 
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
-        super().__init__()
+        AECEnv.__init__(self)
         self._game = BaseGame(problem, ORDERS["multi"], options)
         self.render_mode = self._game.render_mode
         self.state_space = self._game.state_space
@@ -72,7 +76,6 @@ class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
             for agent, mask in zip(self.agents, self._game.masks(), strict=True)
         }
         self._skip_agent_selection: str | None = None
-        self._paid = self._game.player.paid
         self._mover = self.agents[0]
         self.agent_selection = self._game.names[engine.games[0]["agent"]]
 
@@ -127,12 +130,13 @@ class GlobalRoutingAEC(GameMethods, AECEnv, EzPickle):
             reward: its reward; only used if the reward pays just the agent that moves.
         """
         self._cumulative_rewards[mover] = 0.0
-        if self._paid is None:
+        paid = self._game.player.paid
+        if paid is None:
             if self._mover in self.rewards:
                 self.rewards[self._mover] = 0.0
             self.rewards[mover] = self._cumulative_rewards[mover] = reward
             self._mover = mover
             return
         for agent in self.agents:
-            self.rewards[agent] = self._paid[0, self._number[agent]].item()
+            self.rewards[agent] = paid[0, self._number[agent]].item()
         self._accumulate_rewards()

@@ -4,13 +4,13 @@ import copy
 import operator
 from collections.abc import Mapping
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import Space
 from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box, Dict, MultiBinary
-from gymnasium.utils import seeding
+from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 
 from marouting.game.engine import Engine
@@ -114,6 +114,25 @@ class BaseGame:
         """Raises ResetNeeded before the first episode."""
         if not self.begun:
             raise ResetNeeded("step: expected a call of reset() before it")
+
+    def save(self) -> dict[str, Any]:
+        """A copy of the state of the game, for :meth:`restore`."""
+        return {
+            "problem": self.problem if self._drawn is not None else None,
+            "rng": copy.deepcopy(self._rng),
+            "order": self.engine.static.order.copy(),
+            "begun": self.begun,
+            "player": self.player.save(),
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Goes back to a saved state; raises ValueError if it is that of another game."""
+        if saved["problem"] is not None and saved["problem"] != self.problem:
+            self._play(saved["problem"])
+        self.player.restore(saved["player"])
+        self.engine.static.order[...] = saved["order"]
+        self._rng = copy.deepcopy(saved["rng"])
+        self.begun = saved["begun"]
 
     @property
     def problem(self) -> Problem:
@@ -222,10 +241,44 @@ def checked_move(action: Any, name: str = "action") -> int:
     return move
 
 
-class GameMethods:
-    """The methods of every environment beyond those of PettingZoo or Gymnasium."""
+class GameMethods(EzPickle):
+    """The methods of every environment beyond those of PettingZoo or Gymnasium.
+
+    A copy by :mod:`copy` or :mod:`pickle` goes on where the environment stands. Pieces of your own
+    that keep a state are only copied with it if they were given as objects.
+    """
 
     _game: BaseGame
+    _episode: ClassVar[tuple[str, ...]]
+    """The attributes that change during an episode, beside the game."""
+
+    def save(self) -> dict[str, Any]:
+        """A copy of the state of the environment, for :meth:`restore`."""
+        rest = {name: vars(self)[name] for name in self._episode if name in vars(self)}
+        return {"game": self._game.save(), **copy.deepcopy(rest)}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Puts the environment back into a saved state.
+
+        Args:
+            saved: returned by :meth:`save` of this environment, or of one with the same problem and
+                options.
+
+        Raises:
+            ValueError: it is the state of another game.
+        """
+        rest = dict(saved)
+        self._game.restore(rest.pop("game"))
+        vars(self).update(copy.deepcopy(rest))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What made the environment, and where it stands."""
+        return {**super().__getstate__(), "saved": self.save()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Makes the environment anew and puts it where the copied one stands."""
+        super().__setstate__(state)
+        self.restore(state["saved"])
 
     @property
     def engine(self) -> Engine:

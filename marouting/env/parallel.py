@@ -19,7 +19,7 @@ from marouting.problem.grid import MOVES
 from marouting.source import Source
 
 
-class GlobalRoutingParallel(GameMethods, ParallelEnv, EzPickle):
+class GlobalRoutingParallel(GameMethods, ParallelEnv):
     """Global routing in which every net is an agent and all agents move in every step.
 
     With ``turn_order="sequential"`` every agent gives an action, but only the agent whose turn it
@@ -31,6 +31,7 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv, EzPickle):
     """
 
     metadata = METADATA
+    _episode = ("agents", "_numbers")
 
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)

@@ -14,7 +14,7 @@ from marouting.problem.grid import MOVES
 from marouting.source import Source
 
 
-class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any], EzPickle):
+class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
     """Global routing as a game for one player: every step moves the net whose turn it is.
 
     The observation is that of the net to move. The episode is terminated when all tasks of all nets
@@ -29,6 +29,7 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any], EzPickle):
     """
 
     metadata = METADATA
+    _episode = ("_net", "_np_random", "_np_random_seed")
 
     def __init__(
         self, problem: Source = None, render_mode: str | None = None, **options: Any

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from marouting.game.options import RuleOptions
 from marouting.game.rules import (
+    is_agent,
     move_everyone,
     move_player,
     reset_problem,
@@ -68,9 +69,25 @@ def _settle_all(static: Static, dynamic: Dynamic) -> None:
 
 
 @compiled
-def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: Any) -> None:
+def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: Any) -> bool:
+    """Fills ``out`` (K, 6) with masks; returns whether there are such agents."""
     for i in range(len(problems)):
-        write_mask(static, dynamic, place(problems[i]), wide(agents[i]), out, i)
+        m, n = wide(problems[i]), wide(agents[i])
+        if not is_agent(dynamic, m, n):
+            return False
+        write_mask(static, dynamic, place(m), n, out, i)
+    return True
+
+
+def check_rows(
+    problems: NDArray[np.integer], agents: NDArray[np.integer], out: NDArray[Any], width: int
+) -> None:
+    """Raises ValueError unless two arrays hold integers, and a third has a row for each of them."""
+    whole = problems.dtype.kind in "iu" and agents.dtype.kind in "iu"
+    if not whole or len(problems) != len(agents) or out.shape != (len(agents), width):
+        raise ValueError(
+            f"expected integers for {len(out)} rows of {width}, found {problems}, {agents}"
+        )
 
 
 @compiled
@@ -181,8 +198,7 @@ class Engine:
         Raises:
             ValueError: ``which`` is not one boolean per problem.
         """
-        if which is None:
-            which = np.ones(len(self.problems), np.bool_)
+        which = np.asarray(np.ones(len(self.problems), np.bool_) if which is None else which)
         if which.shape != self.games.shape or which.dtype != np.bool_:
             raise ValueError(f"which: expected {len(self.problems)} booleans, found {which}")
         _reset(self.static, self.dynamic, which)
@@ -219,6 +235,7 @@ class Engine:
         Raises:
             ValueError: a move is not in −1…5, or the shape is wrong.
         """
+        moves = np.asarray(moves)
         self.check(moves)
         (_move_turn if moves.ndim == 1 else _move_all)(self.static, self.dynamic, moves)
 
@@ -233,7 +250,7 @@ class Engine:
     def step(self, moves: NDArray[np.integer]) -> None:
         """Both halves of a step; arguments and errors are those of :meth:`move`."""
         self.move(moves)
-        self.settle(everyone=moves.ndim == 2)
+        self.settle(everyone=np.ndim(moves) == 2)
 
     def save(self) -> Dynamic:
         """A copy of the state of all games, for :meth:`restore`."""
@@ -276,8 +293,12 @@ class Engine:
         Raises:
             ValueError: the shape is wrong, or a row does not hold each of its agents once.
         """
-        if np.shape(order) != self.nets.shape:
-            raise ValueError(f"order: expected shape {self.nets.shape}, found {np.shape(order)}")
+        order = np.asarray(order)
+        if order.shape != self.nets.shape or order.dtype.kind not in "iu":
+            raise ValueError(
+                f"order: expected integers of shape {self.nets.shape}, "
+                f"found {order.dtype} of shape {order.shape}"
+            )
         for m, row in enumerate(order):
             count = int((self.nets[m] != NOBODY).sum())
             if (
@@ -328,10 +349,15 @@ class Engine:
         """(K, 6) int8 action masks of K agents: 1 where a move would cross an edge.
 
         A mask is never all zero: if all moves of an agent are blocked, it gets all ones.
+
+        Raises:
+            ValueError: there are no such agents.
         """
         if out is None:
             out = np.empty((len(problems), MOVES), np.int8)
-        _masks(self.static, self.dynamic, problems, agents, out)
+        check_rows(problems, agents, out, MOVES)
+        if not _masks(self.static, self.dynamic, problems, agents, out):
+            raise ValueError(f"expected agents of the games, found {problems}, {agents}")
         return out
 
     def metrics(self, m: int = 0) -> Metrics:

@@ -39,7 +39,8 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.game.engine import Engine
+from marouting.game.engine import Engine, check_rows
+from marouting.game.rules import is_agent
 from marouting.game.state import NOBODY, Dynamic, Static, Status
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS, Grid
@@ -123,8 +124,14 @@ class PaperObservation:
         agents: NDArray[np.integer],
         out: NDArray[np.float32],
     ) -> None:
-        """Fills ``out`` (K, 12); see :class:`Observation`."""
-        _paper(engine.static, engine.dynamic, self.via_capacity, problems, agents, out)
+        """Fills ``out`` (K, 12); see :class:`Observation`.
+
+        Raises:
+            ValueError: there are no such agents.
+        """
+        check_rows(problems, agents, out, AXES + AXES + MOVES)
+        if not _paper(engine.static, engine.dynamic, self.via_capacity, problems, agents, out):
+            raise ValueError(f"expected agents of the games, found {problems}, {agents}")
 
 
 @inlined
@@ -170,9 +177,14 @@ def write_paper(
 @compiled
 def _paper(
     static: Static, dynamic: Dynamic, via_capacity: float, problems: Any, agents: Any, out: Any
-) -> None:
+) -> bool:
+    """Fills ``out`` (K, 12); returns whether there are such agents."""
     for i in range(len(problems)):
-        write_paper(static, dynamic, via_capacity, place(problems[i]), wide(agents[i]), out, i)
+        m, n = wide(problems[i]), wide(agents[i])
+        if not is_agent(dynamic, m, n):
+            return False
+        write_paper(static, dynamic, via_capacity, place(m), n, out, i)
+    return True
 
 
 CHANNELS = AXES + 2

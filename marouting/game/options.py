@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 from pydantic import ConfigDict
 
 from marouting.config import check
+from marouting.problem.net import is_whole
 from marouting.problem.problem import check_choice
 from marouting.trees.decomposition import Decomposition
 
@@ -55,7 +56,7 @@ class RuleOptions:
         check_choice("overflow", self.overflow, Overflow)
         check_choice("decomposition", self.decomposition, Decomposition)
         steps = self.max_steps
-        in_range = steps is None or 1 <= steps <= MOST_STEPS
+        in_range = steps is None or (is_whole(steps) and 1 <= steps <= MOST_STEPS)
         check("max_steps", in_range, f"1 to {MOST_STEPS}, found {steps}")
 
     def steps_per_task(self, grid: tuple[int, int, int]) -> int:

@@ -254,6 +254,12 @@ def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
 
 
 @inlined
+def is_agent(dynamic: Dynamic, m: int, n: int) -> bool:
+    """Whether there is a problem m with an agent n, or n is NOBODY."""
+    return 0 <= m < dynamic.agents.shape[0] and NOBODY <= n < dynamic.agents.shape[1]
+
+
+@inlined
 def write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
     """Fills a row of ``out`` (K, 6) with an agent's action mask; all ones for NOBODY."""
     free = wide(0)

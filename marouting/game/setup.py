@@ -39,6 +39,9 @@ def static_state(
     """
     if not problems:
         raise InputError("problems: expected at least one")
+    for problem in problems:
+        if not isinstance(problem, Problem):
+            raise InputError(f"problems: expected objects of class Problem, found {problem!r}")
     if any(problem.grid != problems[0].grid for problem in problems):
         shapes = sorted({problem.grid for problem in problems})
         raise InputError(f"problems: expected one grid shape, found {shapes}")

@@ -4,9 +4,10 @@ Everything is in the units of the ISPD 2008 ``.gr`` format: chip coordinates, la
 and capacities in tracks.
 """
 
+import operator
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from marouting.errors import InputError
 
@@ -82,6 +83,8 @@ def check_net(net: Net, row: int = 0) -> None:
     Raises:
         FieldError: the name, the id or the minimum width cannot be used, or there is no pin.
     """
+    if not isinstance(net, Net) or not isinstance(net.name, str):
+        raise FieldError(f"nets: expected nets with names, found {net!r}", "nets", row)
     # Control characters would break the lines of files and of messages; a lone surrogate cannot
     # be written at all.
     if not net.name or " " in net.name or not net.name.isprintable():
@@ -96,9 +99,31 @@ def check_net(net: Net, row: int = 0) -> None:
 
 
 def check_numbers(name: str, values: Iterable[int], field: str = "", row: int = 0) -> None:
-    """Raises FieldError, with this field and row, unless all values are in 0…MAX_NUMBER."""
+    """Raises FieldError, with this field and row, unless all are whole numbers in 0…MAX_NUMBER."""
     for value in values:
-        if not 0 <= value <= MAX_NUMBER:
+        if not (is_whole(value) and 0 <= value <= MAX_NUMBER):
             raise FieldError(
-                f"{name}: expected a number from 0 to {MAX_NUMBER}, found {value}", field, row
+                f"{name}: expected a number from 0 to {MAX_NUMBER}, found {value!r}", field, row
             )
+
+
+def is_whole(value: object) -> bool:
+    """Whether a value is an integer, of any type; 1.0 is none."""
+    return isinstance(value, int) or hasattr(value, "__index__")
+
+
+def whole_numbers(name: str, values: Any, count: int | None = None) -> tuple[int, ...]:
+    """Integers of any type as a tuple of Python's; raises FieldError for anything else.
+
+    Args:
+        name: the field that they are for.
+        values: the integers.
+        count: how many there have to be.
+    """
+    try:
+        numbers = tuple(int(operator.index(value)) for value in values)
+    except TypeError:
+        raise FieldError(f"{name}: expected whole numbers, found {values!r}", name) from None
+    if count not in (None, len(numbers)):
+        raise FieldError(f"{name}: expected {count} numbers, found {values!r}", name)
+    return numbers

@@ -9,7 +9,8 @@ import dataclasses
 import functools
 import itertools
 import os
-from collections.abc import Iterable
+from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, get_args
 
@@ -27,6 +28,7 @@ from marouting.problem.net import (
     Net,
     check_net,
     check_numbers,
+    whole_numbers,
 )
 
 UNLIMITED = int(np.iinfo(np.int32).max)
@@ -69,24 +71,25 @@ class Problem:
     adjustments: tuple[Adjustment, ...] = ()
 
     def __post_init__(self) -> None:
+        layered = (
+            "vertical_capacity", "horizontal_capacity", "min_width", "min_spacing", "via_spacing",
+        )  # fmt: skip
+        for name, count in (("grid", 3), ("origin", 2), ("tile", 2), *((n, None) for n in layered)):
+            object.__setattr__(self, name, whole_numbers(name, getattr(self, name), count))
+        for name in ("nets", "adjustments"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         check_grid(self.grid)
-        if len(self.origin) != 2 or not all(abs(value) <= MAX_NUMBER for value in self.origin):
+        if not all(abs(value) <= MAX_NUMBER for value in self.origin):
             raise FieldError(
                 f"origin {self.origin}: expected two numbers from -{MAX_NUMBER} to {MAX_NUMBER}",
                 "origin",
             )
         check_tile(self.tile)
-        for name in (
-            "vertical_capacity",
-            "horizontal_capacity",
-            "min_width",
-            "min_spacing",
-            "via_spacing",
-        ):
+        for name in layered:
             values = getattr(self, name)
             if len(values) != self.grid[2]:
                 raise FieldError(
-                    f"{name}: expected {self.grid[2]} values, one a layer, found {len(values)}",
+                    f"{name}: expected {self.grid[2]} values, one per layer, found {len(values)}",
                     name,
                 )
             check_numbers(name, values, name)
@@ -132,7 +135,7 @@ class Problem:
     @functools.cached_property
     def _pins(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """(pins,) twice: net and Gcell of every pin; raises FieldError for a pin off the grid."""
-        table = _table("pins", (pin for net in self.nets for pin in net.pins), 3)
+        table = _table("pins", [pin for net in self.nets for pin in net.pins], 3)
         gcell = self.gcells(table)
         net = np.repeat(np.arange(len(self.nets)), [len(net.pins) for net in self.nets])
         if (off := gcell == OFF_GRID).any():
@@ -346,10 +349,15 @@ def check_choice(name: str, value: object, choices: Any) -> None:
         raise InputError(f"{name}: expected one of {', '.join(get_args(choices))}, found {value!r}")
 
 
-def _table(field: str, rows: Iterable[tuple[int, ...]], columns: int) -> NDArray[np.int64]:
-    """The rows as one array (rows, columns); raises FieldError for numbers beyond 64 bits."""
+def _table(field: str, rows: Sequence[tuple[int, ...]], columns: int) -> NDArray[np.int64]:
+    """The rows as one array (rows, columns); raises FieldError for all but such integers."""
     try:
-        flat = np.fromiter(itertools.chain.from_iterable(rows), np.int64)
+        if not set(map(len, rows)) <= {columns}:
+            raise FieldError(f"{field}: expected {columns} numbers each", field)
+        # Unlike NumPy's, this array takes nothing but integers.
+        flat = array("q", itertools.chain.from_iterable(rows))
     except OverflowError:
         raise FieldError(f"{field}: expected numbers of at most 64 bits", field) from None
-    return flat.reshape(-1, columns)
+    except TypeError:
+        raise FieldError(f"{field}: expected whole numbers", field) from None
+    return np.frombuffer(flat, np.int64).reshape(-1, columns)

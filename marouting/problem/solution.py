@@ -3,6 +3,7 @@
 import functools
 import itertools
 import os
+import textwrap
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,7 +46,7 @@ class Solution:
         nets = len(problem.nets)
         if len(edges) != nets:
             raise InputError(f"solution: expected the edges of {nets} nets, found {len(edges)}")
-        given = [np.asarray(own, np.int64).reshape(-1) for own in edges]
+        given = [_edges_of(problem, net, own) for net, own in enumerate(edges)]
         net = np.repeat(np.arange(nets), [len(own) for own in given])
         edge = np.concatenate(given)
         # Computed for the given edges only: the grid's tables would take memory for every edge.
@@ -163,6 +164,17 @@ class Solution:
         """
         net, points = longest_segments(self.problem, *self.uses)
         ispd.write_solution(path, [(net.name, net.id) for net in self.problem.nets], net, points)
+
+
+def _edges_of(problem: Problem, net: int, edges: object) -> NDArray[np.int64]:
+    """The edges given for a net; raises InputError unless they are integers."""
+    given = np.asarray(edges)
+    if given.size and given.dtype.kind not in "iu":  # an empty list is an array of floats
+        raise InputError(
+            f"solution, net {problem.nets[net].name}: "
+            f"expected whole numbers of edges, found {textwrap.shorten(str(edges), 80)}"
+        )
+    return given.astype(np.int64).reshape(-1)
 
 
 @dataclass(frozen=True)

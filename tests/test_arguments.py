@@ -1,0 +1,132 @@
+"""Arguments from Python: what is no whole number is refused, and nothing is read out of bounds."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from marouting import (
+    Engine,
+    InputError,
+    Net,
+    PaperObservation,
+    Pin,
+    Solution,
+    generate,
+    global_routing_v0,
+)
+from marouting.generator import GeneratorOptions
+from marouting.problem.net import Adjustment
+from marouting.vector import BatchEnv
+
+PROBLEM = generate(1, grid=(4, 4, 2), nets=3, reduced_edges=0)[0]
+PINS = Pin(0, 0, 1), Pin(3, 3, 1)
+
+
+def net(*pins: Any, **fields: Any) -> tuple[Net]:
+    return (Net(**{"name": "a", "id": 1, "pins": pins or PINS, **fields}),)
+
+
+@pytest.mark.parametrize("nothing", [1.5, 1.0, float("nan"), float("inf"), "1", None, 1j, b"1"])
+@pytest.mark.parametrize(
+    ("field", "values"),
+    [
+        ("grid", lambda x: {"grid": (4, x, 2)}),
+        ("origin", lambda x: {"origin": (x, 0)}),
+        ("tile", lambda x: {"tile": (1, x)}),
+        ("vertical_capacity", lambda x: {"vertical_capacity": (x, 1)}),
+        ("min_width", lambda x: {"min_width": (1, x)}),
+        ("pins", lambda x: {"nets": net((x, 0, 1), (3, 3, 1))}),
+        ("pins", lambda x: {"nets": net((0, 0, x), (3, 3, 1))}),
+        ("net a", lambda x: {"nets": net(id=x)}),
+        ("net a", lambda x: {"nets": net(min_width=x)}),
+        ("adjustments", lambda x: {"adjustments": (Adjustment(0, 0, 1, 1, 0, 1, x),)}),
+        ("adjustments", lambda x: {"adjustments": (Adjustment(x, 0, 1, 1, 0, 1, 1),)}),
+    ],
+)
+def test_numbers_of_a_problem_are_whole(field: str, values: Any, nothing: Any) -> None:
+    with pytest.raises(InputError, match=f"^{field}: "):
+        replace(PROBLEM, **values(nothing))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"nets": net((0, 0), (3, 3, 1))}, "pins: expected 3 numbers each"),
+        ({"nets": net((0, 0), (3, 3, 1, 1))}, "pins: expected 3 numbers each"),
+        ({"nets": (None,)}, "nets: expected nets with names, found None"),
+        ({"nets": net(name=5)}, "nets: expected nets with names"),
+        ({"grid": (4, 4)}, "grid: expected 3 numbers"),
+        ({"vertical_capacity": None}, "vertical_capacity: expected whole numbers, found None"),
+    ],
+)
+def test_fields_of_a_problem_have_their_form(changes: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        replace(PROBLEM, **changes)
+
+
+def test_integers_of_any_type_are_integers() -> None:
+    given = {
+        "grid": [np.int64(4), np.uint8(4), 2],
+        "vertical_capacity": np.array([0, 5]),
+        "nets": list(PROBLEM.nets),
+    }
+    same = replace(PROBLEM, **given)
+    assert same == replace(PROBLEM, vertical_capacity=(0, 5))
+    assert hash(same.grid) == hash(PROBLEM.grid)
+    assert {type(number) for number in same.vertical_capacity} == {int}
+
+
+@pytest.mark.parametrize("edges", [[0.7], [1.0], ["0"], [True], [None], [2**70], [np.nan]])
+def test_edges_of_a_solution_are_whole(edges: Any) -> None:
+    with pytest.raises(InputError, match="solution, net A2: expected whole numbers of edges"):
+        Solution(PROBLEM, [[], edges, []])
+
+
+AGENTS: list[tuple[Any, Any]] = [
+    ([0], [-2]),
+    ([0], [3]),
+    ([0], [2**40]),
+    ([1], [0]),
+    ([-1], [0]),
+    ([0, 0], [0]),
+    ([0], [0, 1]),
+    ([0.0], [0]),
+    ([0], [0.5]),
+]
+
+
+@pytest.mark.parametrize(("problems", "agents"), AGENTS)
+def test_masks_and_observations_are_those_of_agents(problems: Any, agents: Any) -> None:
+    engine = Engine([PROBLEM])
+    pair = np.array(problems), np.array(agents)
+    with pytest.raises(ValueError, match="expected"):
+        engine.masks(*pair)
+    with pytest.raises(ValueError, match="expected"):
+        engine.masks(np.array([0]), np.array([0]), np.zeros((2, 6), np.int8))
+    with pytest.raises(ValueError, match="expected"):
+        PaperObservation().write(engine, *pair, np.zeros((1, 12), np.float32))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: global_routing_v0.env(reward=None), "reward: expected a name, .* found None"),
+        (lambda: global_routing_v0.env(observation=None), "observation: expected a name"),
+        (lambda: global_routing_v0.env(observation=object()), "an object that has space and write"),
+        (lambda: global_routing_v0.env(reward=object()), "an object that has __call__"),
+        (lambda: Engine([PROBLEM], max_steps=2.5), "max_steps: expected 1 to 1000000, found 2.5"),
+        (lambda: Engine(["a.gr"]), "problems: expected objects of class Problem, found 'a.gr'"),
+        (lambda: BatchEnv([PROBLEM], threads=1.5), "threads: expected a whole number from 1"),
+        (lambda: GeneratorOptions(grid=(4.0, 4.0, 2.0)), "grid: expected whole numbers"),
+        (lambda: generate(1.5), "count: expected a number"),
+        (lambda: generate(1, nets=2.5), "nets: expected a number"),
+        (lambda: generate(1, seed=1.5), "seed: expected a whole number from 0, found 1.5"),
+        (lambda: Engine([PROBLEM]).set_order(np.zeros((1, 3))), "order: expected integers"),
+    ],
+)
+def test_other_arguments(call: Callable[[], Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()
