@@ -19,11 +19,13 @@ an edge without enough remaining capacity, or off the grid, is blocked: the agen
 step counts. An edge that the net already uses is free to cross again. A task fails after
 `max_steps` steps. An agent is terminated when all its tasks are joined, and truncated when its last
 task has ended and some failed; its last info holds the `metrics`. :mod:`marouting.game.rules` has
-all rules.
+all rules. With `agents_persist` agents that are done stay among the agents, with rewards of 0 and a
+mask whose only move does nothing, and all agents end together.
 
 The options of `env`, `raw_env` and `parallel_env` are the fields of
 :class:`marouting.options.GameOptions`. The problem may be a `Problem`, a `.gr` file, or a mapping
-of the generator's options (:class:`marouting.generator.GeneratorOptions`).
+of the generator's options (:class:`marouting.generator.GeneratorOptions`); or several of them, such
+as a folder: then every episode plays one, drawn at random.
 
 ## Version history
 

@@ -42,12 +42,16 @@ class GameOptions(RuleOptions):
 
     Attributes:
         problem: a ``.gr`` file, a folder of them, a list of both, or options of the generator
-            (:class:`marouting.generator.GeneratorOptions`). An environment plays one problem. A
-            generator with ``seed: null`` draws a new problem at every reset.
+            (:class:`marouting.generator.GeneratorOptions`). Of several problems an environment
+            draws one at every reset; with ``seed: null`` the generator makes a new one.
         observation: what agents see: the name of a registered observation, ``module:Class``, a
             mapping with the name under ``kind`` and its options beside it, or an object. See
             :mod:`marouting.game.observation`.
         reward: what moves pay, given in the same ways. See :mod:`marouting.game.reward`.
+        agents_persist: whether agents that are done stay among ``agents`` until all are done, with
+            rewards of 0 and a mask whose only move does nothing, and all end together. All nets
+            take part then, also those with nothing to route. For PettingZoo's interfaces, and
+            libraries that cannot do with agents that leave.
         mask_in_observation: whether observations are ``{"observation", "action_mask"}``; the mask
             is in ``info["action_mask"]`` either way.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
@@ -56,6 +60,7 @@ class GameOptions(RuleOptions):
     problem: ProblemSource = SMALL
     observation: Named = piece_field("observation", "paper")
     reward: Named = piece_field("reward", "paper")
+    agents_persist: bool = False
     mask_in_observation: bool = False
     render_mode: RenderMode | None = None
 

@@ -14,6 +14,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
+from marouting.config import check
 from marouting.errors import InputError
 from marouting.game.engine import Engine
 from marouting.game.observation import state, state_space
@@ -79,6 +80,7 @@ class BatchEnv(EzPickle):
             raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
         order = ORDERS["multi" if everyone else "single"]
         checked = game_options({"turn_order": order, **options})
+        check("agents_persist", not checked.agents_persist, "false: all rows stay; see active")
         self.engine = engine = Engine(problems, checked)
         self.autoreset, self._everyone = autoreset, everyone
         observation, reward = checked.observation.make(), checked.reward.make()

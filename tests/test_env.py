@@ -790,7 +790,7 @@ def test_make_from_a_file(tmp_path: Path) -> None:
         ({"mask_in_observation": "yes"}, "mask_in_observation: expected a valid boolean"),
         ({"render_mode": "svg"}, "render_mode: expected 'ansi', 'rgb_array' or 'human'"),
         ({"problem": {"nets": 0}}, "nets: expected at least 1, found 0"),
-        ({"problem": {"count": 2}}, "problem: expected one, found 2"),
+        ({"problem": {"count": 2, "seed": None}}, "problem.count: expected 1 without a seed"),
         ({"problem": "missing.gr"}, "missing.gr: cannot be read"),
         ({"problem": 5}, "problem: "),
     ],

@@ -2,14 +2,16 @@
 
 from typing import Any
 
+import numpy as np
 from gymnasium import Space
 from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
-from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
-from marouting.game.state import NOBODY
+from marouting.env.base import METADATA, NO_OP, BaseGame, GameMethods, checked_move
+from marouting.game.state import NOBODY, Status
 from marouting.options import ORDERS
 from marouting.problem.grid import MOVES
 from marouting.source import Source
@@ -58,7 +60,7 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
         """Starts an episode.
 
         Args:
-            seed: decides which problem is drawn, if a new one is drawn for every episode.
+            seed: decides which problems this and later episodes play, if there are several.
             options: ignored; PettingZoo's interface has them.
         """
         del options
@@ -66,15 +68,18 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
         engine = self._game.engine
         self._number = dict.fromkeys(self.possible_agents, NOBODY)
         self._number |= {agent: n for n, agent in enumerate(self._game.names)}
-        self.agents = list(self._game.names)
+        everyone = self._game.persists
+        self.agents = list(self.possible_agents if everyone else self._game.names)
         self.rewards = dict.fromkeys(self.agents, 0.0)
         self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
         self.terminations = dict.fromkeys(self.agents, False)
         self.truncations = dict.fromkeys(self.agents, False)
+        masks = dict(zip(self._game.names, self._game.masks(), strict=True))
         self.infos = {
-            agent: self._game.info(mask, over=False)
-            for agent, mask in zip(self.agents, self._game.masks(), strict=True)
+            agent: self._info(masks.get(agent, NO_OP), active=agent in masks)
+            for agent in self.agents
         }
+        self._game.describe(self.infos)
         self._skip_agent_selection: str | None = None
         self._mover = self.agents[0]
         self.agent_selection = self._game.names[engine.games[0]["agent"]]
@@ -100,7 +105,8 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
         if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)
             agent = self.agent_selection
-            if agent in self.infos:  # others may have taken capacity since this info was made
+            if not game.persists and agent in self.infos:
+                # Others may have taken capacity since this info was made.
                 self.infos[agent] = game.info(game.mask(self._number[agent]), over=False)
             return
         player, number = game.player, self._number[agent]
@@ -110,9 +116,14 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
         self._pay(agent, buffers.reward.item())
         terminated, truncated = buffers.terminated.item(), buffers.truncated.item()
         following = buffers.agents.item()
-        if not (terminated or truncated):
+        done = terminated or truncated
+        if done and game.persists:
+            self.infos[agent] = self._info(NO_OP, active=False)
+        if following == NOBODY and game.persists:
+            self._end_together()
+        elif not done or game.persists:
             agent = self.agent_selection = game.names[following]
-            self.infos[agent] = {"action_mask": buffers.mask[0, 0].copy()}
+            self.infos[agent] = self._info(buffers.mask[0, 0], active=True)
         else:
             self.terminations[agent] = terminated
             self.truncations[agent] = truncated
@@ -121,6 +132,20 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
             self._skip_agent_selection = None if following == NOBODY else game.names[following]
         if self.render_mode == "human":
             self.render()
+
+    def _info(self, mask: NDArray[np.int8], *, active: bool) -> dict[str, Any]:
+        """An agent's info during its episode."""
+        return {"action_mask": mask.copy(), **({"active": active} if self._game.persists else {})}
+
+    def _end_together(self) -> None:
+        """Ends the episodes of all agents: those that failed a task are truncated."""
+        status = self._game.engine.agents[0]["status"]
+        for agent in self.agents:
+            number = self._number[agent]
+            failed = number != NOBODY and bool(status[number] == Status.TRUNCATED)
+            self.truncations[agent], self.terminations[agent] = failed, not failed
+            self.infos[agent] |= {"metrics": self._game.metrics()}
+        self.agent_selection = self.agents[0]
 
     def _pay(self, mover: str, reward: float) -> None:
         """Sets the rewards of a move, and adds them to what each agent got since its last move.
@@ -138,5 +163,6 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
             self._mover = mover
             return
         for agent in self.agents:
-            self.rewards[agent] = paid[0, self._number[agent]].item()
+            number = self._number[agent]
+            self.rewards[agent] = 0.0 if number == NOBODY else paid[0, number].item()
         self._accumulate_rewards()

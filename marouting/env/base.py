@@ -17,16 +17,14 @@ from marouting.game.engine import Engine
 from marouting.game.observation import nets_on_edges, state, state_space
 from marouting.game.options import TurnOrder
 from marouting.game.state import NOBODY, Status
-from marouting.generator import GeneratorOptions
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.options import game_options
 from marouting.player import Player
 from marouting.problem.grid import MOVES, Grid
-from marouting.problem.net import MAX_NUMBER
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Scene, Window, ansi, rgb_array
-from marouting.source import Source, checked_source, load_problem
+from marouting.source import Episodes, Source
 
 METADATA: dict[str, Any] = {
     "name": "global_routing_v0",
@@ -36,11 +34,15 @@ METADATA: dict[str, Any] = {
 }
 
 
+NO_OP = np.array([1, 0, 0, 0, 0, 0], np.int8)
+"""(6,) the mask of an agent that is done and stays: the one move it may make does nothing."""
+
+
 class BaseGame:
     """A game of one problem with its observation, reward, masks, state and pictures.
 
     Args:
-        problem: what to play.
+        problem: what to play, see :class:`marouting.source.Episodes`.
         turn_order: the turn order if the options give none.
         options: the fields of :class:`marouting.options.GameOptions`; ``observation`` and
             ``reward`` may also be any object of their protocol.
@@ -49,9 +51,11 @@ class BaseGame:
     Attributes:
         engine: the game.
         player: the player of the game.
+        name: the name of the problem that is played.
         names: the names of the engine's agents.
-        everyone: the names of all nets.
+        everyone: the names of all nets, of the problem with most of them.
         begun: whether an episode has begun.
+        persists: whether agents that are done stay until all are done.
 
     Raises:
         InputError: an option or the problem cannot be used.
@@ -74,39 +78,37 @@ class BaseGame:
         self._together = everyone
         self.render_mode = checked.render_mode
         self.masked = checked.mask_in_observation
+        self.persists = checked.agents_persist
         self.begun = False
         self._window = Window()
         self._rng, _ = seeding.np_random(0)
 
-        source = checked_source(problem)
-        self._drawn: GeneratorOptions | None = None
-        if isinstance(source, GeneratorOptions) and source.seed is None:
-            self._drawn = source
-            source = replace(source, seed=0)
-        loaded = load_problem(source)
-        grid = Grid.of(loaded.grid)
+        self._episodes = Episodes(problem)
+        problems = list(self._episodes.problems.values())
+        grid = Grid.of(problems[0].grid)
         check_memory(
             grid.gcells * (TABLES + PLAYED + STATE), "an environment on a grid of {}", grid
         )
-        self._play(loaded)
-        problems, overflow = self.engine.problems, self.engine.static.overflow_allowed
+        self.everyone = [f"net_{net}" for net in range(max(len(p.nets) for p in problems))]
+        self._play(*next(iter(self._episodes.problems.items())))
+        overflow = self.engine.static.overflow_allowed
         self._box = self._observation.space(problems, overflow)
         self.state_space: Box = state_space(problems, overflow)
 
-    def _play(self, problem: Problem) -> None:
+    def _play(self, name: str, problem: Problem) -> None:
         """Sets up the game of a problem."""
+        self.name = name
         self.engine = Engine([problem], self._rules)
         self.player = Player(self.engine, self._observation, self._reward, everyone=self._together)
         self.names = [f"net_{net}" for net in self.engine.nets[0]]
-        self.everyone = [f"net_{net}" for net in range(len(problem.nets))]
 
     def restart(self, seed: int | None) -> None:
-        """Starts a new episode, with a new problem if one is drawn for every episode."""
+        """Starts a new episode, of another problem if there are several."""
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
-        if self._drawn is not None:
-            number = int(self._rng.integers(MAX_NUMBER))
-            self._play(load_problem(replace(self._drawn, seed=number)))
+        name, problem = self._episodes.next(self._rng)
+        if problem is not self.problem:
+            self._play(name, problem)
         self.player.reset()
         self.begun = True
 
@@ -118,7 +120,7 @@ class BaseGame:
     def save(self) -> dict[str, Any]:
         """A copy of the state of the game, for :meth:`restore`."""
         return {
-            "problem": self.problem if self._drawn is not None else None,
+            "problem": (self.name, self.problem) if self._episodes.many else None,
             "rng": copy.deepcopy(self._rng),
             "order": self.engine.static.order.copy(),
             "begun": self.begun,
@@ -127,8 +129,8 @@ class BaseGame:
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Goes back to a saved state; raises ValueError if it is that of another game."""
-        if saved["problem"] is not None and saved["problem"] != self.problem:
-            self._play(saved["problem"])
+        if saved["problem"] is not None and saved["problem"][1] != self.problem:
+            self._play(*saved["problem"])
         self.player.restore(saved["player"])
         self.engine.static.order[...] = saved["order"]
         self._rng = copy.deepcopy(saved["rng"])
@@ -138,6 +140,12 @@ class BaseGame:
     def problem(self) -> Problem:
         """The problem that is played."""
         return self.engine.problems[0]
+
+    def describe(self, infos: Mapping[str, dict[str, Any]]) -> None:
+        """Adds the name of the problem to the first infos of an episode, if there are several."""
+        if self._episodes.many:
+            for info in infos.values():
+                info["problem"] = self.name
 
     def new_observation_space(self) -> Space[Any]:
         """An observation space of its own for each agent, so that each can be seeded separately."""

@@ -13,7 +13,8 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
+from marouting.env.base import METADATA, NO_OP, BaseGame, GameMethods, checked_move
+from marouting.game.state import NOBODY
 from marouting.options import ORDERS
 from marouting.problem.grid import MOVES
 from marouting.source import Source
@@ -59,21 +60,32 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         """Starts an episode.
 
         Args:
-            seed: decides which problem is drawn, if a new one is drawn for every episode.
+            seed: decides which problems this and later episodes play, if there are several.
             options: ignored; PettingZoo's interface has them.
         """
         del options
         self._game.restart(seed)
-        self.agents = list(self._game.names)
-        self._numbers = np.arange(len(self.agents))  # of the agents in the game
-        return self._look()
+        names = self._game.names
+        self.agents = list(self.possible_agents if self._game.persists else names)
+        # The rows of the agents in the game; NOBODY for a net that has nothing to route.
+        row = {name: n for n, name in enumerate(names)}
+        self._numbers = np.array([row.get(agent, NOBODY) for agent in self.agents])
+        observations, infos = self._look()
+        self._game.describe(infos)
+        return observations, infos
 
     def _look(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """New observations and infos of the agents that are in the game."""
         buffers, numbers, agents = self._game.player.buffers, self._numbers, self.agents
         seen: Any = buffers.obs[0].take(numbers, axis=0)
         masks = buffers.mask[0].take(numbers, axis=0)
-        infos = [{"action_mask": mask} for mask in masks]
+        infos: list[dict[str, Any]] = [{"action_mask": mask} for mask in masks]
+        if self._game.persists:
+            active = buffers.active[0].take(numbers) & (numbers != NOBODY)
+            seen[numbers == NOBODY] = 0
+            masks[~active] = NO_OP
+            for info, moves in zip(infos, active.tolist(), strict=True):
+                info["active"] = moves
         if self._game.masked:
             seen = [self._game.seen(*both) for both in zip(seen, masks, strict=True)]
         return dict(zip(agents, seen, strict=True)), dict(zip(agents, infos, strict=True))
@@ -100,23 +112,30 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         self._game.check_begun()
         agents, numbers, player = self.agents, self._numbers, self._game.player
         buffers = player.buffers
-        buffers.actions[0, numbers] = _moves([actions[agent] for agent in agents], agents)
+        moves, there = _moves([actions[agent] for agent in agents], agents), numbers != NOBODY
+        buffers.actions[0, numbers[there]] = moves[there]
         player.step()
 
         observations, infos = self._look()
-        terminated, truncated, active = (
+        terminated, truncated, stays = (
             flags[0].take(numbers)
             for flags in (buffers.terminated, buffers.truncated, buffers.active)
         )
+        paid = buffers.reward[0].take(numbers)
+        if self._game.persists:  # all end together
+            stays[:] = buffers.active.any()
+            paid[~there] = 0
+            truncated &= ~stays & there
+            terminated = ~stays & ~truncated
         ended = dict(zip(agents, terminated.tolist(), strict=True))
         cut = dict(zip(agents, truncated.tolist(), strict=True))
-        rewards = dict(zip(agents, buffers.reward[0].take(numbers).tolist(), strict=True))
-        if not active.all():
+        rewards = dict(zip(agents, paid.tolist(), strict=True))
+        if not stays.all():
             metrics = self._game.metrics()
-            for k in np.flatnonzero(~active):
+            for k in np.flatnonzero(~stays):
                 infos[agents[k]]["metrics"] = dict(metrics)
-            self._numbers = numbers[active]
-            self.agents = [self._game.names[n] for n in self._numbers]
+            self._numbers = numbers[stays]
+            self.agents = [agents[k] for k in np.flatnonzero(stays)]
         if self.render_mode == "human":
             self.render()
         return observations, rewards, ended, cut, infos

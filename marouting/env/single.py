@@ -7,6 +7,7 @@ from gymnasium import logger
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 
+from marouting.config import check
 from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
 from marouting.game.state import NOBODY
 from marouting.options import ORDERS
@@ -36,6 +37,7 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
     ) -> None:
         EzPickle.__init__(self, problem, render_mode, **options)
         self._game = BaseGame(problem, ORDERS["single"], {**options, "render_mode": render_mode})
+        check("agents_persist", not self._game.persists, "false: there is only one player")
         self.render_mode = render_mode
         self.observation_space = self._game.new_observation_space()
         self.action_space = Discrete(MOVES)
@@ -46,7 +48,7 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
         """Starts an episode.
 
         Args:
-            seed: decides which problem is drawn, if a new one is drawn for every episode.
+            seed: decides which problems this and later episodes play, if there are several.
             options: ignored; Gymnasium's interface has them.
         """
         del options
@@ -54,7 +56,9 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
         self._game.restart(seed)
         if self.render_mode == "human":
             self.render()
-        return self._look()
+        seen, info = self._look()
+        self._game.describe({"player": info})
+        return seen, info
 
     def _look(self) -> tuple[Any, dict[str, Any]]:
         """Observation and info of the net to move."""

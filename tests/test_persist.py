@@ -1,0 +1,193 @@
+"""Environments whose agents stay to the end, and environments that play several problems."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pettingzoo.test import api_test, parallel_api_test
+
+from marouting import InputError, Net, Pin, Problem, generate, global_routing_v0, make
+from marouting.env.single import GlobalRoutingSingle
+from marouting.vector import BatchEnv
+
+
+def with_idle_net(problem: Problem) -> Problem:
+    """The problem and a net with nothing to route, in the middle."""
+    idle = Net("idle", 99, (Pin(0, 0, 1), Pin(1, 1, 1)))
+    return replace(problem, nets=(problem.nets[0], idle, *problem.nets[1:]))
+
+
+PROBLEM = with_idle_net(generate(1, grid=(4, 4, 2), nets=4, max_pins=3, seed=3)[0])
+NO_OP = [1, 0, 0, 0, 0, 0]
+
+
+def moves(rng: np.random.Generator, infos: dict[str, dict[str, Any]]) -> dict[str, int]:
+    return {a: int(rng.choice(np.flatnonzero(info["action_mask"]))) for a, info in infos.items()}
+
+
+@pytest.mark.parametrize("reward", ["paper", "test_env:TeamReward"])
+def test_agents_that_stay_play_the_same_game(reward: str) -> None:
+    options: dict[str, Any] = {"max_steps": 9, "reward": reward}
+    stays = global_routing_v0.parallel_env(PROBLEM, agents_persist=True, **options)
+    leaves = global_routing_v0.parallel_env(PROBLEM, **options)
+    rng = np.random.default_rng(1)
+    seen, infos = stays.reset(seed=1)
+    other_seen, other_infos = leaves.reset(seed=1)
+    assert list(seen) == stays.agents == stays.possible_agents == [f"net_{n}" for n in range(5)]
+    assert leaves.agents == ["net_0", "net_2", "net_3", "net_4"]
+    assert not seen["net_1"].any()
+    while stays.agents:
+        assert stays.agents == stays.possible_agents
+        playing = set(leaves.agents)
+        for agent in stays.agents:
+            assert infos[agent]["active"] == (agent in playing)
+            if agent in playing:
+                np.testing.assert_array_equal(seen[agent], other_seen[agent])
+                np.testing.assert_array_equal(
+                    infos[agent]["action_mask"], other_infos[agent]["action_mask"]
+                )
+            else:
+                assert infos[agent]["action_mask"].tolist() == NO_OP
+        actions = moves(rng, infos)
+        seen, rewards, ended, cut, infos = stays.step(actions)
+        other_seen, other_rewards, other_ended, other_cut, other_infos = leaves.step(
+            {agent: actions[agent] for agent in leaves.agents}
+        )
+        assert {a: r for a, r in rewards.items() if a in other_rewards} == other_rewards
+        assert not any(r for a, r in rewards.items() if a not in playing)
+        if stays.agents:
+            assert leaves.agents
+            assert not any((*ended.values(), *cut.values()))
+    assert not leaves.agents
+    assert all(ended[agent] != cut[agent] for agent in stays.possible_agents)
+    assert ended["net_1"]
+    for agent in playing:
+        assert (ended[agent], cut[agent]) == (other_ended[agent], other_cut[agent])
+    assert all(info["metrics"] == stays.metrics() for info in infos.values())
+    assert stays.metrics() == leaves.metrics()
+    assert stays.step({}) == ({}, {}, {}, {}, {})
+
+
+@pytest.mark.parametrize("reward", ["paper", "test_env:TeamReward"])
+def test_agents_that_stay_in_turns(reward: str) -> None:
+    env = global_routing_v0.env(PROBLEM, agents_persist=True, max_steps=9, reward=reward)
+    other = global_routing_v0.env(PROBLEM, max_steps=9, reward=reward)
+    env.reset()
+    other.reset()
+    rng = np.random.default_rng(1)
+    sums, other_sums = (dict.fromkeys(env.agents, 0.0) for _ in range(2))
+    ends = []
+    for agent in env.agent_iter():
+        _, reward_now, terminated, truncated, info = env.last()
+        sums[agent] += reward_now
+        if terminated or truncated:
+            ends.append(agent)
+            assert terminated != truncated
+            assert info["metrics"] == env.metrics()
+            env.step(None)
+            continue
+        assert info["active"]
+        assert not ends
+        assert env.agents == env.possible_agents
+        while other.terminations[other.agent_selection] or other.truncations[other.agent_selection]:
+            other_sums[other.agent_selection] += other.last()[1]
+            other.step(None)
+        assert other.agent_selection == agent
+        other_sums[agent] += other.last()[1]
+        move = int(rng.choice(np.flatnonzero(info["action_mask"])))
+        env.step(move)
+        other.step(move)
+    assert ends == env.possible_agents
+    while other.agents:
+        other_sums[other.agent_selection] += other.last()[1]
+        other.step(None)
+    assert env.metrics() == other.metrics()
+    if reward == "paper":
+        assert sums == other_sums
+    else:  # those who stay are not paid once they are done
+        assert all(sums[agent] == other_sums[agent] for agent in sums)
+
+
+def test_pettingzoo_accepts_agents_that_stay() -> None:
+    parallel_api_test(global_routing_v0.parallel_env(PROBLEM, agents_persist=True), 200)
+    api_test(global_routing_v0.env(PROBLEM, agents_persist=True), 200)
+
+
+def test_where_there_is_nobody_to_stay() -> None:
+    with pytest.raises(InputError, match="agents_persist: expected false"):
+        GlobalRoutingSingle(PROBLEM, agents_persist=True)
+    with pytest.raises(InputError, match="agents_persist: expected false"):
+        BatchEnv([PROBLEM], agents_persist=True)
+
+
+# Several problems ---------------------------------------------------------------------------------
+
+SET = [
+    *generate(3, grid=(4, 4, 2), nets=3, seed=1),
+    *generate(2, grid=(4, 4, 2), nets=6, capacity=9, max_pins=4, seed=2),
+]
+MAKERS: dict[str, Callable[..., Any]] = {
+    "env": global_routing_v0.env,
+    "parallel_env": global_routing_v0.parallel_env,
+    "single": GlobalRoutingSingle,
+}
+
+
+def problems_of(env: Any, episodes: int, seed: int | None) -> list[int]:
+    played = []
+    for episode in range(episodes):
+        env.reset(seed=seed if episode == 0 else None)
+        played.append(SET.index(env.unwrapped.engine.problems[0]))
+    return played
+
+
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+def test_every_episode_plays_a_problem_of_the_set(make: Callable[..., Any]) -> None:
+    env = make(SET)
+    played = problems_of(env, 60, 7)
+    assert set(played) == set(range(len(SET)))
+    assert problems_of(env, 60, 7) == problems_of(make(SET), 60, 7) == played
+    assert problems_of(env, 60, 8) != played
+
+
+def test_spaces_hold_for_all_problems_of_the_set() -> None:
+    env = global_routing_v0.parallel_env(SET)
+    assert env.possible_agents == [f"net_{n}" for n in range(6)]
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        seen, infos = env.reset()
+        assert {info["problem"] for info in infos.values()} == {env.unwrapped._game.name}
+        while env.agents:
+            for agent in env.agents:
+                assert env.observation_space(agent).contains(seen[agent])
+            assert env.state_space.contains(env.state())
+            seen, _, _, _, infos = env.step({a: int(rng.integers(6)) for a in env.agents})
+
+
+def test_a_set_in_all_its_forms(tmp_path: Path) -> None:
+    for number, problem in enumerate(SET[:3]):
+        problem.write(tmp_path / f"p{number}.gr")
+    names = set()
+    for source in (str(tmp_path), [str(tmp_path / f"p{i}.gr") for i in range(3)]):
+        env = make({"env": {"problem": source}})
+        names |= {env.reset()[1]["problem"] for _ in range(30)}
+    assert names == {"p0", "p1", "p2"}
+    env = make({"env": {"problem": {"nets": 3, "count": 4}}})
+    assert {env.reset()[1]["problem"] for _ in range(40)} == {f"problem_00{i}" for i in range(4)}
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ([SET[0], generate(1, grid=(5, 4, 2), nets=3)[0]], "problem: expected one grid shape"),
+        ([SET[0], "a.gr"], "problem: expected only objects of class Problem"),
+        ({"count": 2, "seed": None}, "problem.count: expected 1 without a seed, found 2"),
+        ({"count": 10**6}, "problem.count: expected at most 10000, found 1000000"),
+    ],
+)
+def test_sets_that_cannot_be_played(source: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        global_routing_v0.env(source)
