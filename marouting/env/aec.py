@@ -135,7 +135,10 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
 
     def _info(self, mask: NDArray[np.int8], *, active: bool) -> dict[str, Any]:
         """An agent's info during its episode."""
-        return {"action_mask": mask.copy(), **({"active": active} if self._game.persists else {})}
+        info: dict[str, Any] = {"action_mask": mask.copy()}
+        if self._game.persists:
+            info["active"] = active
+        return info
 
     def _end_together(self) -> None:
         """Ends the episodes of all agents: those that failed a task are truncated."""

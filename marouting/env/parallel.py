@@ -112,7 +112,8 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         self._game.check_begun()
         agents, numbers, player = self.agents, self._numbers, self._game.player
         buffers = player.buffers
-        moves, there = _moves([actions[agent] for agent in agents], agents), numbers != NOBODY
+        there: Any = numbers != NOBODY if self._game.persists else ...
+        moves = _moves([actions[agent] for agent in agents], agents)
         buffers.actions[0, numbers[there]] = moves[there]
         player.step()
 
