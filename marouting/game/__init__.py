@@ -4,3 +4,7 @@ from marouting.registry import register
 
 register("observation", "paper", "marouting.game.observation:PaperObservation")
 register("reward", "paper", "marouting.game.reward:PaperReward")
+register("reward", "team", "marouting.game.team_rewards:TeamReward")
+register("reward", "difference", "marouting.game.team_rewards:DifferenceReward")
+register("reward", "potential", "marouting.game.team_rewards:PotentialReward")
+register("reward", "mixed", "marouting.game.team_rewards:MixedReward")

@@ -1,6 +1,7 @@
 """What a move pays.
 
-You can write your own reward; see :func:`marouting.register`. It is called after every single move,
+The paper's reward is here; :mod:`marouting.game.team_rewards` has those for nets that share. You
+can also write your own; see :func:`marouting.register`. A reward is called after every single move,
 in all interfaces of the environment, in the batch and in trainings alike, and it may pay any agent
 of the problem. The metrics of routes (overflow, wirelength, tasks joined) do not depend on it.
 
