@@ -123,6 +123,37 @@ def test_where_there_is_nobody_to_stay() -> None:
         BatchEnv([PROBLEM], agents_persist=True)
 
 
+@pytest.mark.parametrize("persist", [False, True])
+def test_masks_by_name_are_those_in_the_infos(persist: bool) -> None:
+    env = global_routing_v0.parallel_env(PROBLEM, agents_persist=persist, max_steps=5)
+    aec = global_routing_v0.env(PROBLEM, agents_persist=persist, max_steps=5)
+    _, infos = env.reset()
+    rng = np.random.default_rng(3)
+    while env.agents:
+        for agent in env.agents:
+            assert env.action_mask(agent).tolist() == infos[agent]["action_mask"].tolist()
+        *_, infos = env.step(moves(rng, {agent: infos[agent] for agent in env.agents}))
+    aec.reset()
+    for agent in aec.agent_iter():
+        *_, terminated, truncated, info = aec.last()
+        assert aec.action_mask(agent).tolist() == info["action_mask"].tolist()
+        aec.step(None if terminated or truncated else int(rng.integers(6)))
+    with pytest.raises(KeyError):
+        env.action_mask("net_5")
+
+
+def test_masks_as_sb3_contrib_asks_for_them() -> None:
+    env = GlobalRoutingSingle(PROBLEM, max_steps=5)
+    _, info = env.reset()
+    over = False
+    while not over:
+        masks = env.action_masks()
+        assert masks.dtype == np.bool_
+        assert masks.tolist() == info["action_mask"].astype(bool).tolist()
+        _, _, terminated, truncated, info = env.step(int(np.flatnonzero(masks)[0]))
+        over = terminated or truncated
+
+
 # Several problems ---------------------------------------------------------------------------------
 
 SET = [

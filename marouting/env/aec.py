@@ -66,8 +66,7 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
         del options
         self._game.restart(seed)
         engine = self._game.engine
-        self._number = dict.fromkeys(self.possible_agents, NOBODY)
-        self._number |= {agent: n for n, agent in enumerate(self._game.names)}
+        self._number = dict.fromkeys(self.possible_agents, NOBODY) | self._game.numbers
         everyone = self._game.persists
         self.agents = list(self.possible_agents if everyone else self._game.names)
         self.rewards = dict.fromkeys(self.agents, 0.0)

@@ -53,6 +53,7 @@ class BaseGame:
         player: the player of the game.
         name: the name of the problem that is played.
         names: the names of the engine's agents.
+        numbers: the engine's agents by their names.
         everyone: the names of all nets, of the problem with most of them.
         begun: whether an episode has begun.
         persists: whether agents that are done stay until all are done.
@@ -101,6 +102,7 @@ class BaseGame:
         self.engine = Engine([problem], self._rules)
         self.player = Player(self.engine, self._observation, self._reward, everyone=self._together)
         self.names = [f"net_{net}" for net in self.engine.nets[0]]
+        self.numbers = {agent: n for n, agent in enumerate(self.names)}
 
     def restart(self, seed: int | None) -> None:
         """Starts a new episode, of another problem if there are several."""
@@ -292,6 +294,19 @@ class GameMethods(EzPickle):
     def engine(self) -> Engine:
         """The game, to be read, for guides such as A*."""
         return self._game.engine
+
+    def action_mask(self, agent: str) -> NDArray[np.int8]:
+        """(6,) int8, 1 for the moves of a net that cross an edge now; never all zero.
+
+        Raises:
+            KeyError: there is no such net.
+        """
+        game = self._game
+        if agent not in game.everyone:
+            raise KeyError(agent)
+        number = game.numbers.get(agent, NOBODY)
+        done = number == NOBODY or game.engine.agents[0, number]["status"] != Status.ACTIVE
+        return NO_OP.copy() if game.persists and done else game.mask(number)
 
     def state(self) -> NDArray[np.float32]:
         """(X, Y, 5 Z) float32, the global state; see :func:`marouting.game.observation.state`."""

@@ -65,13 +65,12 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         """
         del options
         self._game.restart(seed)
-        names = self._game.names
-        self.agents = list(self.possible_agents if self._game.persists else names)
+        game = self._game
+        self.agents = list(self.possible_agents if game.persists else game.names)
         # The rows of the agents in the game; NOBODY for a net that has nothing to route.
-        row = {name: n for n, name in enumerate(names)}
-        self._numbers = np.array([row.get(agent, NOBODY) for agent in self.agents])
+        self._numbers = np.array([game.numbers.get(agent, NOBODY) for agent in self.agents])
         observations, infos = self._look()
-        self._game.describe(infos)
+        game.describe(infos)
         return observations, infos
 
     def _look(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:

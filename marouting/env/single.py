@@ -3,9 +3,11 @@
 from typing import Any
 
 import gymnasium
+import numpy as np
 from gymnasium import logger
 from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
 
 from marouting.config import check
 from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
@@ -59,6 +61,10 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
         seen, info = self._look()
         self._game.describe({"player": info})
         return seen, info
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """(6,) bool, the moves of the net to move that cross an edge, as sb3-contrib asks."""
+        return self._game.player.buffers.mask[0, 0].astype(np.bool_)
 
     def _look(self) -> tuple[Any, dict[str, Any]]:
         """Observation and info of the net to move."""
