@@ -63,6 +63,8 @@ def load_problems(source: Source) -> dict[str, Problem]:
     source = checked_source(source)
     if isinstance(source, GeneratorOptions):
         return {generated_name(i): p for i, p in enumerate(generate_from(source))}
+    if not source:
+        raise InputError("problem: expected at least one, found an empty list")
     if isinstance(source[0], Problem):
         return {generated_name(i) if source[1:] else "problem": p for i, p in enumerate(source)}
     files: list[Path] = []
