@@ -104,7 +104,10 @@ def problems(rng: Random, folder: Path, format: Format) -> None:
     problem.write(file)
     assert Problem.read(file) == problem
     if math.prod(problem.grid) <= 500:
-        solution = sequential_astar(problem)
+        try:
+            solution = sequential_astar(problem)
+        except InputError as error:
+            raise Refused(str(error)) from None  # of a problem in memory, not of a file
         assert evaluate(problem, solution) == plain_evaluation(solution)
 
 
@@ -494,7 +497,7 @@ KINDS: dict[str, Kind] = {
     },
     "checkpoint": Kind(checkpoints, 60, 3_000, all_trained),
     "policy": Kind(policies, 60, 2_000, all_trained),
-    "training": Kind(started_anew, 30, 500, all_trained),
+    "training": Kind(started_anew, 30, 2_000, all_trained),
     "run folder": Kind(run_folders, 40, 1_000, all_trained),
     "experiment folder": Kind(experiment_folders, 4, 200, compared),
 }
