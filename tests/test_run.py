@@ -509,30 +509,6 @@ def lines_in(path: Path) -> int:
     return path.read_bytes().count(b"\n") if path.exists() else 0
 
 
-@pytest.mark.parametrize(
-    "when",
-    [pytest.param("before the first checkpoint", marks=pytest.mark.slow), "after one"],
-)
-def test_a_killed_process_is_resumed(when: str, uninterrupted: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "run"
-    arguments = ["train", str(uninterrupted / "config.yaml")]
-    first = when == "before the first checkpoint"
-    seconds = ["train.checkpoint_seconds=3600"] if first else []
-    process = command(*arguments, f"out={folder}", *seconds)
-    waited_for = folder / ("metrics.jsonl" if first else "checkpoint.pt")
-    code = stopped(
-        process,
-        lambda: waited_for.exists() and lines_in(folder / "metrics.jsonl") > 0,
-        signal.SIGKILL,
-    )
-    assert code == -signal.SIGKILL
-    assert (folder / "checkpoint.pt").exists() != first
-    assert not (folder / "result.json").exists()
-    assert 0 < lines_in(folder / "metrics.jsonl") < 2 * LONG
-    assert status([*arguments, "--resume", str(folder), *seconds]) == 0
-    assert outcome(folder) == outcome(uninterrupted / "run")
-
-
 def test_an_interrupted_process_is_resumed(uninterrupted: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     arguments = ["train", str(uninterrupted / "config.yaml"), "train.checkpoint_seconds=3600"]
