@@ -130,7 +130,6 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_integer)
 
 def parse_yaml(text: str, name: str) -> Any:
     """Plain data from YAML text; raises InputError with ``name`` and the line."""
-    name = one_line(name)
     try:
         return yaml.load(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
@@ -195,7 +194,7 @@ def build(schema: type[Schema], raw: Mapping[str, Any], where: str = "") -> Sche
         found = error.object[max(0, error.start - 40) : error.end]
         raise InputError(f"{_prefix(where)}expected text in UTF-8, found {found!r}") from None
     except (TypeError, ValueError, RecursionError) as error:
-        raise InputError(one_line(f"{_prefix(where)}expected plain data: {error}")) from None
+        raise InputError(f"{_prefix(where)}expected plain data: {error}") from None
     return build_json(schema, text, where)
 
 
@@ -204,7 +203,7 @@ def build_json(schema: type[Schema], text: str | bytes, where: str = "") -> Sche
     try:
         built: Schema = _adapter(cast(Any, schema)).validate_json(text, strict=True)
     except ValidationError as error:
-        raise InputError(one_line(_prefix(where) + _explain(schema, error))) from None
+        raise InputError(_prefix(where) + _explain(schema, error)) from None
     except PydanticUserError as error:
         reason = str(error).splitlines()[0]
         what = f"{_prefix(where)}{schema.__name__} cannot be configured"
@@ -334,7 +333,7 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> P
     unknown = [key for key in plainly if key not in known]
     try:
         if unknown and not varied:
-            raise InputError(one_line(_unknown_key(str(unknown[0]), known)))
+            raise InputError(_unknown_key(str(unknown[0]), known))
         options = build(schema, {k: v for k, v in plainly.items() if k not in unknown})
     except InputError as error:
         raise InputError(f"{where}.{error}" if where else str(error)) from None
@@ -426,7 +425,7 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
     for given in overrides:
         key, equals, value = given.partition("=")
         if not equals or not key:
-            raise InputError(one_line(f"{given}: expected key=value"))
+            raise InputError(f"{given}: expected key=value")
         *parts, last = key.split(".")
         place = changed
         for part in parts:
@@ -466,11 +465,6 @@ def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[prefix + key] = value
     return flat
-
-
-def one_line(text: str) -> str:
-    """A text without line breaks, which keys and paths may contain."""
-    return " ".join(text.splitlines())
 
 
 def _prefix(where: str) -> str:

@@ -1,9 +1,23 @@
 """The one exception for input that cannot be used."""
 
+LONGEST = 500
+"""The most characters of a message. Of a longer one, the middle is left out."""
+
 
 class InputError(ValueError):
     """A file, configuration, checkpoint or argument that cannot be used.
 
     The message is a single line that names the file, line or key and says what
     was expected. The command line prints it as it is and exits with status 2.
+
+    Args:
+        message: may quote anything. Line breaks become spaces, and what is not printable, which
+            may control a terminal, becomes an escape sequence.
     """
+
+    def __init__(self, message: str) -> None:
+        line = message.replace("\n", " ")
+        line = "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in line)
+        if len(line) > LONGEST:
+            line = f"{line[: LONGEST - 103]} … {line[-100:]}"
+        super().__init__(line)

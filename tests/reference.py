@@ -13,7 +13,7 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from marouting import Adjustment, Engine, Net, Pin, Problem, Solution
+from marouting import Adjustment, Engine, Evaluation, Net, Pin, Problem, Solution
 from marouting.trees.decomposition import two_pin_tasks
 
 Gcell = tuple[int, int, int]
@@ -80,6 +80,43 @@ def capacity_of(problem: Problem, edge: Edge) -> int | None:
             return capacity
     along_x = edge[0][0] != edge[1][0]
     return (problem.horizontal_capacity if along_x else problem.vertical_capacity)[edge[0][2]]
+
+
+def plain_evaluation(solution: Solution) -> Evaluation:
+    """The figures of a solution, from its edges as pairs of Gcells."""
+    problem = solution.problem
+    taken: dict[Edge, int] = {}
+    open_nets, joined, tasks, lengths, vias = [], 0, 0, 0, 0
+    for index, (net, numbers) in enumerate(zip(problem.nets, solution.edges, strict=True)):
+        graph: nx.Graph[Gcell] = nx.Graph()
+        pins = pin_gcells(problem, index)
+        graph.add_nodes_from(pins)
+        for number in numbers.tolist():
+            near = gcell_of(problem, number // 3)
+            far = tuple(a + d for a, d in zip(near, STEPS[2 * (number % 3)], strict=True))
+            edge: Edge = (near, far)  # type: ignore[assignment]
+            graph.add_edge(*edge)
+            vias += is_via(edge)
+            if not is_via(edge):
+                width = max(net.min_width, problem.min_width[near[2]])
+                taken[edge] = taken.get(edge, 0) + width + problem.min_spacing[near[2]]
+        lengths += len(numbers)
+        pieces = sum(not set(pins).isdisjoint(part) for part in nx.connected_components(graph))
+        tasks += len(pins) - 1
+        joined += len(pins) - pieces
+        if pieces > 1:
+            open_nets.append(net.name)
+    over = [max(0, tracks - (capacity_of(problem, edge) or 0)) for edge, tracks in taken.items()]
+    return Evaluation(
+        overflow=sum(over),
+        max_overflow=max(over, default=0),
+        wirelength=lengths,
+        vias=vias,
+        connected=not open_nets,
+        joined=joined,
+        tasks=tasks,
+        disconnected=tuple(open_nets),
+    )
 
 
 @dataclass

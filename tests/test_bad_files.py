@@ -3,16 +3,13 @@
 import os
 import time
 import tracemalloc
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from strategies import solved_problems
 
 from marouting import Adjustment, InputError, Net, Pin, Problem, Solution
 from marouting.config import parse_yaml, read_yaml
@@ -20,8 +17,6 @@ from marouting.files import LONGEST_LINE
 from policies.results import rows, run_folder
 from policies.results.rows import read_rows
 from policies.results.run_folder import read_rewards
-
-T = TypeVar("T")
 
 GR = """\
 grid 3 2 2
@@ -336,106 +331,17 @@ def test_problems_made_in_memory_are_judged_the_same(
     assert "\n" not in str(caught.value)
 
 
-NASTY = st.sampled_from(
+@pytest.mark.parametrize(
+    ("message", "shown"),
     [
-        "",
-        "-1",
-        "0",
-        "1",
-        "7",
-        "999999999",
-        HUGE,
-        "1e3",
-        "０",
-        "!",
-        "grid",
-        "\x00",
-        "\x1c",
-        "(1,1,1)",
-    ]
+        ("a.yaml: k\ney", "a.yaml: k ey"),
+        ("\x1b[2J\ud800\u2028é", r"\x1b[2J\ud800\u2028é"),
+        ("x" * 500, "x" * 500),
+        ("x" * 501 + "y", "x" * 397 + " … " + "x" * 99 + "y"),
+    ],
 )
-
-
-@st.composite
-def spoiled(draw: st.DrawFn, content: bytes) -> bytes:
-    """The content after a few accidents to its bytes, tokens and lines."""
-    for _ in range(draw(st.integers(1, 4))):
-        kind = draw(st.sampled_from(["byte", "token", "drop", "repeat", "swap", "cut"]))
-        if kind == "byte":
-            at = draw(st.integers(0, len(content)))
-            length = draw(st.integers(0, 2))
-            content = content[:at] + draw(st.binary(max_size=3)) + content[at + length :]
-            continue
-        if kind == "cut":
-            content = content[: draw(st.integers(0, len(content)))]
-            continue
-        lines = content.split(b"\n")
-        at = draw(st.integers(0, len(lines) - 1))
-        other = draw(st.integers(0, len(lines) - 1))
-        if kind == "drop":
-            del lines[at]
-        elif kind == "repeat":
-            lines.insert(other, lines[at])
-        elif kind == "swap":
-            lines[at], lines[other] = lines[other], lines[at]
-        else:
-            tokens = lines[at].split(b" ")
-            tokens[draw(st.integers(0, len(tokens) - 1))] = draw(NASTY).encode()
-            lines[at] = b" ".join(tokens)
-        content = b"\n".join(lines)
-    return content
-
-
-def read_or_refused(read: Callable[[Path], T], file: Path, content: bytes) -> T | None:
-    file.write_bytes(content)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            return read(file)
-    except InputError as error:
-        message = str(error)
-        assert message.startswith(f"{file}:")
-        assert message.isprintable()
-        line = int(message.removeprefix(f"{file}:").split(":")[0])
-        assert 1 <= line <= content.count(b"\n") + 1
-        return None
-
-
-SPOILING = settings(
-    max_examples=200,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
-
-
-@SPOILING
-@given(solution=solved_problems(), data=st.data())
-def test_a_spoiled_problem_is_valid_or_refused(
-    solution: Solution, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    file = tmp_path_factory.getbasetemp() / "spoiled.gr"
-    solution.problem.write(file)
-    problem = read_or_refused(Problem.read, file, data.draw(spoiled(file.read_bytes())))
-    if problem is not None:
-        problem.write(file)
-        assert Problem.read(file) == problem
-
-
-@SPOILING
-@given(solution=solved_problems(), data=st.data())
-def test_a_spoiled_solution_is_valid_or_refused(
-    solution: Solution, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    file = tmp_path_factory.getbasetemp() / "spoiled.solution"
-    solution.write(file)
-    again = read_or_refused(
-        lambda path: Solution.read(path, solution.problem),
-        file,
-        data.draw(spoiled(file.read_bytes())),
-    )
-    if again is not None:
-        again.write(file)
-        assert Solution.read(file, solution.problem) == again
+def test_a_message_is_one_printable_line(message: str, shown: str) -> None:
+    assert str(InputError(message)) == shown
 
 
 # --- YAML -----------------------------------------------------------------------------------------

@@ -1246,6 +1246,15 @@ def test_configurations_survive_their_files(scratch: Path, config: Config) -> No
 # --- whose files they are -------------------------------------------------------------------------
 
 
+def test_generate_removes_what_killed_runs_left(here: Path) -> None:
+    (here / "out").mkdir()
+    for name in (".lock", ".ab12_xyz.marouting-tmp", "mine.marouting-tmp"):
+        (here / "out" / name).write_text("")
+    assert status(["generate", "--nets", "3", "--out", "out"]) == 0
+    left = sorted(path.name for path in (here / "out").iterdir())
+    assert left == ["mine.marouting-tmp", "problem_000.gr"]
+
+
 def test_generate_does_not_mix_sets(here: Path, refused: Callable[..., str]) -> None:
     assert status(["generate", "--count", "3", "--nets", "2", "--out", "set"]) == 0
     said = refused("generate", "--count", "2", "--nets", "2", "--out", "set")

@@ -1,16 +1,12 @@
 """Experiments: what they find, that they go on after any stop, and what their figures say."""
 
 import csv
-import itertools
 import json
 import math
 import multiprocessing
 import os
 import shutil
 import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -453,64 +449,6 @@ def test_threads_of_the_processes_are_set_for_them_alone(tmp_path: Path) -> None
     assert sum(map(len, work_on(experiment_of.parts, 1, 3))) == 3
     assert dict(os.environ) == before
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
-
-
-def alive(group: int) -> bool:
-    """Whether a process of a group still runs."""
-    try:
-        os.killpg(group, 0)
-    except ProcessLookupError:
-        return False
-    return True
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
-def test_an_experiment_stopped_anywhere_goes_on_as_if_not(
-    sent: signal.Signals, tmp_path: Path
-) -> None:
-    training = {**DQN, "train": {"episodes": 150, "checkpoint_seconds": 0.2}}
-    routers = {"astar": {"router": "astar"}, "random": {"router": "random"}, "dqn": training}
-    keys = {"routers": routers, "seeds": [0, 1]}
-    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
-    for folder in (whole, stopped):
-        folder.mkdir()
-        write_config(folder / "c.yaml", **keys)
-    Experiment(load_experiment(whole / "c.yaml")).execute()
-    command = [sys.executable, "-m", "policies.cli.main", "experiment", str(stopped / "c.yaml")]
-    runs = stopped / "out"
-    for stop in itertools.count(1):
-        process = subprocess.Popen(
-            command,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            start_new_session=True,
-            # A test run in the background inherits that nobody answers Ctrl-C.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )
-        deadline = time.monotonic() + 120
-
-        def begun() -> int:
-            logs = sum(len(path.read_bytes()) for path in runs.glob("runs/*/*/*/metrics.jsonl"))
-            return logs + 1000 * len(list(runs.glob("rows/*/*/*.json")))
-
-        last = begun()
-        while begun() <= last + 500 and process.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.05)
-        if process.poll() is not None or stop == 4:
-            break
-        # To the first process alone: the others have to notice.
-        process.send_signal(sent)
-        _, errors = process.communicate(timeout=30)
-        assert process.returncode == (130 if sent == signal.SIGINT else -signal.SIGKILL)
-        assert b"Traceback" not in errors
-        while alive(process.pid) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert not alive(process.pid)
-    process.communicate(timeout=120)
-    assert process.returncode == 0
-    assert stop > 2
-    assert outcome(stopped / "out") == outcome(whole / "out")
 
 
 # --- what is refused ------------------------------------------------------------------------------

@@ -122,6 +122,7 @@ def test_every_operation_on_a_file_fails_once(command: str, tmp_path: Path) -> N
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert len(report["faults"]) >= 2
+    print(f"{command}: {len(report['faults'])} faults")
     for event, code, errors, left, again, complaints, files in report["faults"]:
         if event == "os.mkdir" and code == 0:
             continue  # the folder was there already

@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings
 from numpy.typing import NDArray
 from strategies import problems
-from test_bad_files import read_or_refused, refused, spoiled
+from test_bad_files import refused
 
 from marouting import Adjustment, InputError, Net, Pin, Problem, evaluate, sequential_astar
 from marouting.problem.grid import AXES, VIA_AXIS
@@ -331,27 +330,6 @@ def test_a_truncated_benchmark(tmp_path: Path, text: str) -> None:
         message = refused(lambda: Problem.read(file), file)
         assert message.startswith(f"{max(1, keep)}: ")
         assert "file ends" in message or "the end of the file" in message
-
-
-@pytest.mark.parametrize("format", list(TEXTS))
-@settings(
-    max_examples=100,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
-@given(problem=problems(), data=st.data())
-def test_a_spoiled_benchmark_is_valid_or_refused(
-    problem: Problem,
-    data: st.DataObject,
-    format: Format,
-    tmp_path_factory: pytest.TempPathFactory,
-) -> None:
-    file = tmp_path_factory.getbasetemp() / "spoiled.txt"
-    said(problem, format).write(file, format)
-    again = read_or_refused(Problem.read, file, data.draw(spoiled(file.read_bytes())))
-    if again is not None:
-        again.write(file)
-        assert Problem.read(file) == again
 
 
 # --- the published file ---------------------------------------------------------------------------

@@ -224,6 +224,13 @@ def test_a_team_reward_accumulates_in_aec() -> None:
         aec.step(4 if turn < count else 5)
 
 
+@pytest.mark.parametrize("key", ["reached", "step", "own_edge", "overflow_price"])
+def test_rewards_that_float32_cannot_hold_are_refused(key: str) -> None:
+    for value in (1e300, -1e300, float("nan")):
+        with pytest.raises(InputError, match=rf"^{key}: expected a number from -1e\+30 to 1e\+30$"):
+            PaperReward(**{key: value})
+
+
 @settings(deadline=None, max_examples=20)
 @given(contested(max_nets=6), st.booleans(), st.booleans(), st.integers(0, 1000))
 def test_any_pieces_play_as_the_compiled_ones(

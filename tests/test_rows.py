@@ -5,8 +5,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Callable, Iterator
-from copy import deepcopy
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from marouting import InputError
 from policies import figures
 from policies.figures.plot import experiment_figures, reward_figures, scaling_figure
 from policies.results.rows import COLUMNS, ResultRow, read_published, read_rows, to_csv
@@ -136,70 +134,8 @@ DRAWN: dict[str, Kind] = {
     "a benchmark": ("b.json", BENCH, json.dumps, lambda file: scaling_figure(file, file.parent)),
 }
 
-NUMBERS = [0, 1, -5, 2**31, 2**63 - 1, 2**63, -(2**63), 10**400, 0.5, 1e-300, 1e18, 1e300]
-TEXTS = ["", "p", "q", "dqn", "t", "..", "a/b", "\0", "\ud800", "１２", " 5 ", "1_000", "5", "=1+1"]
-TEXTS += ["$\\frac$", "[/]", "_x", "x" * 300]
-NASTY = st.sampled_from(
-    [None, True, False, math.nan, math.inf, [], [[]], {}, {"a": 1}, *NUMBERS, *TEXTS]
-)
-TOKENS = [b"NaN", b"-Infinity", b"1e999", b"9" * 5000, b'"', b"\xff", b"\0", b"\n", b",", b"\r"]
-TOKENS += [b"[" * 3000, b"]", b"{", b"}", b'"\\ud800"', b"-0", b"0x1", b"\xef\xbb\xbf", b"", b"'="]
 
-
-def places(data: Any) -> Iterator[tuple[Any, Any]]:
-    """The containers in plain data, each with every key."""
-    for key in range(len(data)) if isinstance(data, list) else list(data):
-        yield data, key
-        if isinstance(data[key], dict | list):
-            yield from places(data[key])
-
-
-@st.composite
-def spoiled(draw: st.DrawFn, kind: Kind) -> bytes:
-    """The text of a file after a few accidents to its values or its characters."""
-    _, data, as_text, _ = kind
-    data = deepcopy(data)
-    for _ in range(draw(st.integers(0, 3))):
-        found = list(places(data))
-        if not found:
-            break
-        container, key = draw(st.sampled_from(found))
-        what = draw(st.sampled_from(["set", "set", "drop", "again", "elsewhere", "more"]))
-        if what == "set":
-            container[key] = deepcopy(draw(NASTY))
-        elif what == "drop":
-            del container[key]
-        elif what == "elsewhere":
-            other, place = draw(st.sampled_from(found))
-            if place in other if isinstance(other, dict) else place < len(other):
-                container[key] = deepcopy(other[place])
-        elif isinstance(container, list):
-            container.append(deepcopy(container[key]))
-        else:
-            container["more"] = deepcopy(draw(NASTY))
-    content = as_text(data).encode(errors="surrogatepass")
-    for _ in range(draw(st.integers(0, 1))):
-        parts = re.split(rb"([\[\]{},:\n])", content)
-        parts[draw(st.integers(0, len(parts) - 1))] = draw(st.sampled_from(TOKENS))
-        content = b"".join(parts)
-    return content
-
-
-def read_or_refused(read: Callable[[Path], object], file: Path, content: bytes) -> bool:
-    """Whether a file is read; raises what is no InputError of one line that names it."""
-    file.write_bytes(content)
-    try:
-        read(file)
-    except InputError as error:
-        message = str(error)
-        assert message.startswith(f"{file}:")
-        assert len(message.splitlines()) == 1
-        assert len(message) < len(str(file)) + 400
-        return False
-    return True
-
-
-def spoiling(examples: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def drawing(examples: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
     checks = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture]
     return settings(max_examples=examples, deadline=None, suppress_health_check=checks)
 
@@ -207,7 +143,8 @@ def spoiling(examples: int) -> Callable[[Callable[..., None]], Callable[..., Non
 @pytest.mark.parametrize("kind", [*READ.values(), *DRAWN.values()], ids=[*READ, *map(str, DRAWN)])
 def test_the_files_are_good_before_they_are_spoiled(kind: Kind, tmp_path: Path) -> None:
     name, data, as_text, read = kind
-    assert read_or_refused(read, tmp_path / name, as_text(data).encode())
+    (tmp_path / name).write_text(as_text(data))
+    read(tmp_path / name)
 
 
 def test_published_files_are_read(tmp_path: Path) -> None:
@@ -290,26 +227,6 @@ def test_routers_are_compared_where_both_have_rows() -> None:
     assert random["lower_wirelength"] is None
 
 
-@pytest.mark.parametrize("kind", READ.values(), ids=READ)
-@spoiling(150)
-@given(data=st.data())
-def test_spoiled_rows_are_sane_or_refused(kind: Kind, tmp_path: Path, data: st.DataObject) -> None:
-    read_or_refused(kind[3], tmp_path / kind[0], data.draw(spoiled(kind)))
-
-
-@pytest.mark.parametrize("kind", DRAWN.values(), ids=DRAWN)
-@spoiling(20)
-@given(data=st.data())
-def test_spoiled_rows_are_drawn_or_refused(kind: Kind, tmp_path: Path, data: st.DataObject) -> None:
-    def laid_out(figure: Any, file: Path) -> None:
-        assert file.parent == tmp_path / "figures" or file.parent == tmp_path
-        figure.draw_without_rendering()
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(figures, "save", laid_out)
-        read_or_refused(kind[3], tmp_path / kind[0], data.draw(spoiled(kind)))
-
-
 COUNTS = st.sampled_from([0, 0, 1, 2, 3, 50, 2**31, 2**53 + 1, 2**63 - 1])
 
 
@@ -334,14 +251,14 @@ def valid(draw: st.DrawFn) -> list[dict[str, Any]]:
     return rows
 
 
-@spoiling(150)
+@drawing(150)
 @given(rows=valid())
 def test_any_rows_have_statistics(rows: list[dict[str, Any]], tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text(json.dumps(rows))
     summarised(tmp_path / "results.json")
 
 
-@spoiling(15)
+@drawing(15)
 @given(rows=valid())
 def test_any_rows_are_drawn(rows: list[dict[str, Any]], tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text(json.dumps(rows))

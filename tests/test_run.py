@@ -509,30 +509,6 @@ def lines_in(path: Path) -> int:
     return path.read_bytes().count(b"\n") if path.exists() else 0
 
 
-@pytest.mark.parametrize(
-    "when",
-    [pytest.param("before the first checkpoint", marks=pytest.mark.slow), "after one"],
-)
-def test_a_killed_process_is_resumed(when: str, uninterrupted: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "run"
-    arguments = ["train", str(uninterrupted / "config.yaml")]
-    first = when == "before the first checkpoint"
-    seconds = ["train.checkpoint_seconds=3600"] if first else []
-    process = command(*arguments, f"out={folder}", *seconds)
-    waited_for = folder / ("metrics.jsonl" if first else "checkpoint.pt")
-    code = stopped(
-        process,
-        lambda: waited_for.exists() and lines_in(folder / "metrics.jsonl") > 0,
-        signal.SIGKILL,
-    )
-    assert code == -signal.SIGKILL
-    assert (folder / "checkpoint.pt").exists() != first
-    assert not (folder / "result.json").exists()
-    assert 0 < lines_in(folder / "metrics.jsonl") < 2 * LONG
-    assert status([*arguments, "--resume", str(folder), *seconds]) == 0
-    assert outcome(folder) == outcome(uninterrupted / "run")
-
-
 def test_an_interrupted_process_is_resumed(uninterrupted: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     arguments = ["train", str(uninterrupted / "config.yaml"), "train.checkpoint_seconds=3600"]
@@ -845,6 +821,9 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "prioritised": changed(lambda state: another_learner(state, prioritised=True)),
     "no tensor": changed(lambda state: state["trainer"].update(episodes=[1, 2])),
     "no mapping": changed(lambda state: state.update(training=[1, 2])),
+    "no best episode": changed(lambda state: state["trainer"]["best_episode"].fill_(-1)),
+    "a best episode to come": changed(lambda state: state["trainer"]["episodes"].fill_(1)),
+    "an impossible reward": changed(lambda state: state["trainer"]["buffers.total"].fill_(1e30)),
     "no number": changed(lambda state: state.update(seconds="long")),
     "endless": changed(lambda state: state.update(logged=float("inf"))),
     "logged": changed(lambda state: state.update(logged=10**6)),

@@ -4,10 +4,10 @@ import csv
 import dataclasses
 from pathlib import Path
 
-import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from reference import plain_evaluation
 from strategies import solved_problems
 
 from marouting import Adjustment, Evaluation, InputError, Net, Pin, Problem, Solution, evaluate
@@ -156,32 +156,7 @@ def test_equal_means_same_problem_and_same_edges() -> None:
 @settings(deadline=None)
 @given(solution=solved_problems())
 def test_evaluation_against_plain_definitions(solution: Solution) -> None:
-    problem = solution.problem
-    demand: dict[int, int] = {}
-    joined = []
-    for net, edges, pins in zip(problem.nets, solution.edges, problem.pin_gcells, strict=True):
-        graph: nx.Graph[int] = nx.Graph()
-        graph.add_nodes_from(pins.tolist())
-        for edge in edges.tolist():
-            gcell, axis = divmod(edge, AXES)
-            x, y, z = problem.topology.position[gcell].tolist()
-            step = [int(axis == a) for a in range(AXES)]
-            graph.add_edge(gcell, problem.topology.number(x + step[0], y + step[1], z + step[2]))
-            if axis != VIA_AXIS:
-                width = max(net.min_width, problem.min_width[z])
-                demand[edge] = demand.get(edge, 0) + width + problem.min_spacing[z]
-        reached = nx.node_connected_component(graph, int(pins[0]))
-        joined.append(set(pins.tolist()) <= reached)
-    over = [max(0, tracks - int(problem.capacity[edge])) for edge, tracks in demand.items()]
-    evaluation = evaluate(problem, solution)
-    assert evaluation.overflow == sum(over)
-    assert evaluation.max_overflow == max(over, default=0)
-    assert evaluation.wirelength == sum(map(len, solution.edges))
-    assert evaluation.vias == sum(int((edges % AXES == VIA_AXIS).sum()) for edges in solution.edges)
-    assert evaluation.connected == all(joined)
-    assert evaluation.disconnected == tuple(
-        net.name for net, ok in zip(problem.nets, joined, strict=True) if not ok
-    )
+    assert evaluate(solution.problem, solution) == plain_evaluation(solution)
 
 
 @settings(deadline=None)

@@ -844,3 +844,20 @@ def test_the_papers_training_writes_what_it_always_wrote(tmp_path: Path) -> None
     written = (tmp_path / "run" / "metrics.jsonl").read_bytes()
     expected = "817ee8891866bd6f56ad89bed7cfa8e2fe132607ba2076579d08b68d5e8b55c6"
     assert hashlib.sha256(written).hexdigest() == expected
+
+
+def test_a_step_may_fill_several_rollouts() -> None:
+    """A network that 64 games share gets up to 192 transitions a step; 48 are a rollout."""
+    learner = {"kind": "ppo", "copies": 32, "rollout": 48, "minibatch": 16}
+    raw = {
+        "env": {"max_steps": 12, "agents": "multi"},
+        "learner": {**learner, "network": {"hidden": [8]}},
+        "train": {"episodes": 2, "shared": True},
+    }
+    trainer = Trainer({"a": tiny(0), "b": tiny(1)}, build(Config, raw))
+    for _ in trainer.run():
+        assert trainer.player.buffers.acted.size == 192
+        assert trainer.learner.stored.max() < 48
+    # Two epochs of three minibatches each time.
+    assert trainer.learner.updates.max() % 6 == 0
+    assert trainer.learner.updates.max() > 6 * 192 // 48

@@ -30,15 +30,19 @@ In YAML, with the class in ``my_rewards.py``: ``reward: {kind: "my_rewards:TeamR
 """
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.config import check
 from marouting.game.engine import Engine
 from marouting.game.state import NOBODY, Crossing, Dynamic, Ending
 from marouting.kernels import inlined, place
+
+_MOST = 1e30
+"""The largest reward: rewards are float32, and are added up."""
 
 
 class Reward(Protocol):
@@ -86,6 +90,11 @@ class PaperReward:
     step: float = -1.0
     own_edge: float = -1.0
     overflow_price: float = 0.0
+
+    def __post_init__(self) -> None:
+        for f in fields(PaperReward):
+            value = getattr(self, f.name)
+            check(f.name, abs(value) <= _MOST, f"a number from {-_MOST:g} to {_MOST:g}")
 
     @functools.cached_property
     def table(self) -> NDArray[np.float32]:

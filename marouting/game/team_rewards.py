@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.config import check, one_line, piece
+from marouting.config import check, piece
 from marouting.game.engine import Engine
 from marouting.game.reward import Reward
 from marouting.game.state import NOBODY, Dynamic
@@ -133,7 +133,7 @@ class MixedReward:
             options = dict(part)
             weight = options.pop("weight", 1.0)
             fits = isinstance(weight, int | float) and math.isfinite(weight)
-            check(f"parts.{number}.weight", fits, one_line(f"a finite number, found {weight!r}"))
+            check(f"parts.{number}.weight", fits, f"a finite number, found {weight!r}")
             made.append((float(weight), piece("reward", options, where=f"parts.{number}").make()))
         object.__setattr__(self, "_made", made)
 

@@ -88,6 +88,7 @@ def generate(out: Path, **options: Any) -> None:
     from marouting.generator import GeneratorOptions, generate_each
     from marouting.source import generated_name
     from policies.cli.progress import problems_bar
+    from policies.results.folder import working_in
 
     checked = GeneratorOptions(**options)
     for path in sorted(out.glob("*.gr")):
@@ -95,7 +96,7 @@ def generate(out: Path, **options: Any) -> None:
         number = int(digits) if digits.isdecimal() else checked.count
         if number >= checked.count or generated_name(number) != path.stem:
             raise InputError(f"{out}: expected no problems of another set, found {path.name} in it")
-    with problems_bar(str(out)) as watch:
+    with working_in(out), problems_bar(str(out)) as watch:
         for number, problem in enumerate(generate_each(checked)):
             problem.write(out / f"{generated_name(number)}.gr")
             watch(number + 1, checked.count)
@@ -442,9 +443,7 @@ def status(arguments: Sequence[str] | None = None) -> int:
 
 def _complain(message: str) -> int:
     """One line on standard error, nothing in it that controls a terminal; returns the status."""
-    line = " ".join(message.split())
-    shown = "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in line)
-    click.echo(f"marouting: {shown}", err=True)
+    click.echo(f"marouting: {InputError(' '.join(message.split()))}", err=True)
     return 2
 
 

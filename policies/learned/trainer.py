@@ -214,7 +214,7 @@ class Trainer:
                 self.best_episode[problem] = self.episodes[problem]
                 self.best_used[problem] = player.engine.dynamic.used[g]
             steps = updates[g] - self._before[1, g]
-            loss = float((losses[g] - self._before[0, g]) / max(steps, 1))
+            loss = (float(losses[g]) - float(self._before[0, g])) / max(int(steps), 1)
             finished.append(
                 Episode(
                     problem=self.names[problem],
@@ -363,6 +363,7 @@ class Trainer:
         limits = {
             **dict.fromkeys(("score", "policy_score"), ANY),
             **dict.fromkeys(("episodes", "policy_episode", "_evaluated"), (0, most)),
+            **dict.fromkeys(("buffers.reward", "buffers.total"), (-LARGEST, LARGEST)),
             "best_episode": (NOBODY, most - 1),
         }
         arrays = {
@@ -374,6 +375,9 @@ class Trainer:
             ).numpy()
             for name, array in own.items()
         }
+        best, played = arrays["best_episode"], arrays["episodes"]
+        if (best >= played).any() or ((best == NOBODY) != (played == 0)).any():
+            raise InputError(f"{where}: best_episode: expected one of the episodes")
         dynamic, buffers = self.player.engine.dynamic, self.player.buffers
         saved = Saved(_records("game", dynamic, arrays), _records("buffers", buffers, arrays))
         try:

@@ -90,6 +90,4 @@ def unexpected(expected: str, tokens: list[str]) -> InputError:
 
 
 def _at(file: str, line: int, error: InputError) -> InputError:
-    # A net's name can get into a message before the name has been checked.
-    text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(error))
-    return InputError(f"{file}:{max(1, line)}: {text}")
+    return InputError(f"{file}:{max(1, line)}: {error}")

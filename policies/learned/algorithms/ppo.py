@@ -160,7 +160,7 @@ class PPO(Learner):
             states_after = state(player.engine) if self.central and failed.any() else None
             final = self._values(now.final_obs, failed, states_after)
             self.rollout.add(before, now, chance, values, final, states)
-            if len(full := self.rollout.full()):
+            while len(full := self.rollout.full()):  # a step of many games may fill several
                 self.learn(full, self._values_ahead(player))
             if now.over.any():
                 return
