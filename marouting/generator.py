@@ -145,6 +145,11 @@ def generate_each(options: GeneratorOptions) -> Iterator[Problem]:
         InputError: a single problem takes too much memory.
     """
     check_memory(_size(options), "nets: a problem of {}", options.nets)
+    return _each(options)
+
+
+def _each(options: GeneratorOptions) -> Iterator[Problem]:
+    """See :func:`generate_each`, which checks before the first of them is asked for."""
     capacity = options.reduced_capacity
     if capacity is None:
         capacity = max(options.capacity - REDUCTION, 0)

@@ -96,8 +96,9 @@ def generate(out: Path, **options: Any) -> None:
         number = int(digits) if digits.isdecimal() else checked.count
         if number >= checked.count or generated_name(number) != path.stem:
             raise InputError(f"{out}: expected no problems of another set, found {path.name} in it")
+    problems = generate_each(checked)
     with working_in(out), problems_bar(str(out)) as watch:
-        for number, problem in enumerate(generate_each(checked)):
+        for number, problem in enumerate(problems):
             problem.write(out / f"{generated_name(number)}.gr")
             watch(number + 1, checked.count)
     click.echo(f"{checked.count} problems in {out}")
