@@ -16,6 +16,7 @@ from marouting.errors import InputError
 
 TEMPORARY = ".marouting-tmp"
 """How the names of temporary files end, so that what a killed process left can be told."""
+
 LONGEST_LINE = 2**20
 """The most bytes in a line of a file that is read line by line."""
 

@@ -21,6 +21,7 @@ import torch
 import yaml
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from test_bad_files import GR
 
 import marouting
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
@@ -1298,19 +1299,7 @@ def test_what_is_no_file_is_not_written(here: Path, refused: Callable[..., str])
     assert stat.S_ISFIFO((here / "pipe").stat().st_mode)
 
 
-NOTHING = """\
-grid 3 2 2
-vertical capacity 0 4
-horizontal capacity 6 0
-minimum width 1 1
-minimum spacing 0 0
-via spacing 0 0
-0 0 10 10
-num net 1
-A 1 2 1
-5 5 1
-6 6 1
-"""
+NOTHING = GR.partition("num net")[0] + "num net 1\nA 1 2 1\n5 5 1\n6 6 1\n"
 """A problem whose only net lies in one Gcell."""
 
 

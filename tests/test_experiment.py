@@ -662,7 +662,7 @@ PUBLICATIONS: dict[str, tuple[str, str]] = {
         "set,problem,overflow,wirelength\n" + 2 * "small,problem_000,0,9\n",
         "p.csv:3: expected small/problem_000 once",
     ),
-    "no text": ("\udcff", "p.csv: expected CSV in UTF-8"),
+    "no text": ("\udcff", "p.csv: expected UTF-8 text"),
 }
 
 

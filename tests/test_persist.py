@@ -142,6 +142,22 @@ def test_masks_by_name_are_those_in_the_infos(persist: bool) -> None:
         env.action_mask("net_5")
 
 
+def test_what_a_done_agent_observes_has_the_same_mask() -> None:
+    env = global_routing_v0.env(PROBLEM, agents_persist=True, mask_in_observation=True, max_steps=3)
+    env.reset()
+    seen = set()
+    for _ in env.agent_iter():
+        for name in env.agents:
+            observed = env.observe(name)["action_mask"].tolist()
+            assert observed == env.action_mask(name).tolist()
+            if not env.infos[name]["active"]:
+                assert observed == NO_OP
+                seen.add(name)
+        *_, terminated, truncated, info = env.last()
+        env.step(None if terminated or truncated else int(info["action_mask"].argmax()))
+    assert seen == set(env.possible_agents)
+
+
 def test_masks_as_sb3_contrib_asks_for_them() -> None:
     env = GlobalRoutingSingle(PROBLEM, max_steps=5)
     _, info = env.reset()

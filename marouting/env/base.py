@@ -164,15 +164,21 @@ class BaseGame:
     def observation(self, agent: int) -> Any:
         """A new observation of one agent, in the form that the options ask for."""
         buffers = self.player.buffers
-        if not self._together and buffers.agents[0, 0] == agent:
+        if not self._together and buffers.agents[0, 0] == agent != NOBODY:
             return self.seen(buffers.obs[0, 0].copy(), buffers.mask[0, 0])
         problems, agents = np.zeros(1, np.int32), np.full(1, agent, np.int32)
         out = np.empty((1, *self._box.shape), np.float32)
         self._observation.write(self.engine, problems, agents, out)
         return self.seen(out[0], self.mask(agent)) if self.masked else out[0]
 
+    def active(self, agent: int) -> bool:
+        """Whether an agent still has a task to route."""
+        return agent != NOBODY and bool(self.engine.agents[0, agent]["status"] == Status.ACTIVE)
+
     def mask(self, agent: int) -> NDArray[np.int8]:
-        """(6,) int8, a new action mask of one agent."""
+        """(6,) int8, a new action mask of one agent; that of NOBODY is all ones."""
+        if self.persists and not self.active(agent):
+            return NO_OP.copy()
         return self.engine.masks(np.zeros(1, np.int32), np.full(1, agent, np.int32))[0]
 
     def seen(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
@@ -301,12 +307,9 @@ class GameMethods(EzPickle):
         Raises:
             KeyError: there is no such net.
         """
-        game = self._game
-        if agent not in game.everyone:
+        if agent not in self._game.everyone:
             raise KeyError(agent)
-        number = game.numbers.get(agent, NOBODY)
-        done = number == NOBODY or game.engine.agents[0, number]["status"] != Status.ACTIVE
-        return NO_OP.copy() if game.persists and done else game.mask(number)
+        return self._game.mask(self._game.numbers.get(agent, NOBODY))
 
     def state(self) -> NDArray[np.float32]:
         """(X, Y, 5 Z) float32, the global state; see :func:`marouting.game.observation.state`."""

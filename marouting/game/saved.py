@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.game.rules import demand_of
 from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Static, Status
 from marouting.kernels import compiled
-from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.grid import AXES
 
 
 def check_saved(static: Static, saved: Dynamic) -> None:
@@ -104,7 +105,6 @@ def _demand(static: Static, used: Any, m: int, demand: Any) -> int:
                     return -1
                 if static.first[m, n] == static.first[m, n + 1]:
                     return -1
-                if axis != VIA_AXIS:
-                    demand[edge] += static.demand[m, n, static.position[cell, VIA_AXIS]]
+                demand[edge] += demand_of(static, m, n, cell, 2 * axis)
                 uses += 1
     return uses

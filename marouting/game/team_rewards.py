@@ -15,6 +15,7 @@ to the target. A mixture of several, with the paper's among them::
         - {kind: potential, weight: 0.5}
 """
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -128,6 +129,11 @@ class MixedReward:
 
     def __post_init__(self) -> None:
         check("parts", len(self.parts) > 0, "at least one reward")
+        _ = self.rewards  # raises an error now
+
+    @functools.cached_property
+    def rewards(self) -> list[tuple[float, Reward]]:
+        """The parts, each with its weight."""
         made: list[tuple[float, Reward]] = []
         for number, part in enumerate(self.parts):
             options = dict(part)
@@ -135,15 +141,14 @@ class MixedReward:
             fits = isinstance(weight, int | float) and math.isfinite(weight)
             check(f"parts.{number}.weight", fits, f"a finite number, found {weight!r}")
             made.append((float(weight), piece("reward", options, where=f"parts.{number}").make()))
-        object.__setattr__(self, "_made", made)
+        return made
 
     def __call__(
         self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
     ) -> NDArray[np.floating]:
         """What the moves pay; see :class:`marouting.game.reward.Reward`."""
-        made: list[tuple[float, Reward]] = self._made  # type: ignore[attr-defined]
         paid = np.zeros(game.agents.shape)
-        for weight, reward in made:
+        for weight, reward in self.rewards:
             paid += weight * np.asarray(reward(game, before, movers))
         return paid
 

@@ -188,8 +188,8 @@ class Problem:
         """(E,) capacity of every edge in tracks: UNLIMITED for vias, 0 for edges off the grid."""
         exists = self.topology.exists.reshape(-1, *self.layer_capacity.shape)
         edges: NDArray[np.int32] = (exists * self.layer_capacity).reshape(-1)
-        # Of several values for one edge numpy keeps the last, as it should be.
-        edges[self._adjusted_edges] = [adjustment.capacity for adjustment in self.adjustments]
+        adjusted, capacity = self.adjusted
+        edges[adjusted] = capacity
         edges.setflags(write=False)
         return edges
 
@@ -227,21 +227,14 @@ class Problem:
         return capacity
 
     @functools.cached_property
-    def net_width(self) -> NDArray[np.int64]:
-        """(nets,) the minimum width of each net."""
-        width = np.fromiter((net.min_width for net in self.nets), np.int64, len(self.nets))
-        width.setflags(write=False)
-        return width
-
-    @functools.cached_property
     def net_demand(self) -> NDArray[np.int32]:
         """(nets, Z) tracks that a net takes of an edge in each layer: wire width plus spacing.
 
         The width is the larger of the net's and the layer's minimum width, the spacing the
         layer's minimum spacing (ISPD 2008 evaluator).
         """
-        width = self.net_width.astype(np.int32)[:, None]
-        demand = np.maximum(width, np.array(self.min_width, np.int32))
+        width = np.fromiter((net.min_width for net in self.nets), np.int32, len(self.nets))
+        demand = np.maximum(width[:, None], np.array(self.min_width, np.int32))
         demand += np.array(self.min_spacing, np.int32)
         demand.setflags(write=False)
         return demand

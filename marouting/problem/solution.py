@@ -248,8 +248,7 @@ def _used_edges(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """:attr:`Solution.used_edges`, but with the widths and spacings of ``problem``."""
     edge = np.empty(len(solution.uses[1]), np.int64)
-    min_width, spacing = np.array(problem.min_width), np.array(problem.min_spacing)
-    _write_tracks(*solution.uses, problem.net_width, min_width, spacing, edge)
+    _write_tracks(*solution.uses, problem.net_demand, edge)
     edge.sort()
     tracks = np.empty_like(edge)
     size = _sum_tracks(edge, tracks)
@@ -261,14 +260,13 @@ _TRACK_BITS = (2 * MAX_NUMBER).bit_length()
 
 
 @compiled
-def _write_tracks(net: Any, edge: Any, width: Any, min_width: Any, spacing: Any, out: Any) -> None:
+def _write_tracks(net: Any, edge: Any, net_demand: Any, out: Any) -> None:
     """For every use, edge and tracks in one number, which is sorted faster than an index is."""
     for use in range(len(edge)):
         gcell = edge[use] // AXES
         tracks = wide(0)
         if edge[use] - AXES * gcell != VIA_AXIS:
-            layer = gcell % len(spacing)
-            tracks = max(width[net[use]], min_width[layer]) + spacing[layer]
+            tracks = wide(net_demand[net[use], gcell % net_demand.shape[1]])
         out[use] = (edge[use] << _TRACK_BITS) + tracks
 
 

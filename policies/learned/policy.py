@@ -114,7 +114,7 @@ class TrainedPolicy:
         try:
             make = functools.partial(learner.cls.network, learner.options, obs_shape)
             # First without memory, whatever sizes the file names; not every network can be made so.
-            with contextlib.suppress(RuntimeError, NotImplementedError), torch.device("meta"):
+            with contextlib.suppress(RuntimeError), torch.device("meta"):
                 _check_weights(weights[row], make())
             module = make()
             _check_weights(weights[row], module)

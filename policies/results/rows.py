@@ -16,7 +16,7 @@ from typing_extensions import TypedDict
 
 from marouting import InputError, Solution, evaluate
 from marouting.config import build, build_json, check
-from marouting.files import FILE_NAME, is_file_name, read_text, unusable
+from marouting.files import FILE_NAME, is_file_name, read_text
 
 MOST_BYTES = 2**30
 """The largest file of results that is read."""
@@ -188,9 +188,10 @@ def read_published(
         InputError: the file cannot be read or does not hold such rows; the message names the line.
     """
     columns = {"set": "set", "problem": "problem", "overflow": overflow, "wirelength": wirelength}
+    content = read_text(path, MOST_BYTES).removeprefix("\ufeff")  # as Excel writes it
     found: dict[tuple[str, str], tuple[int, int]] = {}
     try:
-        with Path(path).open(encoding="utf-8-sig", newline="") as lines:  # as Excel writes it
+        with io.StringIO(content, newline="") as lines:
             reader = csv.reader(lines, strict=True)
             header = next(reader, [])
             for column in columns.values():
@@ -215,10 +216,6 @@ def read_published(
                 key = row["set"], row["problem"]
                 check(where, key not in found, f"{'/'.join(key)} once")
                 found[key] = row["overflow"], row["wirelength"]
-    except OSError as error:
-        raise unusable(path, "cannot be read", error) from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: expected CSV in UTF-8") from None
     except csv.Error as error:
         raise InputError(f"{path}:{reader.line_num}: expected CSV: {error}") from None
     return found
