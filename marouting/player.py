@@ -53,20 +53,20 @@ class StepBuffers(NamedTuple):
     """The input and output of a step of M problems.
 
     Each problem has K rows: one for each of its N agents, or only one for the agent whose turn it
-    is (K = 1). S is the shape of an observation. ``final_obs`` and ``final_mask`` are only written
-    where ``obs`` no longer shows the result of the move: where the task ended, or where the row now
-    belongs to another agent.
+    is (K = 1). S is the shape of an observation, A the number of actions. ``final_obs`` and
+    ``final_mask`` are only written where ``obs`` no longer shows the result of the move: where the
+    task ended, or where the row now belongs to another agent.
     """
 
     agents: NDArray[np.int32]  # (M, K) the agent of each row, or NOBODY
     obs: NDArray[np.float32]  # (M, K, *S) what it sees now; zeros for NOBODY
-    mask: NDArray[np.int8]  # (M, K, 6) its moves that cross an edge now; never all zero
+    mask: NDArray[np.int8]  # (M, K, A) its moves that cross an edge now; never all zero
     actions: NDArray[np.int8]  # (M, K) input: the moves to make; NOBODY: no move
     acted: NDArray[np.bool_]  # (M, K) whether the row's agent moved in the step
     reward: NDArray[np.float32]  # (M, K) what the step paid it; if K = 1, all agents together
     ending: NDArray[np.int8]  # (M, K) Ending of the agent's task in the step
     final_obs: NDArray[np.float32]  # (M, K, *S) what the agent saw where it arrived
-    final_mask: NDArray[np.int8]  # (M, K, 6) likewise
+    final_mask: NDArray[np.int8]  # (M, K, A) likewise
     terminated: NDArray[np.bool_]  # (M, K) all tasks of the agent are joined
     truncated: NDArray[np.bool_]  # (M, K) all tasks of the agent have ended, and some failed
     active: NDArray[np.bool_]  # (M, K) rows whose agent can move next
@@ -75,19 +75,21 @@ class StepBuffers(NamedTuple):
     final: NDArray[Any]  # (M,) GAME at the end of the problem's last episode
 
     @classmethod
-    def of(cls, problems: int, rows: int, shape: tuple[int, ...]) -> "StepBuffers":
-        """Buffers for a number of problems, rows per problem, and a shape of observations."""
+    def of(
+        cls, problems: int, rows: int, shape: tuple[int, ...], actions: int = MOVES
+    ) -> "StepBuffers":
+        """Buffers for a number of problems, rows per problem, shape of observations, actions."""
         each = problems, rows
         return cls(
             agents=np.full(each, NOBODY, np.int32),
             obs=np.zeros((*each, *shape), np.float32),
-            mask=np.ones((*each, MOVES), np.int8),
+            mask=np.ones((*each, actions), np.int8),
             actions=np.full(each, NOBODY, np.int8),
             acted=np.zeros(each, np.bool_),
             reward=np.zeros(each, np.float32),
             ending=np.zeros(each, np.int8),
             final_obs=np.zeros((*each, *shape), np.float32),
-            final_mask=np.ones((*each, MOVES), np.int8),
+            final_mask=np.ones((*each, actions), np.int8),
             terminated=np.zeros(each, np.bool_),
             truncated=np.zeros(each, np.bool_),
             active=np.zeros(each, np.bool_),
@@ -150,7 +152,8 @@ class Player:
         problems, agents = engine.nets.shape
         if buffers is None:
             shape = observation.space(engine.problems, engine.static.overflow_allowed).shape
-            buffers = StepBuffers.of(problems, agents if everyone else 1, shape)
+            rows = agents if everyone else 1
+            buffers = StepBuffers.of(problems, rows, shape, engine.actions)
         self.buffers = buffers
         looks = observation if type(observation) is PaperObservation else PaperObservation()
         pays = reward if type(reward) is PaperReward else PaperReward()
@@ -166,27 +169,30 @@ class Player:
 
     @property
     def compiled(self) -> bool:
-        """Whether a whole step is one compiled call: the observation and reward are the paper's."""
-        return self.known.observation and self.known.reward
+        """Whether a whole step is one compiled call.
+
+        It is with the paper's observation, reward and six actions.
+        """
+        return self.known.observation and self.known.reward and self.engine.actions == MOVES
 
     def _bind(self) -> None:
         """Prepares the calls after the arrays have been replaced."""
         engine, buffers = self.engine, self.buffers
-        # Masks are written in pairs of bytes, which is faster.
-        self.kernel_buffers = buffers._replace(
-            mask=buffers.mask.view(np.int16), final_mask=buffers.final_mask.view(np.int16)
-        )
         if self.everyone:
             buffers.agents[:] = engine.pairs(everyone=True)[1].reshape(engine.nets.shape)
         own_reward = not self.known.reward
         self.paid = np.zeros(engine.nets.shape, np.float32) if own_reward else None
         self._before = engine.save() if own_reward else None
         if self.compiled:
+            # Masks are written in pairs of bytes, which is faster.
+            self.kernel_buffers = buffers._replace(
+                mask=buffers.mask.view(np.int16), final_mask=buffers.final_mask.view(np.int16)
+            )
             self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
             kernel = _play_everyone if self.everyone else _play_player
             self._step = bound(kernel, *self._arguments, True, True)
         else:
-            self._arrived = np.zeros(engine.nets.shape, AGENT)
+            self._arrived = np.zeros(engine.nets.shape, AGENT), engine.dynamic.visited.copy()
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
         """Starts the episodes of all problems, or of those where ``which`` (M,) is true."""
@@ -238,7 +244,7 @@ class Player:
         holds = {
             "agents": b.agents == rows,
             "active": b.active == active,
-            "actions": (b.actions >= NOBODY) & (b.actions < MOVES),
+            "actions": (b.actions >= NOBODY) & (b.actions < self.engine.actions),
             "ending": (b.ending >= 0) & (b.ending <= max(Ending)),
         }
         for name in ("mask", "final_mask"):
@@ -264,6 +270,11 @@ class Player:
         if self._before is not None:
             for name in Dynamic._fields:
                 getattr(self._before, name)[which] = getattr(self.engine.dynamic, name)[which]
+            # Edges that nets have just given back are paid for with the next move.
+            games = self._before.games
+            ripped = np.flatnonzero(games["ripped"])
+            for name in ("joined", "overflow", "wirelength"):
+                games[name][ripped] = games[f"kept_{name}"][ripped]
 
     def _start(self, which: NDArray[np.bool_]) -> None:
         """Starts episodes, in which nobody has acted yet."""
@@ -290,7 +301,14 @@ class Player:
             _move(engine.static, engine.dynamic, movers, moves)
             before = engine.dynamic if self._before is None else self._before
             paid += self._pay(before, movers)
-            _settle(engine.static, engine.dynamic, before, movers, moves, self._arrived)
+            _settle(engine.static, engine.dynamic, before, movers, moves, *self._arrived)
+            if engine.static.extended:
+                # More may have changed than one edge of one net.
+                mover = engine.agents[np.arange(len(movers)), movers]
+                changed = (mover["ending"] != Ending.NONE) | (
+                    mover["crossing"] == Crossing.ANSWERED
+                )
+                self._mirror(changed & (movers != NOBODY))
         rows = np.arange(len(asked))
         if self.everyone:
             b.reward[:] = paid
@@ -306,6 +324,8 @@ class Player:
         ended = b.ending != Ending.NONE
         self._look_back(ended, asked, unsettle=True)
         _pass_turns(engine.static, engine.dynamic, self.everyone, begins)
+        if engine.static.rounds:
+            self._mirror(engine.games["ripped"] != 0)
         if not self.everyone:
             passed = (engine.games["agent"] != asked)[:, None]
             self._look_back(b.acted & passed & ~ended, asked, unsettle=False)
@@ -338,7 +358,8 @@ class Player:
             )
         if self._before is None:  # the paper's reward pays only the agents that moved
             return paid
-        playing = before.agents["status"] == Status.ACTIVE
+        status = before.agents["status"]
+        playing = (status == Status.ACTIVE) | (status == Status.WAITING)
         return np.where(playing & (movers != NOBODY)[:, None], paid, np.float32(0))
 
     def _look_back(
@@ -357,15 +378,22 @@ class Player:
         problems, row = np.nonzero(rows)
         agents = row if self.everyone else asked[problems]
         place_of = problems, agents
-        settled = engine.agents[place_of]
+        settled = [array[place_of] for array in self._movable()]
         if unsettle:
-            engine.agents[place_of] = self._arrived[place_of]
+            for array, arrived in zip(self._movable(), self._arrived, strict=False):
+                array[place_of] = arrived[place_of]
         problems, agents = problems.astype(np.int32), agents.astype(np.int32)
         out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
         self.observation.write(engine, problems, agents, out)
         b.final_obs[rows] = out
         b.final_mask[rows] = engine.masks(problems, agents)
-        engine.agents[place_of] = settled
+        for array, kept in zip(self._movable(), settled, strict=True):
+            array[place_of] = kept
+
+    def _movable(self) -> list[NDArray[Any]]:
+        """What changes for an agent when its next task begins, as far as it is seen."""
+        dynamic = self.engine.dynamic
+        return [dynamic.agents, dynamic.visited][: 1 + self.engine.static.mask_visited]
 
     def _look(self, which: NDArray[np.bool_], asked: NDArray[np.int32] | None = None) -> None:
         """Writes what agents see now, and their status."""
@@ -435,15 +463,23 @@ def _move(static: Static, dynamic: Dynamic, movers: Any, moves: Any) -> None:
 
 @compiled
 def _settle(
-    static: Static, dynamic: Dynamic, before: Dynamic, movers: Any, moves: Any, arrived: Any
+    static: Static,
+    dynamic: Dynamic,
+    before: Dynamic,
+    movers: Any,
+    moves: Any,
+    arrived: Any,
+    visited: Any,
 ) -> None:
     """Settles the agents that moved, records where they arrived, and updates ``before``."""
     for m in range(len(movers)):
         if movers[m] == NOBODY:
             continue
         n = place(movers[m])
-        edge = place(static.edge[place(before.agents[m, n].cell), place(moves[m])])
+        edge = place(static.edge[place(before.agents[m, n].cell), place(moves[m] % MOVES)])
         arrived[m, n] = dynamic.agents[m, n]
+        for byte in range(dynamic.visited.shape[2] * static.mask_visited):
+            visited[m, n, byte] = dynamic.visited[m, n, byte]
         settle_agent(static, dynamic, m, n)
         before.remaining[m, edge] = dynamic.remaining[m, edge]
         before.used[m, n, edge >> 3] = dynamic.used[m, n, edge >> 3]
@@ -525,6 +561,16 @@ def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
 
 
 @inlined
+def _show(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int) -> None:
+    """Writes an agent's status and what it sees now."""
+    status = dynamic.agents[m, n].status
+    b.terminated[m, n] = status == Status.TERMINATED
+    b.truncated[m, n] = status == Status.TRUNCATED
+    b.active[m, n] = status == Status.ACTIVE
+    _look(static, dynamic, known, m, n, b.obs, b.mask, n)
+
+
+@inlined
 def _step_everyone(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
     """A step of one problem in which all agents have a row."""
     game = dynamic.games[m]
@@ -540,12 +586,12 @@ def _step_everyone(static: Static, dynamic: Dynamic, b: StepBuffers, known: Know
         if agent.ending != Ending.NONE:
             _look(static, dynamic, known, m, n, b.final_obs, b.final_mask, n)
             settle_agent(static, dynamic, m, n)
-        status = agent.status
-        b.terminated[m, n] = status == Status.TERMINATED
-        b.truncated[m, n] = status == Status.TRUNCATED
-        b.active[m, n] = status == Status.ACTIVE
-        _look(static, dynamic, known, m, n, b.obs, b.mask, n)
+        _show(static, dynamic, b, known, m, n)
     settle_turns(static, dynamic, m)
+    if static.rounds > 0 and (game.ripped or game.active == 0):
+        for n in range(b.agents.shape[1]):
+            if dynamic.agents[m, n].status != Status.ABSENT:
+                _show(static, dynamic, b, known, m, n)
     b.total[m] = total
     _finish(b, m, playing, game)
 

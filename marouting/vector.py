@@ -93,6 +93,7 @@ class BatchEnv(EzPickle):
             self.num_problems,
             self.num_agents if everyone else 1,
             self.single_observation_space.shape,
+            engine.actions,
         )
         self._state = np.empty((self.num_problems, *self.single_state_space.shape), np.float32)
 
@@ -135,8 +136,8 @@ class BatchEnv(EzPickle):
         """Moves the agents of all rows, those of each problem in turn order.
 
         Args:
-            actions: (M, K) integers, 0 to 5, or −1 for no move. Those of agents that are done or
-                absent are ignored.
+            actions: (M, K) integers, 0 to 5 (6 with ``rip_up: agents``), or −1 for no move. Those
+                of agents that are done or absent are ignored.
 
         Returns:
             * (M, K, *S) float32 observations,
@@ -146,12 +147,12 @@ class BatchEnv(EzPickle):
             * an info, a dictionary of
 
               * ``agents`` (M, K) int32: the agent of each row, −1 for none;
-              * ``action_mask`` (M, K, 6) int8;
+              * ``action_mask`` (M, K, A) int8, for A actions;
               * ``active`` (M, K) bool: agents that can move next;
               * ``acted`` (M, K) bool: agents that moved in this step;
               * ``task_ended`` (M, K) int8: 1 where this step joined the agent's task, 2 where the
                 task failed, otherwise 0;
-              * ``final_obs`` (M, K, *S) float32 and ``final_mask`` (M, K, 6) int8: where a task
+              * ``final_obs`` (M, K, *S) float32 and ``final_mask`` (M, K, A) int8: where a task
                 ended, or K = 1 and the turn passed, what the agent saw on arrival;
               * ``over`` (M,) bool: episodes that ended in this step;
               * ``overflow``, ``wirelength``, ``joined`` and ``steps`` (M,) integers: the present

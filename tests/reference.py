@@ -133,6 +133,10 @@ class Agent:
     crossing: str = "NONE"
     ending: str = "NONE"
     added_overflow: int = 0
+    target: Gcell = (0, 0, 0)
+    begun: set[int] = field(default_factory=set)
+    visited: set[Gcell] = field(default_factory=set)
+    taken: set[Edge] = field(default_factory=set)
 
 
 @dataclass
@@ -145,12 +149,26 @@ class Game:
     max_steps: int = 50
     overflow: str = "forbidden"
     decomposition: Any = "mst"
+    target: str = "pin"
+    next_task: str = "listed"
+    mask_visited: bool = False
+    give_back: bool = False
+    rip_up_rounds: int = 0
+    rip_up: str = "all"
+    rip_up_neighbours: int = 0
     agents: list[Agent] = field(init=False)
     order: list[int] = field(init=False)
     users: dict[Edge, set[int]] = field(init=False)
     capacity: dict[Edge, int | None] = field(init=False)
     turn: int | None = field(init=False)
     steps: int = field(init=False, default=0)
+    round: int = field(init=False, default=0)
+    line: list[int] = field(init=False, default_factory=list)
+    picked: int = field(init=False, default=0)
+    history: dict[Edge, int] = field(init=False, default_factory=dict)
+    again: dict[int, tuple[set[Edge], int]] = field(init=False, default_factory=dict)
+    before: tuple[int, int, int] = field(init=False, default=(0, 0, 0))
+    asked: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
         problem = self.problem
@@ -166,6 +184,146 @@ class Game:
         self.capacity = {edge: capacity_of(problem, edge) for edge in all_edges(problem)}
         self.users = {edge: set() for edge in self.capacity}
         self.turn = self.order[0]
+        for n in range(len(self.agents)):
+            self.begin_net(n)
+
+    # --- tasks by the options ----------------------------------------------------------------
+
+    def keeps_tree(self) -> bool:
+        """Whether the options know the net's tree."""
+        return self.target == "tree" or self.next_task == "nearest"
+
+    def tree(self, n: int) -> set[Gcell]:
+        """The Gcells that an agent's edges join to its first pin."""
+        graph: nx.Graph[Gcell] = nx.Graph(list(self.edges_of(n)))
+        root = self.agents[n].tasks[0][0]
+        graph.add_node(root)
+        return set(nx.node_connected_component(graph, root))
+
+    def begin_net(self, n: int) -> None:
+        """The agent's first task."""
+        agent = self.agents[n]
+        agent.begun, agent.joined, agent.task, agent.status = set(), 0, -1, "ACTIVE"
+        following = self.following(n)
+        assert following is not None
+        self.begin(n, following)
+
+    def following(self, n: int) -> int | None:
+        """The task after an agent's present one."""
+        agent = self.agents[n]
+        if not self.keeps_tree():
+            return agent.task + 1 if agent.task + 1 < len(agent.tasks) else None
+        tree = self.tree(n)
+        rest = [t for t, (_, pin) in enumerate(agent.tasks) if pin not in tree]
+        if self.next_task == "listed":
+            return next((t for t in rest if t > agent.task), None)
+        rest = [t for t in rest if t not in agent.begun]
+        near = {t: min(distance(cell, agent.tasks[t][1]) for cell in tree) for t in rest}
+        return min(rest, key=lambda t: (near[t], t), default=None)
+
+    def begin(self, n: int, task: int) -> None:
+        """The agent stands at the beginning of a task."""
+        agent = self.agents[n]
+        agent.task, agent.steps = task, 0
+        agent.begun.add(task)
+        agent.at, agent.target = agent.tasks[task]
+        if self.keeps_tree():
+            pin = agent.tasks[task][1]
+            near = min(self.tree(n), key=lambda cell: (distance(cell, pin), cell))
+            agent.at, agent.target = (pin, near) if self.target == "tree" else (near, pin)
+        agent.visited, agent.taken = {agent.at}, set()
+
+    # --- rip-up rounds -----------------------------------------------------------------------
+
+    def full(self, edge: Edge) -> bool:
+        """Whether all capacity of an edge is taken."""
+        remaining = self.remaining(edge)
+        return remaining is not None and remaining <= 0 < (self.capacity[edge] or 0)
+
+    def is_open(self, n: int) -> int:
+        """How many tasks of an agent are open."""
+        return len(self.agents[n].tasks) - self.agents[n].joined
+
+    def score(self) -> tuple[int, int, int]:
+        """What is to be as small as possible."""
+        return sum(map(self.is_open, self.order)), self.overflow_sum(), self.wirelength()
+
+    def price(self, n: int) -> tuple[int, int]:
+        """Open tasks first, then the history of the edges."""
+        return self.is_open(n), sum(self.history.get(edge, 0) for edge in self.edges_of(n))
+
+    def in_the_way(self, n: int) -> list[int]:
+        """Those that use most of the full edges that matter to an agent."""
+        cells = [cell for task in self.agents[n].tasks for cell in task]
+        low = [min(c[i] for c in cells) - 1 for i in (0, 1)]
+        high = [max(c[i] for c in cells) + 1 for i in (0, 1)]
+
+        def near(edge: Edge) -> bool:
+            return all(low[i] <= edge[0][i] <= high[i] for i in (0, 1))
+
+        edges = {
+            edge
+            for edge, users in self.users.items()
+            if self.full(edge) and (n in users or (self.is_open(n) and near(edge)))
+        }
+        counts = {o: len(edges & self.edges_of(o)) for o in range(len(self.agents)) if o != n}
+        ranked = sorted((o for o in counts if counts[o]), key=lambda o: (-counts[o], o))
+        return ranked[: self.rip_up_neighbours]
+
+    def release(self, n: int) -> None:
+        """A net and those in its way walk again."""
+        self.before = self.score()
+        members = [n, *self.in_the_way(n)]
+        self.again = {o: (self.edges_of(o), self.agents[o].joined) for o in members}
+        self.picked += 1
+        for o in members:
+            for edge in self.edges_of(o):
+                self.users[edge].remove(o)
+            agent = self.agents[o]
+            agent.crossing, agent.ending, agent.added_overflow = "NONE", "NONE", 0
+            self.begin_net(o)
+
+    def judge(self) -> None:
+        """Undoes what made things worse."""
+        if self.score() > self.before:
+            for o, (edges, joined) in self.again.items():
+                for edge in self.edges_of(o):
+                    self.users[edge].remove(o)
+                for edge in edges:
+                    self.users[edge].add(o)
+                self.agents[o].joined = joined
+        self.again = {}
+
+    def next_walk(self) -> int | None:
+        """Who walks again, or is asked, when nobody is active; None: the end."""
+        while True:
+            if not self.line:
+                if self.round == self.rip_up_rounds or (self.round and not self.picked):
+                    for agent in self.agents:
+                        all_joined = agent.joined == len(agent.tasks)
+                        agent.status = "TERMINATED" if all_joined else "TRUNCATED"
+                    return None
+                self.round, self.picked, self.line = self.round + 1, 0, list(self.order)
+                for edge in filter(self.full, self.capacity):
+                    self.history[edge] = self.history.get(edge, 0) + 1
+                if self.rip_up == "price":
+                    self.line.sort(key=lambda n: self.price(n), reverse=True)
+            n = self.line.pop(0)
+            if self.rip_up == "agents":
+                agent = self.agents[n]
+                agent.status, self.asked = "ACTIVE", True
+                agent.task, agent.steps = 0, 0
+                agent.at, agent.target = agent.tasks[0]
+                return n
+            full = any(map(self.full, self.edges_of(n)))
+            if self.rip_up == "conflicts" and not (self.is_open(n) or full):
+                continue
+            if self.rip_up == "price" and not any(self.price(n)):
+                continue
+            self.release(n)
+            return n
+
+    # --- the paper's rules -------------------------------------------------------------------
 
     def half_perimeter(self, n: int) -> int:
         """Width and height of the box around an agent's pins, in Gcells."""
@@ -209,7 +367,15 @@ class Game:
     def mask(self, n: int) -> list[int]:
         """The action mask: never all zero."""
         mask = [int(self.way(n, move) is not None) for move in range(6)]
-        return mask if any(mask) else [1] * 6
+        if self.mask_visited:
+            at, visited = self.agents[n].at, self.agents[n].visited
+            ahead = [tuple(a + d for a, d in zip(at, step, strict=True)) for step in STEPS]
+            fresh = [int(m and a not in visited) for m, a in zip(mask, ahead, strict=True)]
+            mask = fresh if any(fresh) else mask
+        mask = mask if any(mask) else [1] * 6
+        if self.rip_up_rounds and self.rip_up == "agents":
+            mask = [1, 0, 0, 0, 0, 0, 1] if self.asked else [*mask, 0]
+        return mask
 
     def active(self) -> list[int]:
         """Agents that still have a task to walk, in turn order."""
@@ -218,29 +384,56 @@ class Game:
     def go(self, n: int, move: int) -> None:
         """One agent's move, the end of its task and the beginning of its next."""
         agent = self.agents[n]
-        edge = self.way(n, move)
         agent.added_overflow = 0
+        if self.asked:
+            self.asked = False
+            self.steps += 1
+            if move == 6:
+                self.release(n)
+            else:
+                agent.status = "WAITING"
+            agent.crossing, agent.ending = "ANSWERED", "NONE" if move == 6 else "JOINED"
+            return
+        edge = self.way(n, move) if move < 6 else None
         if edge is None:
             agent.crossing = "BLOCKED"
         else:
             before = self.overflow_of(edge)
             agent.crossing = "OWN" if n in self.users[edge] else "NEW"
+            agent.taken |= {edge} - self.edges_of(n)
             self.users[edge].add(n)
             agent.added_overflow = self.overflow_of(edge) - before
             agent.at = edge[1] if agent.at == edge[0] else edge[0]
         agent.steps += 1
         self.steps += 1
         agent.ending = "NONE"
-        if agent.at == agent.tasks[agent.task][1]:
+        agent.visited.add(agent.at)
+        arrived = agent.at == agent.target
+        if self.target == "tree":
+            before = [e for e in self.edges_of(n) if e not in agent.taken]
+            graph: nx.Graph[Gcell] = nx.Graph(before)
+            graph.add_node(agent.tasks[0][0])
+            arrived = agent.at in nx.node_connected_component(graph, agent.tasks[0][0])
+        if arrived:
             agent.ending = "JOINED"
             agent.joined += 1
         elif agent.steps == self.max_steps:
             agent.ending = "FAILED"
         if agent.ending == "NONE":
             return
-        if agent.task + 1 < len(agent.tasks):
-            agent.task += 1
-            agent.at, agent.steps = agent.tasks[agent.task][0], 0
+        if agent.ending == "FAILED" and self.give_back:
+            for taken in agent.taken:
+                self.users[taken].remove(n)
+        if self.keeps_tree():
+            tree = self.tree(n)
+            agent.joined = sum(pin in tree for _, pin in agent.tasks)
+        following = self.following(n)
+        if following is not None:
+            self.begin(n, following)
+        elif self.rip_up_rounds:
+            agent.status = "WAITING"
+            if self.again and not any(self.agents[o].status == "ACTIVE" for o in self.again):
+                self.judge()
         else:
             agent.status = "TERMINATED" if agent.joined == len(agent.tasks) else "TRUNCATED"
 
@@ -257,7 +450,8 @@ class Game:
         """The next active agent in turn order, the mover itself last."""
         place = self.order.index(mover)
         cycle = self.order[place + 1 :] + self.order[: place + 1]
-        return next((n for n in cycle if self.agents[n].status == "ACTIVE"), None)
+        active = next((n for n in cycle if self.agents[n].status == "ACTIVE"), None)
+        return self.next_walk() if active is None and self.rip_up_rounds else active
 
     def step_all(self, moves: Sequence[int]) -> None:
         """Every active agent moves once; in sequential order only the one whose turn it is."""
@@ -301,14 +495,14 @@ def random_moves(
 ) -> NDArray[np.integer]:
     """(M, N) moves: some anything, some towards the target, most what the mask allows."""
     shape = engine.agents.shape
-    masks = engine.masks(*engine.pairs(everyone=True)).reshape(*shape, 6)
-    moves = rng.random((*shape, 6)) * masks
+    masks = engine.masks(*engine.pairs(everyone=True)).reshape(*shape, engine.actions)
+    moves = rng.random(masks.shape) * masks
     position = engine.grid.position
     away = position[engine.agents["target"]] - position[engine.agents["cell"]]
     wanted = np.stack((away > 0, away < 0), axis=-1).reshape(*shape, 6)
-    moves += wanted * masks * (rng.random((*shape, 1)) < 0.5)
+    moves[..., :6] += wanted * masks[..., :6] * (rng.random((*shape, 1)) < 0.5)
     choice = moves.argmax(axis=-1)
-    return np.where(rng.random(shape) < wild, rng.integers(6, size=shape), choice)
+    return np.where(rng.random(shape) < wild, rng.integers(engine.actions, size=shape), choice)
 
 
 @st.composite

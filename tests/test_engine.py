@@ -25,6 +25,17 @@ options = st.fixed_dictionaries(
         "max_steps": st.sampled_from([1, 3, 10, 30]),
     }
 )
+extensions = st.fixed_dictionaries(
+    {
+        "target": st.sampled_from(["pin", "tree"]),
+        "next_task": st.sampled_from(["listed", "nearest"]),
+        "mask_visited": st.booleans(),
+        "give_back": st.booleans(),
+        "rip_up_rounds": st.sampled_from([0, 0, 1, 2, 3]),
+        "rip_up": st.sampled_from(["all", "conflicts", "price", "agents"]),
+        "rip_up_neighbours": st.sampled_from([0, 0, 1, 2]),
+    }
+)
 seeds = st.integers(0, 2**32)
 LIMIT = 300  # steps of an example
 
@@ -35,7 +46,7 @@ def compare(engine: Engine, game: Game) -> None:
     records, agents = engine.agents[0], game.agents
     assert [gcell_of(problem, c) for c in records["cell"].tolist()] == [a.at for a in agents]
     targets = [gcell_of(problem, c) for c in records["target"].tolist()]
-    assert targets == [a.tasks[a.task][1] for a in agents]
+    assert targets == [a.target for a in agents]
     for name, kind in (("status", Status), ("crossing", Crossing), ("ending", Ending)):
         found = [kind(value).name for value in records[name].tolist()]
         assert found == [getattr(a, name) for a in agents], name
@@ -91,6 +102,16 @@ def test_engine_plays_by_the_rules(
         engine.step(random_moves(engine, rng))
         engine.step(np.array([0]))
         assert engine.metrics().steps == game.steps
+
+
+@settings(deadline=None, max_examples=150)
+@given(contested(), options, extensions, seeds, st.sampled_from(["turn", "all", "mixed"]))
+def test_engine_plays_by_the_options(
+    problem: Problem, chosen: dict[str, Any], more: dict[str, Any], seed: int, form: str
+) -> None:
+    if more["next_task"] == "nearest":
+        chosen = {**chosen, "decomposition": "mst"}
+    test_engine_plays_by_the_rules.hypothesis.inner_test(problem, {**chosen, **more}, seed, form)
 
 
 @settings(deadline=None, max_examples=60)

@@ -10,10 +10,9 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
-from marouting.env.base import METADATA, NO_OP, BaseGame, GameMethods, checked_move
+from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
 from marouting.game.state import NOBODY, Status
 from marouting.options import ORDERS
-from marouting.problem.grid import MOVES
 from marouting.source import Source
 
 
@@ -45,7 +44,7 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
         self.observation_spaces = {
             agent: self._game.new_observation_space() for agent in self.possible_agents
         }
-        self.action_spaces = {agent: Discrete(MOVES) for agent in self.possible_agents}
+        self.action_spaces = {agent: Discrete(self._game.actions) for agent in self.possible_agents}
         self.agents: list[str] = []
 
     def observation_space(self, agent: str) -> Space[Any]:
@@ -75,7 +74,7 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
         self.truncations = dict.fromkeys(self.agents, False)
         masks = dict(zip(self._game.names, self._game.masks(), strict=True))
         self.infos = {
-            agent: self._info(masks.get(agent, NO_OP), active=agent in masks)
+            agent: self._info(masks.get(agent, self._game.no_op), active=agent in masks)
             for agent in self.agents
         }
         self._game.describe(self.infos)
@@ -91,11 +90,11 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
         """Moves the selected agent.
 
         Args:
-            action: one of the six moves; None for an agent that is terminated or truncated.
+            action: one of the actions; None for an agent that is terminated or truncated.
 
         Raises:
             ResetNeeded: there is no episode, or it is over.
-            ValueError: the action is not one of the six moves, or not None for an agent that is
+            ValueError: the action is none of these, or not None for an agent that is
                 terminated or truncated.
         """
         if not self.agents:
@@ -110,14 +109,14 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
             return
         player, number = game.player, self._number[agent]
         buffers = player.buffers
-        buffers.actions[0, 0] = checked_move(action)
+        buffers.actions[0, 0] = checked_move(action, game.actions)
         player.step()
         self._pay(agent, buffers.reward.item())
         terminated, truncated = buffers.terminated.item(), buffers.truncated.item()
         following = buffers.agents.item()
         done = terminated or truncated
-        if done and game.persists:
-            self.infos[agent] = self._info(NO_OP, active=False)
+        if game.persists and not game.active(number):
+            self.infos[agent] = self._info(game.no_op, active=False)
         if following == NOBODY and game.persists:
             self._end_together()
         elif not done or game.persists:

@@ -20,7 +20,7 @@ from marouting.game.state import NOBODY, Status
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.options import game_options
 from marouting.player import Player
-from marouting.problem.grid import MOVES, Grid
+from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Scene, Window, ansi, rgb_array
@@ -32,10 +32,6 @@ METADATA: dict[str, Any] = {
     "render_fps": 10,
     "is_parallelizable": True,
 }
-
-
-NO_OP = np.array([1, 0, 0, 0, 0, 0], np.int8)
-"""(6,) the mask of an agent that is done and stays: the one move it may make does nothing."""
 
 
 class BaseGame:
@@ -57,6 +53,9 @@ class BaseGame:
         everyone: the names of all nets, of the problem with most of them.
         begun: whether an episode has begun.
         persists: whether agents that are done stay until all are done.
+        actions: A, the number of actions.
+        no_op: (A,) the mask of an agent that is done and stays: the one move it may make does
+            nothing.
 
     Raises:
         InputError: an option or the problem cannot be used.
@@ -79,7 +78,9 @@ class BaseGame:
         self._together = everyone
         self.render_mode = checked.render_mode
         self.masked = checked.mask_in_observation
-        self.persists = checked.agents_persist
+        self.persists = checked.agents_persist or checked.rip_up_rounds > 0
+        self.actions = checked.actions
+        self.no_op = np.eye(1, self.actions, dtype=np.int8)[0]
         self.begun = False
         self._window = Window()
         self._rng, _ = seeding.np_random(0)
@@ -155,10 +156,10 @@ class BaseGame:
         box = copy.copy(self._box)
         if not self.masked:
             return box
-        return Dict({"observation": box, "action_mask": MultiBinary(MOVES)})
+        return Dict({"observation": box, "action_mask": MultiBinary(self.actions)})
 
     def masks(self) -> NDArray[np.int8]:
-        """(N, 6) int8, new action masks of all agents."""
+        """(N, A) int8, new action masks of all agents."""
         return self.engine.masks(*self.engine.pairs(everyone=True))
 
     def observation(self, agent: int) -> Any:
@@ -176,9 +177,9 @@ class BaseGame:
         return agent != NOBODY and bool(self.engine.agents[0, agent]["status"] == Status.ACTIVE)
 
     def mask(self, agent: int) -> NDArray[np.int8]:
-        """(6,) int8, a new action mask of one agent; that of NOBODY is all ones."""
+        """(A,) int8, a new action mask of one agent; that of NOBODY is all ones."""
         if self.persists and not self.active(agent):
-            return NO_OP.copy()
+            return self.no_op.copy()
         return self.engine.masks(np.zeros(1, np.int32), np.full(1, agent, np.int32))[0]
 
     def seen(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
@@ -246,14 +247,14 @@ class BaseGame:
         self._window.close()
 
 
-def checked_move(action: Any, name: str = "action") -> int:
-    """An integer of any type as an int; raises ValueError, naming it, for all but 0 to 5."""
+def checked_move(action: Any, actions: int, name: str = "action") -> int:
+    """An integer of any type as an int; raises ValueError, naming it, for all but an action."""
     try:
         move = operator.index(action)
     except TypeError:
-        move = MOVES
-    if not 0 <= move < MOVES:
-        raise ValueError(f"{name}: expected 0 to {MOVES - 1}, found {action}")
+        move = actions
+    if not 0 <= move < actions:
+        raise ValueError(f"{name}: expected 0 to {actions - 1}, found {action}")
     return move
 
 
@@ -302,7 +303,7 @@ class GameMethods(EzPickle):
         return self._game.engine
 
     def action_mask(self, agent: str) -> NDArray[np.int8]:
-        """(6,) int8, 1 for the moves of a net that cross an edge now; never all zero.
+        """(A,) int8, 1 for the moves of a net that cross an edge now; never all zero.
 
         Raises:
             KeyError: there is no such net.

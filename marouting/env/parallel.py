@@ -13,10 +13,9 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from marouting.env.base import METADATA, NO_OP, BaseGame, GameMethods, checked_move
+from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
 from marouting.game.state import NOBODY
 from marouting.options import ORDERS
-from marouting.problem.grid import MOVES
 from marouting.source import Source
 
 
@@ -43,7 +42,7 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         self.observation_spaces = {
             agent: self._game.new_observation_space() for agent in self.possible_agents
         }
-        self.action_spaces = {agent: Discrete(MOVES) for agent in self.possible_agents}
+        self.action_spaces = {agent: Discrete(self._game.actions) for agent in self.possible_agents}
         self.agents: list[str] = []
 
     def observation_space(self, agent: str) -> Space[Any]:
@@ -82,7 +81,7 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         if self._game.persists:
             active = buffers.active[0].take(numbers) & (numbers != NOBODY)
             seen[numbers == NOBODY] = 0
-            masks[~active] = NO_OP
+            masks[~active] = self._game.no_op
             for info, moves in zip(infos, active.tolist(), strict=True):
                 info["active"] = moves
         if self._game.masked:
@@ -106,13 +105,13 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         Raises:
             ResetNeeded: no episode has begun. Once it is over, a step changes nothing.
             KeyError: an agent's action is missing.
-            ValueError: an action is not one of the six moves.
+            ValueError: an action is out of range.
         """
         self._game.check_begun()
         agents, numbers, player = self.agents, self._numbers, self._game.player
         buffers = player.buffers
         there: Any = numbers != NOBODY if self._game.persists else ...
-        moves = _moves([actions[agent] for agent in agents], agents)
+        moves = _moves([actions[agent] for agent in agents], agents, self._game.actions)
         buffers.actions[0, numbers[there]] = moves[there]
         player.step()
 
@@ -141,13 +140,13 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         return observations, rewards, ended, cut, infos
 
 
-def _moves(actions: list[Any], agents: list[str]) -> NDArray[np.int8]:
-    """Actions as an array; raises ValueError, naming the agent, for all but 0 to 5."""
+def _moves(actions: list[Any], agents: list[str], count: int) -> NDArray[np.int8]:
+    """Actions as an array; raises ValueError, naming the agent, for all but 0 to count - 1."""
     try:
         moves = bytes(actions)  # integers from 0 to 255 of any type
     except (TypeError, ValueError):
-        moves = bytes([MOVES])
-    if moves and max(moves) >= MOVES:
+        moves = bytes([count])
+    if moves and max(moves) >= count:
         named = zip(actions, agents, strict=True)
-        moves = bytes([checked_move(action, f"action of {agent}") for action, agent in named])
+        moves = bytes([checked_move(a, count, f"action of {agent}") for a, agent in named])
     return np.frombuffer(moves, np.int8)

@@ -13,7 +13,6 @@ from marouting.config import check
 from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
 from marouting.game.state import NOBODY
 from marouting.options import ORDERS
-from marouting.problem.grid import MOVES
 from marouting.source import Source
 
 
@@ -39,10 +38,10 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
     ) -> None:
         EzPickle.__init__(self, problem, render_mode, **options)
         self._game = BaseGame(problem, ORDERS["single"], {**options, "render_mode": render_mode})
-        check("agents_persist", not self._game.persists, "false: there is only one player")
+        check("agents_persist", not options.get("agents_persist"), "false: only one player")
         self.render_mode = render_mode
         self.observation_space = self._game.new_observation_space()
-        self.action_space = Discrete(MOVES)
+        self.action_space = Discrete(self._game.actions)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -63,7 +62,7 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
         return seen, info
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """(6,) bool, the moves of the net to move that cross an edge, as sb3-contrib asks."""
+        """(A,) bool, the moves of the net to move that cross an edge, as sb3-contrib asks."""
         return self._game.player.buffers.mask[0, 0].astype(np.bool_)
 
     def _look(self) -> tuple[Any, dict[str, Any]]:
@@ -82,14 +81,14 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
 
         Raises:
             ResetNeeded: no episode has begun.
-            ValueError: the action is not one of the six moves.
+            ValueError: the action is not one of the actions.
         """
         game = self._game
         buffers = game.player.buffers
         game.check_begun()
         if buffers.agents.item() == NOBODY:
             logger.warn("step(): the episode is over, and nothing changes before reset().")
-        buffers.actions[0, 0] = checked_move(action)
+        buffers.actions[0, 0] = checked_move(action, game.actions)
         game.player.step()
         reward = buffers.reward.item()
         over = buffers.agents.item() == NOBODY

@@ -5,7 +5,6 @@ All rules are in :mod:`marouting.game.rules`, all state in :mod:`marouting.game.
 
 import copy
 import functools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,11 +23,10 @@ from marouting.game.rules import (
     write_mask,
 )
 from marouting.game.saved import check_saved
-from marouting.game.setup import static_state
-from marouting.game.state import AGENT, GAME, NOBODY, Dynamic, Static
+from marouting.game.setup import dynamic_state, static_state
+from marouting.game.state import NOBODY, Dynamic, Static
 from marouting.kernels import compiled, place, wide
-from marouting.memory import check_memory
-from marouting.problem.grid import MOVES, Grid, Move
+from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 
@@ -70,7 +68,7 @@ def _settle_all(static: Static, dynamic: Dynamic) -> None:
 
 @compiled
 def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: Any) -> bool:
-    """Fills ``out`` (K, 6) with masks; returns whether there are such agents."""
+    """Fills ``out`` (K, A) with masks; returns whether there are such agents."""
     for i in range(len(problems)):
         m, n = wide(problems[i]), wide(agents[i])
         if not is_agent(dynamic, m, n):
@@ -159,17 +157,7 @@ class Engine:
         self.problems = tuple(problems)
         self.static, self.nets = static_state(self.problems, self.rules)
         self.grid = Grid.of(self.problems[0].grid)
-        m, n = self.nets.shape
-        bits = (m, n, (self.grid.edges + 7) // 8)
-        what = "{} nets on a grid of {}, a bit for each net and edge"
-        check_memory(math.prod(bits), what, m * n, self.grid)
-        self.dynamic = Dynamic(
-            remaining=np.empty((m, self.grid.edges), np.int32),
-            # Zeros take no memory until they are written to, and _reset does not touch them.
-            used=np.zeros(bits, np.uint8),
-            agents=np.zeros((m, n), AGENT),
-            games=np.zeros(m, GAME),
-        )
+        self.dynamic = dynamic_state(self.static, self.nets.shape[1], self.rules.rip_up_neighbours)
         self.reset()
 
     @property
@@ -186,6 +174,11 @@ class Engine:
     def max_steps(self) -> int:
         """Steps after which a task fails (the paper's T_max)."""
         return self.static.max_steps
+
+    @property
+    def actions(self) -> int:
+        """How many actions an agent has; see :class:`marouting.game.options.RuleOptions`."""
+        return self.rules.actions
 
     @property
     def tasks(self) -> NDArray[np.int32]:
@@ -220,6 +213,7 @@ class Engine:
             demand=static.demand[which],
             first=static.first[which],
             order=static.order[which],
+            queue=static.queue[which],
         )
         part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
         return part
@@ -233,7 +227,7 @@ class Engine:
                 active, or that have to wait for their turn, are ignored.
 
         Raises:
-            ValueError: a move is not in −1…5, or the shape is wrong.
+            ValueError: a move is not −1 or an action, or the shape is wrong.
         """
         moves = np.asarray(moves)
         self.check(moves)
@@ -317,8 +311,9 @@ class Engine:
                 f"moves: expected integers of shape {self.games.shape} or {self.agents.shape}, "
                 f"found {moves.dtype} of shape {moves.shape}"
             )
-        if not (moves.min() >= NOBODY and moves.max() < MOVES):
-            raise ValueError(f"moves: expected {list(Move)} or {NOBODY}, found {moves}")
+        if not (moves.min() >= NOBODY and moves.max() < self.actions):
+            expected = f"0 to {self.actions - 1}, or {NOBODY}"
+            raise ValueError(f"moves: expected {expected}, found {moves}")
 
     @functools.cached_property
     def _problems(self) -> NDArray[np.int32]:
@@ -346,7 +341,7 @@ class Engine:
         agents: NDArray[np.integer],
         out: NDArray[np.int8] | None = None,
     ) -> NDArray[np.int8]:
-        """(K, 6) int8 action masks of K agents: 1 where a move would cross an edge.
+        """(K, A) int8 action masks of K agents: 1 where a move would cross an edge.
 
         A mask is never all zero: if all moves of an agent are blocked, it gets all ones.
 
@@ -354,8 +349,8 @@ class Engine:
             ValueError: there are no such agents.
         """
         if out is None:
-            out = np.empty((len(problems), MOVES), np.int8)
-        check_rows(problems, agents, out, MOVES)
+            out = np.empty((len(problems), self.actions), np.int8)
+        check_rows(problems, agents, out, self.actions)
         if not _masks(self.static, self.dynamic, problems, agents, out):
             raise ValueError(f"expected agents of the games, found {problems}, {agents}")
         return out

@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 from pydantic import ConfigDict
 
 from marouting.config import check
+from marouting.problem.grid import MOVES
 from marouting.problem.net import is_whole
 from marouting.problem.problem import check_choice
 from marouting.trees.decomposition import Decomposition
@@ -13,11 +14,20 @@ from marouting.trees.decomposition import Decomposition
 TurnOrder = Literal["sequential", "round_robin"]
 NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
 Overflow = Literal["forbidden", "allowed"]
+Target = Literal["pin", "tree"]
+NextTask = Literal["listed", "nearest"]
+RipUpChoice = Literal["all", "conflicts", "price", "agents"]
 
 _MAX_STEPS = 50
 
 MOST_STEPS = 1_000_000
 """The largest ``max_steps``: a policy that goes in circles takes them all."""
+
+MOST_ROUNDS = 100_000
+"""The largest ``rip_up_rounds``."""
+
+MOST_NEIGHBOURS = 100
+"""The largest ``rip_up_neighbours``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +46,19 @@ class RuleOptions:
             it overflows the edge, at a price that the reward sets.
         decomposition: the tree along which a net's pins are split into tasks: ``mst``, a minimum
             spanning tree (the paper), or ``steiner``, a rectilinear Steiner tree.
+        target: what ends a task: ``pin``, the task's target pin (the paper), or ``tree``: the agent
+            starts at the new pin, and any Gcell that the net's edges join to its first pin will do.
+        next_task: ``listed``, tasks in the order of the decomposition (the paper), or ``nearest``,
+            the open pin nearest to the net's tree is next. For ``decomposition: mst`` only.
+        mask_visited: whether masks leave out moves to Gcells that the agent has visited in its
+            task, as long as other moves are left.
+        give_back: whether a failed task gives the edges back that it took.
+        rip_up_rounds: how often nets give their edges back and walk again after all have routed;
+            see :mod:`marouting.game.rounds`. Agents then stay until the last round is over.
+        rip_up: which nets do so, and in which order: ``all``; ``conflicts``, those with open tasks
+            or on full edges; ``price``, those on edges that were full in this or earlier rounds,
+            the costliest first; or ``agents``, those whose agents choose so by a seventh action.
+        rip_up_neighbours: how many nets that stand in its way walk again together with a net.
 
     Raises:
         InputError: an option is out of range.
@@ -48,6 +71,13 @@ class RuleOptions:
     max_steps: int | None = None
     overflow: Overflow = "forbidden"
     decomposition: Decomposition = "mst"
+    target: Target = "pin"
+    next_task: NextTask = "listed"
+    mask_visited: bool = False
+    give_back: bool = False
+    rip_up_rounds: int = 0
+    rip_up: RipUpChoice = "all"
+    rip_up_neighbours: int = 0
 
     def __post_init__(self) -> None:
         if self.turn_order is not None:
@@ -58,6 +88,23 @@ class RuleOptions:
         steps = self.max_steps
         in_range = steps is None or (is_whole(steps) and 1 <= steps <= MOST_STEPS)
         check("max_steps", in_range, f"1 to {MOST_STEPS}, found {steps}")
+        check_choice("target", self.target, Target)
+        check_choice("next_task", self.next_task, NextTask)
+        check_choice("rip_up", self.rip_up, RipUpChoice)
+        for name, most in (("rip_up_rounds", MOST_ROUNDS), ("rip_up_neighbours", MOST_NEIGHBOURS)):
+            number = getattr(self, name)
+            in_range = is_whole(number) and 0 <= number <= most
+            check(name, in_range, f"0 to {most}, found {number}")
+        for name in ("mask_visited", "give_back"):
+            value = getattr(self, name)
+            check(name, isinstance(value, bool), f"true or false, found {value!r}")
+        pins_only = self.next_task == "listed" or self.decomposition == "mst"
+        check("next_task", pins_only, "listed, for a decomposition other than mst")
+
+    @property
+    def actions(self) -> int:
+        """How many actions an agent has: six moves and, with ``rip_up: agents``, giving way."""
+        return MOVES + (self.rip_up_rounds > 0 and self.rip_up == "agents")
 
     def steps_per_task(self, grid: tuple[int, int, int]) -> int:
         """Steps after which a task fails on a grid of X×Y×Z Gcells."""

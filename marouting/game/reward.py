@@ -59,7 +59,10 @@ class Reward(Protocol):
                 :data:`marouting.game.state.GAME`; ``game.dynamic`` holds everything that changes,
                 ``game.static`` everything that does not. An agent whose task has ended stands where
                 it arrived; its next task has not begun.
-            before: the arrays of ``game.dynamic`` as they were before the moves, to be read.
+            before: the arrays of ``game.dynamic`` as they were before the moves, to be read. Where
+                nets had just given their edges back in a rip-up round, the tasks joined, overflow
+                and wirelength in ``before.games`` are those before that: the next move is paid for
+                it, and rewards add up.
             movers: (M,) int32, the agent that moved in each problem; NOBODY (−1) if none did.
 
         Returns:
@@ -77,7 +80,7 @@ class PaperReward:
 
     Attributes:
         reached: for the move that reaches the task's target.
-        step: for any other move, blocked ones included.
+        step: for any other move, blocked ones included. An answer whether to give way pays 0.
         own_edge: for a move along an edge that the net already used, unless it reaches the target.
             The paper charges −1, as for any move; 0 makes it free, as in wirelength.
         overflow_price: subtracted for every unit of overflow that the move adds. It only matters
@@ -98,11 +101,11 @@ class PaperReward:
 
     @functools.cached_property
     def table(self) -> NDArray[np.float32]:
-        """(4, 3) float32, the reward by Crossing and Ending, without the price of overflow."""
+        """(5, 3) float32, the reward by Crossing and Ending, without the price of overflow."""
         table = np.full((len(Crossing), len(Ending)), self.step, np.float32)
         table[Crossing.OWN] = self.own_edge
         table[:, Ending.JOINED] = self.reached
-        table[Crossing.NONE] = 0
+        table[[Crossing.NONE, Crossing.ANSWERED]] = 0
         return table
 
     def __call__(

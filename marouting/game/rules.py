@@ -15,6 +15,14 @@ The agent routes them one after the other, one Gcell per move, from a task's sta
 * The nets take turns in ``net_order``. ``sequential``: a net finishes before the next one starts
   (the paper). ``round_robin``: each net takes one step in turn.
 
+These are the paper's rules. Options extend them: trees as targets and the choice of tasks
+(:mod:`marouting.game.tasks`), nets that give their edges back and walk again
+(:mod:`marouting.game.rounds`), and
+
+* ``mask_visited``: masks leave out moves to Gcells that the agent has visited in its task, as long
+  as others are left;
+* ``give_back``: a task that fails gives the edges back that the net did not use before.
+
 A step has two halves, move and settle, so that a learner can see where a move arrived before the
 next task puts the agent on another pin.
 """
@@ -23,41 +31,25 @@ from typing import Any
 
 import numpy as np
 
+from marouting.game.edges import demand_of, may_cross, use_edges, uses
+from marouting.game.rounds import answer, done, has_walked, judge, walk_again
 from marouting.game.state import MASKS, NOBODY, Crossing, Dynamic, Ending, Static, Status
-from marouting.kernels import inlined, place, wide
-from marouting.problem.grid import MOVES, VIA_AXIS
+from marouting.game.tasks import (
+    begin_extended,
+    begin_net,
+    begin_task,
+    clear,
+    grow_tree,
+    holds,
+    insert,
+    keeps_tree,
+    next_task,
+)
+from marouting.kernels import compiled, inlined, place, wide
+from marouting.problem.grid import MOVES
 
-# There are as few branches as possible: what an agent meets is as good as random, and a branch that
-# the processor mispredicts takes as long as a whole move.
-
-
-@inlined
-def uses(used: Any, m: int, n: int, edge: int) -> int:
-    """1 if agent n of problem m uses an edge, else 0."""
-    return used[m, n, edge >> 3] >> (edge & 7) & 1
-
-
-@inlined
-def demand_of(static: Static, m: int, n: int, cell: int, move: int) -> int:
-    """The net's demand on the edge that a move crosses; 0 for a via."""
-    demand = static.demand[m, n, place(static.position[cell, VIA_AXIS])]
-    return demand * (move // 2 != VIA_AXIS)
-
-
-@inlined
-def has_room(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: int) -> int:
-    """1 if a move from a Gcell crosses a via, an edge that the net uses or one with room for it."""
-    edge = place(static.edge[cell, move])
-    via = move // 2 == VIA_AXIS
-    room = dynamic.remaining[m, edge] >= demand_of(static, m, n, cell, move)
-    return (via | room | uses(dynamic.used, m, n, edge)) & (static.exits[cell] >> move)
-
-
-@inlined
-def may_cross(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: int) -> int:
-    """1 if a move from a Gcell crosses its edge, 0 if it is blocked."""
-    anyway = static.overflow_allowed & (static.exits[cell] >> move)
-    return has_room(static, dynamic, m, n, cell, move) | anyway
+GIVE_WAY = MOVES
+"""The seventh action, with ``rip_up: agents``: the net gives its edges back and walks again."""
 
 
 @inlined
@@ -66,8 +58,16 @@ def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> N
     agent = dynamic.agents[m, n]
     game = dynamic.games[m]
     cell = place(agent.cell)
+    crosses = wide(1)
+    if static.extended:
+        if game.asked:
+            answer(static, dynamic, m, n, move == GIVE_WAY)
+            return
+        game.ripped = 0
+        crosses = wide(move != GIVE_WAY)
+        move = min(move, MOVES - 1)
     edge = place(static.edge[cell, move])
-    crosses = may_cross(static, dynamic, m, n, cell, move)
+    crosses &= may_cross(static, dynamic, m, n, cell, move)
     own = crosses & uses(dynamic.used, m, n, edge)
     new = crosses ^ own
     demand = new * demand_of(static, m, n, cell, move)
@@ -86,12 +86,56 @@ def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> N
     agent.steps += 1
     game.steps += 1
     agent.ending = Ending.NONE
-    if agent.cell == agent.target:
+    arrived = agent.cell == agent.target
+    if static.extended:
+        arrived = note_move(static, dynamic, m, n, edge, new)
+    if arrived:
         agent.ending = Ending.JOINED
         agent.joined += 1
         game.joined += 1
     elif agent.steps >= static.max_steps:
         agent.ending = Ending.FAILED
+    if static.extended:
+        end_task(static, dynamic, m, n)
+
+
+@compiled
+def note_move(static: Static, dynamic: Dynamic, m: int, n: int, edge: int, new: int) -> bool:
+    """Notes what the options need of a move; returns whether the agent has arrived."""
+    agent = dynamic.agents[m, n]
+    if static.give_back:
+        dynamic.taken[m, n, edge >> 3] |= new << (edge & 7)
+    if static.mask_visited:
+        insert(dynamic.visited, m, n, wide(agent.cell))
+    if static.tree_target:
+        return holds(dynamic.tree, m, n, wide(agent.cell)) != 0
+    return agent.cell == agent.target
+
+
+@compiled
+def end_task(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
+    """What the options do when a task has ended: edges go back, trees grow, nets are judged."""
+    agent, game = dynamic.agents[m, n], dynamic.games[m]
+    if agent.ending == Ending.NONE:
+        return
+    if static.give_back and agent.ending == Ending.FAILED:
+        for byte in range(dynamic.used.shape[2]):
+            kept = dynamic.used[m, n, byte] & ~dynamic.taken[m, n, byte]
+            use_edges(static, dynamic, m, n, byte, wide(kept))
+        clear(dynamic.taken, m, n)
+    if keeps_tree(static):
+        grow_tree(static, dynamic, m, n)
+    # Judged with the last move, which is then paid for what becomes of it.
+    if game.again == 0:
+        return
+    for k in range(game.again):
+        member = wide(dynamic.again[m, k])
+        other = dynamic.agents[m, member]
+        if other.status == Status.ACTIVE and (
+            other.ending == Ending.NONE or next_task(static, dynamic, m, member) != NOBODY
+        ):
+            return
+    judge(static, dynamic, m)
 
 
 @inlined
@@ -104,26 +148,31 @@ def wait(dynamic: Dynamic, m: int, n: int) -> None:
 
 
 @inlined
-def begin_task(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> None:
-    """Puts an agent on the start pin of a task."""
-    agent = dynamic.agents[m, n]
-    agent.task = task
-    agent.cell = static.tasks[task, 0]
-    agent.target = static.tasks[task, 1]
-    agent.steps = 0
-
-
-@inlined
 def settle_agent(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """After a move: an agent whose task has ended starts its next task, or is done."""
     agent = dynamic.agents[m, n]
     if agent.ending == Ending.NONE or agent.status != Status.ACTIVE:
         return
-    if agent.task + 1 < static.first[m, n + 1]:
+    if static.extended:
+        settle_extended(static, dynamic, m, n)
+    elif agent.task + 1 < static.first[m, n + 1]:
         begin_task(static, dynamic, m, n, wide(agent.task + 1))
+    else:
+        agent.status = done(static, dynamic, m, n)
+        dynamic.games[m].active -= 1
+
+
+@compiled
+def settle_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
+    """:func:`settle_agent` for an agent whose task has ended, by the options."""
+    task = wide(NOBODY)
+    if not has_walked(dynamic, m):
+        task = next_task(static, dynamic, m, n)
+    if task != NOBODY:
+        begin_extended(static, dynamic, m, n, task)
         return
-    tasks = static.first[m, n + 1] - static.first[m, n]
-    agent.status = Status.TERMINATED if agent.joined == tasks else Status.TRUNCATED
+    agent = dynamic.agents[m, n]
+    agent.status = Status.WAITING if static.rounds > 0 else done(static, dynamic, m, n)
     dynamic.games[m].active -= 1
 
 
@@ -133,6 +182,8 @@ def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
     game = dynamic.games[m]
     if game.active == 0:
         game.agent = NOBODY
+        if static.rounds > 0:
+            walk_again(static, dynamic, m)
         return
     agents = static.order.shape[1]
     turn = game.turn if static.sequential else (game.turn + 1) % agents
@@ -158,6 +209,8 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
                 dynamic.used[m, n, byte] = 0
     game.turn = game.active = game.joined = game.steps = 0
     game.overflow = game.wirelength = 0
+    if static.extended:
+        reset_extended(dynamic, m)
     for n in range(static.order.shape[1]):
         agent = dynamic.agents[m, n]
         agent.joined = 0
@@ -165,10 +218,25 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
         if static.first[m, n] < static.first[m, n + 1]:
             agent.status = Status.ACTIVE
             game.active += 1
-            begin_task(static, dynamic, m, n, wide(static.first[m, n]))
+            if static.extended:
+                begin_net(static, dynamic, m, n)
+            else:
+                begin_task(static, dynamic, m, n, wide(static.first[m, n]))
         else:
             agent.status = Status.ABSENT
     game.agent = static.order[m, 0]
+
+
+@compiled
+def reset_extended(dynamic: Dynamic, m: int) -> None:
+    """Forgets the rounds of an episode."""
+    game = dynamic.games[m]
+    game.round = game.place = game.again = game.picked = game.ripped = game.asked = 0
+    game.kept_joined = game.kept_overflow = game.kept_wirelength = 0
+    for edge in range(dynamic.history.shape[1]):
+        dynamic.history[m, edge] = 0
+    for k in range(dynamic.again.shape[1]):
+        dynamic.again[m, k] = NOBODY
 
 
 @inlined
@@ -250,6 +318,13 @@ def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     free = wide(0)
     for move in range(MOVES):
         free |= wide(may_cross(static, dynamic, m, n, cell, move)) << move
+    if static.mask_visited:
+        unvisited = free
+        for move in range(MOVES):
+            ahead = wide(static.neighbour[cell, move])
+            if free >> move & 1 and holds(dynamic.visited, m, n, ahead):
+                unvisited ^= wide(1) << move
+        free = unvisited if unvisited else free
     return free
 
 
@@ -261,9 +336,18 @@ def is_agent(dynamic: Dynamic, m: int, n: int) -> bool:
 
 @inlined
 def write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
-    """Fills a row of ``out`` (K, 6) with an agent's action mask; all ones for NOBODY."""
+    """Fills a row of ``out`` (K, 6 or 7) with an agent's action mask; all ones for NOBODY.
+
+    An agent that is asked whether its net gives way has two actions, the first move and the last.
+    """
     free = wide(0)
     if n != NOBODY:
         free = free_moves(static, dynamic, m, place(n))
     for move in range(MOVES):
         out[row, move] = MASKS[free, move]
+    if out.shape[1] > MOVES:
+        game = dynamic.games[m]
+        asked = n != NOBODY and game.asked and game.agent == n
+        out[row, GIVE_WAY] = n == NOBODY or asked
+        for move in range(asked * MOVES):
+            out[row, move] = move == 0

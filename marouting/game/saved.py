@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.rules import demand_of
-from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Static, Status
+from marouting.game.edges import demand_of
+from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, RipUp, Static, Status
 from marouting.kernels import compiled
 from marouting.problem.grid import AXES
 
@@ -25,15 +25,21 @@ def check_saved(static: Static, saved: Dynamic) -> None:
     agents, games = saved.agents, saved.games
     first, end = static.first[:, :-1], static.first[:, 1:]
     there, active = first < end, agents["status"] == Status.ACTIVE
-    done = there & ~active
+    waiting = agents["status"] == Status.WAITING
+    done = there & ~active & ~waiting
     _expect("status of an agent", _within(agents["status"], 0, max(Status)))
+    _expect("status of an agent", ~waiting | (static.rounds > 0))
     _expect("status of an agent", (agents["status"] == Status.ABSENT) == ~there)
     _expect("Gcell", _within(agents["cell"], 0, len(static.position) - 1))
     _expect("task", _within(agents["task"], first, end - 1) | ~there)
-    target = static.tasks[np.where(there, agents["task"], 0), 1]
-    _expect("target", (agents["target"] == target) | ~there)
+    if static.tree_target:
+        _expect("target", _within(agents["target"], 0, len(static.position) - 1))
+    else:
+        target = static.tasks[np.where(there, agents["task"], 0), 1]
+        _expect("target", (agents["target"] == target) | ~there)
     _expect("steps of a task", _within(agents["steps"], 0, static.max_steps - active) | ~there)
-    _expect("tasks joined", _within(agents["joined"], 0, agents["task"] - first + done) | ~there)
+    most = end - first if static.extended else agents["task"] - first + done
+    _expect("tasks joined", _within(agents["joined"], 0, most) | ~there)
     all_joined = agents["joined"] == end - first
     _expect("status of an agent", (agents["status"] == Status.TERMINATED) == (done & all_joined))
     _expect("last move", _within(agents["crossing"], 0, max(Crossing)))
@@ -49,29 +55,72 @@ def check_saved(static: Static, saved: Dynamic) -> None:
     _expect("agent to move", games["agent"] == mover)
     _expect("agent to move", active[row, mover] | (mover == NOBODY))
 
+    if static.extended:
+        _check_extended(static, saved)
     for m, game in enumerate(games):
-        uses, demand = checked_demand(static, saved.used, m)
+        uses, demand = checked_demand(static, saved.used, m, m)
         _expect("wirelength", game["wirelength"] == uses)
         remaining = static.capacity[m] - demand
         _expect("remaining capacity", saved.remaining[m] == remaining)
         _expect("overflow", game["overflow"] == np.maximum(-remaining, 0).sum())
 
 
+def _check_extended(static: Static, saved: Dynamic) -> None:
+    """:func:`check_saved` for what the options need."""
+    agents, games = saved.agents, saved.games
+    _expect("tasks begun", saved.tried <= 1)
+    for m in range(len(games)):
+        # Sets of Gcells are only looked things up in; edges are given back.
+        if static.give_back:
+            _expect("edges of a task", (saved.taken[m] & ~saved.used[m]) == 0)
+        if not static.rounds:
+            continue
+        game, again = games[m], saved.again[m]
+        agent_count = int((static.first[m, :-1] < static.first[m, 1:]).sum())
+        _expect("round", 0 <= game["round"] <= static.rounds)
+        _expect("place", 0 <= game["place"] <= agents.shape[1])
+        _expect("picked", game["picked"] >= 0)
+        if game["round"] > 0:
+            line = np.sort(saved.line[m][:agent_count])
+            _expect("line", line == np.arange(agent_count))
+            _expect("line", saved.line[m][agent_count:] == NOBODY)
+        _expect("nets that walk again", 0 <= game["again"] <= len(again))
+        members, rest = again[: game["again"]], again[game["again"] :]
+        _expect("nets that walk again", rest == NOBODY)
+        _expect("nets that walk again", _within(members, 0, agents.shape[1] - 1))
+        _expect("nets that walk again", len(set(members.tolist())) == len(members))
+        _expect("answer", _within(np.array([game["ripped"], game["asked"]]), 0, 1))
+        _expect("answer", not game["asked"] or static.rip_up == RipUp.AGENTS)
+        _expect("answer", not game["asked"] or (game["active"] == 1 and not len(members)))
+        before = saved.used[m].copy()
+        before[members] = saved.kept[m, : len(members)]
+        joined = agents["joined"][m] * (agents["status"][m] != Status.ABSENT)
+        joined[members] = saved.kept_joined[m, : len(members)]
+        _expect("tasks joined", _within(joined, 0, np.diff(static.first[m])))
+        if len(members):
+            uses, demand = checked_demand(static, before[None], 0, m)
+            over = np.maximum(demand - static.capacity[m], 0).sum()
+            found = [game[f"kept_{name}"] for name in ("wirelength", "overflow", "joined")]
+            _expect("routes before", found == [uses, over, joined.sum()])
+        _expect("congestion", _within(saved.history[m], 0, static.rounds))
+
+
 def checked_demand(
-    static: Static, used: NDArray[np.uint8], m: int
+    static: Static, used: NDArray[np.uint8], row: int, m: int
 ) -> tuple[int, NDArray[np.int64]]:
     """How often edges of problem m are used, and (E,) the demand on them.
 
     Args:
         static: the static state of the games.
-        used: (M, N, ceil(E / 8)), see :class:`marouting.game.state.Dynamic`.
+        used: (…, N, ceil(E / 8)), see :class:`marouting.game.state.Dynamic`.
+        row: which row of it.
         m: the problem.
 
     Raises:
         ValueError: an edge does not exist, or its user does not.
     """
     demand = np.zeros(static.capacity.shape[1], np.int64)
-    uses = _demand(static, used, m, demand)
+    uses = _demand(static, used[row], m, demand)
     _expect("used edges", uses >= 0)
     return uses, demand
 
@@ -94,10 +143,10 @@ def _demand(static: Static, used: Any, m: int, demand: Any) -> int:
         to an absent agent.
     """
     uses = 0
-    for n in range(used.shape[1]):
-        for byte in range(used.shape[2]):
+    for n in range(used.shape[0]):
+        for byte in range(used.shape[1]):
             for bit in range(8):
-                if used[m, n, byte] >> bit & 1 == 0:
+                if used[n, byte] >> bit & 1 == 0:
                     continue
                 edge = 8 * byte + bit
                 cell, axis = edge // AXES, edge % AXES

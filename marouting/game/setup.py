@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.game.options import NetOrder, RuleOptions
-from marouting.game.state import NOBODY, Static
+from marouting.game.state import AGENT, GAME, NOBODY, Dynamic, RipUp, Static
 from marouting.kernels import compiled, wide
 from marouting.memory import PLAYED, TABLES, check_memory
 from marouting.problem.grid import OFF_GRID, VIA_AXIS, Grid
@@ -65,6 +65,8 @@ def static_state(
     first = np.zeros((shape[0], shape[1] + 1), np.int32)
     demand = np.zeros((*shape, grid.shape[2]), np.int32)
     size = np.empty(shape[1], np.int32)
+    keeps_tree = rules.target == "tree" or rules.next_task == "nearest"
+    scratch = max(grid.gcells * keeps_tree, 1 + rules.rip_up_neighbours)
     tasks = [two_pin_tasks(problem, rules.decomposition) for problem in problems]
     for m, (problem, count) in enumerate(zip(problems, counts, strict=True)):
         first[m, 0] = first[m - 1, -1]  # 0 for the first problem
@@ -97,8 +99,59 @@ def static_state(
         sequential=rules.turn_order != "round_robin",
         overflow_allowed=overflow,
         max_steps=rules.steps_per_task(problems[0].grid),
+        extended=keeps_tree or rules.mask_visited or rules.give_back or rules.rip_up_rounds > 0,
+        tree_target=rules.target == "tree",
+        nearest_next=rules.next_task == "nearest",
+        mask_visited=rules.mask_visited,
+        give_back=rules.give_back,
+        rounds=rules.rip_up_rounds,
+        rip_up=RipUp[rules.rip_up.upper()],
+        queue=np.empty((shape[0], scratch), np.int32),
     )
     return static, agent_net
+
+
+def dynamic_state(static: Static, agents: int, neighbours: int = 0) -> Dynamic:
+    """The arrays that change during an episode, before the first one.
+
+    Args:
+        static: the constant arrays of M problems.
+        agents: N, the agents of each.
+        neighbours: how many nets walk again together with another.
+
+    Raises:
+        InputError: they take too much memory.
+    """
+    m, edges = static.capacity.shape
+    gcells = -(-len(static.position) // 8)
+    ways = -(-edges // 8)
+    trees = agents * (static.tree_target or static.nearest_next)
+    rounds = static.rounds > 0
+    again = (1 + neighbours) * rounds
+    sets = agents * (ways * (1 + static.give_back) + gcells * static.mask_visited) + trees * gcells
+    what = "{} nets on a grid of {} Gcells, bits for each net and edge"
+    check_memory(m * (sets + again * ways), what, m * agents, len(static.position))
+    return Dynamic(
+        remaining=np.empty((m, edges), np.int32),
+        # Zeros take no memory until they are written to.
+        used=np.zeros((m, agents, ways), np.uint8),
+        agents=np.zeros((m, agents), AGENT),
+        games=np.zeros(m, GAME),
+        tree=np.zeros((m, trees, gcells), np.uint8),
+        tried=np.zeros((m, _most_tasks(static) * static.nearest_next), np.uint8),
+        visited=np.zeros((m, agents * static.mask_visited, gcells), np.uint8),
+        taken=np.zeros((m, agents * static.give_back, ways), np.uint8),
+        line=np.zeros((m, agents * rounds), np.int64),
+        again=np.full((m, again), NOBODY, np.int32),
+        kept=np.zeros((m, again, ways), np.uint8),
+        kept_joined=np.zeros((m, again), np.int32),
+        history=np.zeros((m, edges * rounds), np.int32),
+    )
+
+
+def _most_tasks(static: Static) -> int:
+    """The number of tasks of the problem that has most of them."""
+    return int((static.first[:, -1] - static.first[:, 0]).max())
 
 
 @compiled

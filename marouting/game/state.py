@@ -1,8 +1,9 @@
 """The state of the game: what does not change during an episode, and what does.
 
 The state of M problems with N agents on one grid shape is held in plain arrays, with the problem as
-the first axis. There are G Gcells, E edges, Z layers, and K tasks over all problems. Only
-:mod:`marouting.game.rules` changes the dynamic state.
+the first axis. There are G Gcells, E edges, Z layers, K tasks over all problems, and P nets at most
+that walk again at a time. Arrays of options that are switched off have no elements. Only
+:mod:`marouting.game.rules`, and what it calls, changes the dynamic state.
 """
 
 import enum
@@ -24,6 +25,7 @@ class Status(enum.IntEnum):
     TERMINATED = 1  #: all tasks joined
     TRUNCATED = 2  #: all tasks ended, at least one of them failed
     ABSENT = 3  #: no net: padding for a problem with fewer agents than the largest one
+    WAITING = 4  #: all tasks ended, but the net may still walk again in a rip-up round
 
 
 class Crossing(enum.IntEnum):
@@ -33,6 +35,7 @@ class Crossing(enum.IntEnum):
     BLOCKED = 1  #: too little capacity, or off the grid: the agent stayed
     NEW = 2  #: crossed an edge that the net now uses
     OWN = 3  #: crossed an edge that the net already used
+    ANSWERED = 4  #: the agent was asked whether its net gives way, and answered
 
 
 class Ending(enum.IntEnum):
@@ -41,6 +44,15 @@ class Ending(enum.IntEnum):
     NONE = 0  #: the task goes on
     JOINED = 1  #: the target pin is reached
     FAILED = 2  #: the steps are used up
+
+
+class RipUp(enum.IntEnum):
+    """Which nets walk again in a rip-up round; see :mod:`marouting.game.rounds`."""
+
+    ALL = 0  #: all, in turn order
+    CONFLICTS = 1  #: those with open tasks or on full edges, in turn order
+    PRICE = 2  #: those on edges that were full in this or earlier rounds, the costliest first
+    AGENTS = 3  #: those whose agents answer so when they are asked, in turn order
 
 
 AGENT = np.dtype(
@@ -68,6 +80,16 @@ GAME = np.dtype(
         ("steps", np.int32),  # moves made
         ("overflow", np.int64),  # overflow of all edges
         ("wirelength", np.int64),  # edges used, summed over the nets
+        # Of rip-up rounds:
+        ("round", np.int32),  # the present round; 0 while nets walk for the first time
+        ("place", np.int32),  # place in the round's order of the net to be considered next
+        ("again", np.int32),  # nets that walk again at present
+        ("picked", np.int32),  # how often nets have walked again in this round
+        ("ripped", np.int8),  # nets have just given their edges back, and none has moved since
+        ("asked", np.int8),  # the agent to move is asked whether its net gives way
+        ("kept_joined", np.int32),  # tasks joined before nets gave their edges back
+        ("kept_overflow", np.int64),  # overflow likewise
+        ("kept_wirelength", np.int64),  # wirelength likewise
     ],
     align=True,
 )
@@ -89,6 +111,14 @@ class Static(NamedTuple):
     sequential: bool  # whether a net finishes before the next one starts
     overflow_allowed: bool  # whether moves may cross edges without enough remaining capacity
     max_steps: int  # steps after which a task fails
+    extended: bool  # whether any of the following options is switched on
+    tree_target: bool  # whether any Gcell of the net's tree ends a task
+    nearest_next: bool  # whether the open pin nearest to the tree is the next task
+    mask_visited: bool  # whether masks leave out Gcells visited in the task
+    give_back: bool  # whether a failed task gives its edges back
+    rounds: int  # rip-up rounds
+    rip_up: int  # RipUp
+    queue: NDArray[np.int32]  # (M, G) working array of trees and of rounds
 
 
 class Dynamic(NamedTuple):
@@ -98,6 +128,15 @@ class Dynamic(NamedTuple):
     used: NDArray[np.uint8]  # (M, N, ceil(E / 8)) bit e % 8 of byte e // 8: the net uses edge e
     agents: NDArray[Any]  # (M, N) AGENT
     games: NDArray[Any]  # (M,) GAME
+    tree: NDArray[np.uint8]  # (M, N, ceil(G / 8)) bits: Gcells that edges join to the first pin
+    tried: NDArray[np.uint8]  # (M, T) whether the task, of the problem's T, has been begun
+    visited: NDArray[np.uint8]  # (M, N, ceil(G / 8)) bits: Gcells visited in the present task
+    taken: NDArray[np.uint8]  # (M, N, ceil(E / 8)) bits: edges newly used in the present task
+    line: NDArray[np.int64]  # (M, N) places in turn order, in the order of the rip-up round
+    again: NDArray[np.int32]  # (M, P) the nets that walk again; NOBODY where there is none
+    kept: NDArray[np.uint8]  # (M, P, ceil(E / 8)) bits: the edges that they had
+    kept_joined: NDArray[np.int32]  # (M, P) the tasks that they had joined
+    history: NDArray[np.int32]  # (M, E) rip-up rounds at whose start the edge was full
 
 
 MASKS = np.array(

@@ -9,16 +9,17 @@ A net's own edges are free of demand, so it makes no difference whether the dema
 each task or after the whole net.
 """
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from marouting.game.engine import Engine
-from marouting.game.options import NetOrder, RuleOptions
-from marouting.game.rules import begin_task, move_agent
-from marouting.game.setup import static_state
-from marouting.game.state import AGENT, GAME, NOBODY, Crossing, Dynamic, Static, Status
+from marouting.game.options import NetOrder, RuleOptions, Target
+from marouting.game.rules import move_agent
+from marouting.game.setup import dynamic_state, static_state
+from marouting.game.state import NOBODY, Crossing, Dynamic, Static, Status
+from marouting.game.tasks import begin_task
 from marouting.kernels import compiled, wide
 from marouting.memory import PLAYED, SEARCH, TABLES, check_memory
 from marouting.problem.problem import Problem, check_choice
@@ -26,8 +27,6 @@ from marouting.problem.solution import Solution
 from marouting.search.bounded import SearchBuffers, path_to_goals, search_buffers, shortest_path
 from marouting.search.plain import add_goal, clear_goals
 from marouting.trees.decomposition import Decomposition
-
-Target = Literal["pin", "tree"]
 
 _EDGES_PER_TASK = 8  # initial room for the edges of routes; it doubles as needed
 
@@ -186,12 +185,8 @@ def sequential_astar(
         )
         ranks = None if isinstance(net_order, str) else net_order
         static, (nets,) = static_state((problem,), rules, ranks)
-        dynamic = Dynamic(
-            remaining=static.capacity.copy(),
-            used=np.zeros((1, 1, (grid.edges + 7) // 8), np.uint8),
-            agents=np.zeros((1, 1), AGENT),
-            games=np.zeros(1, GAME),
-        )
+        dynamic = dynamic_state(static, 1)
+        dynamic.remaining[...] = static.capacity
         buffers, demand, to_tree = search_buffers(grid), static.demand[0].copy(), target == "tree"
         while True:
             turn, size = _route(static, dynamic, buffers, demand, nets, to_tree, turn, uses, size)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.rules import has_room
+from marouting.game.edges import has_room
 from marouting.game.state import Dynamic, Static
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import MOVES, Grid

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.rules import has_room
+from marouting.game.edges import has_room
 from marouting.game.state import Dynamic, Static
 from marouting.kernels import inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, Grid

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
+from marouting.game.edges import may_cross, uses
 from marouting.game.engine import Engine
-from marouting.game.rules import may_cross, uses
 from marouting.game.state import NOBODY, Dynamic, Static, Status
 from marouting.kernels import compiled, place, wide
 from marouting.problem.grid import MOVES

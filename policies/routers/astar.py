@@ -8,8 +8,7 @@ import numpy as np
 
 from marouting import Problem, Solution, evaluate, sequential_astar
 from marouting.config import MOST, check
-from marouting.game.options import NetOrder
-from marouting.search.astar import Target
+from marouting.game.options import NetOrder, Target
 from marouting.trees.decomposition import Decomposition
 
 

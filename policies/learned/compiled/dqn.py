@@ -43,6 +43,7 @@ def obstacle(setup: Setup, options: DQNOptions) -> str | None:
         f"network {network.name}": network.cls is not MLP or network.given,
         "a dueling network": network.cls is MLP and given["dueling"],
         "an activation other than relu": network.cls is MLP and given["activation"] != "relu",
+        "rip_up agents": setup.player.engine.actions > MOVES,
         "double": options.double,
         "n_step": options.n_step > 1,
         "prioritised": options.prioritised,

@@ -1,0 +1,72 @@
+"""Which edges a net may cross, and what it takes of them.
+
+An edge is used by a net once or not at all. The net's demand counts against the capacity as long as
+it uses the edge; a via has no limit.
+"""
+
+from typing import Any
+
+from marouting.game.state import Dynamic, Static
+from marouting.kernels import compiled, inlined, place, wide
+from marouting.problem.grid import AXES, VIA_AXIS
+
+# There are as few branches as possible: what an agent meets is as good as random, and a branch that
+# the processor mispredicts takes as long as a whole move.
+
+
+@inlined
+def uses(used: Any, m: int, n: int, edge: int) -> int:
+    """1 if agent n of problem m uses an edge, else 0."""
+    return used[m, n, edge >> 3] >> (edge & 7) & 1
+
+
+@inlined
+def demand_of(static: Static, m: int, n: int, cell: int, move: int) -> int:
+    """The net's demand on the edge that a move crosses; 0 for a via."""
+    demand = static.demand[m, n, place(static.position[cell, VIA_AXIS])]
+    return demand * (move // 2 != VIA_AXIS)
+
+
+@inlined
+def has_room(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: int) -> int:
+    """1 if a move from a Gcell crosses a via, an edge that the net uses or one with room for it."""
+    edge = place(static.edge[cell, move])
+    via = move // 2 == VIA_AXIS
+    room = dynamic.remaining[m, edge] >= demand_of(static, m, n, cell, move)
+    return (via | room | uses(dynamic.used, m, n, edge)) & (static.exits[cell] >> move)
+
+
+@inlined
+def may_cross(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: int) -> int:
+    """1 if a move from a Gcell crosses its edge, 0 if it is blocked."""
+    anyway = static.overflow_allowed & (static.exits[cell] >> move)
+    return has_room(static, dynamic, m, n, cell, move) | anyway
+
+
+@compiled
+def use_edges(static: Static, dynamic: Dynamic, m: int, n: int, byte: int, bits: int) -> None:
+    """Makes a net use just these edges of a byte: it takes what is new, and gives the others back.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        m: the problem.
+        n: the agent.
+        byte: the byte of ``dynamic.used``.
+        bits: what it shall be.
+    """
+    game = dynamic.games[m]
+    changed = wide(dynamic.used[m, n, byte]) ^ bits
+    bit = 0
+    while changed >> bit != 0:
+        if changed >> bit & 1:
+            edge = 8 * byte + bit
+            takes = 2 * (bits >> bit & 1) - 1  # 1 or -1
+            cell, move = place(edge // AXES), wide(2 * (edge % AXES))
+            demand = takes * demand_of(static, m, n, cell, move)
+            remaining = wide(dynamic.remaining[m, edge])
+            game.overflow += max(demand - remaining, 0) - max(-remaining, 0)
+            game.wirelength += takes
+            dynamic.remaining[m, edge] = remaining - demand
+        bit += 1
+    dynamic.used[m, n, byte] = bits

@@ -1,0 +1,266 @@
+"""Giving way: nets that have routed give their edges back and walk again, for the others' sake.
+
+After all nets have routed there are ``rip_up_rounds`` rounds. In a round one net after the other
+gives its edges back and walks again, with all the others in place. Which nets do so, and in which
+order, is the option ``rip_up``:
+
+* ``all``: every net, in turn order;
+* ``conflicts``: in turn order, every net that at its turn has a task open or uses a full edge;
+* ``price``: every net with a price at its turn, the highest first. A net's price is the number of
+  rounds, this one included, at whose start its edges were full, summed over its edges; a net with
+  an open task costs more than any other;
+* ``agents``: in turn order, every net is asked. Its agent has a seventh action, to give way; any of
+  the six moves keeps the routes as they are.
+
+With ``rip_up_neighbours: K`` up to K nets that stand in a net's way give their edges back with it,
+and walk again after it (``sequential``) or along with it (``round_robin``). They are those that use
+most of the full edges: of those that the net uses too, or, if it has a task open, of those in the
+box around its pins, and one Gcell beyond.
+
+When all of them have walked, the problem is judged by its open tasks, its overflow and its
+wirelength, in this order. If it is worse than before they gave their edges back, they get them all
+back: no connection is ever lost, and the routes are always the best so far. A round in which no net
+walks again is the last one.
+
+An edge is full if it has no remaining capacity. In rip-up rounds agents wait
+(:attr:`marouting.game.state.Status.WAITING`), and all are terminated or truncated with the last.
+"""
+
+from marouting.game.edges import use_edges, uses
+from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, RipUp, Static, Status
+from marouting.game.tasks import begin_net, begin_task, clear, grow_tree, keeps_tree
+from marouting.kernels import compiled, inlined, place, wide
+from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.trees.heap import pop, push
+
+_SHIFT = 24
+_OPEN = 1 << _SHIFT  # the price of an open task: more than that of any edges
+_MOST_OPEN = 4096  # so that a price, shifted once more, fits into 64 bits
+_LAST = (1 << _SHIFT) - 1
+
+
+@inlined
+def is_full(static: Static, dynamic: Dynamic, m: int, edge: int) -> bool:
+    """Whether an edge inside a layer has capacity, and all of it is taken."""
+    inside = edge % AXES != VIA_AXIS
+    return inside and dynamic.remaining[m, edge] <= 0 < static.capacity[m, edge]
+
+
+@compiled
+def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
+    """What a net's open tasks and full edges cost.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        m: the problem.
+        n: the agent.
+        now: whether an edge costs 1 if it is full now, or the rounds at whose start it was.
+    """
+    price = wide(0)
+    for byte in range(dynamic.used.shape[2]):
+        bits = wide(dynamic.used[m, n, byte])
+        edge = 8 * byte
+        while bits != 0:
+            if bits & 1:
+                if not now:
+                    price += dynamic.history[m, edge]
+                elif is_full(static, dynamic, m, edge):
+                    price += 1
+            bits >>= 1
+            edge += 1
+    tasks = static.first[m, n + 1] - static.first[m, n]
+    missing = min(wide(tasks - dynamic.agents[m, n].joined), _MOST_OPEN)
+    return min(price, _OPEN - 1) + _OPEN * missing
+
+
+@compiled
+def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
+    """Counts full edges, and lines up the nets."""
+    game = dynamic.games[m]
+    game.round += 1
+    game.place = game.picked = 0
+    for edge in range(dynamic.history.shape[1]):
+        if is_full(static, dynamic, m, edge):
+            dynamic.history[m, edge] += 1
+    line, size = dynamic.line[m], wide(0)
+    while size < len(line) and static.order[m, size] != NOBODY:
+        price = wide(0)
+        if static.rip_up == RipUp.PRICE:
+            price = _price(static, dynamic, m, wide(static.order[m, size]), False)
+        push(line, size, price << _SHIFT | (_LAST - size))
+        size += 1
+    # The smallest key goes to the end, to the place that the heap no longer needs.
+    for rest in range(size, 0, -1):
+        line[rest - 1] = _LAST - (pop(line, rest) & _LAST)
+    line[size:] = NOBODY
+
+
+@compiled
+def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
+    """Whether a net walks again now that it is considered."""
+    if static.rip_up == RipUp.CONFLICTS or static.rip_up == RipUp.PRICE:
+        return _price(static, dynamic, m, n, static.rip_up == RipUp.CONFLICTS) > 0
+    return True
+
+
+@inlined
+def _near(static: Static, m: int, n: int, cell: int) -> bool:
+    """Whether a Gcell is in the box around a net's pins, or one Gcell beyond."""
+    for axis in range(VIA_AXIS):
+        low, high = wide(1 << 30), wide(-1)
+        for task in range(static.first[m, n], static.first[m, n + 1]):
+            for end in range(2):
+                at = wide(static.position[static.tasks[task, end], axis])
+                low, high = min(low, at), max(high, at)
+        if not low - 1 <= static.position[cell, axis] <= high + 1:
+            return False
+    return True
+
+
+@compiled
+def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
+    """Fills ``again`` with a net and those that stand in its way; returns how many they are."""
+    again, blocking, counts = dynamic.again[m], dynamic.kept[m, 0], static.queue[m]
+    again[0], size = n, wide(1)
+    if len(again) == 1:
+        return size
+    is_open = dynamic.agents[m, n].joined < static.first[m, n + 1] - static.first[m, n]
+    for byte in range(len(blocking)):
+        blocking[byte] = 0
+        for bit in range(8):
+            edge = 8 * byte + bit
+            if edge < static.capacity.shape[1] and is_full(static, dynamic, m, edge):
+                own = uses(dynamic.used, m, n, edge)
+                if own or (is_open and _near(static, m, n, edge // AXES)):
+                    blocking[byte] |= 1 << bit
+    for other in range(dynamic.used.shape[1]):
+        count = wide(0)
+        for byte in range(len(blocking)):
+            bits = wide(dynamic.used[m, other, byte] & blocking[byte])
+            while bits != 0:
+                bits &= bits - 1
+                count += 1
+        if other == n or count == 0:
+            continue
+        # Insert it among the others, those with most edges first.
+        at = size
+        while at > 1 and counts[at - 1] < count:
+            at -= 1
+        if at == len(again):
+            continue
+        size = min(size + 1, wide(len(again)))
+        for k in range(size - 1, at, -1):
+            again[k], counts[k] = again[k - 1], counts[k - 1]
+        again[at], counts[at] = other, count
+    return size
+
+
+@compiled
+def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
+    """A net and those in its way give their edges back, and begin to walk again."""
+    game = dynamic.games[m]
+    game.kept_joined, game.kept_overflow = game.joined, game.overflow
+    game.kept_wirelength = game.wirelength
+    game.again = game.active = _find_neighbours(static, dynamic, m, n)
+    game.picked += 1
+    game.ripped = 1
+    for k in range(dynamic.again.shape[1]):
+        if k >= game.again:
+            dynamic.again[m, k] = NOBODY
+            continue
+        member = place(dynamic.again[m, k])
+        agent = dynamic.agents[m, member]
+        dynamic.kept_joined[m, k] = agent.joined
+        for byte in range(dynamic.used.shape[2]):
+            dynamic.kept[m, k, byte] = dynamic.used[m, member, byte]
+            use_edges(static, dynamic, m, member, byte, 0)
+        agent.status = Status.ACTIVE
+        agent.added_overflow = 0
+        agent.crossing = Crossing.NONE
+        agent.ending = Ending.NONE
+        begin_net(static, dynamic, m, member)
+
+
+@compiled
+def judge(static: Static, dynamic: Dynamic, m: int) -> None:
+    """Once nets have walked again: if that made the problem worse, they get their edges back."""
+    game = dynamic.games[m]
+    worse = game.joined < game.kept_joined
+    if game.joined == game.kept_joined:
+        worse = game.overflow > game.kept_overflow
+        if game.overflow == game.kept_overflow:
+            worse = game.wirelength > game.kept_wirelength
+    for k in range(game.again):
+        member = place(dynamic.again[m, k])
+        agent = dynamic.agents[m, member]
+        if worse:
+            for byte in range(dynamic.used.shape[2]):
+                route = wide(dynamic.kept[m, k, byte])
+                use_edges(static, dynamic, m, member, byte, route)
+            agent.joined = dynamic.kept_joined[m, k]
+            if static.give_back:
+                clear(dynamic.taken, m, member)
+            if keeps_tree(static):
+                grow_tree(static, dynamic, m, member)
+        dynamic.again[m, k] = NOBODY
+    if worse:
+        game.joined = game.kept_joined
+    game.again = 0
+
+
+@inlined
+def has_walked(dynamic: Dynamic, m: int) -> bool:
+    """Whether the nets that walk again have been judged, or were not asked to walk."""
+    return dynamic.games[m].round > 0 and dynamic.games[m].again == 0
+
+
+@inlined
+def done(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
+    """The status of an agent that has no more tasks: TERMINATED or TRUNCATED."""
+    tasks = static.first[m, n + 1] - static.first[m, n]
+    return Status.TERMINATED if dynamic.agents[m, n].joined == tasks else Status.TRUNCATED
+
+
+@compiled
+def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
+    """When no agent is active: the next net walks again or is asked, or the episode is over."""
+    game = dynamic.games[m]
+    agents = dynamic.line.shape[1]
+    while True:
+        if game.round == 0 or game.place == agents or dynamic.line[m, game.place] == NOBODY:
+            if game.round == static.rounds or (game.round > 0 and game.picked == 0):
+                break
+            _begin_round(static, dynamic, m)
+            continue
+        turn = place(dynamic.line[m, game.place])
+        n = wide(static.order[m, turn])
+        game.place += 1
+        if not _walks_again(static, dynamic, m, n):
+            continue
+        game.turn, game.agent = turn, n
+        if static.rip_up == RipUp.AGENTS:
+            game.asked = game.active = 1
+            dynamic.agents[m, n].status = Status.ACTIVE
+            begin_task(static, dynamic, m, n, wide(static.first[m, n]))
+        else:
+            rip_up(static, dynamic, m, n)
+        return
+    game.agent = NOBODY
+    for n in range(agents):
+        if dynamic.agents[m, n].status == Status.WAITING:
+            dynamic.agents[m, n].status = done(static, dynamic, m, n)
+
+
+@compiled
+def answer(static: Static, dynamic: Dynamic, m: int, n: int, gives_way: bool) -> None:
+    """An agent that was asked answers whether its net gives way."""
+    agent, game = dynamic.agents[m, n], dynamic.games[m]
+    game.asked = 0
+    game.steps += 1
+    if gives_way:
+        rip_up(static, dynamic, m, n)
+        game.ripped = 0  # by this move, unlike in other rounds
+    agent.added_overflow = 0
+    agent.crossing = Crossing.ANSWERED
+    agent.ending = Ending.NONE if gives_way else Ending.JOINED
