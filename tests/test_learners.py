@@ -523,7 +523,7 @@ def test_transitions_of_large_errors_are_drawn_more_often() -> None:
 def test_advantages_and_returns_of_every_agent() -> None:
     gamma, lam, size = 0.9, 0.8, 40
     rng = np.random.default_rng(1)
-    rollout = Rollout(2, size, 2, 3, 3, (FEATURES,), (2,), scale=0.5)
+    rollout = Rollout(2, size, 2, 3, 3, MOVES, (FEATURES,), (2,), scale=0.5)
     lived: dict[tuple[int, int], list[list[Any]]] = {}
     while (rollout.count < size).any():
         before, after = step_of(4, 3, rng)

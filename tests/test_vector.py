@@ -119,7 +119,7 @@ def walk(env: BatchEnv, steps: int = 60) -> list[NDArray[Any]]:
     seen, info = env.reset()
     shown = [seen.copy(), info["action_mask"].copy()]
     for _ in range(steps):
-        *arrays, info = env.step(rng.integers(-1, 6, (env.num_problems, env.num_agents)))
+        *arrays, info = env.step(rng.integers(-1, 6, info["agents"].shape))
         figures = [info["final_info"][name] for name in sorted(info["final_info"])]
         plain = [info[name] for name in sorted(info) if name != "final_info"]
         shown += [array.copy() for array in (*arrays, *plain, *figures, env.state())]
@@ -166,6 +166,25 @@ def test_injected_pieces_are_as_good_as_the_compiled_ones() -> None:
     pieces = {"observation": Plain(observation), "reward": Plain(reward)}
     for threads in (1, 2):
         assert same(walk(BatchEnv(PROBLEMS, **pieces, **options, threads=threads)), expected)
+
+
+@pytest.mark.parametrize("everyone", [True, False])
+@pytest.mark.parametrize("turn_order", ["round_robin", "sequential"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"target": "tree", "next_task": "nearest", "mask_visited": True, "give_back": True},
+        {"rip_up_rounds": 2, "rip_up_neighbours": 2, "mask_visited": True},
+        {"rip_up_rounds": 2, "rip_up": "price", "target": "tree", "give_back": True},
+    ],
+)
+def test_games_with_options_are_the_same_compiled_and_not(
+    options: dict[str, Any], turn_order: TurnOrder, everyone: bool
+) -> None:
+    options = {"max_steps": 12, "turn_order": turn_order, "everyone": everyone, **options}
+    expected = walk(BatchEnv(PROBLEMS, **options), 400)
+    pieces = {"observation": Plain(PaperObservation()), "reward": Plain(PaperReward())}
+    assert same(walk(BatchEnv(PROBLEMS, **pieces, **options), 400), expected)
 
 
 def test_the_metrics_of_the_last_episode_stay() -> None:

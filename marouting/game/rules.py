@@ -131,9 +131,10 @@ def end_task(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     for k in range(game.again):
         member = wide(dynamic.again[m, k])
         other = dynamic.agents[m, member]
-        if other.status == Status.ACTIVE and (
-            other.ending == Ending.NONE or next_task(static, dynamic, m, member) != NOBODY
-        ):
+        # An agent that has ended a task either stands where it arrived, or at its next start.
+        goes_on = other.ending == Ending.NONE or other.steps == 0
+        goes_on |= next_task(static, dynamic, m, member) != NOBODY
+        if other.status == Status.ACTIVE and goes_on:
             return
     judge(static, dynamic, m)
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from marouting.game.state import NOBODY
 from marouting.kernels import compiled
 from marouting.player import StepBuffers
-from marouting.problem.grid import MOVES
 from policies.learned.rows import COUNT, Rows
 from policies.learned.streams import uniform
 
@@ -44,7 +43,7 @@ class Exploration(Rows):
 
         Args:
             now: the player's buffers, of M games of K rows.
-            values: (M, K, 6) what the networks expect of each move.
+            values: (M, K, A) what the networks expect of each move.
             masking: whether only moves that cross an edge are chosen.
         """
         _epsilon_greedy(
@@ -94,8 +93,8 @@ def choose(
         counters: (M,); the game's counts on.
         epsilon: (M,) chance of a random move.
         active: (M, K) rows whose agents may move.
-        masks: (M, K, 6) action masks.
-        values: (M, K, 6) what the network expects of each move.
+        masks: (M, K, A) action masks.
+        values: (M, K, A) what the network expects of each move.
         masking: whether only moves that cross an edge are chosen.
         actions: (M, K) filled, NOBODY for rows that are not active.
         m: the game.
@@ -108,13 +107,13 @@ def choose(
         asked = True
         # Two numbers per row: whether to explore, and where to.
         if uniform(keys[m], counters[m], 2 * k) < epsilon[m]:
-            allowed = MOVES
+            allowed = masks.shape[2]
             if masking:
                 allowed = 0
-                for move in range(MOVES):
+                for move in range(masks.shape[2]):
                     allowed += masks[m, k, move]
             left = np.int64(uniform(keys[m], counters[m], 2 * k + 1) * allowed)
-            for move in range(MOVES):
+            for move in range(masks.shape[2]):
                 if masking and masks[m, k, move] == 0:
                     continue
                 if left == 0:
@@ -123,7 +122,7 @@ def choose(
                 left -= 1
             continue
         best = NOBODY
-        for move in range(MOVES):
+        for move in range(masks.shape[2]):
             if masking and masks[m, k, move] == 0:
                 continue
             if best == NOBODY or values[m, k, move] > values[m, k, best]:
@@ -145,15 +144,15 @@ def _sample(
                 continue
             asked = True
             most = np.float32(-np.inf)
-            for move in range(MOVES):
+            for move in range(masks.shape[2]):
                 if (not masking or masks[m, k, move] != 0) and scores[m, k, move] > most:
                     most = scores[m, k, move]
             total = 0.0
-            for move in range(MOVES):
+            for move in range(masks.shape[2]):
                 if not masking or masks[m, k, move] != 0:
                     total += np.exp(scores[m, k, move] - most)
             left = uniform(keys[m], counters[m], k) * total
-            for move in range(MOVES):
+            for move in range(masks.shape[2]):
                 if not masking or masks[m, k, move] != 0:
                     # Should rounding leave something over, the last of them is chosen.
                     actions[m, k] = move

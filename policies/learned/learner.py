@@ -55,6 +55,11 @@ class Setup:
     episodes: int
     game_names: tuple[str, ...] = ()
 
+    @property
+    def actions(self) -> int:
+        """A, how many actions an agent has."""
+        return self.player.engine.actions
+
     def network_keys(self, purpose: str) -> NDArray[np.uint64]:
         """(L,) keys of random numbers, one per network."""
         return keys(self.seed, self.names, purpose)
@@ -111,9 +116,9 @@ class Learner(Rows, abc.ABC):
         return cls(setup, options)
 
     @classmethod
-    def network(cls, options: Any, obs_shape: tuple[int, ...]) -> nn.Module:
+    def network(cls, options: Any, obs_shape: tuple[int, ...], actions: int = MOVES) -> nn.Module:
         """One of its networks, with random weights, for those that are saved to go into."""
-        module: nn.Module = options.network.make(obs_shape, MOVES)
+        module: nn.Module = options.network.make(obs_shape, actions)
         return module
 
     @classmethod
@@ -175,11 +180,11 @@ def play_out(player: Player, rate: Callable[[Tensor], Tensor], *, masking: bool)
 
     Args:
         player: its episodes have begun.
-        rate: (B, *S) float32 observations to (B, 6) ratings of the moves.
+        rate: (B, *S) float32 observations to (B, A) ratings of the actions.
         masking: whether only moves that cross an edge are chosen.
     """
     b = player.buffers
-    obs, mask = torch.from_numpy(b.obs).flatten(0, 1), b.mask.reshape(-1, MOVES)
+    obs, mask = torch.from_numpy(b.obs).flatten(0, 1), b.mask.reshape(-1, b.mask.shape[2])
     while b.active.any():
         with torch.no_grad():
             moves = best_moves(rate(obs), mask if masking else None)
@@ -188,7 +193,7 @@ def play_out(player: Player, rate: Callable[[Tensor], Tensor], *, masking: bool)
 
 
 def best_moves(outputs: Tensor, mask: NDArray[np.int8] | None) -> NDArray[np.int8]:
-    """(B,) the moves of the highest outputs (B, 6), within a mask (B, 6) if there is one."""
+    """(B,) the moves of the highest outputs (B, A), within a mask (B, A) if there is one."""
     values = outputs.detach().cpu().numpy()
     if mask is not None:
         values = np.where(mask == 0, -np.inf, values)

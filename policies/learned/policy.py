@@ -112,7 +112,7 @@ class TrainedPolicy:
             raise InputError(f"{where}: expected a problem named as one of {known}, found {name}")
         row = names.index(name) if name in names else 0
         try:
-            make = functools.partial(learner.cls.network, learner.options, obs_shape)
+            make = functools.partial(learner.cls.network, learner.options, obs_shape, env.actions)
             # First without memory, whatever sizes the file names; not every network can be made so.
             with contextlib.suppress(RuntimeError), torch.device("meta"):
                 _check_weights(weights[row], make())

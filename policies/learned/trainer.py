@@ -278,7 +278,7 @@ class Trainer:
         """The saved network of a problem: the best of all evaluations."""
         row = int(self._networks(np.array([self.names.index(problem)]))[0])
         setup, learner = self.learner.setup, self.config.learner
-        module = learner.cls.network(learner.options, setup.obs_shape)
+        module = learner.cls.network(learner.options, setup.obs_shape, setup.actions)
         module.load_state_dict(self._state_dict(self._policies[row]))
         masking = learner.cls.masks(learner.options)
         origin = policy_origin(int(self.policy_episode[row]))
@@ -319,7 +319,9 @@ class Trainer:
     def _state_dict(self, flat: Tensor) -> dict[str, Tensor]:
         """The ``state_dict`` of a network with the weights (P,)."""
         learner = self.config.learner
-        module = learner.cls.network(learner.options, self.learner.setup.obs_shape)
+        module = learner.cls.network(
+            learner.options, self.learner.setup.obs_shape, self.learner.setup.actions
+        )
         nn.utils.vector_to_parameters(flat, module.parameters())
         return {name: tensor.detach() for name, tensor in module.state_dict().items()}
 

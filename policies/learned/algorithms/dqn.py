@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from marouting.config import MOST, Named, check, piece_field, take_pieces
 from marouting.player import Player
-from marouting.problem.grid import MOVES
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
 from policies.learned.memory.before import Before
@@ -138,7 +137,7 @@ class DQN(Learner):
 
     def _stack(self) -> Stack:
         seeds = self.setup.network_keys("weights").astype(np.int64).tolist()
-        make = lambda: self.network(self.options, self.setup.obs_shape)  # noqa: E731
+        make = lambda: self.network(self.options, self.setup.obs_shape, self.setup.actions)  # noqa: E731
         return Stack(make, seeds, self.device)
 
     def _memory(self) -> Replay:
@@ -150,7 +149,7 @@ class DQN(Learner):
         kind: Any = Prioritised if o.prioritised else Replay
         return kind(
             setup.network_keys("sample"), o.buffer_size, setup.obs_shape, o.masking, self.device,
-            n_step=o.n_step, gamma=o.gamma, agents=agents, **priority,
+            n_step=o.n_step, gamma=o.gamma, agents=agents, actions=setup.actions, **priority,
         )  # fmt: skip
 
     def bind(self) -> None:
@@ -189,11 +188,11 @@ class DQN(Learner):
         self._burning_in = True
 
     def _values(self, obs: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M, K, 6) values of all moves for observations (M, K, *S)."""
+        """(M, K, A) values of all actions for observations (M, K, *S)."""
         games, rows, *shape = obs.shape
         inputs = torch.from_numpy(obs).to(self.device).view(len(self.updates), -1, *shape)
         with torch.no_grad():
-            return self.networks.view(inputs).cpu().numpy().reshape(games, rows, MOVES)
+            return self.networks.view(inputs).cpu().numpy().reshape(games, rows, -1)
 
     # --- learning -----------------------------------------------------------------------------
 

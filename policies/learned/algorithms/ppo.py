@@ -25,7 +25,6 @@ from marouting.config import MOST, Named, check, piece_field, take_pieces
 from marouting.game.observation import state
 from marouting.game.state import Ending
 from marouting.player import Player
-from marouting.problem.grid import MOVES
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
 from policies.learned.memory.before import Before
@@ -115,13 +114,14 @@ class PPO(Learner):
         features = int(np.prod(setup.obs_shape)) + int(np.prod(setup.state_shape))
         sees = (features,) if self.central else setup.obs_shape
         self.path = f"torch, batched on {setup.device}"
-        self.networks = self._stack("weights", setup.obs_shape, MOVES)
+        self.networks = self._stack("weights", setup.obs_shape, setup.actions)
         self.critic = self._stack("critic", sees, 1)
         self.adam = Adam(self.networks.flat, eps=1e-5)
         self.critic_adam = Adam(self.critic.flat, eps=1e-5)
         self.rollout = Rollout(
             count, o.rollout, setup.games // count, setup.rows, player.engine.nets.shape[1],
-            setup.obs_shape, setup.state_shape if self.central else (), o.reward_scale,
+            setup.actions, setup.obs_shape, setup.state_shape if self.central else (),
+            o.reward_scale,
         )  # fmt: skip
         self.explore = Exploration(setup.game_keys("explore"))
         self.keys = setup.network_keys("sample")
@@ -171,8 +171,8 @@ class PPO(Learner):
     def _look(
         self, obs: NDArray[np.float32], asked: NDArray[np.bool_], states: Any
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(M, K, 6) scores of moves and (M, K) values, where they are asked for."""
-        scores = np.zeros((*asked.shape, MOVES), np.float32)
+        """(M, K, A) scores of moves and (M, K) values, where they are asked for."""
+        scores = np.zeros((*asked.shape, self.setup.actions), np.float32)
         values = np.zeros(asked.shape, np.float32)
         where, inputs, seen = self._gathered(obs, asked, states)
         with torch.no_grad():

@@ -40,9 +40,9 @@ _LINE = 16
 """Numbers in a cache line of 64 bytes."""
 
 
-def width_of(features: int, masks: bool) -> int:
-    """Numbers of a row, whole cache lines."""
-    return -(-(2 * features + MASK + (MOVES if masks else 0)) // _LINE) * _LINE
+def width_of(features: int, masks: int) -> int:
+    """Numbers of a row, whole cache lines, for masks of so many actions, or 0 for none."""
+    return -(-(2 * features + MASK + masks) // _LINE) * _LINE
 
 
 @dataclass
@@ -55,7 +55,7 @@ class Batch:
         move: (L, B, 1) int64.
         reward: (L, B, 1) float32, discounted over the steps of the return.
         goes_on: (L, B, 1) float32, weight of the value of ``next_obs`` before one factor γ.
-        mask: (L, B, 6) float32, action mask of ``next_obs``, or None without masking.
+        mask: (L, B, A) float32, action mask of ``next_obs``, or None without masking.
         place: (L, B) int64, the rows in the networks' stores.
         weight: (L, B, 1) float32 weights in the loss, or None where all are 1.
     """
@@ -82,6 +82,7 @@ class Replay(Rows):
         n_step: rewards that are summed before the rest is bootstrapped.
         gamma: discount factor inside that sum.
         agents: (games per network, agents) whose returns may be unfinished; with n_step only.
+        actions: A.
 
     Attributes:
         store: (L, capacity, width) float32.
@@ -100,11 +101,13 @@ class Replay(Rows):
         n_step: int = 1,
         gamma: float = 1.0,
         agents: tuple[int, int] = (0, 0),
+        actions: int = MOVES,
     ) -> None:
         self.obs_shape, self.masks, self.device = obs_shape, masks, device
+        self.actions = actions
         self.features = int(np.prod(obs_shape))
         self.n_step, self.gamma = n_step, gamma
-        networks, width = len(keys), width_of(self.features, masks)
+        networks, width = len(keys), width_of(self.features, actions * masks)
         # NumPy asks for huge pages where torch does not: samples from all over the store took a
         # third longer without.
         store = np.zeros((networks, capacity, width), np.float32)
@@ -126,9 +129,9 @@ class Replay(Rows):
     def check(self, state: Mapping[str, Tensor]) -> None:
         """Raises InputError for moves or masks that are none in a checkpoint."""
         first = 2 * self.features
-        columns = [(MOVE, "moves", MOVES - 1), (GOES_ON, "weights", 1)]
+        columns = [(MOVE, "moves", self.actions - 1), (GOES_ON, "weights", 1)]
         if self.masks:
-            columns += [(MASK + move, "masks", 1) for move in range(MOVES)]
+            columns += [(MASK + move, "masks", 1) for move in range(self.actions)]
         for name in ("store", "unfinished"):
             for column, what, most in columns:
                 numbers = state[name][..., first + column]
@@ -206,7 +209,7 @@ class Replay(Rows):
             move=rows[..., rest + MOVE, None].long(),
             reward=rows[..., rest + REWARD, None],
             goes_on=rows[..., rest + GOES_ON, None],
-            mask=rows[..., rest + MASK : rest + MASK + MOVES] if self.masks else None,
+            mask=rows[..., rest + MASK : rest + MASK + self.actions] if self.masks else None,
             place=place,
         )
 
@@ -225,13 +228,13 @@ def _add(
         obs: (M, K, F), before the step; the next nine are the player's buffers after it.
         next_agents: (M, K).
         next_obs: (M, K, F).
-        next_mask: (M, K, 6).
+        next_mask: (M, K, A).
         actions: (M, K).
         acted: (M, K).
         reward: (M, K).
         ending: (M, K).
         final_obs: (M, K, F).
-        final_mask: (M, K, 6).
+        final_mask: (M, K, A).
         masks: whether rows hold masks.
         n_step: see :class:`Replay`.
         gamma: likewise.
@@ -284,7 +287,7 @@ def _add(
                 row[rest + REWARD] = reward[m, k] if first else kept[rest + REWARD]
                 row[rest + GOES_ON] = 0 if ending[m, k] == Ending.JOINED else gamma**age
                 if masks:
-                    for move in range(MOVES):
+                    for move in range(final_mask.shape[2]):
                         mask = final_mask[m, k, move] if over else next_mask[m, k, move]
                         row[rest + MASK + move] = mask
                 stored[network] += 1

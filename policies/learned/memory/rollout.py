@@ -16,7 +16,6 @@ from torch import Tensor
 from marouting.game.state import Ending
 from marouting.kernels import compiled
 from marouting.player import StepBuffers
-from marouting.problem.grid import MOVES
 from policies.learned.memory.before import Before
 from policies.learned.rows import Rows
 from policies.learned.streams import uniform
@@ -34,13 +33,14 @@ class Rollout(Rows):
         games: games per network.
         rows: K, rows per game.
         agents: agents per game.
+        actions: A.
         obs_shape: of one observation.
         state_shape: of what else the critic sees; () for nothing.
         scale: factor of all rewards.
 
     Attributes:
         obs: (L, C, *S) float32.
-        mask: (L, C, 6) int8.
+        mask: (L, C, A) int8.
         action: (L, C) int64.
         chance: (L, C) float32, logarithm of the action's chance when it was chosen.
         value: (L, C) float32, what the critic expected.
@@ -64,6 +64,7 @@ class Rollout(Rows):
         games: int,
         rows: int,
         agents: int,
+        actions: int,
         obs_shape: tuple[int, ...],
         state_shape: tuple[int, ...] = (),
         scale: float = 1.0,
@@ -72,7 +73,7 @@ class Rollout(Rows):
         self.streams = games * agents
         each = networks, size + games * rows
         self.obs = np.zeros((*each, *obs_shape), np.float32)
-        self.mask = np.ones((*each, MOVES), np.int8)
+        self.mask = np.ones((*each, actions), np.int8)
         self.action, self.stream = np.zeros((2, *each), np.int64)
         self.chance, self.value, self.reward, self.after = np.zeros((4, *each), np.float32)
         self.ending = np.zeros(each, np.int8)
@@ -84,7 +85,7 @@ class Rollout(Rows):
         return {
             **super().limits(),
             "mask": (0, 1),
-            "action": (0, MOVES - 1),
+            "action": (0, self.mask.shape[2] - 1),
             "ending": (0, max(Ending)),
             "stream": (0, self.streams - 1),
             "count": (0, self.size - 1),
@@ -192,7 +193,7 @@ def _add(
             i = count[n]
             for f in range(obs.shape[2]):
                 to_obs[n, i, f] = obs[m, k, f]
-            for move in range(MOVES):
+            for move in range(mask.shape[2]):
                 to_mask[n, i, move] = mask[m, k, move]
             action[n, i], reward[n, i] = actions[m, k], scale * rewards[m, k]
             chance[n, i], value[n, i] = chances[m, k], values[m, k]
