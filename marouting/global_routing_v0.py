@@ -18,9 +18,14 @@ A net's pins are split into two-pin tasks, which its agent routes one after the 
 an edge without enough remaining capacity, or off the grid, is blocked: the agent stays, and the
 step counts. An edge that the net already uses is free to cross again. A task fails after
 `max_steps` steps. An agent is terminated when all its tasks are joined, and truncated when its last
-task has ended and some failed; its last info holds the `metrics`. :mod:`marouting.game.rules` has
-all rules. With `agents_persist` agents that are done stay among the agents, with rewards of 0 and a
-mask whose only move does nothing, and all agents end together.
+task has ended and some failed; its last info holds the `metrics`, and as `overflow`, `wirelength`,
+`joined`, `tasks`, `open`, `steps` and `is_success` what loggers look for.
+:mod:`marouting.game.rules` has all rules. With `agents_persist` agents that are done stay among the
+agents, with rewards of 0 and a mask whose only move does nothing, and all agents end together.
+
+With `rip_up_rounds` nets give their edges back after all have routed, and walk again with the
+others in place (:mod:`marouting.game.rounds`). Agents stay then, as with `agents_persist`. With
+`rip_up="agents"` there is a seventh action: to give way when asked.
 
 The options of `env`, `raw_env` and `parallel_env` are the fields of
 :class:`marouting.options.GameOptions`. The problem may be a `Problem`, a `.gr` file, or a mapping

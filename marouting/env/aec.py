@@ -145,7 +145,7 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
             number = self._number[agent]
             failed = number != NOBODY and bool(status[number] == Status.TRUNCATED)
             self.truncations[agent], self.terminations[agent] = failed, not failed
-            self.infos[agent] |= {"metrics": self._game.metrics()}
+            self.infos[agent] |= self._game.result()
         self.agent_selection = self.agents[0]
 
     def _pay(self, mover: str, reward: float) -> None:

@@ -192,8 +192,18 @@ class BaseGame:
         """An agent's info: its mask and, when its episode is over, the present metrics."""
         info: dict[str, Any] = {"action_mask": mask}
         if over:
-            info["metrics"] = self.metrics()
+            info |= self.result()
         return info
+
+    def result(self) -> dict[str, Any]:
+        """What an agent's last info holds: the metrics, once more as loggers look for them."""
+        metrics = self.metrics()
+        return {
+            "metrics": metrics,
+            **metrics,
+            "open": metrics["tasks"] - metrics["joined"],
+            "is_success": metrics["tasks"] == metrics["joined"] and not metrics["overflow"],
+        }
 
     def metrics(self) -> dict[str, int]:
         """The present metrics; see :class:`marouting.game.engine.Metrics`."""

@@ -130,9 +130,8 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         cut = dict(zip(agents, truncated.tolist(), strict=True))
         rewards = dict(zip(agents, paid.tolist(), strict=True))
         if not stays.all():
-            metrics = self._game.metrics()
             for k in np.flatnonzero(~stays):
-                infos[agents[k]]["metrics"] = dict(metrics)
+                infos[agents[k]] |= self._game.result()
             self._numbers = numbers[stays]
             self.agents = [agents[k] for k in np.flatnonzero(stays)]
         if self.render_mode == "human":

@@ -1,0 +1,242 @@
+"""Nets that give way: a problem by hand, what must hold in every round, and every interface."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pettingzoo.test import api_test, parallel_api_test
+
+from marouting import Engine, InputError, Move, Net, Pin, Problem, evaluate, generate
+from marouting import global_routing_v0 as game
+from marouting.env.single import GlobalRoutingSingle
+from marouting.game.state import NOBODY
+from marouting.search.astar import AStar
+from marouting.vector import BatchEnv
+
+E, W, N, S, U, D = Move
+GIVE_WAY = 6
+
+
+def net(name: str, *pins: tuple[int, int]) -> Net:
+    return Net(name, int(name), tuple(Pin(x, y, 1) for x, y in pins))
+
+
+# Two rows of three Gcells in one layer, with one track each.
+CROSSING = Problem(
+    grid=(3, 2, 1),
+    vertical_capacity=(1,),
+    horizontal_capacity=(1,),
+    nets=(net("1", (0, 0), (2, 0)), net("2", (0, 0), (2, 0)), net("3", (1, 1), (2, 1))),
+    min_width=(1,),
+    min_spacing=(0,),
+    via_spacing=(0,),
+    tile=(1, 1),
+)
+
+
+def walk(engine: Engine, *moves: int) -> None:
+    for move in moves:
+        engine.step(np.array([move]))
+
+
+def test_a_net_that_blocks_another_gives_way() -> None:
+    """Net 1 walks along both rows at once; net 2 has no way; net 1 walks again, straight."""
+    engine = Engine([replace(CROSSING, nets=CROSSING.nets[:2])], max_steps=6, rip_up_rounds=1)
+    # It crosses (0,0)-(1,0), turns up, and takes (1,1)-(2,1) as well.
+    walk(engine, E, N, E, S)
+    assert engine.metrics().joined == 1
+    walk(engine, N, E, E, E, E)  # the way over the upper row is closed half-way
+    assert (engine.metrics().joined, engine.metrics().wirelength) == (1, 6)
+    walk(engine, E)
+    # Its task has failed. The round begins: net 1 has given its edges back.
+    assert engine.games[0]["agent"] == 0
+    assert engine.metrics().joined == 0
+    assert engine.metrics().wirelength == 2
+    walk(engine, E, E)
+    assert engine.metrics().joined == 1
+    # Net 2 gives back its stub and is joined.
+    walk(engine, N, E, E, S)
+    assert engine.games[0]["agent"] == NOBODY
+    assert (engine.metrics().joined, engine.metrics().wirelength) == (2, 6)
+    assert evaluate(engine.problems[0], engine.solution()).connected
+
+
+def test_a_round_that_is_worse_is_undone() -> None:
+    engine = Engine([replace(CROSSING, nets=CROSSING.nets[:1])], max_steps=4, rip_up_rounds=1)
+    walk(engine, E, E)
+    routed = engine.solution()
+    walk(engine, N, E, S, E)  # a detour: joined, but longer
+    assert engine.games[0]["agent"] == NOBODY
+    assert engine.solution() == routed
+    assert engine.metrics().wirelength == 2
+
+
+def test_a_failed_task_gives_its_edges_back() -> None:
+    problem = replace(CROSSING, nets=(net("1", (0, 0), (1, 0), (2, 1)),))
+    for give_back, wirelength in ((False, 3), (True, 1)):
+        engine = Engine([problem], max_steps=3, give_back=give_back)
+        walk(engine, E)  # joined
+        walk(engine, W, N, N)  # over the own edge and up, then off the grid: failed
+        assert engine.metrics().joined == 1
+        assert engine.metrics().wirelength == wirelength - (not give_back)
+
+
+def test_agents_are_asked() -> None:
+    engine = Engine([CROSSING], net_order="file", rip_up_rounds=2, rip_up="agents", max_steps=5)
+    walk(engine, E, E, N, E, E, S, N, N, N, N, N)
+    before = engine.solution()
+    assert engine.games[0]["asked"]
+    masks = engine.masks(*engine.pairs(everyone=False))
+    assert masks.tolist() == [[1, 0, 0, 0, 0, 0, 1]]
+    walk(engine, 3)  # any of the six moves keeps the routes
+    assert engine.solution() == before
+    assert engine.games[0]["agent"] == 1
+    walk(engine, GIVE_WAY)
+    assert engine.masks(*engine.pairs(everyone=False))[0, GIVE_WAY] == 0
+    assert not len(engine.solution().edges[1])
+    walk(engine, GIVE_WAY)  # is a blocked move while the net walks
+    walk(engine, N, E, E, S)
+    assert engine.solution() == before
+    walk(engine, 0)
+    # In a round in which nobody gives way, the episode ends.
+    walk(engine, 0, 0, 0)
+    assert engine.games[0]["agent"] == NOBODY
+
+
+rounds = st.fixed_dictionaries(
+    {
+        "rip_up": st.sampled_from(["all", "conflicts", "price", "agents"]),
+        "rip_up_neighbours": st.sampled_from([0, 2]),
+        "turn_order": st.sampled_from(["sequential", "round_robin"]),
+        "overflow": st.sampled_from(["forbidden", "allowed"]),
+        "target": st.sampled_from(["pin", "tree"]),
+        "give_back": st.booleans(),
+    }
+)
+
+
+@settings(deadline=None, max_examples=40)
+@given(rounds, st.integers(0, 999))
+def test_no_round_makes_anything_worse(options: dict[str, Any], seed: int) -> None:
+    problem = generate(1, grid=(5, 5, 2), nets=8, max_pins=3, capacity=1, seed=seed)
+    engine = Engine(problem, max_steps=12, rip_up_rounds=3, **options)
+    guide, rng = AStar(engine), np.random.default_rng(seed)
+    best = None
+    while engine.games[0]["agent"] != NOBODY:
+        game = engine.games[0]
+        if game["round"] > 0 and (game["asked"] or game["active"] == 0):
+            best = judged(engine, best)
+        problems, agents = engine.pairs(everyone=False)
+        mask = engine.masks(problems, agents)[0]
+        if rng.random() < 0.7 and not game["asked"]:
+            move = guide.moves(problems, agents)
+        else:
+            move = rng.choice(np.flatnonzero(mask), 1)
+        was = engine.games[0]["ripped"]
+        engine.step(np.asarray(move, np.int8))
+        if engine.games[0]["ripped"] and not was:
+            now = engine.games[0]
+            kept = (-now["kept_joined"], now["kept_overflow"], now["kept_wirelength"])
+            assert best is None or kept <= best
+            best = kept
+        engine.check_saved(engine.save())
+    _ = judged(engine, best)
+    ended = evaluate(problem[0], engine.solution())
+    now = engine.metrics()
+    assert (ended.overflow, ended.wirelength) == (now.overflow, now.wirelength)
+    assert ended.joined >= now.joined
+
+
+def judged(engine: Engine, best: Any) -> Any:
+    """The present score, no worse than the best so far."""
+    now = engine.metrics()
+    score = (-now.joined, now.overflow, now.wirelength)
+    assert best is None or score <= best
+    return score
+
+
+OPTIONS: dict[str, Any] = {
+    "max_steps": 9,
+    "target": "tree",
+    "next_task": "nearest",
+    "mask_visited": True,
+    "give_back": True,
+    "rip_up_rounds": 2,
+    "rip_up_neighbours": 1,
+}
+PROBLEM = generate(1, grid=(4, 4, 2), nets=4, max_pins=3, capacity=1, seed=3)[0]
+
+
+@pytest.mark.parametrize("rip_up", ["all", "conflicts", "price", "agents"])
+def test_every_interface_plays_the_same_rounds(rip_up: str) -> None:
+    options = {**OPTIONS, "rip_up": rip_up}
+    aec = game.env(PROBLEM, **options, turn_order="sequential")
+    parallel = game.parallel_env(PROBLEM, **options, turn_order="sequential")
+    single = GlobalRoutingSingle(PROBLEM, **options)
+    batch = BatchEnv([PROBLEM], everyone=False, **options)
+    rng = np.random.default_rng(0)
+    aec.reset()
+    _, infos = parallel.reset()
+    seen, info = single.reset()
+    rows, batch_info = batch.reset()
+    total = dict.fromkeys(aec.possible_agents, 0.0)
+    over = False
+    while not over:
+        mover = aec.agent_selection
+        assert mover == info["net"]
+        assert infos[mover]["active"]
+        assert sum(i["active"] for i in infos.values()) >= 1
+        mask = info["action_mask"]
+        for other in (aec.last()[4]["action_mask"], infos[mover]["action_mask"]):
+            np.testing.assert_array_equal(other, mask)
+        np.testing.assert_array_equal(batch_info["action_mask"][0, 0], mask)
+        np.testing.assert_array_equal(aec.observe(mover), seen)
+        np.testing.assert_array_equal(rows[0, 0], seen)
+        move = int(rng.choice(np.flatnonzero(mask)))
+        aec.step(move)
+        total[mover] += aec.rewards[mover]
+        _, paid, ended, cut, infos = parallel.step(
+            dict.fromkeys(parallel.agents, 0) | {mover: move}
+        )
+        seen, reward, joined, failed, info = single.step(move)
+        rows, batch_paid, *_, batch_info = batch.step(np.array([[move]]))
+        assert paid[mover] == reward == batch_paid[0, 0]
+        over = joined or failed
+        assert over == batch_info["over"][0]
+        assert all(ended[a] or cut[a] for a in ended) == over
+        assert not over or not parallel.agents
+    assert aec.terminations | aec.truncations
+    assert all(aec.terminations[a] or aec.truncations[a] for a in aec.agents)
+    assert aec.metrics() == parallel.metrics() == single.metrics()
+    assert info["is_success"] == joined
+    assert aec.solution() == single.solution()
+
+
+@pytest.mark.parametrize("rip_up", ["all", "agents"])
+@pytest.mark.parametrize("more", [{}, {"mask_in_observation": True, "reward": "team"}])
+def test_pettingzoo_accepts_rounds(rip_up: str, more: dict[str, Any]) -> None:
+    options = {**OPTIONS, "rip_up": rip_up, **more}
+    parallel_api_test(game.parallel_env(PROBLEM, **options), 300)
+    api_test(game.env(PROBLEM, **options), 300)
+
+
+@pytest.mark.parametrize(
+    ("bad", "expected"),
+    [
+        ({"target": "net"}, "target: expected one of pin, tree"),
+        ({"next_task": "best"}, "next_task: expected one of listed, nearest"),
+        ({"next_task": "nearest", "decomposition": "steiner"}, "next_task: expected listed"),
+        ({"rip_up": "some"}, "rip_up: expected one of"),
+        ({"rip_up_rounds": -1}, "rip_up_rounds: expected 0 to"),
+        ({"rip_up_rounds": True}, "rip_up_rounds: expected 0 to"),
+        ({"rip_up_neighbours": 1000}, "rip_up_neighbours: expected 0 to"),
+        ({"give_back": 2}, "give_back: expected true or false"),
+        ({"mask_visited": "no"}, "mask_visited: expected true or false"),
+    ],
+)
+def test_bad_options(bad: dict[str, Any], expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        Engine([PROBLEM], **bad)
