@@ -1,8 +1,11 @@
 """The array player, which plays M problems at once through arrays.
 
 :class:`marouting.vector.BatchEnv`, the interfaces of the environment and trainings all use it. With
-the paper's observation and reward, a whole step is one compiled call. With other pieces, the moves
-are carried out one by one, so that the reward is called for each of them.
+the paper's observation and reward, a whole step is one compiled call. With the paper's reward and
+another observation, the moves of a step are one compiled call, and the observation is called at
+most twice: for rows whose task ends or whose agent passes the turn, before that happens, and then
+for all. With another reward, the moves are carried out one by one, so that the reward is called for
+each of them.
 
 :class:`StepBuffers` holds what a learner needs: whether a task ended in the step, and how; what the
 agent saw where it arrived, to bootstrap from, before the next task moved it elsewhere; and, on
@@ -31,6 +34,8 @@ from marouting.game.rules import (
     pass_turn,
     reset_problem,
     settle_agent,
+    settle_everyone,
+    settle_player,
     settle_turns,
     wait,
 )
@@ -185,7 +190,7 @@ class Player:
             self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
             kernel = _play_everyone if self.everyone else _play_player
             self._step = bound(kernel, *self._arguments, True, True)
-        else:
+        elif own_reward:
             self._arrived = np.zeros(engine.nets.shape, AGENT)
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
@@ -212,7 +217,7 @@ class Player:
         if self.compiled:
             self._step(*self._arguments, True, restart)
         else:
-            self._step_by_turns(restart)
+            self._step_in_parts(restart)
 
     def part(self, which: NDArray[np.integer]) -> "Player":
         """A player of some of the problems (indices), which continues from their present state."""
@@ -273,45 +278,54 @@ class Player:
         b.acted[which] = b.over[which] = b.terminated[which] = b.truncated[which] = False
         b.reward[which] = b.total[which] = b.ending[which] = 0
 
-    def _step_by_turns(self, restart: bool) -> None:
+    def _step_in_parts(self, restart: bool) -> None:
         b, engine = self.buffers, self.engine
         begins = b.over & restart
-        playing = engine.games["active"] > 0
         asked = engine.games["agent"].copy()
         if begins.any():
             self._start(begins)
-        _forget(engine.dynamic)
-        if self.paid is None:
-            paid = np.zeros(engine.nets.shape, np.float32)
+        playing = engine.games["active"] > 0
+        if self._before is None:
+            _move_and_pay(engine.static, engine.dynamic, b, self.known, begins)
+            self._look_back(asked)
+            _settle_all(engine.static, engine.dynamic, self.everyone, begins)
         else:
-            paid = self.paid
-            paid[:] = 0
+            self._move_by_turns(self._before, begins, asked)
+            self._look_back(asked)
+            _pass_turns(engine.static, engine.dynamic, self.everyone, begins)
+        b.over[:] = ~begins & playing & (engine.games["active"] == 0)
+        b.final[b.over] = engine.games[b.over]
+        self._look(np.ones(len(begins), np.bool_), asked)
+
+    def _move_by_turns(
+        self, before: Dynamic, begins: NDArray[np.bool_], asked: NDArray[np.int32]
+    ) -> None:
+        """Makes the moves, each with a call of the reward, and writes what came of them.
+
+        Args:
+            before: the games as they were before the last move.
+            begins: (M,) episodes that have just begun, in which nobody moves.
+            asked: (M,) whose turn it is.
+        """
+        b, engine, paid = self.buffers, self.engine, self.paid
+        assert paid is not None
+        _forget(engine.dynamic)
+        paid[:] = 0
         for movers, moves in self._turns(begins):
             _move(engine.static, engine.dynamic, movers, moves)
-            before = engine.dynamic if self._before is None else self._before
             paid += self._pay(before, movers)
             _settle(engine.static, engine.dynamic, before, movers, moves, self._arrived)
-        rows = np.arange(len(asked))
         if self.everyone:
             b.reward[:] = paid
             taken: Any = ...
         else:
             b.reward[:, 0] = paid.sum(axis=1)
-            taken = rows, asked
+            taken = np.arange(len(asked)), asked
         agents = engine.agents[taken].reshape(b.acted.shape)
         nobody = begins if self.everyone else begins | (asked == NOBODY)
         b.acted[:] = (agents["crossing"] != Crossing.NONE) & ~nobody[:, None]
         b.ending[:] = np.where(b.acted, agents["ending"], Ending.NONE)
         b.total[:] += b.reward.sum(axis=1, dtype=np.float64)
-        ended = b.ending != Ending.NONE
-        self._look_back(ended, asked, unsettle=True)
-        _pass_turns(engine.static, engine.dynamic, self.everyone, begins)
-        if not self.everyone:
-            passed = (engine.games["agent"] != asked)[:, None]
-            self._look_back(b.acted & passed & ~ended, asked, unsettle=False)
-        b.over[:] = ~begins & playing & (engine.games["active"] == 0)
-        b.final[b.over] = engine.games[b.over]
-        self._look(np.ones(len(begins), np.bool_), asked)
 
     def _turns(self, begins: NDArray[np.bool_]) -> Iterator[tuple[Any, Any]]:
         """Yields (M,) the agent that moves next in each problem, or NOBODY, and (M,) the moves."""
@@ -336,36 +350,37 @@ class Player:
                 f"reward: expected finite numbers, found {paid[~np.isfinite(paid)][0]} from "
                 f"{type(self.reward).__name__}"
             )
-        if self._before is None:  # the paper's reward pays only the agents that moved
-            return paid
         playing = before.agents["status"] == Status.ACTIVE
         return np.where(playing & (movers != NOBODY)[:, None], paid, np.float32(0))
 
-    def _look_back(
-        self, rows: NDArray[np.bool_], asked: NDArray[np.int32], *, unsettle: bool
-    ) -> None:
-        """Writes what agents saw where they arrived.
+    def _look_back(self, asked: NDArray[np.int32]) -> None:
+        """Writes what agents saw where they arrived: whose tasks have ended, or who pass the turn.
 
         Args:
-            rows: (M, K) which rows.
             asked: (M,) whose turn it was.
-            unsettle: whether they stand elsewhere by now because their tasks have ended.
         """
+        b, engine = self.buffers, self.engine
+        rows = b.ending != Ending.NONE
+        if not (self.everyone or engine.static.sequential):
+            rows |= b.acted & (engine.games["active"] > 1)[:, None]
         if not rows.any():
             return
-        b, engine = self.buffers, self.engine
         problems, row = np.nonzero(rows)
         agents = row if self.everyone else asked[problems]
-        place_of = problems, agents
-        settled = engine.agents[place_of]
-        if unsettle:
+        if self._before is not None:  # those whose tasks have ended stand elsewhere by now
+            place_of, active = (problems, agents), engine.games["active"].copy()
+            settled = engine.agents[place_of]
             engine.agents[place_of] = self._arrived[place_of]
+            done = settled["status"] != Status.ACTIVE
+            np.add.at(engine.games["active"], problems, done)
         problems, agents = problems.astype(np.int32), agents.astype(np.int32)
         out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
         self.observation.write(engine, problems, agents, out)
         b.final_obs[rows] = out
         b.final_mask[rows] = engine.masks(problems, agents)
-        engine.agents[place_of] = settled
+        if self._before is not None:
+            engine.agents[place_of] = settled
+            engine.games["active"] = active
 
     def _look(self, which: NDArray[np.bool_], asked: NDArray[np.int32] | None = None) -> None:
         """Writes what agents see now, and their status."""
@@ -383,13 +398,13 @@ class Player:
             status = engine.agents["status"][np.arange(len(last)), last][:, None]
             b.terminated[moved] = status[moved] == Status.TERMINATED
             b.truncated[moved] = status[moved] == Status.TRUNCATED
-        chosen = np.flatnonzero(which)
-        problems = np.repeat(chosen, b.agents.shape[1]).astype(np.int32)
-        agents = b.agents[chosen].ravel()
-        out = np.empty((len(agents), *b.obs.shape[2:]), np.float32)
-        self.observation.write(engine, problems, agents, out)
-        b.obs[chosen] = out.reshape(b.obs[chosen].shape)
-        b.mask[chosen] = engine.masks(problems, agents).reshape(b.mask[chosen].shape)
+        chosen: Any = slice(None) if which.all() else np.flatnonzero(which)
+        problems = np.repeat(np.arange(len(which), dtype=np.int32)[chosen], b.agents.shape[1])
+        obs, mask = b.obs[chosen], b.mask[chosen]  # views, if all are chosen
+        agents = b.agents[chosen].reshape(-1)
+        self.observation.write(engine, problems, agents, obs.reshape(-1, *obs.shape[2:]))
+        engine.masks(problems, agents, mask.reshape(-1, MOVES))
+        b.obs[chosen], b.mask[chosen] = obs, mask
 
 
 @compiled
@@ -592,6 +607,53 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known,
     else:
         _step_player(static, dynamic, b, known, m)
 
+
+# --- the paper's reward with any observation ------------------------------------------------------
+
+
+@compiled
+def _move_and_pay(
+    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, begins: Any
+) -> None:
+    """The moves of a step and what the paper's reward pays for them, before anybody settles.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        b: the buffers.
+        known: what is known about the pieces.
+        begins: (M,) episodes that have just begun, in which nobody moves.
+    """
+    for m in range(len(begins)):
+        if begins[m]:
+            continue
+        if known.everyone:
+            move_everyone(static, dynamic, m, b.actions)
+        else:
+            move_player(static, dynamic, m, wide(b.actions[m, 0]))
+        for row in range(b.agents.shape[1]):
+            n = wide(row) if known.everyone else wide(dynamic.games[m].agent)
+            if n == NOBODY or dynamic.agents[m, place(n)].status == Status.ABSENT:
+                b.acted[m, row] = False
+                b.reward[m, row] = 0
+                b.ending[m, row] = Ending.NONE
+            else:
+                b.total[m] += _take_stock(dynamic, b, known, m, place(n), row)
+
+
+@compiled
+def _settle_all(static: Static, dynamic: Dynamic, everyone: bool, begins: Any) -> None:
+    """After the moves of :func:`_move_and_pay`: next tasks start, and the turn passes."""
+    for m in range(len(begins)):
+        if begins[m]:
+            continue
+        if everyone:
+            settle_everyone(static, dynamic, m)
+        else:
+            settle_player(static, dynamic, m)
+
+
+# --- the paper's pieces, the whole step --------------------------------------------------------
 
 # Two kernels, because one for both would take half as long again to compile.
 

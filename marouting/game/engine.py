@@ -169,6 +169,7 @@ class Engine:
             used=np.zeros(bits, np.uint8),
             agents=np.zeros((m, n), AGENT),
             games=np.zeros(m, GAME),
+            history=np.zeros((m, 0), np.int32),
         )
         self.reset()
 

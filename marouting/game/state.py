@@ -98,6 +98,7 @@ class Dynamic(NamedTuple):
     used: NDArray[np.uint8]  # (M, N, ceil(E / 8)) bit e % 8 of byte e // 8: the net uses edge e
     agents: NDArray[Any]  # (M, N) AGENT
     games: NDArray[Any]  # (M,) GAME
+    history: NDArray[np.int32]  # (M, E) congestion that edges have seen; (M, 0) if none is kept
 
 
 MASKS = np.array(

@@ -191,6 +191,7 @@ def sequential_astar(
             used=np.zeros((1, 1, (grid.edges + 7) // 8), np.uint8),
             agents=np.zeros((1, 1), AGENT),
             games=np.zeros(1, GAME),
+            history=np.zeros((1, 0), np.int32),
         )
         buffers, demand, to_tree = search_buffers(grid), static.demand[0].copy(), target == "tree"
         while True:
