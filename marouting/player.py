@@ -186,12 +186,17 @@ class Player:
         own_reward = not self.known.reward
         self.paid = np.zeros(engine.nets.shape, np.float32) if own_reward else None
         self._before = engine.save() if own_reward else None
+        self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
         if self.compiled:
-            self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
             kernel = _play_everyone if self.everyone else _play_player
             self._step = bound(kernel, *self._arguments, True, True)
-        elif own_reward:
+            return
+        nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
+        self._settle = bound(_settle_and_show, *self._arguments, nobody, nowhere, _NOT)
+        if own_reward:
             self._arrived = np.zeros(engine.nets.shape, AGENT)
+        else:
+            self._move = bound(_move_and_pay, *self._arguments, nobody)
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
         """Starts the episodes of all problems, or of those where ``which`` (M,) is true."""
@@ -204,7 +209,10 @@ class Player:
             self._step(*self._arguments, False, True)
             over[~which] = were_over[~which]
             return
+        which = np.ascontiguousarray(which)  # as bound code expects it
         self._start(which)
+        nobody = np.full(len(over), NOBODY, np.int32)
+        self._settle(*self._arguments, which, nobody, _NOT)
         self._look(which)
 
     def step(self, restart: bool = False) -> None:
@@ -284,18 +292,15 @@ class Player:
         asked = engine.games["agent"].copy()
         if begins.any():
             self._start(begins)
-        playing = engine.games["active"] > 0
         if self._before is None:
-            _move_and_pay(engine.static, engine.dynamic, b, self.known, begins)
+            self._move(*self._arguments, begins)
             self._look_back(asked)
-            _settle_all(engine.static, engine.dynamic, self.everyone, begins)
+            self._settle(*self._arguments, begins, asked, _ALL)
         else:
             self._move_by_turns(self._before, begins, asked)
             self._look_back(asked)
-            _pass_turns(engine.static, engine.dynamic, self.everyone, begins)
-        b.over[:] = ~begins & playing & (engine.games["active"] == 0)
-        b.final[b.over] = engine.games[b.over]
-        self._look(np.ones(len(begins), np.bool_), asked)
+            self._settle(*self._arguments, begins, asked, _TURNS)
+        self._look(None)
 
     def _move_by_turns(
         self, before: Dynamic, begins: NDArray[np.bool_], asked: NDArray[np.int32]
@@ -314,7 +319,7 @@ class Player:
         for movers, moves in self._turns(begins):
             _move(engine.static, engine.dynamic, movers, moves)
             paid += self._pay(before, movers)
-            _settle(engine.static, engine.dynamic, before, movers, moves, self._arrived)
+            _settle_movers(engine.static, engine.dynamic, before, movers, moves, self._arrived)
         if self.everyone:
             b.reward[:] = paid
             taken: Any = ...
@@ -382,29 +387,18 @@ class Player:
             engine.agents[place_of] = settled
             engine.games["active"] = active
 
-    def _look(self, which: NDArray[np.bool_], asked: NDArray[np.int32] | None = None) -> None:
-        """Writes what agents see now, and their status."""
+    def _look(self, which: NDArray[np.bool_] | None) -> None:
+        """Writes what agents see now, in all problems or where ``which`` (M,) is true."""
         b, engine = self.buffers, self.engine
-        if self.everyone:
-            status = engine.agents["status"]
-            b.active[:] = status == Status.ACTIVE
-            b.terminated[:] = status == Status.TERMINATED
-            b.truncated[:] = status == Status.TRUNCATED
-        else:
-            b.agents[:, 0] = engine.games["agent"]
-            b.active[:] = b.agents != NOBODY
-            last = b.agents[:, 0] if asked is None else asked
-            moved = last != NOBODY  # once a game is over, these stay as its last move left them
-            status = engine.agents["status"][np.arange(len(last)), last][:, None]
-            b.terminated[moved] = status[moved] == Status.TERMINATED
-            b.truncated[moved] = status[moved] == Status.TRUNCATED
-        chosen: Any = slice(None) if which.all() else np.flatnonzero(which)
-        problems = np.repeat(np.arange(len(which), dtype=np.int32)[chosen], b.agents.shape[1])
-        obs, mask = b.obs[chosen], b.mask[chosen]  # views, if all are chosen
-        agents = b.agents[chosen].reshape(-1)
-        self.observation.write(engine, problems, agents, obs.reshape(-1, *obs.shape[2:]))
-        engine.masks(problems, agents, mask.reshape(-1, MOVES))
-        b.obs[chosen], b.mask[chosen] = obs, mask
+        problems, agents = engine.pairs(self.everyone)[0], b.agents.reshape(-1)
+        obs = b.obs.reshape(-1, *b.obs.shape[2:])
+        if which is None or which.all():
+            self.observation.write(engine, problems, agents, obs)
+            return
+        rows = np.repeat(which, b.agents.shape[1])
+        out = np.empty((int(rows.sum()), *obs.shape[1:]), np.float32)
+        self.observation.write(engine, problems[rows], agents[rows], out)
+        obs[rows] = out
 
 
 @compiled
@@ -449,7 +443,7 @@ def _move(static: Static, dynamic: Dynamic, movers: Any, moves: Any) -> None:
 
 
 @compiled
-def _settle(
+def _settle_movers(
     static: Static, dynamic: Dynamic, before: Dynamic, movers: Any, moves: Any, arrived: Any
 ) -> None:
     """Settles the agents that moved, records where they arrived, and updates ``before``."""
@@ -466,21 +460,20 @@ def _settle(
         before.games[m] = dynamic.games[m]
 
 
-@compiled
-def _pass_turns(static: Static, dynamic: Dynamic, everyone: bool, begins: Any) -> None:
-    for m in range(len(begins)):
-        if begins[m]:
-            continue
-        if everyone:
-            settle_turns(static, dynamic, m)
-        elif dynamic.games[m].agent != NOBODY:
-            pass_turn(static, dynamic, m)
-
-
-# --- the paper's pieces ---------------------------------------------------------------------------
+# --- what a step writes ---------------------------------------------------------------------------
 
 _MASKS = MASKS.view(np.int16)
 """(64, 3) int16, :data:`marouting.game.state.MASKS` in pairs of bytes."""
+
+
+@inlined
+def _show_moves(static: Static, dynamic: Dynamic, m: int, n: int, mask: Any, row: int) -> None:
+    """Writes the mask of an agent; ones for NOBODY."""
+    free = wide(0)
+    if n != NOBODY:
+        free = free_moves(static, dynamic, m, place(n))
+    for pair in range(_MASKS.shape[1]):
+        mask[m, row, pair] = _MASKS[free, pair]
 
 
 @inlined
@@ -488,12 +481,8 @@ def _look(
     static: Static, dynamic: Dynamic, known: Known, m: int, n: int, obs: Any, mask: Any, row: int
 ) -> None:
     """Writes what an agent sees; zeros and a mask of ones for NOBODY."""
-    free = wide(0)
-    if n != NOBODY:
-        free = free_moves(static, dynamic, m, place(n))
     write_paper(static, dynamic, known.via_capacity, m, n, obs[m], row)
-    for pair in range(_MASKS.shape[1]):
-        mask[m, row, pair] = _MASKS[free, pair]
+    _show_moves(static, dynamic, m, n, mask, row)
 
 
 @inlined
@@ -608,7 +597,7 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known,
         _step_player(static, dynamic, b, known, m)
 
 
-# --- the paper's reward with any observation ------------------------------------------------------
+# --- any observation ------------------------------------------------------------------------------
 
 
 @compiled
@@ -641,19 +630,62 @@ def _move_and_pay(
                 b.total[m] += _take_stock(dynamic, b, known, m, place(n), row)
 
 
+_NOT, _TURNS, _ALL = 0, 1, 2
+"""What is to be settled at the end of a step: nothing, whose turn it is, or all that agents do."""
+
+
 @compiled
-def _settle_all(static: Static, dynamic: Dynamic, everyone: bool, begins: Any) -> None:
-    """After the moves of :func:`_move_and_pay`: next tasks start, and the turn passes."""
+def _settle_and_show(
+    static: Static,
+    dynamic: Dynamic,
+    b: StepBuffers,
+    known: Known,
+    begins: Any,
+    asked: Any,
+    what: int,
+) -> None:
+    """The end of a step: next tasks start, the turn passes; writes all but what agents see.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        b: the buffers, with masks in pairs of bytes.
+        known: what is known about the pieces.
+        begins: (M,) episodes that have just begun, where there is nothing to settle.
+        asked: (M,) whose turn it was, or NOBODY.
+        what: is to be settled.
+    """
     for m in range(len(begins)):
-        if begins[m]:
-            continue
-        if everyone:
-            settle_everyone(static, dynamic, m)
-        else:
-            settle_player(static, dynamic, m)
+        game = dynamic.games[m]
+        if what != _NOT and not begins[m]:
+            if known.everyone:
+                if what == _ALL:
+                    settle_everyone(static, dynamic, m)
+                else:
+                    settle_turns(static, dynamic, m)
+            elif asked[m] != NOBODY:
+                if what == _ALL:
+                    settle_player(static, dynamic, m)
+                else:
+                    pass_turn(static, dynamic, m)
+            acted = False
+            for row in range(b.agents.shape[1]):
+                acted |= b.acted[m, row]
+            _finish(b, m, acted, game)
+        if not known.everyone:
+            b.agents[m, 0] = game.agent
+        for row in range(b.agents.shape[1]):
+            n = wide(row) if known.everyone else wide(asked[m])
+            if n != NOBODY:  # once a game is over, these stay as its last move left them
+                status = dynamic.agents[m, place(n)].status
+                b.terminated[m, row] = status == Status.TERMINATED
+                b.truncated[m, row] = status == Status.TRUNCATED
+            n = wide(b.agents[m, row])
+            b.active[m, row] = n != NOBODY and dynamic.agents[m, place(n)].status == Status.ACTIVE
+            _show_moves(static, dynamic, m, n, b.mask, row)
 
 
-# --- the paper's pieces, the whole step --------------------------------------------------------
+# --- the paper's pieces ---------------------------------------------------------------------------
 
 # Two kernels, because one for both would take half as long again to compile.
 
