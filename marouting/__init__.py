@@ -13,6 +13,7 @@ from marouting.errors import InputError
 from marouting.game.engine import Engine
 from marouting.game.observation import Observation, PaperObservation
 from marouting.game.reward import PaperReward, Reward
+from marouting.game.window import WindowObservation
 from marouting.generator import generate
 from marouting.make import make
 from marouting.options import EnvOptions
@@ -38,6 +39,7 @@ __all__ = [
     "Problem",
     "Reward",
     "Solution",
+    "WindowObservation",
     "__version__",
     "evaluate",
     "generate",

@@ -1,8 +1,11 @@
 """The array player, which plays M problems at once through arrays.
 
 :class:`marouting.vector.BatchEnv`, the interfaces of the environment and trainings all use it. With
-the paper's observation and reward, a whole step is one compiled call. With other pieces, the moves
-are carried out one by one, so that the reward is called for each of them.
+the paper's observation and reward, a whole step is one compiled call. With the paper's reward and
+another observation, the moves of a step are one compiled call, and the observation is called at
+most twice: for rows whose task ends or whose agent passes the turn, before that happens, and then
+for all. With another reward, the moves are carried out one by one, so that the reward is called for
+each of them.
 
 :class:`StepBuffers` holds what a learner needs: whether a task ended in the step, and how; what the
 agent saw where it arrived, to bootstrap from, before the next task moved it elsewhere; and, on
@@ -31,8 +34,11 @@ from marouting.game.rules import (
     pass_turn,
     reset_problem,
     settle_agent,
+    settle_everyone,
+    settle_player,
     settle_turns,
     wait,
+    write_mask,
 )
 from marouting.game.state import (
     AGENT,
@@ -183,16 +189,22 @@ class Player:
         own_reward = not self.known.reward
         self.paid = np.zeros(engine.nets.shape, np.float32) if own_reward else None
         self._before = engine.save() if own_reward else None
-        if self.compiled:
-            # Masks are written in pairs of bytes, which is faster.
+        self.kernel_buffers = buffers
+        if engine.actions == MOVES:  # masks are written in pairs of bytes, which is faster
             self.kernel_buffers = buffers._replace(
                 mask=buffers.mask.view(np.int16), final_mask=buffers.final_mask.view(np.int16)
             )
-            self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
+        self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
+        if self.compiled:
             kernel = _play_everyone if self.everyone else _play_player
             self._step = bound(kernel, *self._arguments, True, True)
-        else:
+            return
+        nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
+        self._settle = bound(_settle_and_show, *self._arguments, nobody, nowhere, _NOT)
+        if own_reward:
             self._arrived = np.zeros(engine.nets.shape, AGENT), engine.dynamic.visited.copy()
+        else:
+            self._move = bound(_move_and_pay, *self._arguments, nobody)
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
         """Starts the episodes of all problems, or of those where ``which`` (M,) is true."""
@@ -205,7 +217,10 @@ class Player:
             self._step(*self._arguments, False, True)
             over[~which] = were_over[~which]
             return
+        which = np.ascontiguousarray(which)  # as bound code expects it
         self._start(which)
+        nobody = np.full(len(over), NOBODY, np.int32)
+        self._settle(*self._arguments, which, nobody, _NOT)
         self._look(which)
 
     def step(self, restart: bool = False) -> None:
@@ -218,7 +233,7 @@ class Player:
         if self.compiled:
             self._step(*self._arguments, True, restart)
         else:
-            self._step_by_turns(restart)
+            self._step_in_parts(restart)
 
     def part(self, which: NDArray[np.integer]) -> "Player":
         """A player of some of the problems (indices), which continues from their present state."""
@@ -284,54 +299,59 @@ class Player:
         b.acted[which] = b.over[which] = b.terminated[which] = b.truncated[which] = False
         b.reward[which] = b.total[which] = b.ending[which] = 0
 
-    def _step_by_turns(self, restart: bool) -> None:
+    def _step_in_parts(self, restart: bool) -> None:
         b, engine = self.buffers, self.engine
         begins = b.over & restart
-        playing = engine.games["active"] > 0
         asked = engine.games["agent"].copy()
         if begins.any():
             self._start(begins)
-        _forget(engine.dynamic)
-        if self.paid is None:
-            paid = np.zeros(engine.nets.shape, np.float32)
+        if self._before is None:
+            self._move(*self._arguments, begins)
+            self._look_back(asked)
+            self._settle(*self._arguments, begins, asked, _ALL)
         else:
-            paid = self.paid
-            paid[:] = 0
+            self._move_by_turns(self._before, begins, asked)
+            self._look_back(asked)
+            self._settle(*self._arguments, begins, asked, _TURNS)
+            if engine.static.rounds:
+                self._mirror(engine.games["ripped"] != 0)
+        self._look(None)
+
+    def _move_by_turns(
+        self, before: Dynamic, begins: NDArray[np.bool_], asked: NDArray[np.int32]
+    ) -> None:
+        """Makes the moves, each with a call of the reward, and writes what came of them.
+
+        Args:
+            before: the games as they were before the last move.
+            begins: (M,) episodes that have just begun, in which nobody moves.
+            asked: (M,) whose turn it is.
+        """
+        b, engine, paid = self.buffers, self.engine, self.paid
+        assert paid is not None
+        _forget(engine.dynamic)
+        paid[:] = 0
         for movers, moves in self._turns(begins):
             _move(engine.static, engine.dynamic, movers, moves)
-            before = engine.dynamic if self._before is None else self._before
             paid += self._pay(before, movers)
-            _settle(engine.static, engine.dynamic, before, movers, moves, *self._arrived)
+            _settle_movers(engine.static, engine.dynamic, before, movers, moves, *self._arrived)
             if engine.static.extended:
                 # More may have changed than one edge of one net.
                 mover = engine.agents[np.arange(len(movers)), movers]
-                changed = (mover["ending"] != Ending.NONE) | (
-                    mover["crossing"] == Crossing.ANSWERED
-                )
+                answered = mover["crossing"] == Crossing.ANSWERED
+                changed = answered | (mover["ending"] != Ending.NONE)
                 self._mirror(changed & (movers != NOBODY))
-        rows = np.arange(len(asked))
         if self.everyone:
             b.reward[:] = paid
             taken: Any = ...
         else:
             b.reward[:, 0] = paid.sum(axis=1)
-            taken = rows, asked
+            taken = np.arange(len(asked)), asked
         agents = engine.agents[taken].reshape(b.acted.shape)
         nobody = begins if self.everyone else begins | (asked == NOBODY)
         b.acted[:] = (agents["crossing"] != Crossing.NONE) & ~nobody[:, None]
         b.ending[:] = np.where(b.acted, agents["ending"], Ending.NONE)
         b.total[:] += b.reward.sum(axis=1, dtype=np.float64)
-        ended = b.ending != Ending.NONE
-        self._look_back(ended, asked, unsettle=True)
-        _pass_turns(engine.static, engine.dynamic, self.everyone, begins)
-        if engine.static.rounds:
-            self._mirror(engine.games["ripped"] != 0)
-        if not self.everyone:
-            passed = (engine.games["agent"] != asked)[:, None]
-            self._look_back(b.acted & passed & ~ended, asked, unsettle=False)
-        b.over[:] = ~begins & playing & (engine.games["active"] == 0)
-        b.final[b.over] = engine.games[b.over]
-        self._look(np.ones(len(begins), np.bool_), asked)
 
     def _turns(self, begins: NDArray[np.bool_]) -> Iterator[tuple[Any, Any]]:
         """Yields (M,) the agent that moves next in each problem, or NOBODY, and (M,) the moves."""
@@ -356,68 +376,58 @@ class Player:
                 f"reward: expected finite numbers, found {paid[~np.isfinite(paid)][0]} from "
                 f"{type(self.reward).__name__}"
             )
-        if self._before is None:  # the paper's reward pays only the agents that moved
-            return paid
         status = before.agents["status"]
         playing = (status == Status.ACTIVE) | (status == Status.WAITING)
         return np.where(playing & (movers != NOBODY)[:, None], paid, np.float32(0))
 
-    def _look_back(
-        self, rows: NDArray[np.bool_], asked: NDArray[np.int32], *, unsettle: bool
-    ) -> None:
-        """Writes what agents saw where they arrived.
+    def _look_back(self, asked: NDArray[np.int32]) -> None:
+        """Writes what agents saw where they arrived: whose tasks have ended, or who pass the turn.
 
         Args:
-            rows: (M, K) which rows.
             asked: (M,) whose turn it was.
-            unsettle: whether they stand elsewhere by now because their tasks have ended.
         """
+        b, engine = self.buffers, self.engine
+        rows = b.ending != Ending.NONE
+        if not (self.everyone or engine.static.sequential):
+            rows |= b.acted & (engine.games["active"] > 1)[:, None]
         if not rows.any():
             return
-        b, engine = self.buffers, self.engine
         problems, row = np.nonzero(rows)
         agents = row if self.everyone else asked[problems]
-        place_of = problems, agents
-        settled = [array[place_of] for array in self._movable()]
-        if unsettle:
+        if self._before is not None:  # those whose tasks have ended stand elsewhere by now
+            place_of, active = (problems, agents), engine.games["active"].copy()
+            settled = [array[place_of] for array in self._movable()]
             for array, arrived in zip(self._movable(), self._arrived, strict=False):
                 array[place_of] = arrived[place_of]
+            done = settled[0]["status"] != Status.ACTIVE
+            np.add.at(engine.games["active"], problems, done)
         problems, agents = problems.astype(np.int32), agents.astype(np.int32)
         out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
         self.observation.write(engine, problems, agents, out)
         b.final_obs[rows] = out
         b.final_mask[rows] = engine.masks(problems, agents)
-        for array, kept in zip(self._movable(), settled, strict=True):
-            array[place_of] = kept
+        if self._before is not None:
+            for array, kept in zip(self._movable(), settled, strict=True):
+                array[place_of] = kept
+            engine.games["active"] = active
 
     def _movable(self) -> list[NDArray[Any]]:
         """What changes for an agent when its next task begins, as far as it is seen."""
         dynamic = self.engine.dynamic
         return [dynamic.agents, dynamic.visited][: 1 + self.engine.static.mask_visited]
 
-    def _look(self, which: NDArray[np.bool_], asked: NDArray[np.int32] | None = None) -> None:
-        """Writes what agents see now, and their status."""
+    def _look(self, which: NDArray[np.bool_] | None) -> None:
+        """Writes what agents see now, in all problems or where ``which`` (M,) is true."""
         b, engine = self.buffers, self.engine
-        if self.everyone:
-            status = engine.agents["status"]
-            b.active[:] = status == Status.ACTIVE
-            b.terminated[:] = status == Status.TERMINATED
-            b.truncated[:] = status == Status.TRUNCATED
-        else:
-            b.agents[:, 0] = engine.games["agent"]
-            b.active[:] = b.agents != NOBODY
-            last = b.agents[:, 0] if asked is None else asked
-            moved = last != NOBODY  # once a game is over, these stay as its last move left them
-            status = engine.agents["status"][np.arange(len(last)), last][:, None]
-            b.terminated[moved] = status[moved] == Status.TERMINATED
-            b.truncated[moved] = status[moved] == Status.TRUNCATED
-        chosen = np.flatnonzero(which)
-        problems = np.repeat(chosen, b.agents.shape[1]).astype(np.int32)
-        agents = b.agents[chosen].ravel()
-        out = np.empty((len(agents), *b.obs.shape[2:]), np.float32)
-        self.observation.write(engine, problems, agents, out)
-        b.obs[chosen] = out.reshape(b.obs[chosen].shape)
-        b.mask[chosen] = engine.masks(problems, agents).reshape(b.mask[chosen].shape)
+        problems, agents = engine.pairs(self.everyone)[0], b.agents.reshape(-1)
+        obs = b.obs.reshape(-1, *b.obs.shape[2:])
+        if which is None or which.all():
+            self.observation.write(engine, problems, agents, obs)
+            return
+        rows = np.repeat(which, b.agents.shape[1])
+        out = np.empty((int(rows.sum()), *obs.shape[1:]), np.float32)
+        self.observation.write(engine, problems[rows], agents[rows], out)
+        obs[rows] = out
 
 
 @compiled
@@ -462,7 +472,7 @@ def _move(static: Static, dynamic: Dynamic, movers: Any, moves: Any) -> None:
 
 
 @compiled
-def _settle(
+def _settle_movers(
     static: Static,
     dynamic: Dynamic,
     before: Dynamic,
@@ -487,21 +497,23 @@ def _settle(
         before.games[m] = dynamic.games[m]
 
 
-@compiled
-def _pass_turns(static: Static, dynamic: Dynamic, everyone: bool, begins: Any) -> None:
-    for m in range(len(begins)):
-        if begins[m]:
-            continue
-        if everyone:
-            settle_turns(static, dynamic, m)
-        elif dynamic.games[m].agent != NOBODY:
-            pass_turn(static, dynamic, m)
-
-
-# --- the paper's pieces ---------------------------------------------------------------------------
+# --- what a step writes ---------------------------------------------------------------------------
 
 _MASKS = MASKS.view(np.int16)
 """(64, 3) int16, :data:`marouting.game.state.MASKS` in pairs of bytes."""
+
+
+@inlined
+def _show_moves(static: Static, dynamic: Dynamic, m: int, n: int, mask: Any, row: int) -> None:
+    """Writes the mask of an agent; ones for NOBODY."""
+    if mask.shape[2] > _MASKS.shape[1]:  # seven actions
+        write_mask(static, dynamic, m, n, mask[m], row)
+        return
+    free = wide(0)
+    if n != NOBODY:
+        free = free_moves(static, dynamic, m, place(n))
+    for pair in range(_MASKS.shape[1]):
+        mask[m, row, pair] = _MASKS[free, pair]
 
 
 @inlined
@@ -509,12 +521,8 @@ def _look(
     static: Static, dynamic: Dynamic, known: Known, m: int, n: int, obs: Any, mask: Any, row: int
 ) -> None:
     """Writes what an agent sees; zeros and a mask of ones for NOBODY."""
-    free = wide(0)
-    if n != NOBODY:
-        free = free_moves(static, dynamic, m, place(n))
     write_paper(static, dynamic, known.via_capacity, m, n, obs[m], row)
-    for pair in range(_MASKS.shape[1]):
-        mask[m, row, pair] = _MASKS[free, pair]
+    _show_moves(static, dynamic, m, n, mask, row)
 
 
 @inlined
@@ -638,6 +646,96 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known,
     else:
         _step_player(static, dynamic, b, known, m)
 
+
+# --- any observation ------------------------------------------------------------------------------
+
+
+@compiled
+def _move_and_pay(
+    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, begins: Any
+) -> None:
+    """The moves of a step and what the paper's reward pays for them, before anybody settles.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        b: the buffers.
+        known: what is known about the pieces.
+        begins: (M,) episodes that have just begun, in which nobody moves.
+    """
+    for m in range(len(begins)):
+        if begins[m]:
+            continue
+        if known.everyone:
+            move_everyone(static, dynamic, m, b.actions)
+        else:
+            move_player(static, dynamic, m, wide(b.actions[m, 0]))
+        for row in range(b.agents.shape[1]):
+            n = wide(row) if known.everyone else wide(dynamic.games[m].agent)
+            if n == NOBODY or dynamic.agents[m, place(n)].status == Status.ABSENT:
+                b.acted[m, row] = False
+                b.reward[m, row] = 0
+                b.ending[m, row] = Ending.NONE
+            else:
+                b.total[m] += _take_stock(dynamic, b, known, m, place(n), row)
+
+
+_NOT, _TURNS, _ALL = 0, 1, 2
+"""What is to be settled at the end of a step: nothing, whose turn it is, or all that agents do."""
+
+
+@compiled
+def _settle_and_show(
+    static: Static,
+    dynamic: Dynamic,
+    b: StepBuffers,
+    known: Known,
+    begins: Any,
+    asked: Any,
+    what: int,
+) -> None:
+    """The end of a step: next tasks start, the turn passes; writes all but what agents see.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        b: the buffers, with masks in pairs of bytes.
+        known: what is known about the pieces.
+        begins: (M,) episodes that have just begun, where there is nothing to settle.
+        asked: (M,) whose turn it was, or NOBODY.
+        what: is to be settled.
+    """
+    for m in range(len(begins)):
+        game = dynamic.games[m]
+        if what != _NOT and not begins[m]:
+            if known.everyone:
+                if what == _ALL:
+                    settle_everyone(static, dynamic, m)
+                else:
+                    settle_turns(static, dynamic, m)
+            elif asked[m] != NOBODY:
+                if what == _ALL:
+                    settle_player(static, dynamic, m)
+                else:
+                    pass_turn(static, dynamic, m)
+            acted = False
+            for row in range(b.agents.shape[1]):
+                acted |= b.acted[m, row]
+            _finish(b, m, acted, game)
+        if not known.everyone:
+            b.agents[m, 0] = game.agent
+        for row in range(b.agents.shape[1]):
+            n = wide(row) if known.everyone else wide(asked[m])
+            if n != NOBODY:  # once a game is over, these stay as its last move left them
+                status = dynamic.agents[m, place(n)].status
+                b.terminated[m, row] = status == Status.TERMINATED
+                b.truncated[m, row] = status == Status.TRUNCATED
+            n = wide(b.agents[m, row])
+            b.active[m, row] = n != NOBODY and dynamic.agents[m, place(n)].status == Status.ACTIVE
+            _show_moves(static, dynamic, m, n, b.mask, row)
+
+
+# --- the paper's pieces ---------------------------------------------------------------------------
 
 # Two kernels, because one for both would take half as long again to compile.
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from marouting.config import check
 from marouting.errors import InputError
 from marouting.game.engine import Engine
-from marouting.game.observation import state, state_space
+from marouting.game.observation import state_of, state_space_of
 from marouting.options import ORDERS, game_options
 from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
@@ -57,7 +57,7 @@ class BatchEnv(EzPickle):
         num_agents: N, the number of agents of the largest problem.
         present: (M, N) bool, whether there is an agent.
         single_observation_space: the space of one agent's observation, of shape S.
-        single_state_space: the space of one problem's global state, (X, Y, 5 Z).
+        single_state_space: the space of one problem's global state; see :meth:`state`.
         engine: the engine, to be read.
 
     Raises:
@@ -86,7 +86,7 @@ class BatchEnv(EzPickle):
         observation, reward = checked.observation.make(), checked.reward.make()
         overflow = engine.static.overflow_allowed
         self.single_observation_space = observation.space(engine.problems, overflow)
-        self.single_state_space = state_space(engine.problems, overflow)
+        self.single_state_space = state_space_of(observation, engine.problems, overflow)
         self.num_problems, self.num_agents = engine.nets.shape
         self.present = engine.tasks > 0
         self._buffers = StepBuffers.of(
@@ -185,8 +185,11 @@ class BatchEnv(EzPickle):
         return b.obs, b.reward, b.terminated, b.truncated, self._info()
 
     def state(self) -> NDArray[np.float32]:
-        """(M, X, Y, 5 Z) float32, the global states; see :func:`.observation.state`."""
-        return state(self.engine, self._state)
+        """(M, X, Y, 5 Z) float32, the global states; see :func:`.observation.state`.
+
+        Other observations than the paper's may have others, see :func:`.observation.state_of`.
+        """
+        return state_of(self._players[0].observation, self.engine, self._state)
 
     def __getstate__(self) -> dict[str, Any]:
         """What made the environment, and where it stands: a copy goes on from there."""

@@ -14,7 +14,7 @@ from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 
 from marouting.game.engine import Engine
-from marouting.game.observation import nets_on_edges, state, state_space
+from marouting.game.observation import nets_on_edges, state_of, state_space_of
 from marouting.game.options import TurnOrder
 from marouting.game.state import NOBODY, Status
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
@@ -95,7 +95,7 @@ class BaseGame:
         self._play(*next(iter(self._episodes.problems.items())))
         overflow = self.engine.static.overflow_allowed
         self._box = self._observation.space(problems, overflow)
-        self.state_space: Box = state_space(problems, overflow)
+        self.state_space: Box = state_space_of(self._observation, problems, overflow)
 
     def _play(self, name: str, problem: Problem) -> None:
         """Sets up the game of a problem."""
@@ -214,8 +214,8 @@ class BaseGame:
         return self.engine.solution()
 
     def state(self) -> NDArray[np.float32]:
-        """(X, Y, 5 Z) float32, the global state; see :func:`marouting.game.observation.state`."""
-        return state(self.engine)[0]
+        """The global state; see :func:`marouting.game.observation.state_of`."""
+        return state_of(self._observation, self.engine)[0]
 
     def scene(self) -> Scene:
         """The present state of the game, for pictures."""
@@ -323,7 +323,11 @@ class GameMethods(EzPickle):
         return self._game.mask(self._game.numbers.get(agent, NOBODY))
 
     def state(self) -> NDArray[np.float32]:
-        """(X, Y, 5 Z) float32, the global state; see :func:`marouting.game.observation.state`."""
+        """The global state, float32: (X, Y, 5 Z), see :func:`marouting.game.observation.state`.
+
+        Other observations than the paper's may have another one, see
+        :func:`marouting.game.observation.state_of`.
+        """
         return self._game.state()
 
     def metrics(self) -> dict[str, int]:

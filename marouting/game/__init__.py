@@ -3,6 +3,7 @@
 from marouting.registry import register
 
 register("observation", "paper", "marouting.game.observation:PaperObservation")
+register("observation", "window", "marouting.game.window:WindowObservation")
 register("reward", "paper", "marouting.game.reward:PaperReward")
 register("reward", "team", "marouting.game.team_rewards:TeamReward")
 register("reward", "difference", "marouting.game.team_rewards:DifferenceReward")

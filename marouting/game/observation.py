@@ -1,8 +1,10 @@
 """What an agent sees, and the global state.
 
-You can write your own observation: any object with the two methods of :class:`Observation`. It
-works in all interfaces of the environment, in the batch and in trainings; see
-:func:`marouting.register`.
+The paper's observation is here; :mod:`marouting.game.window` has one that fits every grid. You can
+also write your own: any object with the two methods of :class:`Observation`. It works in all
+interfaces of the environment, in the batch and in trainings; see :func:`marouting.register`. An
+observation with a method ``state``, whose arguments are those of :func:`state`, and
+``state_space``, with those of :func:`state_space`, also decides what the global state is.
 
 A worked example: the paper's 12 numbers, and the number of agents that are still routing::
 
@@ -30,7 +32,7 @@ In YAML, with the class in ``my_pieces.py``::
     observation: {kind: "my_pieces:CountingObservation"}
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -253,6 +255,26 @@ def _state(dynamic: Dynamic, out: Any) -> None:
             if agent.status == Status.ACTIVE:
                 out[m, place(agent.cell), AXES] += 1
                 out[m, place(agent.target), AXES + 1] += 1
+
+
+def state_space_of(observation: Observation, problems: Sequence[Problem], overflow: bool) -> Box:
+    """The space of :func:`state_of`."""
+    own: Any = observation if _has_state(observation) else None
+    space: Callable[..., Box] = own.state_space if own else state_space
+    return space(problems, overflow)
+
+
+def state_of(
+    observation: Observation, engine: Engine, out: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
+    """The global states (M, …) that go with an observation: its own, or else :func:`state`."""
+    own: Any = observation if _has_state(observation) else None
+    write: Callable[..., NDArray[np.float32]] = own.state if own else state
+    return write(engine, out)
+
+
+def _has_state(observation: Observation) -> bool:
+    return all(callable(getattr(observation, name, None)) for name in ("state", "state_space"))
 
 
 def nets_on_edges(engine: Engine, m: int = 0) -> NDArray[np.int64]:

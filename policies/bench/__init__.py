@@ -17,7 +17,7 @@ from typing import Any
 import torch
 
 from marouting import InputError
-from policies.bench.environment import batch, interfaces, jumanji, large, start
+from policies.bench.environment import batch, interfaces, jumanji, large, observation, start
 from policies.bench.measure import Bench, Measurement
 from policies.bench.search import search, time_scaling
 from policies.bench.training import training
@@ -27,6 +27,7 @@ __all__ = ["SECTIONS", "Bench", "Measurement", "machine", "run"]
 SECTIONS: Mapping[str, Callable[[Bench], Iterator[Measurement]]] = {
     "start": start,
     "batch": batch,
+    "observation": observation,
     "interfaces": interfaces,
     "large": large,
     "search": search,

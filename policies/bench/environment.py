@@ -2,15 +2,24 @@
 
 import json
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from marouting import Problem, generate, global_routing_v0
+from marouting import (
+    Engine,
+    PaperObservation,
+    Problem,
+    WindowObservation,
+    generate,
+    global_routing_v0,
+)
 from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.bench.measure import Bench, Measurement, Work
@@ -20,9 +29,9 @@ def _problem(nets: int = 50, seed: int = 0) -> Problem:
     return generate(1, nets=nets, seed=seed)[0]
 
 
-def _batched(threads: int, steps: int = 60, problems: int = 1024) -> Work:
+def _batched(threads: int, steps: int = 60, problems: int = 1024, **options: Any) -> Work:
     """Random moves of all agents of a batch of the paper's problems."""
-    env = BatchEnv(generate(16) * (problems // 16), threads=threads)
+    env = BatchEnv(generate(16) * (problems // 16), threads=threads, **options)
     env.reset()
     shape = (problems, env.num_agents)
     moves = np.random.default_rng(0).integers(MOVES, size=(8, *shape), dtype=np.int8)
@@ -56,6 +65,78 @@ def batch(bench: Bench) -> Iterator[Measurement]:
             one,
             threads=bench.threads,
         )
+
+
+_RADII = (0, 1, 2, 3, 5)
+_CROWD: dict[str, Any] = {"nets": 10_000, "grid": (64, 64, 2), "capacity": 60, "reduced_edges": 0}
+_KINDS: dict[str, tuple[dict[str, Any], int]] = {
+    "128 problems of 50 nets": ({}, 128),
+    "10 000 nets on 64×64×2": (_CROWD, 1),
+}
+
+
+def _rows(engine: Engine, observation: Any, steps: int) -> Work:
+    """What all agents see, after every step of random moves; only the looking is timed."""
+    pairs = engine.pairs(everyone=True)
+    shape = observation.space(engine.problems, False).shape
+    out = np.empty((len(pairs[0]), *shape), np.float32)
+    rng = np.random.default_rng(0)
+    engine.reset()
+
+    def work() -> float:
+        seconds = 0.0
+        for _ in range(steps):
+            engine.step(rng.integers(MOVES, size=engine.nets.shape, dtype=np.int8))
+            begun = time.perf_counter()
+            observation.write(engine, *pairs, out)
+            seconds += time.perf_counter() - begun
+        return seconds / steps / len(out) * 1e9
+
+    return work
+
+
+def observation(bench: Bench) -> Iterator[Measurement]:
+    """What a row of the window costs, beside the paper's 12 numbers, and steps with it."""
+    for name, (options, copies) in _KINDS.items():
+        problems = generate(1, **options) * copies
+        seen = {
+            f"window, radius {radius}": WindowObservation(radius=radius) for radius in _RADII
+        } | {"window, radius 2, no demand": WindowObservation(channels=("capacity", "own"))}
+        works = [
+            _rows(Engine(problems, turn_order="round_robin"), piece, 10)
+            for piece in (PaperObservation(), *seen.values())
+        ]
+        for work in works:
+            work()
+        turns = [[work() for work in works] for _ in range(bench.repeats)]
+        paper, *columns = (statistics.median(column) for column in zip(*turns, strict=True))
+        best = [min(column) for column in zip(*turns, strict=True)][1:]
+        for (kind, piece), cost, least in zip(seen.items(), columns, best, strict=True):
+            yield Measurement(
+                f"{kind}, {piece.size} numbers, {name}",
+                cost,
+                least,
+                "ns a row",
+                1,
+                "the paper's 12 numbers",
+                paper,
+                paper / cost,
+            )
+    window = {"kind": "window", "radius": 2}
+    yield bench.versus(
+        "BatchEnv with window, radius 2, 128 problems of 50 nets",
+        "agent-steps/s",
+        _batched(1, 10, 128, observation=window),
+        "the same with the paper's observation",
+        _batched(1, 60, 128),
+    )
+    yield bench.versus(
+        "AEC environment with window, radius 2: last() and step()",
+        "steps/s",
+        _turns(global_routing_v0.env(_problem(), observation=window)),
+        "the same with the paper's observation",
+        _turns(global_routing_v0.env(_problem())),
+    )
 
 
 def _parallel(env: Any, steps: int = 300) -> Work:

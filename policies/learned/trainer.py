@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from marouting import InputError, Problem, Solution
 from marouting.config import plain
 from marouting.game.engine import Metrics
-from marouting.game.observation import state_space
+from marouting.game.observation import state_space_of
 from marouting.game.saved import checked_demand
 from marouting.game.state import NOBODY, Dynamic
 from marouting.player import Saved, StepBuffers
@@ -93,7 +93,9 @@ class Trainer:
                 games=len(each),
                 rows=b.obs.shape[1],
                 obs_shape=b.obs.shape[2:],
-                state_shape=state_space(engine.problems, engine.static.overflow_allowed).shape,
+                state_shape=state_space_of(
+                    self._whole.observation, engine.problems, engine.static.overflow_allowed
+                ).shape,
                 player=self.player,
                 seed=config.seed,
                 device=device,

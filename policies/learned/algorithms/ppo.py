@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from marouting.config import MOST, Named, check, piece_field, take_pieces
-from marouting.game.observation import state
+from marouting.game.observation import state_of
 from marouting.game.state import Ending
 from marouting.player import Player
 from policies.learned.exploration import Exploration
@@ -152,18 +152,22 @@ class PPO(Learner):
         chance = np.zeros(now.acted.shape, np.float32)
         for _ in range(steps):
             before = Before.of(player)
-            states = state(player.engine) if self.central else None
+            states = self._states(player)
             scores, values = self._look(now.obs, now.active, states)
             self.explore.sample(now, scores, self.options.masking, chance)
             player.step()
             failed = now.acted & (now.ending == Ending.FAILED)
-            states_after = state(player.engine) if self.central and failed.any() else None
+            states_after = self._states(player) if failed.any() else None
             final = self._values(now.final_obs, failed, states_after)
             self.rollout.add(before, now, chance, values, final, states)
             while len(full := self.rollout.full()):  # a step of many games may fill several
                 self.learn(full, self._values_ahead(player))
             if now.over.any():
                 return
+
+    def _states(self, player: Player) -> NDArray[np.float32] | None:
+        """(M, …) what the critic sees of the games beside what agents see, if it is central."""
+        return state_of(player.observation, player.engine) if self.central else None
 
     def observe(self, player: Player, before: Before) -> None:
         """Learns nothing from moves that are not its own."""
@@ -216,7 +220,7 @@ class PPO(Learner):
     def _values_ahead(self, player: Player) -> NDArray[np.float32]:
         """(L, streams) what the critic expects of every agent that goes on."""
         now = player.buffers
-        values = self._values(now.obs, now.active, state(player.engine) if self.central else None)
+        values = self._values(now.obs, now.active, self._states(player))
         ahead = np.zeros((len(now.acted), self.rollout.agents), np.float32)
         games, rows = np.nonzero(now.active)
         ahead[games, now.agents[games, rows]] = values[games, rows]

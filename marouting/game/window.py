@@ -1,0 +1,734 @@
+"""What an agent sees of its surroundings: a window that is turned towards its target.
+
+The window shows the Gcells within ``radius`` of the agent in x and in y, in its own layer and in
+``layers`` layers above and below. It is **mirrored** in x and in y so that the target lies towards
++x and +y; layers are not mirrored. All numbers are of order 1 and the shape depends on the options
+alone: not on the size of the grid, its layers or its capacities. So one network fits every problem.
+
+A row starts with 16 numbers. d is the distance to the target along an axis, in Gcells.
+
+===== ============================================================================================
+0–1   +1 or −1: the direction on the grid of the window's +x and +y (+1 where d is 0)
+2–4   d / (1 + |d|) in x, y and z; in x and y never negative
+5–7   log2(1 + |d|) / 8 in x, y and z, with the sign of d
+8–13  1 if the move crosses an edge now: +x, −x, +y, −y of the window, up, down
+14    steps left in the task, as a share of ``max_steps``
+15    k / (1 + k) for k open tasks, the present one among them
+===== ============================================================================================
+
+Then the channels follow, those that ``channels`` names, in this order. Here s(q) = q / (1 + |q|),
+and a net's track is its demand on an edge of the layer, at least 1.
+
+========  =====  =================================================================================
+capacity  x y    s(how often the net would fit into the remaining capacity, rounded down): 0 and
+                 less where there is no room, 1/2 and more where there is
+demand    x y    s(predicted slack in the net's tracks): the remaining capacity less what all other
+                 active nets are expected to take
+history   x y    s(congestion that the edge has seen in earlier rounds); 0 in games without rounds
+own       x y z  1 for an edge that the net uses
+pins      Gcell  1 for a target of a task of the net that is still open, the present one included
+heads     Gcell  s(number of other active agents there)
+========  =====  =================================================================================
+
+``x``, ``y`` and ``z`` are blocks of numbers for all edges in that direction that touch a Gcell of
+the window, one more in their direction than there are Gcells; ``Gcell`` is a block for the Gcells.
+A block has the shape (columns, rows, layers), in the window's directions, the last index fastest.
+:attr:`WindowObservation.layout` tells where each block is. Off the grid all is 0. Agents that are
+done have no open tasks and no share in the predicted demand.
+
+**Predicted demand** (as in RUDY: Spindler and Johannes, 2007): each open task is expected to take
+one edge across every column and every row of the box around its two ends, with equal chances in all
+rows (columns) of the box and in all layers that have capacity in that direction. An agent's present
+task counts from where the agent is.
+
+Moves are those of the grid, whatever the window's directions. :func:`mirrored` turns moves of the
+window into moves of the grid and back; :func:`move_order` does it for masks and values::
+
+    from marouting.game.window import mirrored, move_order
+
+    env = BatchEnv(problems, observation={"kind": "window", "radius": 3})
+    obs, info = env.reset()
+    mask = np.take_along_axis(info["action_mask"], move_order(obs), -1)  # of the window
+    moves = mirrored(mask.argmax(-1), obs)  # of the grid
+
+The **global state** (``state()`` of the environments and of the batch) has the same channels, for
+the whole grid, without a mirror; see :meth:`WindowObservation.state`.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, get_args
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from marouting.config import check
+from marouting.game.edges import uses
+from marouting.game.engine import Engine, check_rows
+from marouting.game.rules import free_moves, is_agent
+from marouting.game.state import NOBODY, Dynamic, Static, Status
+from marouting.kernels import compiled, inlined, place, wide
+from marouting.memory import check_memory
+from marouting.problem.grid import AXES, MOVES, VIA_AXIS
+from marouting.problem.net import is_whole
+from marouting.problem.problem import Problem
+
+Channel = Literal["capacity", "demand", "history", "own", "pins", "heads"]
+
+CHANNELS: tuple[Channel, ...] = get_args(Channel)
+"""All channels, in the order in which they follow in a row."""
+
+MOST_RADIUS = 32
+MOST_LAYERS = 16
+
+_X, _Y, _Z, _GCELLS = 0, 1, VIA_AXIS, AXES
+_BLOCKS: dict[str, tuple[int, ...]] = {
+    "capacity": (_X, _Y),
+    "demand": (_X, _Y),
+    "history": (_X, _Y),
+    "own": (_X, _Y, _Z),
+    "pins": (_GCELLS,),
+    "heads": (_GCELLS,),
+}
+"""The blocks of every channel: edges along an axis, or Gcells."""
+
+_NAMES = ("_x", "_y", "_z", "")
+_SCALARS = 16
+_FAR = 4.0
+"""log2(1 + d) / 8 for the largest d of a grid."""
+
+_BITS = 20
+"""Expected demand is counted in parts of 2**-20. Sums of integers are the same in any order, so it
+makes no difference how a state has come about."""
+
+
+class _Where(NamedTuple):
+    """What the compiled code has to know of the options."""
+
+    radius: int
+    layers: int
+    capacity: int  # where the channel begins in a row; -1: it is not there
+    demand: int
+    history: int
+    own: int
+    pins: int
+    heads: int
+
+
+class _Maps(NamedTuple):
+    """What is known about M problems beyond their state, brought up to date before it is read."""
+
+    lanes: NDArray[np.int32]  # (M, 2, Z) 1 for layers with capacity along x, along y
+    lane_count: NDArray[np.int32]  # (M, 2) their number, at least 1
+    track: NDArray[np.float32]  # (M, Z) mean demand of the agents on an edge, for the state
+    counted: NDArray[np.int32]  # (M, N, 3) Gcell, target and task of agents in the maps, or NOBODY
+    corner: NDArray[np.int64]  # (M, G, 2) what ``expected`` is the sum of, over lower x and y
+    expected: NDArray[np.int64]  # (M, G, 2) expected demand on a Gcell's edges towards +x and +y
+    heads: NDArray[np.int32]  # (M, G) active agents
+    changed: NDArray[np.int32]  # (M, 2) first and last column in which ``corner`` has changed
+
+
+_maps: WeakKeyDictionary[Engine, _Maps] = WeakKeyDictionary()
+"""The maps of every engine that is observed. They follow from its state, so nobody saves them."""
+
+
+def _maps_of(engine: Engine) -> _Maps:
+    """The maps of an engine, new ones if it has none yet."""
+    maps = _maps.get(engine)
+    if maps is None:
+        static, grid = engine.static, engine.grid
+        m, n = engine.nets.shape
+        check_memory(36 * m * grid.gcells, "expected demand of {} grids of {}", m, grid)
+        capacity = static.capacity.reshape(m, -1, grid.shape[VIA_AXIS], AXES)
+        lanes = (capacity[..., :VIA_AXIS].max(axis=1) > 0).transpose(0, 2, 1)
+        lanes = lanes | ~lanes.any(axis=2, keepdims=True)
+        track = static.demand.sum(axis=1) / (engine.tasks > 0).sum(axis=1)[:, None]
+        maps = _maps[engine] = _Maps(
+            lanes=lanes.astype(np.int32),
+            lane_count=lanes.sum(axis=2, dtype=np.int32),
+            track=np.where(track > 0, track, 1).astype(np.float32),
+            counted=np.full((m, n, 3), NOBODY, np.int32),
+            corner=np.zeros((m, grid.gcells, 2), np.int64),
+            expected=np.zeros((m, grid.gcells, 2), np.int64),
+            heads=np.zeros((m, grid.gcells), np.int32),
+            changed=np.zeros((m, 2), np.int32),
+        )
+    return maps
+
+
+@dataclass(frozen=True)
+class WindowObservation:
+    """The surroundings of an agent, turned towards its target; see :mod:`marouting.game.window`.
+
+    Attributes:
+        radius: Gcells that are seen in each direction of x and y, 0 to 32.
+        layers: layers that are seen above and below the agent's own, 0 to 16.
+        channels: what is seen of them, some of ``capacity``, ``demand``, ``history``, ``own``,
+            ``pins`` and ``heads``.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    radius: int = 2
+    layers: int = 1
+    channels: tuple[Channel, ...] = ("capacity", "demand", "own", "pins", "heads")
+
+    def __post_init__(self) -> None:
+        for name, most in (("radius", MOST_RADIUS), ("layers", MOST_LAYERS)):
+            value = getattr(self, name)
+            check(name, is_whole(value) and 0 <= value <= most, f"0 to {most}, found {value!r}")
+        given = tuple(self.channels)
+        once = len(set(given)) == len(given) > 0 and set(given) <= set(CHANNELS)
+        check("channels", once, f"some of {', '.join(CHANNELS)}, each once, found {given}")
+
+    @cached_property
+    def layout(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
+        """Where each block of a row is, and the shape to give it: (columns, rows, layers).
+
+        The names are ``numbers`` for the first 16, then ``capacity_x``, ``capacity_y``, …,
+        ``own_z``, ``pins`` and ``heads``.
+        """
+        found: dict[str, tuple[slice, tuple[int, ...]]] = {
+            "numbers": (slice(0, _SCALARS), (_SCALARS,))
+        }
+        begin, side = _SCALARS, 2 * self.radius + 1
+        for channel in CHANNELS:
+            if channel in self.channels:
+                for kind in _BLOCKS[channel]:
+                    shape = [side, side, 2 * self.layers + 1]
+                    if kind != _GCELLS:
+                        shape[kind] += 1
+                    end = begin + math.prod(shape)
+                    found[channel + _NAMES[kind]] = slice(begin, end), tuple(shape)
+                    begin = end
+        return found
+
+    @cached_property
+    def size(self) -> int:
+        """Numbers in a row."""
+        return next(reversed(self.layout.values()))[0].stop
+
+    @cached_property
+    def _where(self) -> _Where:
+        begins = {
+            channel: self.layout[channel + _NAMES[_BLOCKS[channel][0]]][0].start
+            for channel in CHANNELS
+            if channel in self.channels
+        }
+        return _Where(self.radius, self.layers, *(begins.get(name, NOBODY) for name in CHANNELS))
+
+    def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
+        """The box of a row, the same for all problems; see :class:`.observation.Observation`."""
+        del overflow
+        nets = max(len(problem.nets) for problem in problems)
+        # Two in the buffers of a player, the present one and the last one of a task.
+        check_memory(8 * nets * self.size, "{} nets that see {} numbers each", nets, self.size)
+        low, high = np.zeros(self.size, np.float32), np.ones(self.size, np.float32)
+        low[[0, 1, 4]], low[7] = -1, -_FAR
+        high[5:8] = _FAR
+        for name, (where, _) in self.layout.items():
+            if name.startswith(("capacity", "demand")):
+                low[where] = -1
+        return Box(low, high, dtype=np.float32)
+
+    def write(
+        self,
+        engine: Engine,
+        problems: NDArray[np.integer],
+        agents: NDArray[np.integer],
+        out: NDArray[np.float32],
+    ) -> None:
+        """Fills ``out`` (K, ``size``); see :class:`marouting.game.observation.Observation`.
+
+        It is fastest if the rows of a problem follow one another.
+
+        Raises:
+            ValueError: there are no such agents.
+        """
+        check_rows(problems, agents, out, self.size)
+        maps = _maps_of(engine)
+        if not _window(engine.static, engine.dynamic, maps, self._where, problems, agents, out):
+            raise ValueError(f"expected agents of the games, found {problems}, {agents}")
+
+    def state_space(self, problems: Sequence[Problem], overflow: bool) -> Box:
+        """The space of :meth:`state`."""
+        del overflow
+        columns, rows, layers = problems[0].grid
+        low = []
+        for channel in CHANNELS:
+            if channel in self.channels:
+                low += [-1 if channel in ("capacity", "demand") else 0] * len(_BLOCKS[channel])
+        return Box(np.tile(np.array(low, np.float32), (columns, rows, layers)), np.float32(1))
+
+    def state(self, engine: Engine, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """The global states of all problems, with the channels of the observation.
+
+        Args:
+            engine: the games.
+            out: the array to fill and return; None: a new array.
+
+        Returns:
+            (M, X, Y, C Z) float32, C numbers per Gcell and layer, those of the channels in their
+            order. For the Gcell's edges towards +x and +y: ``capacity``, the remaining capacity,
+            and ``demand``, the predicted slack when all active nets have routed, as s(tracks) of
+            the mean demand of the problem's nets in the layer; ``history`` as in the window. For
+            its edges towards +x, +y and +z: ``own``, s(number of nets that use it). For the
+            Gcell: ``pins``, s(number of open tasks that end there), and ``heads``, s(number of
+            active agents there).
+        """
+        columns, rows, layers = engine.grid.shape
+        channels = sum(len(_BLOCKS[channel]) for channel in self.channels)
+        if out is None:
+            out = np.empty((len(engine.games), columns, rows, layers * channels), np.float32)
+        flat = out.reshape(len(out), -1, channels)
+        _state(engine.static, engine.dynamic, _maps_of(engine), self._where, flat)
+        return out
+
+
+def move_order(obs: NDArray[np.float32]) -> NDArray[np.int64]:
+    """The moves of the grid in the order of a window's moves.
+
+    Args:
+        obs: (…, size) float32, observations of the kind ``window``.
+
+    Returns:
+        (…, 6) int64: the move on the grid that each of the window's six moves is. It is its own
+        inverse, so ``numpy.take_along_axis(values, move_order(obs), -1)`` turns masks and values
+        (…, 6) of the grid into those of the window, and back.
+    """
+    swapped = (obs[..., :2] < 0).repeat(2, axis=-1)  # +x with −x, and +y with −y
+    vias = np.zeros((*obs.shape[:-1], MOVES - 2 * VIA_AXIS), np.bool_)
+    return np.arange(MOVES) ^ np.concatenate((swapped, vias), axis=-1)
+
+
+def mirrored(moves: NDArray[np.integer], obs: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Turns moves of the window into moves of the grid, or moves of the grid into the window's.
+
+    Args:
+        moves: (…,) 0 to 5, or −1 for no move, which stays −1.
+        obs: (…, size) float32, what the agents saw, of the kind ``window``.
+
+    Returns:
+        (…,) int64.
+    """
+    moves = np.asarray(moves)
+    turned = np.take_along_axis(move_order(obs), moves[..., None], -1)[..., 0]
+    return np.where(moves == NOBODY, NOBODY, turned)
+
+
+# --- expected demand ------------------------------------------------------------------------------
+
+
+@inlined
+def _share(static: Static, maps: _Maps, m: int, n: int, axis: int, z: int, across: int) -> int:
+    """What a net is expected to take of each edge along an axis in a layer of a task's box.
+
+    Args:
+        static: the static state of the games.
+        maps: see :class:`_Maps`.
+        m: the problem.
+        n: the agent.
+        axis: 0 or 1.
+        z: the layer.
+        across: the size of the box across the axis, in Gcells.
+    """
+    demand = wide(maps.lanes[m, axis, z]) * wide(static.demand[m, n, z])
+    return (demand << _BITS) // (across * wide(maps.lane_count[m, axis]))
+
+
+@inlined
+def _count_task(
+    static: Static, maps: _Maps, m: int, n: int, near: int, far: int, sign: int
+) -> None:
+    """Adds a task from one Gcell to another to the corners (``sign`` 1), or takes it off (−1)."""
+    last = len(static.position) - 1
+    rows, layers = wide(static.position[last, 1]) + 1, wide(static.position[last, 2]) + 1
+    x0, x1 = wide(static.position[near, 0]), wide(static.position[far, 0])
+    y0, y1 = wide(static.position[near, 1]), wide(static.position[far, 1])
+    x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
+    if x0 == x1 and y0 == y1:
+        return
+    maps.changed[m, 0] = min(maps.changed[m, 0], x0)
+    maps.changed[m, 1] = max(maps.changed[m, 1], x1)
+    columns = wide(static.position[last, 0]) + 1
+    for z in range(layers):
+        if x0 < x1:
+            share = sign * _share(static, maps, m, n, 0, z, y1 - y0 + 1)
+            maps.corner[m, place((x0 * rows + y0) * layers + z), 0] += share
+            maps.corner[m, place((x1 * rows + y0) * layers + z), 0] -= share
+            if y1 + 1 < rows:
+                maps.corner[m, place((x0 * rows + y1 + 1) * layers + z), 0] -= share
+                maps.corner[m, place((x1 * rows + y1 + 1) * layers + z), 0] += share
+        if y0 < y1:
+            share = sign * _share(static, maps, m, n, 1, z, x1 - x0 + 1)
+            maps.corner[m, place((x0 * rows + y0) * layers + z), 1] += share
+            maps.corner[m, place((x0 * rows + y1) * layers + z), 1] -= share
+            if x1 + 1 < columns:
+                maps.corner[m, place(((x1 + 1) * rows + y0) * layers + z), 1] -= share
+                maps.corner[m, place(((x1 + 1) * rows + y1) * layers + z), 1] += share
+
+
+@inlined
+def _count_agent(static: Static, maps: _Maps, m: int, n: int, later: bool, sign: int) -> None:
+    """Adds the present task of an agent in the maps, and the later ones, or takes them off."""
+    cell, target = place(maps.counted[m, n, 0]), place(maps.counted[m, n, 1])
+    maps.heads[m, cell] += sign
+    _count_task(static, maps, m, n, cell, target, sign)
+    if later:
+        for task in range(wide(maps.counted[m, n, 2]) + 1, wide(static.first[m, n + 1])):
+            near, far = place(static.tasks[task, 0]), place(static.tasks[task, 1])
+            _count_task(static, maps, m, n, near, far, sign)
+
+
+@compiled
+def _refresh(static: Static, dynamic: Dynamic, maps: _Maps, m: int) -> None:
+    """Brings the maps of a problem up to date: agents that have moved are counted again."""
+    last = len(static.position) - 1
+    columns = wide(static.position[last, 0]) + 1
+    rows, layers = wide(static.position[last, 1]) + 1, wide(static.position[last, 2]) + 1
+    maps.changed[m, 0], maps.changed[m, 1] = columns, NOBODY
+    for n in range(dynamic.agents.shape[1]):
+        agent = dynamic.agents[m, n]
+        active = agent.status == Status.ACTIVE
+        cell = wide(agent.cell) if active else wide(NOBODY)
+        target, task = wide(agent.target), wide(agent.task)
+        before = wide(maps.counted[m, n, 0])
+        same = task == maps.counted[m, n, 2]
+        if cell == before and (cell == NOBODY or (same and target == maps.counted[m, n, 1])):
+            continue
+        later = not (same and active and before != NOBODY)
+        # Two turns instead of two calls, which would compile the counting twice.
+        for sign in range(-1, 2, 2):
+            if sign == 1:
+                maps.counted[m, n, 0] = cell
+                maps.counted[m, n, 1] = target
+                maps.counted[m, n, 2] = task
+            if maps.counted[m, n, 0] != NOBODY:
+                _count_agent(static, maps, m, n, later, sign)
+    # To the left of a box that has changed nothing changes, and to the right of it neither.
+    column = rows * layers
+    for x in range(wide(maps.changed[m, 0]), wide(maps.changed[m, 1]) + 1):
+        for y in range(rows):
+            for z in range(layers):
+                cell = place(x * column + y * layers + z)
+                for axis in range(VIA_AXIS):
+                    total = maps.corner[m, cell, axis]
+                    if x > 0:
+                        total += maps.expected[m, place(cell - column), axis]
+                    if y > 0:
+                        total += maps.expected[m, place(cell - layers), axis]
+                    if x > 0 and y > 0:
+                        total -= maps.expected[m, place(cell - column - layers), axis]
+                    maps.expected[m, cell, axis] = total
+
+
+@inlined
+def _take_own(
+    static: Static, maps: _Maps, where: _Where, m: int, n: int, cell: int, sign: int
+) -> None:
+    """Takes a net's own expected demand off the edges of its window (−1), or adds it again (1)."""
+    last = len(static.position) - 1
+    rows, layers = wide(static.position[last, 1]) + 1, wide(static.position[last, 2]) + 1
+    reach = wide(where.radius)
+    x, y, z = (
+        wide(static.position[cell, 0]),
+        wide(static.position[cell, 1]),
+        wide(static.position[cell, 2]),
+    )
+    present = wide(maps.counted[m, n, 2])
+    for task in range(present, wide(static.first[m, n + 1])):
+        near, far = place(static.tasks[task, 0]), place(static.tasks[task, 1])
+        if task == present:
+            near, far = place(maps.counted[m, n, 0]), place(maps.counted[m, n, 1])
+        x0, x1 = wide(static.position[near, 0]), wide(static.position[far, 0])
+        y0, y1 = wide(static.position[near, 1]), wide(static.position[far, 1])
+        x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
+        for layer in range(max(z - where.layers, 0), min(z + where.layers, layers - 1) + 1):
+            for axis in range(VIA_AXIS):
+                across = (y1 - y0 if axis == 0 else x1 - x0) + 1
+                share = sign * _share(static, maps, m, n, axis, layer, across)
+                right, up = x1 - (axis == 0), y1 - (axis == 1)
+                for column in range(max(x0, x - reach - 1), min(right, x + reach) + 1):
+                    for row in range(max(y0, y - reach - 1), min(up, y + reach) + 1):
+                        at = place((column * rows + row) * layers + layer)
+                        maps.expected[m, at, axis] += share
+
+
+# --- rows -----------------------------------------------------------------------------------------
+
+
+@inlined
+def _squashed(number: Any) -> Any:
+    """float32, q / (1 + |q|)."""
+    return number / (np.float32(1) + abs(number))
+
+
+@inlined
+def _slack(maps: _Maps, m: int, cell: int, axis: int, remaining: int, track: Any) -> Any:
+    """float32 remaining capacity less expected demand, in tracks."""
+    expected = np.float32(maps.expected[m, cell, axis]) * np.float32(2.0**-_BITS)
+    return (np.float32(remaining) - expected) / track
+
+
+@inlined
+def _edges(
+    static: Static,
+    dynamic: Dynamic,
+    maps: _Maps,
+    where: _Where,
+    m: int,
+    n: int,
+    axis: int,
+    begin: int,
+    out: Any,
+    row: int,
+) -> None:
+    """Writes the blocks of one axis.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        maps: see :class:`_Maps`.
+        where: where channels begin.
+        m: the problem.
+        n: the agent.
+        axis: 0 to 2.
+        begin: where the axis begins in each channel.
+        out: (K, size) to be filled.
+        row: which of the K.
+    """
+    last = len(static.position) - 1
+    columns, rows, layers = (
+        wide(static.position[last, 0]) + 1,
+        wide(static.position[last, 1]) + 1,
+        wide(static.position[last, 2]) + 1,
+    )
+    agent = dynamic.agents[m, n]
+    cell, target = place(agent.cell), place(agent.target)
+    x, y, z = (
+        wide(static.position[cell, 0]),
+        wide(static.position[cell, 1]),
+        wide(static.position[cell, 2]),
+    )
+    right = static.position[target, 0] >= x
+    up = static.position[target, 1] >= y
+    # The last edge of an axis leads off the grid; in a mirror an edge belongs to its other end.
+    along_x, along_y, along_z = wide(axis == 0), wide(axis == 1), wide(axis == VIA_AXIS)
+    reach, deep = wide(where.radius), wide(where.layers)
+    p = begin
+    for i in range(-reach - along_x, reach + 1):
+        gx = x + i if right else x - i - along_x
+        in_x = 0 <= gx < columns - along_x
+        for j in range(-reach - along_y, reach + 1):
+            gy = y + j if up else y - j - along_y
+            inside = in_x and 0 <= gy < rows - along_y
+            for k in range(-deep - along_z, deep + 1):
+                gz = z + k
+                capacity = slack = history = own = np.float32(0)
+                if inside and 0 <= gz < layers - along_z:
+                    at = place((gx * rows + gy) * layers + gz)
+                    edge = place(AXES * at + axis)
+                    if where.own >= 0:
+                        own = np.float32(uses(dynamic.used, m, n, edge))
+                    if axis != VIA_AXIS:
+                        remaining = dynamic.remaining[m, edge]
+                        track = np.float32(max(static.demand[m, n, place(gz)], 1))
+                        if where.capacity >= 0:
+                            capacity = _squashed(np.floor(np.float32(remaining) / track))
+                        if where.demand >= 0:
+                            slack = _squashed(_slack(maps, m, at, axis, remaining, track))
+                        if where.history >= 0 and dynamic.history.shape[1] > 0:
+                            history = _squashed(np.float32(dynamic.history[m, edge]))
+                if axis != VIA_AXIS:
+                    if where.capacity >= 0:
+                        out[row, place(where.capacity + p)] = capacity
+                    if where.demand >= 0:
+                        out[row, place(where.demand + p)] = slack
+                    if where.history >= 0:
+                        out[row, place(where.history + p)] = history
+                if where.own >= 0:
+                    out[row, place(where.own + p)] = own
+                p += 1
+
+
+@inlined
+def _gcells(
+    static: Static,
+    dynamic: Dynamic,
+    maps: _Maps,
+    where: _Where,
+    m: int,
+    n: int,
+    out: Any,
+    row: int,
+) -> None:
+    """Writes the channels ``pins`` and ``heads``."""
+    last = len(static.position) - 1
+    columns, rows, layers = (
+        wide(static.position[last, 0]) + 1,
+        wide(static.position[last, 1]) + 1,
+        wide(static.position[last, 2]) + 1,
+    )
+    agent = dynamic.agents[m, n]
+    cell, target = place(agent.cell), place(agent.target)
+    x, y, z = (
+        wide(static.position[cell, 0]),
+        wide(static.position[cell, 1]),
+        wide(static.position[cell, 2]),
+    )
+    sign_x = 1 if static.position[target, 0] >= x else -1
+    sign_y = 1 if static.position[target, 1] >= y else -1
+    active = agent.status == Status.ACTIVE
+    reach, deep = wide(where.radius), wide(where.layers)
+    p = wide(0)
+    for i in range(-reach, reach + 1):
+        gx = x + sign_x * i
+        for j in range(-reach, reach + 1):
+            gy = y + sign_y * j
+            inside = 0 <= gx < columns and 0 <= gy < rows
+            for k in range(-deep, deep + 1):
+                gz = z + k
+                if where.heads >= 0:
+                    others = np.float32(0)
+                    if inside and 0 <= gz < layers:
+                        at = place((gx * rows + gy) * layers + gz)
+                        others = np.float32(maps.heads[m, at] - wide(active and at == cell))
+                    out[row, place(where.heads + p)] = _squashed(others)
+                if where.pins >= 0:
+                    out[row, place(where.pins + p)] = 0
+                p += 1
+    if where.pins >= 0 and active:
+        for task in range(wide(agent.task), wide(static.first[m, n + 1])):
+            pin = target if task == agent.task else place(static.tasks[task, 1])
+            i = (wide(static.position[pin, 0]) - x) * sign_x + reach
+            j = (wide(static.position[pin, 1]) - y) * sign_y + reach
+            k = wide(static.position[pin, 2]) - z + deep
+            if 0 <= i <= 2 * reach and 0 <= j <= 2 * reach and 0 <= k <= 2 * deep:
+                at = (i * (2 * reach + 1) + j) * (2 * deep + 1) + k
+                out[row, place(where.pins + at)] = 1
+
+
+@inlined
+def _numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
+    """Writes the first 16 numbers of a row."""
+    agent = dynamic.agents[m, n]
+    cell, target = place(agent.cell), place(agent.target)
+    free = free_moves(static, dynamic, m, n)
+    for axis in range(AXES):
+        far = wide(static.position[target, axis]) - wide(static.position[cell, axis])
+        back = wide(0)
+        if axis != VIA_AXIS:
+            back = wide(far < 0)
+            out[row, axis] = 1 - 2 * back
+            far = abs(far)
+        logarithm = np.float32(math.log2(1.0 + abs(far)) / 8)
+        out[row, 2 + axis] = _squashed(np.float32(far))
+        out[row, 5 + axis] = logarithm if far >= 0 else -logarithm
+        for way in range(2):
+            out[row, 8 + 2 * axis + way] = free >> (2 * axis + (way ^ back)) & 1
+    left = np.float32(static.max_steps - agent.steps) / np.float32(static.max_steps)
+    out[row, 14] = max(left, np.float32(0))
+    tasks = wide(0)
+    if agent.status == Status.ACTIVE:
+        tasks = wide(static.first[m, n + 1]) - wide(agent.task)
+    out[row, 15] = _squashed(np.float32(tasks))
+
+
+@compiled
+def _window(
+    static: Static,
+    dynamic: Dynamic,
+    maps: _Maps,
+    where: _Where,
+    problems: Any,
+    agents: Any,
+    out: Any,
+) -> bool:
+    """Fills ``out`` (K, size); returns whether there are such agents."""
+    refreshed = wide(NOBODY)
+    side, deep = 2 * wide(where.radius) + 1, 2 * wide(where.layers) + 1
+    edges = side * (side + 1) * deep
+    along = max(where.capacity, where.demand, where.history, where.own) >= 0
+    for i in range(len(problems)):
+        m, n = wide(problems[i]), wide(agents[i])
+        if not is_agent(dynamic, m, n):
+            return False
+        if n == NOBODY:
+            for f in range(out.shape[1]):
+                out[i, f] = 0
+            continue
+        m, n = place(m), place(n)
+        if m != refreshed and (where.demand >= 0 or where.heads >= 0):
+            _refresh(static, dynamic, maps, m)
+            refreshed = m
+        _numbers(static, dynamic, m, n, out, i)
+        takes = where.demand >= 0 and maps.counted[m, n, 0] != NOBODY
+        cell = place(dynamic.agents[m, n].cell)
+        # One loop instead of three calls, which would compile everything three times.
+        for axis in range(AXES):
+            if takes and axis != 1:
+                _take_own(static, maps, where, m, n, cell, axis - 1)  # and put back before the vias
+            if along if axis != VIA_AXIS else where.own >= 0:
+                _edges(static, dynamic, maps, where, m, n, axis, edges * axis, out, i)
+        if where.pins >= 0 or where.heads >= 0:
+            _gcells(static, dynamic, maps, where, m, n, out, i)
+    return True
+
+
+# --- the global state -----------------------------------------------------------------------------
+
+
+@compiled
+def _state(static: Static, dynamic: Dynamic, maps: _Maps, where: _Where, out: Any) -> None:
+    """Fills ``out`` (M, G, C)."""
+    layers = maps.track.shape[1]
+    for m in range(out.shape[0]):
+        if where.demand >= 0 or where.heads >= 0:
+            _refresh(static, dynamic, maps, m)
+        begin = wide(0)
+        for cell in range(out.shape[1]):
+            track = maps.track[m, cell % layers]
+            begin = 0
+            if where.capacity >= 0:
+                for axis in range(VIA_AXIS):
+                    remaining = np.float32(dynamic.remaining[m, AXES * cell + axis])
+                    out[m, cell, begin + axis] = _squashed(remaining / track)
+                begin += VIA_AXIS
+            if where.demand >= 0:
+                for axis in range(VIA_AXIS):
+                    remaining = dynamic.remaining[m, AXES * cell + axis]
+                    slack = _slack(maps, m, cell, axis, remaining, track)
+                    out[m, cell, begin + axis] = _squashed(slack)
+                begin += VIA_AXIS
+            if where.history >= 0:
+                for axis in range(VIA_AXIS):
+                    out[m, cell, begin + axis] = 0
+                    if dynamic.history.shape[1] > 0:
+                        history = np.float32(dynamic.history[m, AXES * cell + axis])
+                        out[m, cell, begin + axis] = _squashed(history)
+                begin += VIA_AXIS
+            for channel in range(begin, out.shape[2]):
+                out[m, cell, channel] = 0
+        pins = begin + AXES * wide(where.own >= 0)
+        for n in range(dynamic.used.shape[1]):
+            if where.own >= 0:
+                for byte in range(dynamic.used.shape[2]):
+                    edge, bits = 8 * byte, wide(dynamic.used[m, n, byte])
+                    while bits != 0:
+                        if bits & 1:
+                            out[m, edge // AXES, begin + edge % AXES] += 1
+                        edge, bits = edge + 1, bits >> 1
+            agent = dynamic.agents[m, n]
+            if where.pins >= 0 and agent.status == Status.ACTIVE:
+                out[m, place(agent.target), pins] += 1
+                for task in range(wide(agent.task) + 1, wide(static.first[m, n + 1])):
+                    out[m, place(static.tasks[task, 1]), pins] += 1
+        for cell in range(out.shape[1]):
+            if where.heads >= 0:
+                out[m, cell, out.shape[2] - 1] = maps.heads[m, cell]
+            for channel in range(begin, out.shape[2]):
+                out[m, cell, channel] = _squashed(out[m, cell, channel])
