@@ -15,6 +15,7 @@ another agent, and otherwise to the ``obs`` after the step.
 """
 
 import copy
+import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -38,7 +39,7 @@ from marouting.game.rules import (
     settle_player,
     settle_turns,
     wait,
-    write_mask,
+    write_moves,
 )
 from marouting.game.state import (
     AGENT,
@@ -52,6 +53,7 @@ from marouting.game.state import (
     Status,
 )
 from marouting.kernels import bound, compiled, inlined, place, wide
+from marouting.memory import check_memory
 from marouting.problem.grid import MOVES
 
 
@@ -84,7 +86,14 @@ class StepBuffers(NamedTuple):
     def of(
         cls, problems: int, rows: int, shape: tuple[int, ...], actions: int = MOVES
     ) -> "StepBuffers":
-        """Buffers for a number of problems, rows per problem, shape of observations, actions."""
+        """Buffers for a number of problems, rows per problem, shape of observations, actions.
+
+        Raises:
+            InputError: they would take too much memory.
+        """
+        size = math.prod(shape)
+        bytes_of_obs = 2 * np.dtype(np.float32).itemsize * problems * rows * size
+        check_memory(bytes_of_obs, "{} observations of {} numbers", problems * rows, size)
         each = problems, rows
         return cls(
             agents=np.full(each, NOBODY, np.int32),
@@ -504,14 +513,20 @@ _MASKS = MASKS.view(np.int16)
 
 
 @inlined
-def _show_moves(static: Static, dynamic: Dynamic, m: int, n: int, mask: Any, row: int) -> None:
-    """Writes the mask of an agent; ones for NOBODY."""
-    if mask.shape[2] > _MASKS.shape[1]:  # seven actions
-        write_mask(static, dynamic, m, n, mask[m], row)
-        return
+def _free(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
+    """The moves of an agent that cross an edge, one bit per move; none for NOBODY."""
     free = wide(0)
     if n != NOBODY:
         free = free_moves(static, dynamic, m, place(n))
+    return free
+
+
+@inlined
+def _write_mask(mask: Any, m: int, row: int, free: int) -> None:
+    """Writes a mask, whose pairs of bytes are faster to write than its bytes."""
+    if mask.shape[2] > MOVES:
+        write_moves(free, mask[m], row)
+        return
     for pair in range(_MASKS.shape[1]):
         mask[m, row, pair] = _MASKS[free, pair]
 
@@ -521,8 +536,9 @@ def _look(
     static: Static, dynamic: Dynamic, known: Known, m: int, n: int, obs: Any, mask: Any, row: int
 ) -> None:
     """Writes what an agent sees; zeros and a mask of ones for NOBODY."""
+    free = _free(static, dynamic, m, n)
     write_paper(static, dynamic, known.via_capacity, m, n, obs[m], row)
-    _show_moves(static, dynamic, m, n, mask, row)
+    _write_mask(mask, m, row, free)
 
 
 @inlined
@@ -732,7 +748,7 @@ def _settle_and_show(
                 b.truncated[m, row] = status == Status.TRUNCATED
             n = wide(b.agents[m, row])
             b.active[m, row] = n != NOBODY and dynamic.agents[m, place(n)].status == Status.ACTIVE
-            _show_moves(static, dynamic, m, n, b.mask, row)
+            _write_mask(b.mask, m, row, _free(static, dynamic, m, n))
 
 
 # --- the paper's pieces ---------------------------------------------------------------------------

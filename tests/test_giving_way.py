@@ -67,11 +67,15 @@ def test_a_net_that_blocks_another_gives_way() -> None:
 def test_a_round_that_is_worse_is_undone() -> None:
     engine = Engine([replace(CROSSING, nets=CROSSING.nets[:1])], max_steps=4, rip_up_rounds=1)
     walk(engine, E, E)
-    routed = engine.solution()
+    assert engine.metrics().wirelength == 0
     walk(engine, N, E, S, E)  # a detour: joined, but longer
     assert engine.games[0]["agent"] == NOBODY
-    assert engine.solution() == routed
     assert engine.metrics().wirelength == 2
+    straight = engine.grid.ends(engine.solution().edges[0])
+    assert [engine.grid.position[ends].tolist() for ends in straight] == [
+        [[0, 0, 0], [1, 0, 0]],
+        [[1, 0, 0], [2, 0, 0]],
+    ]
 
 
 def test_a_failed_task_gives_its_edges_back() -> None:
@@ -231,7 +235,6 @@ def test_pettingzoo_accepts_rounds(rip_up: str, more: dict[str, Any]) -> None:
         ({"next_task": "nearest", "decomposition": "steiner"}, "next_task: expected listed"),
         ({"rip_up": "some"}, "rip_up: expected one of"),
         ({"rip_up_rounds": -1}, "rip_up_rounds: expected 0 to"),
-        ({"rip_up_rounds": True}, "rip_up_rounds: expected 0 to"),
         ({"rip_up_neighbours": 1000}, "rip_up_neighbours: expected 0 to"),
         ({"give_back": 2}, "give_back: expected true or false"),
         ({"mask_visited": "no"}, "mask_visited: expected true or false"),

@@ -753,7 +753,7 @@ def test_options_given_in_python_are_checked_alike() -> None:
 
 def test_windows_that_do_not_fit_into_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MAROUTING_MAX_GIB", "0.2")
-    with pytest.raises(InputError, match=r"^\d+ nets that see \d+ numbers each: expected to take"):
+    with pytest.raises(InputError, match=r"^500 observations of \d+ numbers: expected to take"):
         global_routing_v0.parallel_env(
             problem={"nets": 500}, observation={"kind": "window", "radius": 32, "layers": 3}
         )

@@ -51,6 +51,8 @@ from marouting.problem.grid import MOVES
 GIVE_WAY = MOVES
 """The seventh action, with ``rip_up: agents``: the net gives its edges back and walks again."""
 
+_SIX = (1 << MOVES) - 1
+
 
 @inlined
 def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> None:
@@ -314,7 +316,12 @@ def settle_everyone(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @inlined
 def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
-    """The moves of an agent that cross an edge, one bit per move."""
+    """The moves of an agent that cross an edge, one bit per move.
+
+    An agent that is asked whether its net gives way has two actions, the first move and the last.
+    """
+    if static.extended and dynamic.games[m].asked and dynamic.games[m].agent == n:
+        return wide(1 | 1 << GIVE_WAY)
     cell = place(dynamic.agents[m, n].cell)
     free = wide(0)
     for move in range(MOVES):
@@ -336,19 +343,18 @@ def is_agent(dynamic: Dynamic, m: int, n: int) -> bool:
 
 
 @inlined
-def write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
-    """Fills a row of ``out`` (K, 6 or 7) with an agent's action mask; all ones for NOBODY.
+def write_moves(free: int, out: Any, row: int) -> None:
+    """Fills a row of ``out`` (K, 6 or 7) with a mask: all ones if none of the six moves is free."""
+    for move in range(MOVES):
+        out[row, move] = MASKS[free & _SIX, move]
+    if out.shape[1] > MOVES:
+        out[row, GIVE_WAY] = free >> GIVE_WAY & 1
 
-    An agent that is asked whether its net gives way has two actions, the first move and the last.
-    """
+
+@inlined
+def write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
+    """Fills a row of ``out`` (K, 6 or 7) with an agent's action mask, or that of NOBODY."""
     free = wide(0)
     if n != NOBODY:
         free = free_moves(static, dynamic, m, place(n))
-    for move in range(MOVES):
-        out[row, move] = MASKS[free, move]
-    if out.shape[1] > MOVES:
-        game = dynamic.games[m]
-        asked = n != NOBODY and game.asked and game.agent == n
-        out[row, GIVE_WAY] = n == NOBODY or asked
-        for move in range(asked * MOVES):
-            out[row, move] = move == 0
+    write_moves(free, out, row)

@@ -72,7 +72,7 @@ from marouting.game.engine import Engine, check_rows
 from marouting.game.rules import free_moves, is_agent
 from marouting.game.state import NOBODY, Dynamic, Static, Status
 from marouting.kernels import compiled, inlined, place, wide
-from marouting.memory import check_memory
+from marouting.memory import EXPECTED, check_memory
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
@@ -142,7 +142,7 @@ def _maps_of(engine: Engine) -> _Maps:
     if maps is None:
         static, grid = engine.static, engine.grid
         m, n = engine.nets.shape
-        check_memory(36 * m * grid.gcells, "expected demand of {} grids of {}", m, grid)
+        check_memory(EXPECTED * m * grid.gcells, "expected demand of {} grids of {}", m, grid)
         capacity = static.capacity.reshape(m, -1, grid.shape[VIA_AXIS], AXES)
         lanes = (capacity[..., :VIA_AXIS].max(axis=1) > 0).transpose(0, 2, 1)
         lanes = lanes | ~lanes.any(axis=2, keepdims=True)
@@ -223,10 +223,7 @@ class WindowObservation:
 
     def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
         """The box of a row, the same for all problems; see :class:`.observation.Observation`."""
-        del overflow
-        nets = max(len(problem.nets) for problem in problems)
-        # Two in the buffers of a player, the present one and the last one of a task.
-        check_memory(8 * nets * self.size, "{} nets that see {} numbers each", nets, self.size)
+        del problems, overflow
         low, high = np.zeros(self.size, np.float32), np.ones(self.size, np.float32)
         low[[0, 1, 4]], low[7] = -1, -_FAR
         high[5:8] = _FAR
