@@ -98,23 +98,30 @@ def nearest_in_tree(static: Static, dynamic: Dynamic, m: int, n: int, pin: int) 
     return nearest, least
 
 
+@inlined
+def is_later(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> bool:
+    """Whether an agent may still begin a task, after its present one."""
+    begun = task <= dynamic.agents[m, n].task
+    if static.nearest_next:
+        begun = dynamic.tried[m, task - static.first[m, 0]] != 0
+    if keeps_tree(static):
+        begun |= holds(dynamic.tree, m, n, wide(static.tasks[task, 1])) != 0
+    return not begun
+
+
 @compiled
 def next_task(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """The task that an agent begins after its present one; NOBODY if there is none."""
     first, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
-    task = wide(dynamic.agents[m, n].task) + 1
     if not static.nearest_next:
-        while task < end and static.tree_target:
-            if not holds(dynamic.tree, m, n, wide(static.tasks[task, 1])):
-                break
-            task += 1
-        return task if task < end else NOBODY
+        first = wide(dynamic.agents[m, n].task) + 1
     found, least = wide(NOBODY), wide(1 << 62)
     for task in range(first, end):
-        pin = wide(static.tasks[task, 1])
-        if dynamic.tried[m, task - static.first[m, 0]] or holds(dynamic.tree, m, n, pin):
+        if not is_later(static, dynamic, m, n, wide(task)):
             continue
-        _, distance = nearest_in_tree(static, dynamic, m, n, pin)
+        if not static.nearest_next:
+            return wide(task)
+        _, distance = nearest_in_tree(static, dynamic, m, n, wide(static.tasks[task, 1]))
         if distance < least:
             found, least = wide(task), distance
     return found

@@ -71,6 +71,7 @@ from marouting.game.edges import uses
 from marouting.game.engine import Engine, check_rows
 from marouting.game.rules import free_moves, is_agent
 from marouting.game.state import NOBODY, Dynamic, Static, Status
+from marouting.game.tasks import is_later
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.memory import EXPECTED, check_memory
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
@@ -129,6 +130,7 @@ class _Maps(NamedTuple):
     corner: NDArray[np.int64]  # (M, G, 2) what ``expected`` is the sum of, over lower x and y
     expected: NDArray[np.int64]  # (M, G, 2) expected demand on a Gcell's edges towards +x and +y
     heads: NDArray[np.int32]  # (M, G) active agents
+    later: NDArray[np.uint8]  # (M, T) tasks in the maps that agents have still to begin
     changed: NDArray[np.int32]  # (M, 2) first and last column in which ``corner`` has changed
 
 
@@ -155,6 +157,7 @@ def _maps_of(engine: Engine) -> _Maps:
             corner=np.zeros((m, grid.gcells, 2), np.int64),
             expected=np.zeros((m, grid.gcells, 2), np.int64),
             heads=np.zeros((m, grid.gcells), np.int32),
+            later=np.zeros((m, int(engine.tasks.sum(axis=1).max())), np.uint8),
             changed=np.zeros((m, 2), np.int32),
         )
     return maps
@@ -371,12 +374,14 @@ def _count_task(
 
 @inlined
 def _count_agent(static: Static, maps: _Maps, m: int, n: int, later: bool, sign: int) -> None:
-    """Adds the present task of an agent in the maps, and the later ones, or takes them off."""
+    """Adds an agent's present task and those noted as later to the maps, or takes them off."""
     cell, target = place(maps.counted[m, n, 0]), place(maps.counted[m, n, 1])
     maps.heads[m, cell] += sign
     _count_task(static, maps, m, n, cell, target, sign)
     if later:
-        for task in range(wide(maps.counted[m, n, 2]) + 1, wide(static.first[m, n + 1])):
+        for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+            if not maps.later[m, task - static.first[m, 0]]:
+                continue
             near, far = place(static.tasks[task, 0]), place(static.tasks[task, 1])
             _count_task(static, maps, m, n, near, far, sign)
 
@@ -395,6 +400,10 @@ def _refresh(static: Static, dynamic: Dynamic, maps: _Maps, m: int) -> None:
         target, task = wide(agent.target), wide(agent.task)
         before = wide(maps.counted[m, n, 0])
         same = task == maps.counted[m, n, 2]
+        if static.extended and active:
+            for t in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+                noted = maps.later[m, t - static.first[m, 0]] != 0
+                same &= noted == is_later(static, dynamic, m, n, wide(t))
         if cell == before and (cell == NOBODY or (same and target == maps.counted[m, n, 1])):
             continue
         later = not (same and active and before != NOBODY)
@@ -404,6 +413,9 @@ def _refresh(static: Static, dynamic: Dynamic, maps: _Maps, m: int) -> None:
                 maps.counted[m, n, 0] = cell
                 maps.counted[m, n, 1] = target
                 maps.counted[m, n, 2] = task
+                for t in range(later * static.first[m, n], later * static.first[m, n + 1]):
+                    noted = active and is_later(static, dynamic, m, n, wide(t))
+                    maps.later[m, t - static.first[m, 0]] = noted
             if maps.counted[m, n, 0] != NOBODY:
                 _count_agent(static, maps, m, n, later, sign)
     # To the left of a box that has changed nothing changes, and to the right of it neither.
@@ -437,7 +449,9 @@ def _take_own(
         wide(static.position[cell, 2]),
     )
     present = wide(maps.counted[m, n, 2])
-    for task in range(present, wide(static.first[m, n + 1])):
+    for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+        if task != present and not maps.later[m, task - static.first[m, 0]]:
+            continue
         near, far = place(static.tasks[task, 0]), place(static.tasks[task, 1])
         if task == present:
             near, far = place(maps.counted[m, n, 0]), place(maps.counted[m, n, 1])
@@ -599,7 +613,9 @@ def _gcells(
                     out[row, place(where.pins + p)] = 0
                 p += 1
     if where.pins >= 0 and active:
-        for task in range(wide(agent.task), wide(static.first[m, n + 1])):
+        for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+            if task != agent.task and not is_later(static, dynamic, m, n, wide(task)):
+                continue
             pin = target if task == agent.task else place(static.tasks[task, 1])
             i = (wide(static.position[pin, 0]) - x) * sign_x + reach
             j = (wide(static.position[pin, 1]) - y) * sign_y + reach
@@ -631,7 +647,9 @@ def _numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: in
     out[row, 14] = max(left, np.float32(0))
     tasks = wide(0)
     if agent.status == Status.ACTIVE:
-        tasks = wide(static.first[m, n + 1]) - wide(agent.task)
+        tasks += 1
+        for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+            tasks += is_later(static, dynamic, m, n, wide(task))
     out[row, 15] = _squashed(np.float32(tasks))
 
 
@@ -722,7 +740,9 @@ def _state(static: Static, dynamic: Dynamic, maps: _Maps, where: _Where, out: An
             agent = dynamic.agents[m, n]
             if where.pins >= 0 and agent.status == Status.ACTIVE:
                 out[m, place(agent.target), pins] += 1
-                for task in range(wide(agent.task) + 1, wide(static.first[m, n + 1])):
+                for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+                    if not is_later(static, dynamic, m, n, wide(task)):
+                        continue
                     out[m, place(static.tasks[task, 1]), pins] += 1
         for cell in range(out.shape[1]):
             if where.heads >= 0:
