@@ -4,6 +4,7 @@ All three draw the same :class:`Scene`, which the environments fill from the eng
 needs only numpy, except that :class:`Window` loads matplotlib when it is first shown.
 """
 
+import colorsys
 import contextlib
 import enum
 import functools
@@ -159,6 +160,21 @@ _INK = (20, 20, 20)
 _NET = (86, 180, 233)  # heads and targets of nets that wait
 _TURN = (230, 97, 0)  # head and target of the net to move
 _HALO = (255, 221, 176)  # background of these two Gcells
+
+PALETTE = np.array(
+    [
+        [
+            round(255 * part)
+            # Hues one golden ratio apart: neighbours differ, and no hue comes again.
+            for part in colorsys.hls_to_rgb(
+                (0.58 + 0.618034 * i) % 1, (0.42, 0.56, 0.3)[i % 3], 0.8
+            )
+        ]
+        for i in range(48)
+    ],
+    np.uint8,
+)
+"""(48, 3) uint8, the colours of nets: net i has the colour i % 48, in every picture."""
 
 # Viridis from light to dark: on a white background, dark means heavily used.
 _RAMP = np.array(

@@ -28,6 +28,7 @@ from marouting.files import check_writable, write_text
 from marouting.generator import ReducedPer
 from marouting.problem.ispd import FORMATS, Format
 from marouting.registry import names
+from policies.cli.view import view
 from policies.routers.base import solve
 from policies.routers.registry import has_seed, is_learner, make_router, router_names
 
@@ -341,6 +342,9 @@ def plot(paths: tuple[Path, ...], out: Path | None) -> None:
 
     for path in draw(paths, out):
         click.echo(path)
+
+
+cli.add_command(view)
 
 
 @cli.command()

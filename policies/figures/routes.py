@@ -345,15 +345,23 @@ def _tracks(problem: Problem, solution: Solution) -> NDArray[np.int64]:
     return track
 
 
+def shifts(problem: Problem, solution: Solution) -> tuple[NDArray[np.float64], float]:
+    """How far to shift nets along x = y so that no two lie upon each other, in Gcells.
+
+    Returns:
+        (nets,) float64, and the distance between two tracks.
+    """
+    track = _tracks(problem, solution)
+    pitch = min(_TRACK, _SPREAD / (int(track.max()) + 1))
+    # 0, +1, −1, +2, …: the first tracks in the middle.
+    return pitch * np.where(track % 2, track // 2 + 1, -(track // 2)), pitch
+
+
 def _drawing(problem: Problem, solution: Solution) -> _Drawing:
     grid = problem.topology
     drawn = len(solution.uses[1])
     check_memory(DRAWN * drawn, "a drawing of {} edges", drawn)
-    track = _tracks(problem, solution)
-    pitch = min(_TRACK, _SPREAD / (int(track.max()) + 1))
-    # 0, +1, −1, +2, …: the first tracks in the middle.
-    shift = pitch * np.where(track % 2, track // 2 + 1, -(track // 2))
-
+    shift, pitch = shifts(problem, solution)
     net, edge = solution.uses
     near, far = grid.ends(edge)
     start, stop = _points(problem, near), _points(problem, far)
