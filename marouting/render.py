@@ -272,7 +272,7 @@ class _Layout:
         rows = math.ceil(layers / columns)
         longest = max(columns * width, rows * height)
         # All lengths are even, because video encoders need even sides.
-        pitch = min(max(_PITCH, math.ceil(_SHORTEST / longest)), 17 * _LONGEST // (20 * longest))
+        pitch = min(max(_PITCH, math.ceil(_SHORTEST / longest)), 9 * _LONGEST // (10 * longest))
         pitch = max(pitch // 2 * 2, _SMALLEST)
         margin = max(pitch // 4 * 2, 8)
         side = longest * pitch + (max(columns, rows) + 1) * margin
