@@ -184,7 +184,7 @@ def test_rgb_full_edges_have_dark_borders_and_overflowed_ones_wide_red_borders()
 
 
 def test_rgb_of_a_fine_grid_darkens_with_use_and_turns_red_and_wide_with_overflow():
-    shape = (150, 150, 1)
+    shape = (100, 100, 1)
     name = edge(0, 0, 0, 0, shape)
     pictures = [rgb_array(scene(shape, {name: nets}, capacity=3)) for nets in range(5)]
     (left, right), (top, bottom) = changed(pictures[0], pictures[1])
