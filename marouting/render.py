@@ -75,7 +75,7 @@ def scene_of(engine: Engine, m: int = 0) -> Scene:
     return Scene(
         grid=engine.grid,
         capacity=engine.static.capacity[m],
-        remaining=engine.dynamic.remaining[m],
+        remaining=engine.dynamic.remaining[m].copy(),
         nets=net[sorting],
         edges=edge[sorting],
         active=nets[active].astype(np.int64),
