@@ -241,7 +241,7 @@ def svg(scenes: Sequence[Scene], problem: Problem, title: str, fps: float) -> st
         np.unique(np.concatenate([nothing, *(s.edges[s.nets == net] for s in scenes)]))
         for net in range(len(problem.nets))
     ]
-    shift, pitch = shifts(problem, Solution(problem, edges))
+    shift, pitch = shifts(problem, [Solution(problem, edges)])
     width = max(columns * side + 32, 592.0)
     place = _Place(
         side,

@@ -86,11 +86,6 @@ def page_data(problem: Problem, solutions: Mapping[str, Solution], title: str) -
     drawn = sum(len(solution.uses[1]) for solution in solutions.values())
     check_memory(DRAWN * drawn, "a page with drawings of {} edges", drawn)
 
-    # Every net keeps its place in all drawings.
-    together = Solution(
-        problem,
-        [np.concatenate(own) for own in zip(*(s.edges for s in solutions.values()), strict=True)],
-    )
     first, gcell = problem.flat_pin_gcells
     demands = [_by_axis(problem, solution.edge_demand) for solution in solutions.values()]
     capacities = _by_axis(problem, problem.capacity)
@@ -105,7 +100,7 @@ def page_data(problem: Problem, solutions: Mapping[str, Solution], title: str) -
         "grid": list(problem.grid),
         "nets": [net.name for net in problem.nets],
         "palette": [f"rgb({r},{g},{b})" for r, g, b in PALETTE.tolist()],
-        "shift": _array(shifts(problem, together)[0].astype(np.float32)),
+        "shift": _array(shifts(problem, list(solutions.values()))[0].astype(np.float32)),
         "pins": {
             "net": _array(np.repeat(np.arange(len(problem.nets)), np.diff(first))),
             **_positions(problem, gcell),
