@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     "[default: astar]",
 )
 @click.option(
-    "--checkpoint", type=Path, help="File of a trained policy, whose own game is shown instead."
+    "--checkpoint",
+    type=Path,
+    help="File of a trained policy, whose own game is shown; without it, a replay.",
 )
 @click.option(
     "--turn-order",
