@@ -7,15 +7,19 @@ import warnings
 import numpy as np
 import pytest
 
+import marouting
 from marouting.problem.grid import AXES, Grid
 from marouting.problem.problem import UNLIMITED
-from marouting.render import Scene, Window, ansi, rgb_array
+from marouting.render import PALETTE, Scene, Window, ansi, rgb_array, scene_of
 
 RED = (214, 39, 40)
-ORANGE = (230, 97, 0)
+YELLOW = (255, 196, 61)
 
 
-def scene(shape=(3, 3, 2), demand=(), capacity=2, heads=(), targets=(), turn=None):
+def scene(
+    shape=(3, 3, 2), demand=(), capacity=2, heads=(), targets=(), turn=None,
+    caption="step 3  overflow 1",
+):  # fmt: skip
     """Capacity along x in layers 1, 3, … and along y in 2, 4, …; ``demand`` maps edges to nets."""
     grid = Grid.of(shape)
     axis, layer = np.arange(grid.edges) % AXES, np.arange(grid.edges) // AXES % shape[2]
@@ -23,19 +27,25 @@ def scene(shape=(3, 3, 2), demand=(), capacity=2, heads=(), targets=(), turn=Non
     limits[axis == 2] = UNLIMITED
     limits[~grid.exists] = 0
     used = np.zeros(grid.edges, np.int64)
-    for edge, nets in dict(demand).items():
-        used[edge] = nets
+    uses = []
+    for edge, nets in sorted(dict(demand).items()):
+        nets = range(nets) if isinstance(nets, int) else nets
+        used[edge] = len(nets)
+        uses += [(net, edge) for net in nets]
+    net, edge = np.array(uses, np.int64).reshape(-1, 2).T
     remaining = limits - np.where(axis == 2, 0, used)
     return Scene(
         grid,
         limits.astype(np.int32),
         remaining.astype(np.int32),
-        used,
+        net,
+        edge,
+        np.arange(len(heads)),
         np.array(heads, np.int32),
         np.array(targets, np.int32),
         tuple(f"net_{i}" for i in range(len(heads))),
         turn,
-        "step 3  overflow 1",
+        caption,
     )
 
 
@@ -128,9 +138,9 @@ def test_rgb_sizes(shape):
 
 def test_rgb_two_layers_lie_side_by_side_and_four_in_a_square():
     height, width, _ = rgb_array(scene((8, 8, 2))).shape
-    assert width > 1.8 * height
+    assert width > 1.5 * height
     height, width, _ = rgb_array(scene((8, 8, 4))).shape
-    assert 0.9 < width / height < 1.1
+    assert 0.8 < width / height < 1.1
 
 
 def test_rgb_a_used_edge_changes_only_the_bar_between_its_gcells():
@@ -146,15 +156,68 @@ def test_rgb_a_used_edge_changes_only_the_bar_between_its_gcells():
     assert other_layer[0] > before.shape[1] / 2
 
 
-def test_rgb_darkens_with_use_and_turns_red_and_wide_with_overflow():
+def test_rgb_draws_every_net_of_an_edge_in_its_colour():
+    name = edge(0, 0, 0, 0)
+    free = rgb_array(scene(capacity=3))
+    for nets in ([7], [1, 7], [7, 49, 2]):
+        picture = rgb_array(scene(demand={name: nets}, capacity=3))
+        (left, right), (top, bottom) = changed(free, picture)
+        found = [tuple(picture[row, (left + right) // 2].tolist()) for row in range(top, bottom)]
+        lines = [colour for n, colour in enumerate(found) if colour not in found[:n]]
+        expected = [tuple(PALETTE[net % len(PALETTE)].tolist()) for net in nets]
+        if len(nets) == 3:  # full: a border around them
+            assert found[0] == found[-1] == lines[0]
+            lines = lines[1:]
+        assert lines == expected
+    assert len({tuple(colour) for colour in PALETTE.tolist()}) == len(PALETTE)
+
+
+def test_rgb_full_edges_have_dark_borders_and_overflowed_ones_wide_red_borders():
     name = edge(0, 0, 0, 0)
     pictures = [rgb_array(scene(demand={name: nets}, capacity=3)) for nets in range(5)]
+    assert [has(p, RED) for p in pictures] == [has(pictures[0], RED)] * 4 + [True]
+    heights = []
+    for picture in pictures[1:]:
+        _, (top, bottom) = changed(pictures[0], picture)
+        heights.append(bottom - top)
+    assert heights[0] < heights[1] < heights[2] < heights[3]
+
+
+def test_rgb_of_a_fine_grid_darkens_with_use_and_turns_red_and_wide_with_overflow():
+    shape = (100, 100, 1)
+    name = edge(0, 0, 0, 0, shape)
+    pictures = [rgb_array(scene(shape, {name: nets}, capacity=3)) for nets in range(5)]
     (left, right), (top, bottom) = changed(pictures[0], pictures[1])
     bars = [p[(top + bottom) // 2, (left + right) // 2].astype(int).sum() for p in pictures]
     assert bars[0] > bars[1] > bars[2] > bars[3]
-    assert [has(p, RED) for p in pictures] == [False] * 4 + [True]
     _, (over_top, over_bottom) = changed(pictures[0], pictures[4])
     assert over_bottom - over_top > bottom - top
+
+
+def test_rgb_says_step_and_score():
+    before = rgb_array(scene((8, 8, 2), caption="step 3  overflow 1"))
+    after = rgb_array(scene((8, 8, 2), caption="step 4  overflow 1"))
+    (left, right), (_, bottom) = changed(before, after)
+    assert bottom < before.shape[0] / 10  # above the panels
+    assert right < before.shape[1] / 4  # only the step's digit
+    assert right - left < 20
+    longer = rgb_array(scene((8, 8, 2), caption="step 3  overflow 12"))
+    _, (_, bottom) = changed(before, longer)
+    assert bottom < before.shape[0] / 10
+
+
+def test_rgb_has_a_legend():
+    """Below the panels: every sign that can occur, red for overflow as well."""
+    small, fine = rgb_array(scene((8, 8, 2))), rgb_array(scene((150, 150, 2)))
+    for picture in (small, fine):
+        below = picture[-picture.shape[0] // 8 :]
+        assert has(below, RED)
+        assert has(below, YELLOW)
+        assert has(below, PALETTE[0])
+    # The same in every moment.
+    busy = rgb_array(scene((8, 8, 2), {0: 2}, heads=(5,), targets=(60,), turn=0))
+    _, (_, bottom) = changed(small, busy)
+    assert bottom < small.shape[0] - 40
 
 
 def test_rgb_edges_without_capacity_are_not_drawn_until_they_overflow():
@@ -165,7 +228,9 @@ def test_rgb_edges_without_capacity_are_not_drawn_until_they_overflow():
     used = rgb_array(scene(demand={edge(1, 0, 0, 0): 1}))
     (left, right), (top, bottom) = changed(free, used)
     assert (free[top:bottom, left:right] == 255).all()
-    assert has(rgb_array(scene(capacity=0, demand={edge(1, 0, 0, 0): 1})), RED)
+    over = rgb_array(scene(capacity=0, demand={edge(1, 0, 0, 0): 1}))
+    (left, right), (top, bottom) = changed(none, over)
+    assert has(over[top:bottom, left:right], RED)
 
 
 def test_rgb_a_via_marks_both_layers():
@@ -181,14 +246,48 @@ def test_rgb_marks_the_net_to_move():
     nobody, first, second = (
         rgb_array(scene(heads=heads, targets=targets, turn=turn)) for turn in (None, 0, 1)
     )
-    assert not has(nobody, ORANGE)
-    assert has(first, ORANGE)
+    panels = slice(nobody.shape[0] * 3 // 4)  # without the legend
+    assert not has(nobody[panels], YELLOW)
+    assert has(first[panels], YELLOW)
     assert not np.array_equal(first, second)
     # The first net's head lies lower left in layer 1, the second's upper right.
-    lower_left = np.s_[first.shape[0] // 2 :, : first.shape[1] // 6]
-    assert has(first[lower_left], ORANGE)
-    assert not has(second[lower_left], ORANGE)
+    (left, right), (top, bottom) = changed(first, second)
+    lower_left = np.s_[(top + bottom) // 2 : bottom, left : (3 * left + right) // 4]
+    assert has(first[lower_left], YELLOW)
+    assert not has(second[lower_left], YELLOW)
     assert not np.array_equal(nobody, rgb_array(scene()))
+
+
+def test_rgb_heads_have_the_colours_of_their_nets():
+    grid = Grid.of((3, 3, 2))
+    picture = rgb_array(scene(heads=(grid.number(0, 0, 1), grid.number(2, 2, 1)), targets=(0, 0)))
+    half = picture[:, picture.shape[1] // 2 :]
+    assert has(half[: half.shape[0] // 2], PALETTE[1])
+    assert has(half[half.shape[0] // 2 :], PALETTE[0])
+
+
+def test_a_scene_is_what_the_engine_holds():
+    problem = marouting.generate(1, nets=12, max_pins=3, capacity=3, seed=3)[0]
+    engine = marouting.Engine([problem], turn_order="round_robin", overflow="allowed")
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        engine.step(rng.integers(0, 6, engine.nets.shape))
+    drawn, solution, now = scene_of(engine), engine.solution(), engine.metrics()
+    assert sorted(zip(drawn.nets, drawn.edges, strict=True)) == list(
+        zip(*solution.uses, strict=True)
+    )
+    assert (np.diff(drawn.edges) >= 0).all()
+    assert np.array_equal(drawn.capacity - drawn.remaining, solution.edge_demand)
+    turns = {net: turn for turn, net in enumerate(engine.nets[0, engine.static.order[0]])}
+    for name in np.unique(drawn.edges):
+        users = [turns[net] for net in drawn.nets[drawn.edges == name]]
+        assert users == sorted(users)
+    assert drawn.labels == tuple(f"net_{net}" for net in drawn.active)
+    assert drawn.labels[drawn.turn] == f"net_{engine.nets[0, engine.games[0]['agent']]}"
+    assert drawn.caption.split() == [
+        "step", str(now.steps), "joined", f"{now.joined}/{now.tasks}",
+        "overflow", str(now.overflow), "wirelength", str(now.wirelength),
+    ]  # fmt: skip
 
 
 def test_pictures_need_no_matplotlib():

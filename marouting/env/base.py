@@ -14,7 +14,7 @@ from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 
 from marouting.game.engine import Engine
-from marouting.game.observation import nets_on_edges, state_of, state_space_of
+from marouting.game.observation import state_of, state_space_of
 from marouting.game.options import TurnOrder
 from marouting.game.state import NOBODY, Status
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
@@ -23,7 +23,7 @@ from marouting.player import Player
 from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
-from marouting.render import Scene, Window, ansi, rgb_array
+from marouting.render import Window, ansi, rgb_array, scene_of
 from marouting.source import Episodes, Source
 
 METADATA: dict[str, Any] = {
@@ -217,26 +217,6 @@ class BaseGame:
         """The global state; see :func:`marouting.game.observation.state_of`."""
         return state_of(self._observation, self.engine)[0]
 
-    def scene(self) -> Scene:
-        """The present state of the game, for pictures."""
-        engine = self.engine
-        agents, game = engine.agents[0], engine.games[0]
-        active = np.flatnonzero(agents["status"] == Status.ACTIVE)
-        turn = np.flatnonzero(active == game["agent"])
-        now = engine.metrics()
-        return Scene(
-            grid=engine.grid,
-            capacity=engine.static.capacity[0],
-            remaining=engine.dynamic.remaining[0],
-            used=nets_on_edges(engine),
-            heads=agents["cell"][active],
-            targets=agents["target"][active],
-            labels=tuple(self.names[n] for n in active),
-            turn=int(turn[0]) if game["agent"] != NOBODY and len(turn) else None,
-            caption=f"step {now.steps}  joined {now.joined}/{now.tasks}  "
-            f"overflow {now.overflow}  wirelength {now.wirelength}",
-        )
-
     def picture(self) -> str | NDArray[np.uint8] | None:
         """Renders the game according to ``render_mode``."""
         if self.render_mode is None:
@@ -245,8 +225,8 @@ class BaseGame:
             logger.warn("render() needs a render_mode: give one when you make the environment.")
             return None
         if self.render_mode == "ansi":
-            return ansi(self.scene())
-        pixels = rgb_array(self.scene())
+            return ansi(scene_of(self.engine))
+        pixels = rgb_array(scene_of(self.engine))
         if self.render_mode == "rgb_array":
             return pixels
         self._window.show(pixels, self.metadata["render_fps"])

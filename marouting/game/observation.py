@@ -45,7 +45,7 @@ from marouting.game.engine import Engine, check_rows
 from marouting.game.rules import is_agent
 from marouting.game.state import NOBODY, Dynamic, Static, Status
 from marouting.kernels import compiled, inlined, place, wide
-from marouting.problem.grid import AXES, MOVES, VIA_AXIS, Grid
+from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.problem import Problem
 
 
@@ -275,10 +275,3 @@ def state_of(
 
 def _has_state(observation: Observation) -> bool:
     return all(callable(getattr(observation, name, None)) for name in ("state", "state_space"))
-
-
-def nets_on_edges(engine: Engine, m: int = 0) -> NDArray[np.int64]:
-    """(E,) int64, how many nets use each edge of a problem, including vias."""
-    grid: Grid = engine.grid
-    bits = np.unpackbits(engine.dynamic.used[m], axis=1, count=grid.edges, bitorder="little")
-    return bits.sum(axis=0, dtype=np.int64)

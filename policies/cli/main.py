@@ -28,6 +28,8 @@ from marouting.files import check_writable, write_text
 from marouting.generator import ReducedPer
 from marouting.problem.ispd import FORMATS, Format
 from marouting.registry import names
+from policies.cli.animate import animate
+from policies.cli.view import view
 from policies.routers.base import solve
 from policies.routers.registry import has_seed, is_learner, make_router, router_names
 
@@ -341,6 +343,10 @@ def plot(paths: tuple[Path, ...], out: Path | None) -> None:
 
     for path in draw(paths, out):
         click.echo(path)
+
+
+cli.add_command(view)
+cli.add_command(animate)
 
 
 @cli.command()

@@ -311,7 +311,10 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
             raise InputError(f"{path}: expected a .gr file before a solution of it")
     for path, files in groups:
         problem = Problem.read(path)
-        solutions = {_router(file, path): Solution.read(file, problem) for file in files}
+        solutions = {
+            run_folder.solution_name(file, path.stem): Solution.read(file, problem)
+            for file in files
+        }
         solutions = solutions or {"astar": AStarRouter().route(problem)}
         folder = _of(out or path.parent / "figures", path)
         written += problem_figures(problem, solutions, folder)
@@ -323,9 +326,3 @@ def _of(folder: Path, problem: Path) -> Path:
     if problem.stem in (".", ".."):
         raise InputError(f"{problem}: expected another name: figures would leave their folder")
     return folder / problem.stem
-
-
-def _router(file: Path, problem: Path) -> str:
-    """The name of a solution: its file's name without the problem's name and the suffix."""
-    name = file.name.removeprefix(problem.stem).removesuffix(".solution").strip(".")
-    return name or file.stem

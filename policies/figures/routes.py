@@ -20,6 +20,12 @@ from marouting.memory import DRAWN, check_memory
 from marouting.problem.grid import AXES
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution, evaluate
+from policies.figures.congestion import (
+    crowded,
+    crowded_note,
+    draw_congestion,
+    draw_congestion_3d,
+)
 from policies.figures.style import BAND, BLUE, INK, LINES, ORANGE, PALE, RED, VIA, literal
 from policies.results.utilisation import (
     histogram_counts,
@@ -345,15 +351,28 @@ def _tracks(problem: Problem, solution: Solution) -> NDArray[np.int64]:
     return track
 
 
+def shifts(problem: Problem, solutions: Sequence[Solution]) -> tuple[NDArray[np.float64], float]:
+    """How far to shift nets along x = y so that no two lie upon each other, in Gcells.
+
+    Args:
+        problem: the problem.
+        solutions: at least one; in all of them every net has the same place.
+
+    Returns:
+        (nets,) float64, and the distance between two tracks.
+    """
+    each = zip(*(solution.edges for solution in solutions), strict=True)
+    track = _tracks(problem, Solution(problem, [np.concatenate(own) for own in each]))
+    pitch = min(_TRACK, _SPREAD / (int(track.max()) + 1))
+    # 0, +1, −1, +2, …: the first tracks in the middle.
+    return pitch * np.where(track % 2, track // 2 + 1, -(track // 2)), pitch
+
+
 def _drawing(problem: Problem, solution: Solution) -> _Drawing:
     grid = problem.topology
     drawn = len(solution.uses[1])
     check_memory(DRAWN * drawn, "a drawing of {} edges", drawn)
-    track = _tracks(problem, solution)
-    pitch = min(_TRACK, _SPREAD / (int(track.max()) + 1))
-    # 0, +1, −1, +2, …: the first tracks in the middle.
-    shift = pitch * np.where(track % 2, track // 2 + 1, -(track // 2))
-
+    shift, pitch = shifts(problem, [solution])
     net, edge = solution.uses
     near, far = grid.ends(edge)
     start, stop = _points(problem, near), _points(problem, far)
@@ -388,7 +407,7 @@ def solution_2d(problem: Problem, solution: Solution, title: str = "") -> Figure
     """The routes seen from above (paper, visualised solutions; blue: layer 1, red: layer 2).
 
     Nets that pass through the same Gcell are drawn on tracks side by side, so that they can be
-    told apart.
+    told apart. Of more than 1000 nets, a map of the congestion is drawn instead.
 
     Args:
         problem: the problem.
@@ -410,7 +429,12 @@ def solution_2d(problem: Problem, solution: Solution, title: str = "") -> Figure
 
 def draw_routes(axes: Axes, problem: Problem, solution: Solution, title: str, gcell: float) -> None:
     """Draws :func:`solution_2d`; ``gcell`` is about the width of a Gcell in inches."""
-    _prepare(axes, problem, _heading(problem, solution, title))
+    heading = _heading(problem, solution, title)
+    if crowded(problem):
+        _prepare(axes, problem, f"{heading}\n{crowded_note(problem)}")
+        draw_congestion(axes, problem, solution, gcell * problem.grid[0])
+        return
+    _prepare(axes, problem, heading)
     points = 72 * gcell
     if points >= 1:  # the lines of a finer grid would cover all
         for x in range(problem.grid[0] + 1):
@@ -454,7 +478,13 @@ def solution_3d(problem: Problem, solution: Solution, title: str = "") -> Figure
     figure = Figure(figsize=(9, 8), layout="constrained")
     # Three-dimensional axes have no type stubs.
     axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
-    axes.set_title(_heading(problem, solution, title), fontsize=12)
+    heading = _heading(problem, solution, title)
+    if crowded(problem):
+        axes.set_title(f"{heading}\n{crowded_note(problem)}", fontsize=12)
+        draw_congestion_3d(axes, problem, solution)
+        _frame(axes, problem)
+        return figure
+    axes.set_title(heading, fontsize=12)
     drawing = _drawing(problem, solution)
     width = float(np.clip(300 / max(columns, rows) * drawing.pitch, 0.5, 1.8))
 
@@ -472,6 +502,14 @@ def solution_3d(problem: Problem, solution: Solution, title: str = "") -> Figure
         draw(level, _layer_colour(layer, layers), width, 3 + layer)
     x, y, z = drawing.pins.T
     axes.plot(x, y, z + 1, "s", color=INK, markersize=1.5 * width + 1, zorder=3 + layers)
+    _frame(axes, problem)
+    _legend(figure, problem, [solution], 6, upright=True)
+    return figure
+
+
+def _frame(axes: Any, problem: Problem) -> None:
+    """What surrounds a drawing in three dimensions."""
+    columns, rows, layers = problem.grid
     axes.set(
         xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5), zlim=(1, max(layers, 2)),
         zlabel="layer",
@@ -482,8 +520,6 @@ def solution_3d(problem: Problem, solution: Solution, title: str = "") -> Figure
     axes.set_box_aspect((max(columns / longest, 0.2), max(rows / longest, 0.2), 0.4))
     axes.grid(False)
     axes.view_init(elev=32, azim=-62)
-    _legend(figure, problem, [solution], 6, upright=True)
-    return figure
 
 
 def comparison(solutions: Mapping[str, Solution]) -> Figure:
@@ -561,6 +597,8 @@ def _legend(
     upright: bool = False,
 ) -> None:
     """Adds a legend of lines and marks; vias are upright lines in three dimensions."""
+    if crowded(problem):
+        return
     figure.legend(
         handles=route_notes(problem, solutions, upright),
         loc="outside lower center",

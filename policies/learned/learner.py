@@ -5,7 +5,7 @@ networks: one for each problem, or one that all problems share.
 """
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -175,13 +175,18 @@ class Learner(Rows, abc.ABC):
         return array.reshape(len(self.updates), -1, *array.shape[1:])
 
 
-def play_out(player: Player, rate: Callable[[Tensor], Tensor], *, masking: bool) -> None:
+def play_steps(
+    player: Player, rate: Callable[[Tensor], Tensor], *, masking: bool
+) -> Iterator[None]:
     """Plays the games of a player to their end, always by the move that is rated highest.
 
     Args:
         player: its episodes have begun.
         rate: (B, *S) float32 observations to (B, A) ratings of the actions.
         masking: whether only moves that cross an edge are chosen.
+
+    Yields:
+        After every step.
     """
     b = player.buffers
     obs, mask = torch.from_numpy(b.obs).flatten(0, 1), b.mask.reshape(-1, b.mask.shape[2])
@@ -190,6 +195,13 @@ def play_out(player: Player, rate: Callable[[Tensor], Tensor], *, masking: bool)
             moves = best_moves(rate(obs), mask if masking else None)
         b.actions[:] = np.where(b.active, moves.reshape(b.actions.shape), NOBODY)
         player.step()
+        yield
+
+
+def play_out(player: Player, rate: Callable[[Tensor], Tensor], *, masking: bool) -> None:
+    """:func:`play_steps` to the end."""
+    for _ in play_steps(player, rate, masking=masking):
+        pass
 
 
 def best_moves(outputs: Tensor, mask: NDArray[np.int8] | None) -> NDArray[np.int8]:

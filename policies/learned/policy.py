@@ -4,7 +4,7 @@ import contextlib
 import functools
 import os
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from marouting.game.engine import Engine
 from marouting.options import ORDERS
 from marouting.player import Player
 from policies.learned.checkpoint import checked, read_checkpoint
-from policies.learned.learner import best_moves, play_out
+from policies.learned.learner import best_moves, play_steps
 
 
 def player_of(env: EnvOptions, problems: list[Problem]) -> Player:
@@ -158,7 +158,20 @@ class TrainedPolicy:
             InputError: the game shows observations of another shape than the network was trained
                 on.
         """
+        *_, engine = self.play(problem)  # to the end
+        return Routed(engine.solution(), {"from": self.origin})
+
+    def play(self, problem: Problem) -> Iterator[Engine]:
+        """The game of :meth:`solve`.
+
+        Yields:
+            The same engine at the beginning and after every step.
+
+        Raises:
+            InputError: as :meth:`solve` does.
+        """
         player = self.check(problem)
         player.reset()
-        play_out(player, self.module, masking=self.masking)
-        return Routed(player.engine.solution(), {"from": self.origin})
+        yield player.engine
+        for _ in play_steps(player, self.module, masking=self.masking):
+            yield player.engine

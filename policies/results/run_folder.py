@@ -36,6 +36,12 @@ def solution_file(folder: Path, problem: str, router: str) -> Path:
     return folder / "solutions" / f"{problem}.{router.replace(':', '-')}.solution"
 
 
+def solution_name(file: Path, problem: str) -> str:
+    """Whose solution of a problem a file holds: its name without the problem's and the suffix."""
+    name = file.name.removeprefix(problem).removesuffix(".solution").strip(".")
+    return name or file.stem
+
+
 def read_result(folder: Path) -> list[Row]:
     """The rows of a finished training; raises InputError if there are none."""
     return read_rows(folder / RESULT, ResultRow)

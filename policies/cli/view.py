@@ -1,0 +1,58 @@
+"""``marouting view``: a page with a problem and its solutions."""
+
+import re
+from pathlib import Path
+
+import click
+
+from marouting import InputError, Problem, Solution
+from marouting.files import check_writable, write_text
+from policies.results.run_folder import solution_name
+
+
+@click.command()
+@click.argument("problem", type=Path)
+@click.argument("solutions", nargs=-1, required=True, type=Path, metavar="SOLUTION...")
+@click.option("--out", type=Path, required=True, help="HTML file for the page.")
+def view(problem: Path, solutions: tuple[Path, ...], out: Path) -> None:
+    """Make a page with the routes of PROBLEM in 3-D and heat maps of its congestion.
+
+    The page is one file that any browser shows without a network. SOLUTION is a solution file, a
+    folder of them (taken in the order of their names), or the run folder of a training. Two
+    solutions are shown side by side; of more, a slider shows one after the other beside the first.
+    """
+    from policies.figures.view import page
+
+    loaded = Problem.read(problem)
+    found: dict[str, Solution] = {}
+    for file in (file for path in solutions for file in _files(path, problem)):
+        name = base = solution_name(file, problem.stem)
+        while name in found:
+            name = f"{base} ({len(found) + 1})"
+        found[name] = Solution.read(file, loaded)
+    check_writable(out)
+    write_text(out, page(loaded, found, problem.stem))
+    click.echo(f"{len(found)} solution{'s' if len(found) > 1 else ''} in {out}")
+
+
+def _files(path: Path, problem: Path) -> list[Path]:
+    """The solution files that a path stands for; raises InputError if there are none."""
+    if not path.is_dir():
+        return [path]
+    inside = path / "solutions"
+    if inside.is_dir():  # a run folder, perhaps with other problems
+        files = [
+            file for file in inside.glob("*.solution") if file.name.startswith(f"{problem.stem}.")
+        ]
+        path = inside
+    else:
+        files = list(path.glob("*.solution"))
+    if not files:
+        raise InputError(f"{path}: expected files of solutions of {problem.stem}, named *.solution")
+    return sorted(files, key=_natural)
+
+
+def _natural(file: Path) -> list[tuple[int, str]]:
+    """Names in the order of the numbers in them: round9 before round10."""
+    parts = re.split(r"([0-9]+)", file.name)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]

@@ -1,0 +1,131 @@
+"""Congestion maps: what is drawn of routes that are too many to be told apart."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from numpy.typing import NDArray
+
+from marouting.problem.grid import AXES
+from marouting.problem.problem import Problem
+from marouting.problem.solution import Solution
+from policies.figures.style import MAGENTA
+from policies.results.utilisation import MOST_FIELDS
+
+MOST_NETS = 1000
+"""The most nets that are drawn one by one."""
+
+_FIELDS_3D = 64  # along x and y; a surface of more takes minutes
+_NO_CAPACITY = "#D3D6DC"
+
+
+def crowded(problem: Problem) -> bool:
+    """Whether a problem has too many nets to draw each."""
+    return len(problem.nets) > MOST_NETS
+
+
+def crowded_note(problem: Problem) -> str:
+    """What titles say of a map that stands for a drawing of routes."""
+    return f"{len(problem.nets)} nets are too many to draw: congestion map"
+
+
+def congestion(
+    problem: Problem, solution: Solution, most: int = MOST_FIELDS
+) -> tuple[NDArray[np.float64], int]:
+    """Demand / capacity in %, of the fullest edge in each field of each layer.
+
+    Args:
+        problem: the problem, which gives the capacities.
+        solution: the routes.
+        most: the most fields along x and y; on longer grids a field is a square of Gcells.
+
+    Returns:
+        (Z, X, Y) float64, of the edges from each Gcell towards +x and +y; NaN without capacity or
+        demand, infinite for demand without capacity. Then how many Gcells a field is wide and high,
+        by which X and Y are divided, rounded up.
+    """
+    columns, rows, layers = problem.grid
+    side = -(-max(columns, rows) // most)
+    shape = (layers, -(-columns // side), -(-rows // side))
+    found = np.full(shape, np.nan)
+
+    def at(edges: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
+        x, y = np.divmod(edges // (AXES * layers), rows)
+        return edges // AXES % layers, x // side, y // side
+
+    # Where there is capacity and no demand; a layer's edges are alike but for adjustments.
+    adjusted, capacity = problem.adjusted
+    found[(problem.layer_capacity[:, :2] > 0).any(axis=1)] = 0
+    np.fmax.at(found, at(adjusted), np.where(capacity > 0, 0, np.nan))
+    edge, demand = solution.used_edges
+    demand = np.where(edge % AXES == 2, 0, demand)
+    edge, demand = edge[demand > 0], demand[demand > 0]
+    with np.errstate(divide="ignore"):
+        share = 100 * demand / problem.capacity_of(edge)
+    np.fmax.at(found, at(edge), share)
+    return found, side
+
+
+def _colours(values: NDArray[np.float64]) -> ScalarMappable:
+    """Blue up to 100 %, the darker the fuller; above, orange to dark red; infinity is purple."""
+    finite = values[np.isfinite(values)]
+    most = float(max(100, finite.max(initial=0)))
+    full = 100 / most
+    stops = [(0.0, "#F2F5FA"), (full / 2, "#8FB4D9"), (full, "#123A75")]
+    if most > 100:
+        stops += [(full + 1e-4 * (1 - full), "#F7A52B"), (1.0, "#8C0D0D")]
+    colours = LinearSegmentedColormap.from_list("congestion", stops, N=1024)
+    return ScalarMappable(Normalize(0, most), colours.with_extremes(over=MAGENTA, bad=_NO_CAPACITY))
+
+
+def _label(values: NDArray[np.float64]) -> dict[str, Any]:
+    """The label of a colour bar, and its arrow where demand without capacity is beyond it."""
+    label = "demand / capacity [%] of the fullest edge"
+    if not np.isinf(values).any():
+        return {"label": label}
+    return {"label": f"{label} (arrow: demand without capacity)", "extend": "max"}
+
+
+def draw_congestion(axes: Axes, problem: Problem, solution: Solution, across: float) -> None:
+    """Draws the fullest edge of all layers by Gcell; ``across`` is about the width in inches."""
+    values, side = congestion(problem, solution)
+    _, wide, high = values.shape
+    scale = _colours(values)
+    axes.imshow(
+        # Demand without capacity is infinite, which matplotlib would take for missing.
+        np.minimum(np.fmax.reduce(values, axis=0), 1e9).T,
+        origin="lower",
+        extent=(-0.5, wide * side - 0.5, -0.5, high * side - 0.5),
+        cmap=scale.cmap,
+        vmin=0,
+        vmax=scale.get_clim()[1],
+        interpolation="nearest",
+    )
+    axes.set(xlim=(-0.5, problem.grid[0] - 0.5), ylim=(-0.5, problem.grid[1] - 0.5))
+    place = axes.inset_axes((1 + 0.1 / across, 0, 0.18 / across, 1))
+    axes.figure.colorbar(scale, cax=place, **_label(values))
+
+
+def draw_congestion_3d(axes: Any, problem: Problem, solution: Solution) -> None:
+    """Draws the fullest edge by Gcell of every layer, layer above layer."""
+    values, side = congestion(problem, solution, _FIELDS_3D)
+    scale = _colours(values)
+    corners = [side * np.arange(length + 1) - 0.5 for length in values.shape[1:]]
+    x, y = np.meshgrid(*corners, indexing="ij")
+    x, y = x.clip(max=problem.grid[0] - 0.5), y.clip(max=problem.grid[1] - 0.5)
+    for layer, own in enumerate(values):
+        axes.plot_surface(
+            x,
+            y,
+            np.full_like(x, layer + 1),
+            facecolors=scale.to_rgba(np.ma.masked_invalid(np.minimum(own, 1e9)), alpha=0.9),
+            rcount=len(x),
+            ccount=x.shape[1],
+            shade=False,
+            linewidth=0,
+            antialiased=False,
+            zorder=layer,
+        )
+    axes.figure.colorbar(scale, ax=axes, shrink=0.6, pad=0.1, **_label(values))

@@ -1,0 +1,86 @@
+"""Congestion maps, which stand for drawings of too many nets."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import solved_problems
+
+from marouting import generate, sequential_astar
+
+figures = pytest.importorskip("policies.figures", exc_type=ImportError)
+congestion = pytest.importorskip("policies.figures.congestion", exc_type=ImportError)
+
+
+@settings(deadline=None, max_examples=60)
+@given(solved_problems(), st.sampled_from([1, 2, 3, 1024]))
+def test_the_fullest_edge_of_every_field(solution, most):
+    problem = solution.problem
+    found, side = congestion.congestion(problem, solution, most)
+    columns, rows, layers = problem.grid
+    assert side == -(-max(columns, rows) // most)
+    assert found.shape == (layers, -(-columns // side), -(-rows // side))
+    expected = np.full(found.shape, np.nan)
+    for x, y, z in np.ndindex(*problem.grid):
+        # A layer with capacity has it everywhere, also where edges would lead off the grid.
+        if problem.horizontal_capacity[z] or problem.vertical_capacity[z]:
+            at = (z, x // side, y // side)
+            expected[at] = np.fmax(expected[at], 0)
+        for axis in (0, 1):
+            edge = 3 * problem.topology.number(x, y, z) + axis
+            demand, capacity = int(solution.edge_demand[edge]), int(problem.capacity[edge])
+            if demand or capacity:
+                share = 100 * demand / capacity if capacity else np.inf
+                at = (z, x // side, y // side)
+                expected[at] = np.fmax(expected[at], share)
+    np.testing.assert_allclose(found, expected)
+
+
+@pytest.fixture
+def busy(monkeypatch):
+    monkeypatch.setattr(congestion, "MOST_NETS", 40)
+    (problem,) = generate(1, grid=(10, 6, 2), nets=41, capacity=1, seed=1)
+    return problem, sequential_astar(problem)
+
+
+def titles(figure):
+    return [axes.get_title() for axes in figure.axes if axes.get_title()]
+
+
+def test_too_many_nets_give_a_map_and_the_title_says_so(busy):
+    problem, solution = busy
+    for figure in (
+        figures.solution_2d(problem, solution, "astar"),
+        figures.solution_3d(problem, solution, "astar"),
+        figures.comparison({"one": solution, "two": solution}),
+    ):
+        assert all("41 nets are too many to draw: congestion map" in t for t in titles(figure))
+        assert not figure.legends  # there are no lines to explain
+        bars = [*figure.axes, *(child for axes in figure.axes for child in axes.child_axes)]
+        assert any("demand / capacity [%]" in axes.get_ylabel() for axes in bars)
+    (image,) = figures.solution_2d(problem, solution).axes[0].images
+    values, _ = congestion.congestion(problem, solution)
+    shown = np.asarray(image.get_array())
+    finite = np.isfinite(np.fmax.reduce(values)).T
+    assert np.array_equal(shown[finite], np.fmax.reduce(values).T[finite])
+    assert values[np.isfinite(values)].max() > 100
+    assert image.get_clim()[1] == values[np.isfinite(values)].max()
+
+
+def test_full_and_overflowed_have_colours_of_their_own(busy):
+    (image,) = figures.solution_2d(*busy).axes[0].images
+    most = image.get_clim()[1]
+    assert most > 102
+    colours = image.to_rgba(np.array([100.0, 102, most, 1e9])).tolist()
+    full, above, most, endless = ([round(part, 1) for part in colour[:3]] for colour in colours)
+    assert full[2] > full[0]  # blue
+    assert above[0] > above[2]  # orange
+    assert most[0] > most[2]
+    assert len({tuple(colour) for colour in (full, above, most, endless)}) == 4
+
+
+def test_one_net_less_is_drawn(busy, monkeypatch):
+    monkeypatch.setattr(congestion, "MOST_NETS", 41)
+    figure = figures.solution_2d(*busy)
+    assert "congestion" not in titles(figure)[0]
+    assert figure.legends
