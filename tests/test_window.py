@@ -402,7 +402,7 @@ def test_one_shape_for_every_grid(grid: Gcell, capacity: int, overflow: Any) -> 
         (1,) * layers, (1,) * layers, (0,) * layers,
     )  # fmt: skip
     window = WindowObservation(3, 2, CHANNELS)
-    space = window.space([problem], rules["overflow"] == "allowed")
+    space = window.space([problem], overflow == "allowed")
     assert space == window.space(generate(1), overflow=False)
     assert space.shape == (window.size,)
     engine = Engine([problem], overflow=overflow, turn_order="round_robin", max_steps=40)
