@@ -14,15 +14,17 @@ scenario is written after every problem; a run that was stopped goes on from the
 The table of the scenarios measures sequential A* and negotiated congestion on the test problems.
 """
 
+import itertools
 import json
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import click
+import numpy as np
 
 from marouting import (
     Evaluation,
@@ -35,7 +37,9 @@ from marouting import (
 )
 from marouting.config import check
 from marouting.files import read_text, write_text
+from marouting.scenarios import Scenario
 from marouting.scenarios.references import Record, path_of, read_references
+from marouting.scenarios.scenario import routable
 from policies.routers.optimal import OptimalRouter
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
@@ -133,12 +137,12 @@ MARKS = ("<!-- table: begin -->", "<!-- table: end -->")
 
 _HEADER = """\
 | scenario | grid | nets | pins | capacity | problems | proven | best known | A\\* | \
-negotiated congestion, {limit:g} s | new problems |
-|---|---|---|---|---|---|---|---|---|---|---|
+negotiated congestion, {limit:g} s | kept | new problems |
+|---|---|---|---|---|---|---|---|---|---|---|---|
 """
 
-_SAMPLE = 3.0
-"""Seconds in which new problems are counted."""
+_SAMPLE, _MOST = 4.0, 1000
+"""Seconds in which new problems are counted, and the most that are drawn."""
 
 
 def table(names: Sequence[str], limit: float = 1.0) -> Iterator[str]:
@@ -170,7 +174,8 @@ def table(names: Sequence[str], limit: float = 1.0) -> Iterator[str]:
             f"{least[0]} / {least[1]}",
             _gap([evaluate(p, sequential_astar(p)) for p in scenario.test], least),
             _gap([evaluate(p, router.route(p)) for p in scenario.test], least),
-            _speed(name),
+            _kept(scenario),
+            _speed(scenario),
         ]
         yield f"| {' | '.join(cells)} |\n"
 
@@ -187,15 +192,26 @@ def _gap(found: Sequence[Evaluation], least: tuple[int, int]) -> str:
     return f"{overflow}{above} / {more:+.1f} %"
 
 
-def _speed(name: str) -> str:
+def _speed(scenario: Scenario) -> str:
     """New training problems per second."""
-    began, count = time.monotonic(), 0
-    for _ in scenarios.get(name).train(0):
-        count += 1
-        if time.monotonic() - began > _SAMPLE:
-            break
+    began = time.monotonic()
+    count = sum(1 for _ in itertools.takewhile(_within(began), scenario.train(0)))
     rate = count / (time.monotonic() - began)
     return f"{rate:.0f}/s" if rate >= 10 else f"{rate:.1f}/s"
+
+
+def _kept(scenario: Scenario) -> str:
+    """The share of the problems drawn that A* proves feasible."""
+    if not scenario.feasible:
+        return "all"
+    began, found = time.monotonic(), []
+    for seed in itertools.takewhile(_within(began), range(_MOST)):
+        found.append(routable(scenario.level.problem(np.random.default_rng(seed))))
+    return f"{100 * sum(found) / len(found):.0f} %"
+
+
+def _within(began: float) -> Callable[[object], bool]:
+    return lambda _: time.monotonic() - began < _SAMPLE
 
 
 def write_table(path: Path, names: Sequence[str]) -> None:
