@@ -1168,7 +1168,8 @@ def test_own_routers_stand_in_an_experiment(
     assert status(["experiment", str(config)]) == 0
     kept = yaml.safe_load((here / "out" / "config.yaml").read_text())["routers"]
     assert kept["mine"] == {
-        "router": "my_routers:Mine", "only": None, "order": "file", "again": 2
+        "router": "my_routers:Mine", "only": None, "prune": False, "label": None,
+        "order": "file", "again": 2,
     }  # fmt: skip
     rows = json.loads((here / "out" / "results.json").read_text())
     assert len(rows) == 3 * (1 + 2 + 1)

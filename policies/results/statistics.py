@@ -123,6 +123,15 @@ def mean_wirelength(problems: _Problems) -> NDArray[np.float64]:
     return _over_seeds(_values(problems, value))
 
 
+def open_wirelength(problems: _Problems) -> NDArray[np.float64]:
+    """(problems,) the mean wirelength where :func:`mean_wirelength` has none; NaN elsewhere.
+
+    These are problems on which no seed joined all tasks: less wirelength is no merit there.
+    """
+    everything = _over_seeds(_values(problems, lambda row: row["wirelength"]))
+    return np.where(np.isnan(mean_wirelength(problems)), everything, np.nan)
+
+
 def mean_overflow(problems: _Problems) -> NDArray[np.float64]:
     """(problems,) overflow, averaged over the seeds."""
     return _over_seeds(_values(problems, lambda row: row["overflow"]))
@@ -176,6 +185,7 @@ def summarise(rows: Sequence[Row], reference: str | None = None) -> list[dict[st
         ``overflow``, the total in tracks; ``zero_overflow``, the number of problems without
         overflow and without open tasks; ``open``, the total of open tasks;
         ``wirelength``: ``mean``, ``low`` and ``high`` (95 % by Student's t over the problems);
+        ``pruned_wirelength``: the same without what joins nothing, None if a row lacks it;
         ``gap``: the same for the gap to the optimum in %, and ``problems``, on how many it is
         known;
         ``lower_wirelength``: ``percent`` of the problems with less wirelength than A* and no more
@@ -208,6 +218,7 @@ def _summary(
     overflow = _values(problems, lambda row: row["overflow"])
     wirelength = _values(problems, lambda row: row["wirelength"])
     clean = _values(problems, lambda row: rank(row)[:2] == (0, 0))
+    pruned = _over_seeds(_values(problems, lambda row: row.get("pruned_wirelength")))
     gap = _values(problems, lambda row: row["gap"])
     lower = None if astar is None else _against(problems, astar, _is_lower)
     gaps = _over_seeds(gap)
@@ -222,6 +233,7 @@ def _summary(
         "zero_overflow": _total(clean),
         "open": _total(_values(problems, lambda row: rank(row)[0])),
         "wirelength": mean_interval(_over_seeds(wirelength)),
+        "pruned_wirelength": None if np.isnan(pruned).any() else mean_interval(pruned),
         "gap": {**mean_interval(gaps), "problems": len(gaps)} if len(gaps) else None,
         "lower_wirelength": None if lower is None else _share(lower),
         "astar": None if astar is None else _record(problems, astar),
