@@ -296,7 +296,7 @@ def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None
     if resume is not None and not (resume / CHECKPOINT).exists():
         click.echo(f"{resume}: no checkpoint yet, so the training starts again", err=True)
     click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
-    with training_bar(*run.episodes) as watch:
+    with training_bar(*run.episodes, run.best) as watch:
         rows = run.execute(watch)
     show(rows, str(run.folder))
 

@@ -268,14 +268,18 @@ def _column(
                 # One of them may be of a training that is not finished.
                 common = min(map(len, curves))
                 means[options.label(router)] = np.mean([c[:common] for c in curves], axis=0)
+    lengths, open_lengths = _wirelengths(shown, options)
+    overflow, open_overflow = _overflows(shown, options)
     return figures.ColumnData(
         problem,
         solution(astar),
         solution(column.router),
-        *_wirelengths(shown, options),
-        *_overflows(shown, options),
+        lengths,
+        overflow,
         some,
         means,
+        open_lengths,
+        open_overflow,
     )
 
 

@@ -5,6 +5,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from string import ascii_lowercase
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -51,23 +52,22 @@ class ColumnData(NamedTuple):
         solution: the router's solution of this problem.
         wirelength: (problems,) float64 by router, A* first and the column's router second (unless
             it is A* itself); NaN where tasks stayed open.
-        open_wirelength: (problems,) float64, by the same routers: where tasks stayed open, NaN
-            elsewhere.
         overflow: (problems,) float64, by the same routers; NaN where tasks stayed open.
-        open_overflow: (problems,) float64, by the same routers: where tasks stayed open.
         rewards: the reward of each episode, by problem.
         mean_rewards: each episode's reward, averaged over problems and seeds, by router.
+        open_wirelength: (problems,) float64, by router: where tasks stayed open, NaN elsewhere.
+        open_overflow: (problems,) float64, likewise.
     """
 
     problem: Problem
     astar: Solution
     solution: Solution
     wirelength: Mapping[str, NDArray[np.floating]]
-    open_wirelength: Mapping[str, NDArray[np.floating]]
     overflow: Mapping[str, NDArray[np.floating]]
-    open_overflow: Mapping[str, NDArray[np.floating]]
     rewards: Mapping[str, Sequence[float]]
     mean_rewards: Mapping[str, NDArray[np.floating]]
+    open_wirelength: Mapping[str, NDArray[np.floating]] = MappingProxyType({})
+    open_overflow: Mapping[str, NDArray[np.floating]] = MappingProxyType({})
 
 
 def study(columns: Mapping[str, ColumnData], panels: Sequence[Panel]) -> Figure:

@@ -170,6 +170,22 @@ def read_rows(path: Path, schema: type[Any] = ExperimentRow) -> list[Row]:
     return list(rows.values())
 
 
+def read_reference(path: Path) -> dict[str, tuple[int, int]]:
+    """Overflow and wirelength of the proven optima in an experiment's ``results.json``.
+
+    Raises:
+        InputError: the file cannot be read, has no proven rows, or two that differ for one name.
+    """
+    found: dict[str, tuple[int, int]] = {}
+    for row in read_rows(path):
+        if row["proven"]:
+            best = row["overflow"], row["wirelength"]
+            same = found.setdefault(row["problem"], best) == best
+            check(f"{path}: {row['problem']}", same, "one optimum for all problems of that name")
+    check(f"{path}", bool(found), "rows that are proven optimal, as the router optimal gives them")
+    return found
+
+
 _FORMULA = re.compile(r"'*[=+\-@\t\r]")
 """What spreadsheets take for a formula, which can do harm, unless an apostrophe stands before it.
 

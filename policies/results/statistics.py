@@ -50,13 +50,16 @@ def add_gaps(rows: Sequence[Row]) -> None:
             optimum.setdefault((row["set"], row["problem"]), row)
     for row in rows:
         best = optimum.get((row["set"], row["problem"]))
-        if best is None or rank(row)[:2] != rank(best)[:2]:
-            row["gap"] = None
-        elif row["wirelength"] == best["wirelength"]:
-            row["gap"] = 0.0
-        else:
-            least = best["wirelength"]
-            row["gap"] = 100 * (row["wirelength"] / least - 1) if least else None
+        row["gap"] = None if best is None else gap(rank(row), rank(best))
+
+
+def gap(found: tuple[int, int, int], best: tuple[int, int, int]) -> float | None:
+    """How far one :func:`rank` is above the optimum's, in %; None as in :func:`add_gaps`."""
+    if found[:2] != best[:2]:
+        return None
+    if found[2] == best[2]:
+        return 0.0
+    return 100 * (found[2] / best[2] - 1) if best[2] else None
 
 
 def mean_interval(values: NDArray[np.float64]) -> dict[str, float | None]:
