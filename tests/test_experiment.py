@@ -48,6 +48,7 @@ from policies.results.statistics import (
     share_interval,
     summarise,
 )
+from policies.results.study import FigureOptions
 from policies.results.utilisation import histogram_counts, utilisation_maps
 from policies.routers.astar import AStarRouter
 from policies.routers.random import RandomRouter
@@ -954,6 +955,83 @@ def test_studies_show_one_problem(finished: Path, tmp_path: Path, drawn: dict[st
     figures = f"WL {evaluate(problem, solution).wirelength} ({less} pruned), OF 0"
     assert figures in " ".join(routes.get_title().split())
     assert vias.get_title().startswith("DQN\n")
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_solutions_are_pruned_where_an_entry_says_so(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of routers and of trainings: what joins nothing goes, and the rest stays as it was."""
+    routers = {
+        **ASTAR,
+        "walks": {"router": "random"},
+        "pruned-walks": {"router": "random", "prune": True},
+        "dqn": DQN,
+        "pruned-dqn": {**DQN, "prune": True},
+    }
+    config = write_config(here / "c.yaml", routers=routers)
+    assert status(["experiment", str(config)]) == 0
+    shown = capsys.readouterr().out
+    rows = {(row["router"], row["problem"]): row for row in results(here / "out")}
+    less = 0
+    for (router, problem), row in rows.items():
+        if not router.startswith("pruned-"):
+            continue
+        plain = rows[router.removeprefix("pruned-"), problem]
+        assert row["wirelength"] == row["pruned_wirelength"] == plain["pruned_wirelength"]
+        assert row["overflow"] == row["pruned_overflow"] == plain["pruned_overflow"]
+        assert row["joined"] == plain["joined"]
+        less += plain["wirelength"] - row["wirelength"]
+        file = here / "out" / "solutions" / "small" / f"{problem}.{router}.seed0.solution"
+        routed = Problem.read(here / "out" / "problems" / "small" / f"{problem}.gr")
+        assert evaluate(routed, Solution.read(file, routed)).wirelength == row["wirelength"]
+    assert less > 0
+    summary = json.loads((here / "out" / "summary.json").read_text())["sets"]["small"]
+    walks = next(row for row in summary if row["router"] == "walks")
+    assert walks["pruned_wirelength"]["mean"] < walks["wirelength"]["mean"]
+    assert "pruned: the mean wirelength without dead ends and loops" in " ".join(shown.split())
+    assert f"{walks['pruned_wirelength']['mean']:.1f}" in shown
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ({"prune": 1}, "prune: expected true or false"),
+        ({"label": ""}, "label: expected a text of at most 80 characters"),
+        ({"label": "x" * 81}, "label: expected a text of at most 80 characters"),
+        ({"label": 3}, "label: expected a text of at most 80 characters"),
+    ],
+)
+def test_what_an_entry_may_not_say(
+    entry: dict[str, Any], said: str, here: Path, refused: Callable[..., str]
+) -> None:
+    config = write_config(here / "c.yaml", routers={"a": {"router": "astar", **entry}})
+    assert f"routers.a: {said}" in refused("experiment", config)
+
+
+def test_labels_of_entries(here: Path) -> None:
+    """Its own, or that of its kind if no other is of this kind; two that are alike differ."""
+    routers = {
+        "baseline": {"router": "astar"},
+        "p": {"router": "pathfinder"},
+        "pathfinder": {"router": "pathfinder"},
+        "rate1e-3": {**DQN, "label": "learning rate 1e-3"},
+        "rate1e-5": DQN,
+        "x": {"router": "random", "label": "walks"},
+        "y": {"router": "optimal", "label": "walks"},
+    }
+    path = write_config(here / "c.yaml", routers=routers)
+    options = FigureOptions.read(path)
+    assert [options.label(name) for name in routers] == [
+        "A*", "p", "negotiated congestion", "learning rate 1e-3", "rate1e-5", "walks (x)",
+        "walks (y)",
+    ]  # fmt: skip
+    # A label may change: no result depends on it.
+    keys = {"out": str(here / "o"), "routers": {"a": {"router": "astar", "label": "first"}}}
+    Experiment(load_experiment(write_config(here / "d.yaml", **keys)))
+    keys["routers"]["a"]["label"] = "second"
+    Experiment(load_experiment(write_config(here / "d.yaml", **keys)))
+    assert FigureOptions.read(here / "o" / "config.yaml").label("a") == "second"
 
 
 def test_a_study_of_mean_rewards(here: Path, drawn: dict[str, Any]) -> None:

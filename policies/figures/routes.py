@@ -128,7 +128,7 @@ def map_scale(maps: Sequence[UtilisationMaps]) -> MapScale:
 SECOND_BAR = 0.75
 """The width that the colour bar of the overflow takes beside the other one, in inches."""
 
-_OVERFLOW = LinearSegmentedColormap.from_list("overflow", ["#FF9E80", RED, "#5A0A00"])
+_OVERFLOW = LinearSegmentedColormap.from_list("overflow", ["#FF8060", RED, "#5A0A00"])
 """Colours of overflow, the darker the more; none of them is on the scale of utilisation."""
 
 
@@ -214,7 +214,7 @@ def draw_map(
                     str(overflow[x, y]),
                     ha="center",
                     va="center",
-                    color="white",
+                    color=INK if 2 * overflow[x, y] <= scale.overflow else "white",
                     fontsize=min(8, 0.6 * field),
                     clip_on=True,
                 )
