@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap, Normalize, to_hex
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -195,9 +195,12 @@ def draw_map(
     # The last fields may reach beyond the grid, which is all that is to be seen.
     axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
     if overflow.any():
+        levels = min(scale.overflow, 256)
+        # From pale to dark; a single level is in between.
+        shades = _OVERFLOW(np.linspace(0, 1, levels) if levels > 1 else [0.5])
         over = axes.imshow(
             np.ma.masked_equal(overflow, 0).T,
-            cmap=_OVERFLOW.resampled(scale.overflow) if scale.overflow <= 10 else _OVERFLOW,
+            cmap=ListedColormap(shades),
             norm=Normalize(0.5, scale.overflow + 0.5),
             **place,
         )
