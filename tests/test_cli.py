@@ -556,7 +556,7 @@ def long_summary() -> dict[str, Any]:
     return {"reference": names[1], "types": {"s" * 90: {"I": 1, "II": 2}}, "sets": {"s" * 90: rows}}
 
 
-@pytest.mark.parametrize("width", [80, 200])
+@pytest.mark.parametrize("width", [80, 230])
 def test_tables_of_experiments_fit(
     width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -540,7 +540,9 @@ def test_routers_are_drawn_where_all_have_open_nets():
 
 def test_decreases_say_how_many_problems_are_missing():
     decreases = {"dqn": np.array([3.0, np.nan, -1]), "random": np.full(3, np.nan)}
-    titles = [axes.get_title() for axes in figures.decrease_histogram(decreases, "A*").axes]
+    figure = figures.decrease_histogram(decreases, "A*", "the title")
+    assert figure.get_suptitle() == "the title"
+    titles = [axes.get_title() for axes in figure.axes]
     assert "lower on 1 of 2 problems" in titles[0]
     assert titles[0].endswith("1 with open nets not shown")
     assert titles[1] == "random: no problem; 3 with open nets not shown"

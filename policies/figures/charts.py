@@ -201,10 +201,8 @@ def draw_by_problem(
         name: np.asarray(open_values[name], np.float64)[order] if name in open_values else nothing
         for name in values
     }
-    low, high = _limits(list(whole.values()))
-    shown = {
-        name: np.where((own >= low) & (own <= high), own, np.nan) for name, own in hollow.items()
-    }
+    most = _most(np.array(list(whole.values())))
+    shown = {name: np.where(own <= most, own, np.nan) for name, own in hollow.items()}
     every = np.array([*whole.values(), *shown.values()])
     some = ~np.isnan(every).all(axis=0)
     ends = np.nanmin(every[:, some], axis=0), np.nanmax(every[:, some], axis=0)
@@ -238,17 +236,19 @@ def draw_by_problem(
         axes.set_ylim(min(low, value - 0.5), max(high, value + 1.5))
 
 
-def _limits(whole: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
-    """The lowest and highest value to draw: all of routers that joined everything, and those near.
+def _most(whole: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(problems,) the highest value to draw where nets stayed open: a quarter above all others'.
 
     Random walks may take many times the wirelength, beside which all others would look alike.
+
+    Args:
+        whole: (routers, problems) values of routers that joined everything, or NaN.
     """
-    known = np.concatenate([own[~np.isnan(own)] for own in whole])
-    if not known.size:
-        return -np.inf, np.inf
-    low, high = float(known.min()), float(known.max())
-    near = max(0.5 * (high - low), 0.1 * abs(high), 2.0)
-    return low - near, high + near
+    if np.isnan(whole).all():
+        return np.full(whole.shape[1], np.inf)
+    highest = np.fmax.reduce(whole, axis=0)
+    highest = np.where(np.isnan(highest), np.nanmax(whole), highest)
+    return np.maximum(1.25 * highest, highest + 2)
 
 
 def _label(
@@ -295,8 +295,8 @@ def decrease_histogram(
     panels = figure.subplots(len(decreases), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, (name, values) in zip(panels, decreases.items(), strict=True):
         draw_decreases(axes, values, bins)
-        title = literal(f"{name}: {decrease_note(values)}")
-        axes.set_title(fitted(title, 8, 10), fontsize=10)
+        note = literal(f"{name}: {decrease_note(values)}")
+        axes.set_title(fitted(note, 8, 10), fontsize=10)
     less = f"decrease in wirelength = {baseline}'s minus the router's [edges]"
     panels[-1].set_xlabel(literal(less))
     figure.suptitle(fitted(literal(title), 8.5, 12), fontsize=12)
