@@ -191,6 +191,9 @@ def test_results_are_those_of_the_solutions(finished: Path) -> None:
         solution = Solution.read(path, problem)
         expected = asdict(evaluate(problem, solution))
         del expected["disconnected"]
+        pruned = evaluate(problem, solution.pruned())
+        expected["pruned_overflow"] = pruned.overflow
+        expected["pruned_wirelength"] = pruned.wirelength
         assert expected == {name: row[name] for name in expected}
         origin = {"from"} if row["router"] != "astar" else set()
         assert set(row) == {"problem", "router", *expected, *origin}
