@@ -281,6 +281,39 @@ def test_evaluate_prints_the_figures(capsys: pytest.CaptureFixture[str]) -> None
     assert all(net.name in text.splitlines()[-1] for net in problem.nets)
 
 
+@pytest.mark.usefixtures("here")
+def test_what_joins_nothing_is_told_and_pruned_when_asked(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    walks = ["route", "p.gr", "--router", "random", "--json"]
+    whole = only_object(printed(capsys, *walks, "--out", "whole.solution"))
+    assert whole["pruned_wirelength"] < whole["wirelength"]
+    pruned = only_object(printed(capsys, *walks, "--prune", "--out", "pruned.solution"))
+    for key in ("overflow", "wirelength"):
+        assert pruned[key] == pruned[f"pruned_{key}"] == whole[f"pruned_{key}"]
+    assert (pruned["joined"], pruned["connected"]) == (whole["joined"], whole["connected"])
+    problem = Problem.read("p.gr")
+    routed = {name: Solution.read(f"{name}.solution", problem) for name in ("whole", "pruned")}
+    assert routed["whole"].pruned() == routed["pruned"]
+    assert evaluate(problem, routed["whole"]).wirelength == whole["wirelength"]
+    shown = only_object(printed(capsys, "evaluate", "p.gr", "whole.solution", "--json"))
+    assert {key: shown[key] for key in shown if "wirelength" in key} == {
+        key: whole[key] for key in whole if "wirelength" in key
+    }
+
+
+def test_tables_show_the_pruned_wirelength_where_it_is_less(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    row = {"overflow": 0, "wirelength": 20, "joined": 2, "tasks": 2, "seconds": 0.1}
+    show([{**row, "router": "a", "pruned_wirelength": 20}], "t")
+    assert "pruned" not in capsys.readouterr().out
+    show([{**row, "router": "a", "pruned_wirelength": 18}], "t")
+    head, _, line = capsys.readouterr().out.splitlines()[2:5]
+    assert head.split()[:4] == ["router", "overflow", "wirelength", "pruned"]
+    assert line.split()[:4] == ["a", "0", "20", "18"]
+
+
 @pytest.mark.skipif(not PUBLISHED.exists(), reason="needs the published problems in ../shared/data")
 def test_published_solutions_have_the_published_figures(
     capsys: pytest.CaptureFixture[str],
@@ -510,6 +543,7 @@ def long_summary() -> dict[str, Any]:
         "zero_overflow": 5019,
         "open": 765432,
         "wirelength": interval(12345678.9, 98765.4),
+        "pruned_wirelength": interval(12345670.1, 98765.4),
         "gap": {**interval(123.45, 67.89), "problems": 432109},
         "lower_wirelength": {"percent": 99.9, "low": 98.0, "high": 100.0},
         "astar": record,
@@ -522,7 +556,7 @@ def long_summary() -> dict[str, Any]:
     return {"reference": names[1], "types": {"s" * 90: {"I": 1, "II": 2}}, "sets": {"s" * 90: rows}}
 
 
-@pytest.mark.parametrize("width", [80, 200])
+@pytest.mark.parametrize("width", [80, 230])
 def test_tables_of_experiments_fit(
     width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -536,6 +570,7 @@ def test_tables_of_experiments_fit(
         "5019",
         "765432",
         "12345678.9 ± 98765.4",
+        "12345670.1 ± 98765.4",
         "123.45 ± 67.89 (432109)",
         "99.9 [98, 100]",
         "123456/23456/345678",

@@ -48,6 +48,7 @@ from policies.results.statistics import (
     share_interval,
     summarise,
 )
+from policies.results.study import FigureOptions
 from policies.results.utilisation import histogram_counts, utilisation_maps
 from policies.routers.astar import AStarRouter
 from policies.routers.random import RandomRouter
@@ -96,7 +97,12 @@ def everything(folder: Path, **keys: Any) -> Path:
     routers = {
         "random": {"router": "random", "max_steps": 9},
         "astar": {"router": "astar"},
-        "up": {"router": "astar", "net_order": "half_perimeter_up", "only": ["small"]},
+        "up": {
+            "router": "astar",
+            "net_order": "half_perimeter_up",
+            "only": ["small"],
+            "label": "smallest first",
+        },
         "dqn": DQN,
         "best": {**quoted, "wirelength": "length", "optimal": True},
     }
@@ -825,6 +831,23 @@ def test_plot_draws_an_experiment(
     assert all(path.read_bytes().startswith(PNG) for path in written)
 
 
+CALLED = {"random": "random walks", "dqn": "DQN", "astar": "A*", "up": "smallest first"}
+"""What figures call the routers of the finished experiment."""
+
+
+def marks(axes: Any) -> dict[str, Any]:
+    """What a plot by problem shows of each router, filled or hollow: NaN where it shows nothing."""
+    found: dict[str, Any] = {}
+    for line in axes.get_lines():
+        assert line.get_linestyle() == "None"
+        at, name = np.array(line.get_ydata(), float), line.get_label().split(" (")[0]
+        if line.get_marker() in found:
+            before, named = found[line.get_marker()]
+            at, name = np.where(np.isnan(at), before, at), name if named[0] == "_" else named
+        found[line.get_marker()] = at, name
+    return {name: at for at, name in found.values()}
+
+
 def test_figures_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
     plot.experiment_figures(finished, tmp_path)
     rows = [row for row in results(finished) if row["set"] == "small"]
@@ -844,22 +867,27 @@ def test_figures_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, 
     order = np.argsort(astar, kind="stable")
     for quantity in ("wirelength", "overflow"):
         (axes,) = drawn[f"small_{quantity}"].axes
-        lines = {line.get_label().split(" (")[0]: line for line in axes.get_lines()}
-        assert next(iter(lines)) == "astar"
+        shown = marks(axes)
+        assert list(shown) == ["A*", "random walks", "smallest first", "DQN", "best"]
         assert quantity in axes.get_ylabel()
-        for name, line in lines.items():
-            expected = np.array(means(name, quantity))[order]
+        assert axes.get_xlabel() == "problems, sorted by A*'s wirelength [rank]"
+        for line in axes.get_lines():
             np.testing.assert_array_equal(line.get_xdata(), [1, 2, 3])
-            np.testing.assert_allclose(line.get_ydata(), expected)
+        for name, label in CALLED.items():
+            expected = np.array(means(name, quantity))[order]
+            known = ~np.isnan(expected)  # what has open nets is elsewhere, or off the scale
+            np.testing.assert_allclose(shown[label][known], expected[known])
     panels = drawn["small_decrease"].axes
-    assert len(panels) == len(lines) - 1
+    titles = {label: name for name, label in {**CALLED, "best": "best"}.items() if name != "astar"}
+    assert {axes.get_title().split(":")[0] for axes in panels} == set(titles)
     for axes in panels:
-        name = axes.get_title().split(":")[0]
+        name = titles[axes.get_title().split(":")[0]]
         decrease = np.array(astar) - means(name, "wirelength")
         assert sum(bar.get_height() for bar in axes.patches) == np.count_nonzero(
             ~np.isnan(decrease)
         )
-        assert f"lower on {np.count_nonzero(decrease > 0)} of" in axes.get_title()
+        lower = f"lower on {np.count_nonzero(decrease > 0)} of"
+        assert lower in axes.get_title() or np.isnan(decrease).all()
 
 
 def test_studies_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
@@ -885,10 +913,12 @@ def test_studies_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, 
         routers = by_router(rows[name])
         order = np.argsort(mean_wirelength(routers["astar"]), kind="stable")
         for axes, of in ((lengths, mean_wirelength), (overflows, mean_overflow)):
-            lines = {line.get_label().split(" (")[0]: line for line in axes.get_lines()}
-            assert list(lines) == ["astar", "dqn", "random"]  # A*, the column's, the reference
-            for router, line in lines.items():
-                np.testing.assert_array_equal(line.get_ydata(), of(routers[router])[order])
+            shown = marks(axes)
+            assert list(shown) == ["A*", "DQN", "random walks"]  # the column's, the reference
+            for router in ("astar", "dqn", "random"):
+                expected = of(routers[router])[order]
+                whole = ~np.isnan(mean_wirelength(routers[router]))[order]
+                np.testing.assert_array_equal(shown[CALLED[router]][whole], expected[whole])
         less = mean_wirelength(routers["astar"]) - mean_wirelength(routers["dqn"])
         assert sum(bar.get_height() for bar in decrease.patches) == (~np.isnan(less)).sum()
         logs = (finished / "runs" / name / "dqn.seed0").glob("*/metrics.jsonl")
@@ -921,8 +951,87 @@ def test_studies_show_one_problem(finished: Path, tmp_path: Path, drawn: dict[st
         np.testing.assert_array_equal(shown, np.minimum(expected, 1e9).T)
     bars = [bar.get_height() for bars in histogram.containers for bar in bars]
     assert bars == histogram_counts(problem, solution).ravel().tolist()
-    assert f"WL {evaluate(problem, solution).wirelength}, OF 0" in routes.get_title()
+    less = len(solution.pruned().uses[1])
+    figures = f"WL {evaluate(problem, solution).wirelength} ({less} pruned), OF 0"
+    assert figures in " ".join(routes.get_title().split())
     assert vias.get_title().startswith("DQN\n")
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_solutions_are_pruned_where_an_entry_says_so(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of routers and of trainings: what joins nothing goes, and the rest stays as it was."""
+    routers = {
+        **ASTAR,
+        "walks": {"router": "random"},
+        "pruned-walks": {"router": "random", "prune": True},
+        "dqn": DQN,
+        "pruned-dqn": {**DQN, "prune": True},
+    }
+    config = write_config(here / "c.yaml", routers=routers)
+    assert status(["experiment", str(config)]) == 0
+    shown = capsys.readouterr().out
+    rows = {(row["router"], row["problem"]): row for row in results(here / "out")}
+    less = 0
+    for (router, problem), row in rows.items():
+        if not router.startswith("pruned-"):
+            continue
+        plain = rows[router.removeprefix("pruned-"), problem]
+        assert row["wirelength"] == row["pruned_wirelength"] == plain["pruned_wirelength"]
+        assert row["overflow"] == row["pruned_overflow"] == plain["pruned_overflow"]
+        assert row["joined"] == plain["joined"]
+        less += plain["wirelength"] - row["wirelength"]
+        file = here / "out" / "solutions" / "small" / f"{problem}.{router}.seed0.solution"
+        routed = Problem.read(here / "out" / "problems" / "small" / f"{problem}.gr")
+        assert evaluate(routed, Solution.read(file, routed)).wirelength == row["wirelength"]
+    assert less > 0
+    summary = json.loads((here / "out" / "summary.json").read_text())["sets"]["small"]
+    walks = next(row for row in summary if row["router"] == "walks")
+    assert walks["pruned_wirelength"]["mean"] < walks["wirelength"]["mean"]
+    assert "pruned: the mean wirelength without dead ends and loops" in " ".join(shown.split())
+    assert f"{walks['pruned_wirelength']['mean']:.1f}" in shown
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ({"prune": 1}, "prune: expected true or false"),
+        ({"label": ""}, "label: expected a text of at most 80 characters"),
+        ({"label": "x" * 81}, "label: expected a text of at most 80 characters"),
+        ({"label": 3}, "label: expected a text of at most 80 characters"),
+    ],
+)
+def test_what_an_entry_may_not_say(
+    entry: dict[str, Any], said: str, here: Path, refused: Callable[..., str]
+) -> None:
+    config = write_config(here / "c.yaml", routers={"a": {"router": "astar", **entry}})
+    assert f"routers.a: {said}" in refused("experiment", config)
+
+
+def test_labels_of_entries(here: Path) -> None:
+    """Its own, or that of its kind if no other is of this kind; two that are alike differ."""
+    routers = {
+        "baseline": {"router": "astar"},
+        "p": {"router": "pathfinder"},
+        "pathfinder": {"router": "pathfinder"},
+        "rate1e-3": {**DQN, "label": "learning rate 1e-3"},
+        "rate1e-5": DQN,
+        "x": {"router": "random", "label": "walks"},
+        "y": {"router": "optimal", "label": "walks"},
+    }
+    path = write_config(here / "c.yaml", routers=routers)
+    options = FigureOptions.read(path)
+    assert [options.label(name) for name in routers] == [
+        "A*", "p", "negotiated congestion", "learning rate 1e-3", "rate1e-5", "walks (x)",
+        "walks (y)",
+    ]  # fmt: skip
+    # A label may change: no result depends on it.
+    keys = {"out": str(here / "o"), "routers": {"a": {"router": "astar", "label": "first"}}}
+    Experiment(load_experiment(write_config(here / "d.yaml", **keys)))
+    keys["routers"]["a"]["label"] = "second"
+    Experiment(load_experiment(write_config(here / "d.yaml", **keys)))
+    assert FigureOptions.read(here / "o" / "config.yaml").label("a") == "second"
 
 
 def test_a_study_of_mean_rewards(here: Path, drawn: dict[str, Any]) -> None:
@@ -976,7 +1085,8 @@ def test_a_study_shows_every_router_once_and_any_title(here: Path, drawn: dict[s
     config = write_config(here / "c.yaml", **keys)
     Experiment(load_experiment(config)).execute()
     shown = [[line.get_label() for line in axes.get_lines()] for axes in drawn["s"].axes]
-    assert shown == [["a", "p"], ["a", "p"], ["a", "astar", "p"]]
+    best = "negotiated congestion"
+    assert shown == [["a", best], ["a", best], ["a", "b", best]]
     drawn["s"].canvas.draw()
     assert drawn["s"].axes[0].get_title() == r"$\x{$"
 
@@ -1018,7 +1128,8 @@ def test_a_study_without_anything_to_compare() -> None:
         problem, solution, solution, nothing, {"astar": np.zeros(1)}, {"p": [-3.0, -1]}, {}
     )
     drawn = figures.study({"A": column}, ("decrease", "reward"))
-    assert drawn.axes[0].get_title() == "A\nno problem"
+    title = " ".join(drawn.axes[0].get_title().split())
+    assert title == "A no problem; 1 with open nets not shown"
     assert drawn.axes[1].get_yscale() == "linear"
     for columns, panels in (({}, ("reward",)), ({"A": column}, ())):
         with pytest.raises(InputError, match="study: expected at least one"):
@@ -1168,7 +1279,8 @@ def test_own_routers_stand_in_an_experiment(
     assert status(["experiment", str(config)]) == 0
     kept = yaml.safe_load((here / "out" / "config.yaml").read_text())["routers"]
     assert kept["mine"] == {
-        "router": "my_routers:Mine", "only": None, "order": "file", "again": 2
+        "router": "my_routers:Mine", "only": None, "prune": False, "label": None,
+        "order": "file", "again": 2,
     }  # fmt: skip
     rows = json.loads((here / "out" / "results.json").read_text())
     assert len(rows) == 3 * (1 + 2 + 1)

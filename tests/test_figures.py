@@ -62,10 +62,6 @@ def crowd(nets=6):
     return problem, Solution(problem, (route,) * nets)
 
 
-def outlines(axes):
-    return [path for collection in axes.collections for path in collection.get_paths()]
-
-
 def segments(axes, colour):
     """The lines drawn in a colour."""
     from matplotlib.colors import to_rgba
@@ -83,7 +79,7 @@ def test_utilisation_maps_by_hand(worked):
     assert maps.via.tolist() == [[1, 0, 1], [0, 0, 0], [0, 0, 0]]
     assert maps.horizontal.tolist() == [[150, 0, 0], [50, 0, 0]]
     assert maps.vertical.tolist() == [[50, 100], [0, 0], [0, 0]]
-    assert np.argwhere(maps.horizontal_overflow).tolist() == [[0, 0]]
+    assert maps.horizontal_overflow.tolist() == [[1, 0, 0], [0, 0, 0]]
     assert not maps.vertical_overflow.any()
 
 
@@ -92,7 +88,7 @@ def test_utilisation_sums_the_layers_and_still_sees_one_overflow():
     route = np.array([edge(problem, 0, 0, 0, 0)], np.int64)
     maps = utilisation.utilisation_maps(problem, Solution(problem, (route, route)))
     assert maps.horizontal.tolist() == [[50]]
-    assert maps.horizontal_overflow.tolist() == [[True]]
+    assert maps.horizontal_overflow.tolist() == [[1]]
     assert maps.vertical.shape == (2, 0)
 
 
@@ -137,7 +133,7 @@ def test_utilisation_against_tables_of_all_edges(solution, most):
         with np.errstate(all="ignore"):
             expected = 100 * blocks(wanted.sum(axis=2)) / blocks(offered.sum(axis=2))
         np.testing.assert_array_equal(found, expected)
-        np.testing.assert_array_equal(overflow, blocks((wanted > offered).sum(axis=2)) > 0)
+        np.testing.assert_array_equal(overflow, blocks((wanted - offered).clip(0).sum(axis=2)))
     uses = np.bincount(solution.uses[1], minlength=demand.size).reshape(shape)
     np.testing.assert_array_equal(maps.via, blocks(uses[..., 2].sum(axis=2)))
 
@@ -171,6 +167,7 @@ def test_heat_maps_draw_the_numbers_between_the_gcells(worked):
     figure = figures.heat_maps(*worked, title="A*")
     via, vertical, horizontal = (axes for axes in figure.axes if axes.images)
     maps = utilisation.utilisation_maps(*worked)
+    assert [len(axes.images) for axes in (via, vertical, horizontal)] == [1, 1, 2]
     for axes, values in ((via, maps.via), (vertical, maps.vertical), (horizontal, maps.horizontal)):
         assert np.array_equal(axes.images[0].get_array(), values.T)
         assert axes.images[0].origin == "lower"
@@ -180,9 +177,43 @@ def test_heat_maps_draw_the_numbers_between_the_gcells(worked):
     assert "row y and y + 1" in vertical.get_title()
     # WL 2 + 1 + 1 + 4, OF 3 nets on 2 tracks.
     assert figure.get_suptitle() == "A*: WL 8, OF 1"
-    assert not outlines(vertical)
-    (outline,) = outlines(horizontal)
-    assert outline.get_extents().extents.tolist() == [0, -0.5, 1, 0.5]
+    over = horizontal.images[1]
+    assert over.get_extent() == horizontal.images[0].get_extent()
+    np.testing.assert_array_equal(over.get_array().filled(0), maps.horizontal_overflow.T)
+    assert over.colorbar.ax.get_ylabel() == "overflow [tracks]"
+    (number,) = horizontal.texts
+    assert (number.get_text(), number.get_position()) == ("1", (0.5, 0))
+
+
+def test_more_overflow_is_darker_on_one_scale_with_whole_numbers():
+    """1, 2 and 12 tracks too many on three edges; none on the fourth."""
+    problem = problem_of((5, 1, 1), (1,), (1,), [((0, 0, 1), (4, 0, 1))] * 13)
+    nets = [[] for _ in range(13)]
+    for number, over in ((0, 2), (1, 3), (2, 13), (3, 1)):
+        for net in range(over):
+            nets[net].append(edge(problem, 0, number, 0, 0))
+    figure = figures.heat_maps(problem, Solution(problem, [np.array(own) for own in nets]))
+    (over,) = (axes.images[1] for axes in figure.axes if len(axes.images) > 1)
+    assert over.get_array().tolist() == [[1, 2, 12, None]]
+    colours = over.cmap(over.norm(np.array([1, 2, 12])))[:, :3]
+    assert (np.diff(colours.sum(axis=1)) < 0).all()
+    ticks = over.colorbar.get_ticks()
+    assert np.array_equal(ticks, np.round(ticks))
+    notes = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert any("overflow" in text for text in notes)
+
+
+def test_a_single_gcell_does_not_spoil_the_colours_of_vias():
+    problem = problem_of((6, 6, 2), (9, 9), (9, 9), [((0, 0, 1), (0, 0, 2))] * 50)
+    everywhere = [edge(problem, 2, x, y, 0) for x in range(6) for y in range(6)]
+    nets = [everywhere] * 2 + [everywhere[:1]] * 48
+    figure = figures.heat_maps(problem, Solution(problem, [np.array(own) for own in nets]))
+    image = figure.axes[0].images[0]
+    assert image.get_array().max() == 50
+    assert image.norm.vmax < 10
+    assert image.colorbar.extend == "max"
+    assert image.colorbar.ax.get_ylabel() == "vias [count], at most 50"
+    assert figures.heat_maps(*crowd(3)).axes[0].images[0].norm.vmax == 1
 
 
 def test_histogram_counts_by_hand(worked):
@@ -250,8 +281,7 @@ def test_edges_before_and_after_are_in_order(worked):
         if isinstance(patch, StepPatch) and not patch.get_label().startswith("_")
     }
     assert lines["after routing"].tolist() == [2] * 8 + [1, 1, 0, -1]
-    assert sorted(lines["before routing"]) == [1] + [2] * 11
-    assert lines["before routing"][10] == 1  # of the edge that ends with 0
+    assert lines["before routing"].tolist() == [2] * 11 + [1]  # no saw: it falls, too
 
 
 def test_solution_2d_draws_every_edge_pin_and_via(worked):
@@ -335,6 +365,55 @@ def test_comparison_has_a_titled_drawing_for_each_router(worked):
         figures.comparison({"A*": solution, "other": crowd()[1]})
 
 
+def pins_of(axes):
+    line = next(line for line in axes.lines if line.get_linestyle() == "None")
+    return sorted(map(tuple, line.get_xydata().tolist()))
+
+
+def test_pins_lie_at_the_same_places_in_panels_to_be_compared(worked):
+    problem, solution = worked
+    # The long routes choose their tracks first: these here would have others by themselves.
+    detour = [edge(problem, 2, 0, 0, 0), edge(problem, 0, 0, 0, 1), edge(problem, 0, 1, 0, 1)]
+    other = Solution(problem, [solution.edges[0], np.array(detour), *solution.edges[2:]])
+    alone = [figures.solution_2d(problem, each).axes[0] for each in (solution, other)]
+    assert pins_of(alone[0]) != pins_of(alone[1])
+    panels = figures.comparison({"A*": solution, "DQN": other}).axes
+    assert pins_of(panels[0]) == pins_of(panels[1])
+
+
+def test_dead_ends_show_in_the_title(worked):
+    problem, solution = worked
+    stub = edge(problem, 1, 2, 0, 0)
+    longer = Solution(problem, [np.append(solution.edges[0], stub), *solution.edges[1:]])
+    title = figures.solution_2d(problem, longer).axes[0].get_title()
+    assert title.replace("\N{NO-BREAK SPACE}", " ") == "WL 9 (8 pruned), OF 2"
+
+
+def widths(figure):
+    """The width of each panel's title and of the panel itself, in pixels."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    return [
+        (axes.title.get_window_extent(renderer).width, axes.get_window_extent(renderer).width)
+        for axes in figure.axes
+        if axes.get_title()
+    ]
+
+
+def test_long_titles_stay_above_their_panels(worked):
+    _, solution = worked
+    name = "a router with a name that is longer than any panel is wide, of three panels"
+    figure = figures.comparison({f"{name} {i}": solution for i in range(3)})
+    found = widths(figure)
+    assert len(found) == 3
+    assert all(title < 1.1 * panel for title, panel in found)
+    words = " ".join(figure.axes[0].get_title().split())
+    assert words == f"{name} 0: WL 8, OF 1"
+
+
 @pytest.mark.parametrize(
     "look",
     [
@@ -376,20 +455,97 @@ def test_reward_curves_on_a_log_axis_keep_the_order_of_all_values():
     assert "logarithm" not in figures.reward_curves({"a": rewards}).axes[0].get_ylabel()
 
 
-def test_reward_curves_have_a_legend_up_to_ten():
-    curves = {str(i): [i, i + 1] for i in range(11)}
-    assert figures.reward_curves(curves).axes[0].get_legend() is None
-    curves.popitem()
-    (axes,) = figures.reward_curves(curves).axes
-    assert len(axes.get_legend().get_texts()) == 10
-    looks = {(line.get_color(), line.get_linestyle()) for line in axes.get_legend().get_lines()}
-    assert len(looks) == 10
+def legend_of(figure):
+    (legend,) = figure.legends
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def test_reward_curves_have_a_title_and_a_legend():
+    curves = {str(i): [i, i + 1] for i in range(12)}
+    figure = figures.reward_curves(curves)
+    assert legend_of(figure) == list(curves)
+    (axes,) = figure.axes
+    assert axes.get_title().startswith("Rewards of a training")
+    lines = [line for line in axes.lines if line.get_label() in curves]
+    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 12
+
+
+def test_very_many_reward_curves_are_drawn_with_their_mean():
+    curves = {str(i): [i, i + 1, i + 4] for i in range(13)}
+    curves["12"].pop()  # a training that is not finished
+    figure = figures.reward_curves(curves, smoothing=1)
+    assert legend_of(figure) == ["each of 13", "mean of all 13"]
+    assert mean_line(figure, "mean of all 13").get_ydata().tolist() == [6, 7]
+    assert len(figure.axes[0].lines) == 14
 
 
 @pytest.mark.parametrize(("curves", "smoothing"), [({}, 50), ({"a": [1]}, 0)])
 def test_reward_curves_refuse(curves, smoothing):
     with pytest.raises(InputError, match="expected"):
         figures.reward_curves(curves, smoothing=smoothing)
+
+
+def marks_of(figure):
+    """The filled and hollow marks of each router, by the first word of its label."""
+    (axes,) = figure.axes
+    found = {"filled": {}, "hollow": {}}
+    name = None
+    for line in axes.lines:
+        assert line.get_linestyle() == "None"  # ranks are no quantity to draw lines along
+        hollow = line.get_markerfacecolor() == "none"
+        if not line.get_label().startswith("_"):
+            name = line.get_label().split(" ")[0]
+        values = line.get_ydata()
+        found["hollow" if hollow else "filled"].setdefault(name, values[~np.isnan(values)].tolist())
+    return found
+
+
+def test_routers_with_open_nets_are_on_the_plot_or_in_its_legend():
+    nan = np.nan
+    values = {
+        "astar": np.array([10.0, 20, 30]),
+        "dqn": np.array([9.0, nan, nan]),
+        "ppo": np.full(3, nan),
+        "random": np.full(3, nan),
+        "new": np.array([nan, 21, nan]),
+    }
+    opened = {
+        "dqn": np.array([nan, 15.0, 900]),
+        "ppo": np.array([11.0, 12, 13]),
+        "random": np.full(3, 500.0),
+    }
+    order = np.array([2, 0, 1])
+    figure = figures.by_problem(values, order, "wirelength", "A*'s", open_values=opened)
+    assert legend_of(figure) == [
+        "astar",
+        "dqn (nets open on 2: hollow, 1 off the scale)",
+        "ppo (nets open on all: hollow)",
+        "random (nets open on all: off the scale)",
+        "new (no result on 2)",
+    ]
+    marks = marks_of(figure)
+    assert marks["filled"]["astar"] == [30, 10, 20]
+    assert marks["filled"]["dqn"] == [9]
+    assert marks["hollow"]["dqn"] == [15]
+    assert marks["hollow"]["ppo"] == [13, 11, 12]
+    assert marks["hollow"]["random"] == []
+    assert figure.axes[0].get_ylim()[1] < 100
+
+
+def test_routers_are_drawn_where_all_have_open_nets():
+    values, opened = {"random": np.full(2, np.nan)}, {"random": np.array([50.0, 70.0])}
+    figure = figures.by_problem(values, np.arange(2), "wirelength", "its", open_values=opened)
+    assert marks_of(figure)["hollow"]["random"] == [50, 70]
+
+
+def test_decreases_say_how_many_problems_are_missing():
+    decreases = {"dqn": np.array([3.0, np.nan, -1]), "random": np.full(3, np.nan)}
+    figure = figures.decrease_histogram(decreases, "A*", "the title")
+    assert figure.get_suptitle() == "the title"
+    titles = [axes.get_title() for axes in figure.axes]
+    assert "lower on 1 of 2 problems" in titles[0]
+    assert titles[0].endswith("1 with open nets not shown")
+    assert titles[1] == "random: no problem; 3 with open nets not shown"
 
 
 @pytest.mark.parametrize("value", [0, 7])

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +112,27 @@ def test_bars_show_names_as_they_are(
     episode = Episode(name, 0, 1.0, 1, 1, 0, 1, 1, 0.0, None, 0, True)
     with training_bar(0, 2) as see:
         see([episode])
-    assert f"{name}: joined" in capsys.readouterr().err
+    assert f"best of {name}: joined 1/1, OF 0, WL 1 in episode 1" in capsys.readouterr().err
+
+
+def test_the_bar_of_a_training_says_the_best_and_not_the_last(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "200")
+    first = Episode("p", 3, 210.0, 2, 2, 0, 21, 30, 0.0, None, 0, True)
+    worse = Episode("p", 4, -50.0, 1, 2, 0, 40, 60, 0.0, None, 0, False)
+    with training_bar(0, 2) as see:
+        see([first])
+        see([worse])
+    last = [line for line in capsys.readouterr().err.splitlines() if "best of" in line][-1]
+    assert "best of p: joined 2/2, OF 0, WL 21 in episode 4 " in last
+    assert "40" not in last
+    # A resumed training knows what was best; of several problems it shows the sum.
+    other = replace(first, problem="q", joined=1, overflow=3)
+    with training_bar(1, 2, [first]) as see:
+        see([other])
+    assert "best of 2 problems: joined 3/4, OF 3, WL 42" in capsys.readouterr().err
 
 
 # --- files ----------------------------------------------------------------------------------------

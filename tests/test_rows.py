@@ -25,6 +25,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs" / "results"
 def row(problem: str, router: str, seed: int | None, **figures: Any) -> dict[str, Any]:
     """A row of an experiment."""
     known = {"overflow": 1, "max_overflow": 1, "wirelength": 20, "vias": 4, "connected": True}
+    known |= {"pruned_overflow": 0, "pruned_wirelength": 18}
     known |= {"joined": 3, "tasks": 3, "seconds": 0.5}
     about = {"set": "s", "problem": problem, "router": router, "kind": router, "seed": seed}
     return {**dict.fromkeys(COLUMNS), **about, **known, **figures}
@@ -194,6 +195,7 @@ def test_a_table_as_excel_writes_it(tmp_path: Path) -> None:
 
 def test_gaps_to_an_optimum_of_nothing() -> None:
     none = {"overflow": 0, "max_overflow": 0, "vias": 0, "joined": 0, "tasks": 0}
+    none |= {"pruned_overflow": 0, "pruned_wirelength": 0}
     rows = [
         row("p", name, None, **none, wirelength=length, proven=name == "optimal")
         for name, length in (("optimal", 0), ("astar", 0), ("dqn", 2))
@@ -245,6 +247,8 @@ def valid(draw: st.DrawFn) -> list[dict[str, Any]]:
         overflow, wirelength, tasks = draw(st.tuples(COUNTS, COUNTS, COUNTS))
         figures = {"set": set, "overflow": overflow, "max_overflow": min(overflow, draw(COUNTS))}
         figures |= {"wirelength": wirelength, "vias": min(wirelength, draw(COUNTS))}
+        pruned = {"pruned_overflow": overflow, "pruned_wirelength": wirelength}
+        figures |= {key: draw(st.sampled_from([None, 0, most])) for key, most in pruned.items()}
         figures |= {"joined": min(tasks, draw(COUNTS)), "tasks": tasks, "seconds": draw(COUNTS)}
         figures["proven"] = draw(st.sampled_from([None, False, True]))
         rows.append(row(problem, router, seed, **figures))

@@ -35,6 +35,8 @@ from policies.learned.logs import Logs
 from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run, clear
 from policies.learned.trainer import Episode, Trainer
+from policies.results.rows import COLUMNS
+from policies.results.run_folder import Walk
 from policies.routers.astar import AStarRouter
 
 PROBLEMS: dict[str, Any] = {"count": 2, "grid": [4, 4, 2], "nets": 3, "capacity": 2, "seed": 5}
@@ -91,6 +93,10 @@ def metrics(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
 
 
+def walks(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "evaluations.jsonl").read_text().splitlines()]
+
+
 def results(folder: Path) -> list[dict[str, Any]]:
     """The rows of result.json without the times."""
     rows = json.loads((folder / "result.json").read_text())
@@ -109,7 +115,8 @@ def content(value: Any) -> Any:
 
 def outcome(folder: Path) -> dict[str, Any]:
     """Everything of a finished run that has to be the same however often it was stopped."""
-    files = [folder / "metrics.jsonl", *sorted((folder / "solutions").iterdir())]
+    files = [folder / "metrics.jsonl", folder / "evaluations.jsonl"]
+    files += sorted((folder / "solutions").iterdir())
     checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
     del checkpoint["seconds"]
     return {
@@ -135,6 +142,7 @@ def test_folder_holds_what_it_should(finished: Path) -> None:
     assert sorted(path.name for path in finished.iterdir()) == [
         "checkpoint.pt",
         "config.yaml",
+        "evaluations.jsonl",
         "metrics.jsonl",
         "policy.pt",
         "problems",
@@ -183,6 +191,9 @@ def test_results_are_those_of_the_solutions(finished: Path) -> None:
         solution = Solution.read(path, problem)
         expected = asdict(evaluate(problem, solution))
         del expected["disconnected"]
+        pruned = evaluate(problem, solution.pruned())
+        expected["pruned_overflow"] = pruned.overflow
+        expected["pruned_wirelength"] = pruned.wirelength
         assert expected == {name: row[name] for name in expected}
         origin = {"from"} if row["router"] != "astar" else set()
         assert set(row) == {"problem", "router", *expected, *origin}
@@ -219,14 +230,111 @@ def test_tensorboard_shows_the_metrics(finished: Path) -> None:
     events = EventAccumulator(str(finished / "tensorboard"))
     events.Reload()
     curves = ("reward", "joined", "overflow", "wirelength", "steps", "epsilon", "loss")
-    assert set(events.Tags()["scalars"]) == {
-        f"{curve}/{problem}" for curve in curves for problem in ("problem_000", "problem_001")
-    }
+    figures = ("open", "overflow", "wirelength")
+    more = [f"{prefix}_{figure}" for prefix in ("best", "greedy") for figure in figures]
+    names = ("problem_000", "problem_001", "mean")
+    expected = {f"{curve}/{name}" for curve in (*curves, *more) for name in names}
+    expected = {"/".join(t.split("/")[::-1]) if t.endswith("/mean") else t for t in expected}
+    assert set(events.Tags()["scalars"]) == expected | {"speed/steps_per_second"}
     lines = [line for line in metrics(finished) if line["problem"] == "problem_001"]
     for curve in curves:
         shown = events.Scalars(f"{curve}/problem_001")
         assert [event.step for event in shown] == list(range(20))
         assert [event.value for event in shown] == pytest.approx([line[curve] for line in lines])
+
+
+def shown(folder: Path) -> dict[str, list[tuple[int, float]]]:
+    """The curves in TensorBoard's files."""
+    events = EventAccumulator(str(folder / "tensorboard"))
+    events.Reload()
+    return {
+        tag: [(event.step, event.value) for event in events.Scalars(tag)]
+        for tag in events.Tags()["scalars"]
+    }
+
+
+def test_tensorboard_shows_means_the_best_and_what_is_greedy(finished: Path) -> None:
+    curves = shown(finished)
+    names = ("problem_000", "problem_001")
+    lines = {
+        name: [line for line in metrics(finished) if line["problem"] == name] for name in names
+    }
+    both = [[line["reward"] for line in pair] for pair in zip(*lines.values(), strict=True)]
+    assert [step for step, _ in curves["mean/reward"]] == list(range(20))
+    assert [value for _, value in curves["mean/reward"]] == pytest.approx(
+        [sum(x) / 2 for x in both]
+    )
+    for name, own in lines.items():
+        ranks = [(x["tasks"] - x["joined"], x["overflow"], x["wirelength"]) for x in own]
+        best = [min(ranks[: n + 1]) for n in range(len(ranks))]
+        for i, figure in enumerate(("open", "overflow", "wirelength")):
+            assert curves[f"best_{figure}/{name}"] == list(enumerate(b[i] for b in best))
+    of = [walk for walk in walks(finished) if walk["problem"] == names[0]]
+    assert [walk["episodes"] for walk in of] == [3, 6, 9, 12, 15, 18, 20]
+    greedy = [(walk["episodes"], walk["wirelength"]) for walk in of]
+    assert curves[f"greedy_wirelength/{names[0]}"] == greedy
+    assert [step for step, _ in curves["mean/greedy_open"]] == [3, 6, 9, 12, 15, 18, 20]
+    # The saved policy is the last that was the best, and walks as it did then.
+    kept = [walk for walk in of if walk["best"]][-1]
+    rows = json.loads((finished / "result.json").read_text())
+    (row,) = [r for r in rows if (r["router"], r["problem"]) == ("dqn_policy", names[0])]
+    assert row["from"] == f"policy after {kept['episodes']} episodes, greedy"
+    for key in ("joined", "overflow", "wirelength"):
+        assert row[key] == kept[key]
+    assert all(value > 0 for _, value in curves["speed/steps_per_second"])
+    moves = sum(line["steps"] for line in metrics(finished))
+    assert curves["speed/steps_per_second"][-1][0] <= moves
+
+
+def test_tensorboard_shows_gaps_to_a_reference(tmp_path: Path) -> None:
+    """Of what has the reference's overflow and no open task; the best of two episodes stays."""
+    first = Episode("p", 0, 1.0, 3, 3, 0, 25, 30, 0.0, None, 0, True)
+    episodes = [
+        first,
+        replace(first, problem="q", overflow=1),
+        replace(first, episode=1, wirelength=40, best=False),
+        replace(first, problem="q", episode=1, wirelength=22),
+        replace(first, problem="r", wirelength=20),
+        replace(first, problem="r", episode=1, wirelength=20, best=False),
+    ]
+    walked = [Walk("p", 2, 3, 3, 0, 20, 9, True), Walk("q", 2, 2, 3, 0, 9, 9, True)]
+    reference = {"p": (0, 20), "q": (0, 20)}  # of r nothing is known
+    with Logs(tmp_path, (0, 0), True, ("p", "q", "r"), reference) as logs:
+        logs.write(episodes, walked)
+        logs.flush()
+    curves = shown(tmp_path)
+    assert {tag: curves[tag] for tag in curves if "gap" in tag} == {
+        "best_gap/p": [(0, pytest.approx(25)), (1, pytest.approx(25))],
+        "best_gap/q": [(1, pytest.approx(10))],
+        "mean/best_gap": [(0, pytest.approx(25)), (1, pytest.approx(17.5))],
+        "greedy_gap/p": [(2, 0)],
+    }
+    assert curves["mean/best_wirelength"] == [
+        (0, pytest.approx(70 / 3)),
+        (1, pytest.approx(67 / 3)),
+    ]
+    assert "mean/greedy_open" not in curves  # r has not been evaluated
+    ((moves, speed),) = curves["speed/steps_per_second"]
+    assert moves == 6 * 30
+    assert speed > 0
+
+
+def test_a_reference_is_read_from_proven_rows(tmp_path: Path) -> None:
+    rows = [
+        {
+            **dict.fromkeys(COLUMNS), "set": "s", "problem": "problem_000", "router": router,
+            "kind": router, "overflow": 0, "wirelength": length, "joined": 3, "tasks": 3,
+            "proven": router == "optimal",
+        }
+        for router, length in (("astar", 30), ("optimal", 20))
+    ]  # fmt: skip
+    (tmp_path / "r.json").write_text(json.dumps(rows))
+    told = config_in(tmp_path / "run", reference=str(tmp_path / "r.json"))
+    assert Run(told).reference == {"problem_000": (0, 20)}
+    (tmp_path / "r.json").write_text(json.dumps(rows[:1]))
+    with pytest.raises(InputError, match=r"r\.json: expected rows that are proven"):
+        Run(replace(told, out=str(tmp_path / "other")))
+    assert not (tmp_path / "other").exists()
 
 
 def test_policy_file_plays(finished: Path) -> None:
@@ -312,13 +420,15 @@ def test_a_run_killed_anywhere_goes_on_as_if_not(
     write = Logs.write
     left = 0
 
-    def count_down(self: Logs, episodes: list[Episode]) -> None:
+    def count_down(self: Logs, *lines: Any) -> None:
         nonlocal left
         left -= 1
         if left == 0:
-            self._lines.write('{"problem": "prob')  # killed in the middle of a line
+            for name in ("metrics.jsonl", "evaluations.jsonl"):
+                with (folder / name).open("a") as file:
+                    file.write('{"problem": "prob')  # killed in the middle of a line
             raise Killed
-        write(self, episodes)
+        write(self, *lines)
 
     monkeypatch.setattr(Logs, "write", count_down)
     # Before the first checkpoint; with a checkpoint after every step; long after the last one.
@@ -799,7 +909,7 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "problems of no names": changed(lambda state: state.update(problems=torch.ones(3, 3))),
     **{
         f"no {key}": changed(lambda state, key=key: state.pop(key))  # type: ignore[misc]
-        for key in ("problems", "training", "trainer", "seconds", "logged")
+        for key in ("problems", "training", "trainer", "seconds", "logged", "evaluated")
     },
     "no policies": changed(lambda state: state["trainer"].pop("policies")),
     "no state of the game": changed(lambda state: state["trainer"].pop("game.used")),

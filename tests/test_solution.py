@@ -4,10 +4,11 @@ import csv
 import dataclasses
 from pathlib import Path
 
+import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from reference import plain_evaluation
+from reference import Gcell, gcell_of, pin_gcells, plain_evaluation
 from strategies import solved_problems
 
 from marouting import Adjustment, Evaluation, InputError, Net, Pin, Problem, Solution, evaluate
@@ -222,3 +223,88 @@ def test_joined_counts_connections_between_the_pins_of_a_net() -> None:
         evaluation = evaluate(row, solution_of(row, route))
         assert (evaluation.joined, evaluation.tasks) == (joined, 2)
         assert evaluation.connected == (joined == 2)
+
+
+# Pruned solutions ---------------------------------------------------------------------------------
+
+
+def graphs_of(solution: Solution) -> list["nx.Graph[Gcell]"]:
+    """The route of each net, with the Gcells of its pins."""
+    graphs = []
+    for net, edges in enumerate(solution.edges):
+        graph: nx.Graph[Gcell] = nx.Graph()
+        graph.add_nodes_from(pin_gcells(solution.problem, net))
+        for edge in edges.tolist():
+            near = gcell_of(solution.problem, edge // 3)
+            graph.add_edge(near, tuple(a + (i == edge % 3) for i, a in enumerate(near)))
+        graphs.append(graph)
+    return graphs
+
+
+@settings(deadline=None, max_examples=300)
+@given(solution=solved_problems())
+def test_pruned_keeps_the_shortest_ways_from_the_first_pin_and_no_more(solution: Solution) -> None:
+    problem, pruned = solution.problem, solution.pruned()
+    for net, (whole, left) in enumerate(zip(graphs_of(solution), graphs_of(pruned), strict=True)):
+        assert all(whole.has_edge(*edge) for edge in left.edges)
+        pins = pin_gcells(problem, net)
+        for part in nx.connected_components(whole):
+            inside = [pin for pin in pins if pin in part]
+            kept = left.subgraph(part)
+            if len(inside) < 2:
+                assert not kept.edges
+                continue
+            # Shortest ways, which a breadth-first tree has from all its leaves at once.
+            for pin in inside:
+                way = nx.shortest_path_length(whole, inside[0], pin)
+                assert nx.shortest_path_length(kept, inside[0], pin) == way
+            # And nothing besides: a tree whose ends are pins.
+            tree = kept.edge_subgraph(kept.edges)
+            assert nx.is_tree(tree)
+            assert {cell for cell, degree in tree.degree if degree == 1} <= set(inside)
+
+
+@settings(deadline=None, max_examples=200)
+@given(solution=solved_problems())
+def test_pruned_is_never_worse_and_stays_as_it_is(solution: Solution) -> None:
+    pruned = solution.pruned()
+    before, after = (evaluate(solution.problem, each) for each in (solution, pruned))
+    assert (after.joined, after.disconnected) == (before.joined, before.disconnected)
+    assert after.overflow <= before.overflow
+    assert after.max_overflow <= before.max_overflow
+    assert after.wirelength <= before.wirelength
+    assert after.vias <= before.vias
+    assert pruned.pruned() == pruned
+    assert pruned.problem is solution.problem
+
+
+def test_pruned_by_hand() -> None:
+    """A dead end, a loop to the side of the way, a longer way round, and an island."""
+    pins = (Pin(0, 0, 1), Pin(3, 0, 1))
+    problem = Problem(
+        (4, 4, 1), (9,), (9,), (Net("A", 0, pins), Net("B", 1, pins)), (1,), (0,), (0,)
+    )
+
+    def east(x: int, y: int) -> int:
+        return AXES * problem.topology.number(x, y, 0)
+
+    def north(x: int, y: int) -> int:
+        return east(x, y) + 1
+
+    way = [east(x, 0) for x in range(3)]
+    stub = [north(2, 0), north(2, 1)]
+    loop = [north(0, 0), north(1, 0), east(0, 1)]
+    island = [east(2, 3)]
+    route = tuple(way + stub + loop + island)
+    open_route = (way[0], way[2], *stub)
+    pruned = solution_of(problem, route, open_route).pruned()
+    assert [edges.tolist() for edges in pruned.edges] == [way, []]
+    assert evaluate(problem, pruned).disconnected == ("B",)
+    tidy = solution_of(problem, tuple(way), tuple(way))
+    assert tidy.pruned() == tidy
+
+
+def test_pruned_takes_long_dead_ends_at_once() -> None:
+    net = Net("A", 0, (Pin(0, 0, 1), Pin(1, 0, 1)))
+    long = Problem((4096, 1, 1), (1,), (1,), (net,), (1,), (0,), (0,))
+    assert Solution(long, [AXES * np.arange(4095)]).pruned().edges[0].tolist() == [0]

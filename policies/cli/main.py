@@ -153,6 +153,11 @@ def convert(problem: Path, out: Path, format: Format) -> None:
     type=int,
     help="Seed of a router's random numbers.  [default: 0, or as in --config]",
 )
+@click.option(
+    "--prune",
+    is_flag=True,
+    help="Take away the edges that join nothing before the solution is judged and written.",
+)
 @click.option("--out", type=Path, help="File for the solution; without it, none is written.")
 @json_option
 def route(
@@ -162,6 +167,7 @@ def route(
     checkpoint: Path | None,
     config: Path | None,
     seed: int | None,
+    prune: bool,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -170,7 +176,8 @@ def route(
     KEY=VALUE changes an option of the router, such as net_order=file, or time_limit=60 (seconds)
     for optimal. A learner walks with the policy of --checkpoint, or is trained on the problem, as
     in the paper; its options are the keys of a training's configuration, such as
-    train.episodes=200.
+    train.episodes=200. Overflow and wirelength are those of the routes as they are; beside them
+    stand those without dead ends and loops (pruned), which --prune takes away.
     """
     learner = is_learner(router, "--router")
     if checkpoint and not learner:
@@ -191,10 +198,11 @@ def route(
             solver = make_router(router, options, where)
         started = time.perf_counter()
         solution, report = solve(solver, loaded)
+        solution = solution.pruned() if prune else solution
         seconds = time.perf_counter() - started
     if out is not None:
         solution.write(out)
-    _report(router, loaded, solution, seconds, as_json, report)
+    _report(router, solution, seconds, as_json, report)
 
 
 def _learned(
@@ -221,26 +229,15 @@ def _learned(
 
 def _report(
     router: str | None,
-    problem: Problem,
     solution: Solution,
     seconds: float,
     as_json: bool,
     report: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Prints the figures of a solution, and those that its router adds."""
-    figures = evaluate(problem, solution)
-    fields = {
-        "router": router,
-        "overflow": figures.overflow,
-        "max_overflow": figures.max_overflow,
-        "wirelength": figures.wirelength,
-        "vias": figures.vias,
-        "connected": figures.connected,
-        "joined": figures.joined,
-        "tasks": figures.tasks,
-        "seconds": round(seconds, 6),
-        **report,
-    }
+    from policies.results.rows import solution_row
+
+    fields = {"router": router, **solution_row(solution, seconds), **report}
     if as_json:
         click.echo(json.dumps(fields))
         return
@@ -248,9 +245,10 @@ def _report(
     for name, value in fields.items():
         if value is not None:
             click.echo(f"{name:>{width}}  {value}")
-    if figures.disconnected:
-        shown = " ".join(figures.disconnected[:10])
-        more = len(figures.disconnected) - 10
+    disconnected = evaluate(solution.problem, solution).disconnected
+    if disconnected:
+        shown = " ".join(disconnected[:10])
+        more = len(disconnected) - 10
         click.echo(f"{'open nets':>{width}}  {shown}{f' and {more} more' if more > 0 else ''}")
 
 
@@ -259,12 +257,16 @@ def _report(
 @click.argument("solution", type=Path)
 @json_option
 def evaluate_command(problem: Path, solution: Path, as_json: bool) -> None:
-    """Evaluate a solution file by the rules of the ISPD 2008 contest's evaluator."""
+    """Evaluate a solution file by the rules of the ISPD 2008 contest's evaluator.
+
+    Overflow and wirelength are those of the routes as they are; beside them stand those without
+    dead ends and loops, which join nothing (pruned).
+    """
     loaded = Problem.read(problem)
     routes = Solution.read(solution, loaded)
     started = time.perf_counter()
     evaluate(loaded, routes)
-    _report(None, loaded, routes, time.perf_counter() - started, as_json)
+    _report(None, routes, time.perf_counter() - started, as_json)
 
 
 @cli.command()
@@ -296,7 +298,7 @@ def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None
     if resume is not None and not (resume / CHECKPOINT).exists():
         click.echo(f"{resume}: no checkpoint yet, so the training starts again", err=True)
     click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
-    with training_bar(*run.episodes) as watch:
+    with training_bar(*run.episodes, run.best) as watch:
         rows = run.execute(watch)
     show(rows, str(run.folder))
 

@@ -1,7 +1,7 @@
 """Progress bars on standard error for work that takes minutes or hours."""
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -20,28 +20,44 @@ if TYPE_CHECKING:
 
 
 @contextlib.contextmanager
-def training_bar(done: int, total: int) -> "Iterator[Callable[[Sequence[Episode]], None]]":
-    """Shows the progress of a training: episodes, time, and the last episode's result.
+def training_bar(
+    done: int, total: int, best: "Sequence[Episode]" = ()
+) -> "Iterator[Callable[[Sequence[Episode]], None]]":
+    """Shows the progress of a training: episodes, time, the best result so far, the last reward.
 
     Args:
         done: episodes finished before.
         total: episodes in all.
+        best: the best episode so far of each problem.
 
     Yields:
         A function to call with the episodes that have finished since the last call.
     """
     with _bar("episodes") as (bar, task):
-        bar.update(task, description="burn-in", total=total, completed=done)
+        kept = {episode.problem: episode for episode in best}
+        begun = _best(kept) if kept else "burn-in"
+        bar.update(task, description=begun, total=total, completed=done)
 
         def watch(episodes: "Sequence[Episode]") -> None:
-            last = episodes[-1]
-            brief = (
-                f"{last.problem}: joined {last.joined}/{last.tasks}, "
-                f"WL {last.wirelength}, reward {last.reward:.0f}"
-            )
+            kept.update((episode.problem, episode) for episode in episodes if episode.best)
+            brief = f"{_best(kept)}; last reward {episodes[-1].reward:.0f}"
             bar.update(task, advance=len(episodes), description=brief)
 
         yield watch
+        if kept:
+            bar.update(task, description=_best(kept))
+
+
+def _best(kept: "Mapping[str, Episode]") -> str:
+    """The best episodes of all problems, in sum; of a single problem, with which episode it was."""
+    of = list(kept.values())
+    joined, tasks, overflow, wirelength = (
+        sum(getattr(episode, name) for episode in of)
+        for name in ("joined", "tasks", "overflow", "wirelength")
+    )
+    where = of[0].problem if len(of) == 1 else f"{len(of)} problems"
+    which = f" in episode {of[0].episode + 1}" if len(of) == 1 else ""
+    return f"best of {where}: joined {joined}/{tasks}, OF {overflow}, WL {wirelength}{which}"
 
 
 @contextlib.contextmanager

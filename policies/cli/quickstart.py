@@ -23,6 +23,7 @@ from policies.results.run_folder import METRICS, solution_file
 from policies.routers.astar import AStarRouter
 from policies.routers.base import Router
 from policies.routers.random import RandomRouter
+from policies.routers.registry import router_label
 
 PROBLEM = GeneratorOptions(nets=30, capacity=4, seed=29)
 """A small problem, tight enough for sequential A* to overflow an edge."""
@@ -64,7 +65,9 @@ def run(out: Path) -> None:
     for name, agents in games.items():
         result, solutions[name] = _train(problem, out, agents)
         rows.append({**result, "router": name})
-    figures.save(figures.comparison(solutions), out / "solutions.png")
+    titles = [name.replace(learner, router_label(learner)) for name in map(router_label, solutions)]
+    drawn = dict(zip(titles, solutions.values(), strict=True))
+    figures.save(figures.comparison(drawn), out / "solutions.png")
     run_figures(out / "single")
     reward_figures(out / "multi" / METRICS, out / "multi" / "figures")
     nets, grid = len(problem.nets), "x".join(map(str, problem.grid))

@@ -17,6 +17,7 @@ HEADINGS = (
     ("router", "router"),
     ("overflow", "overflow"),
     ("wirelength", "wirelength"),
+    ("pruned_wirelength", "pruned"),
     ("joined", "tasks joined"),
     ("seconds", "seconds"),
     ("from", "routes from"),
@@ -31,8 +32,9 @@ def show(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Prints rows of results.
 
     Less wirelength is no merit where nets stayed open, so the number of tasks joined stands beside
-    it. A learner's row says which episode or policy its routes come from. A column that all rows
-    lack is left out.
+    it; and beside the wirelength of the routes as they are the pruned one, without dead ends and
+    loops, where a row has any. A learner's row says which episode or policy its routes come from. A
+    column that all rows lack is left out.
     """
     shown = [
         {**row, "joined": f"{row['joined']}/{row['tasks']}", "seconds": f"{row['seconds']:.2f}"}
@@ -43,6 +45,8 @@ def show(rows: Sequence[Mapping[str, Any]], title: str) -> None:
         for key, heading in HEADINGS
         if any(key in row for row in shown)
     }
+    if columns.get("pruned") == columns["wirelength"]:
+        del columns["pruned"]
     names = ["problem", "router"] if "problem" in columns else ["router"]
     _print(title, columns, names)
 
@@ -64,10 +68,13 @@ def show_experiment(summary: Mapping[str, Any]) -> None:
             "problems\nwithout": [f"{row['zero_overflow']:.4g}" for row in rows],
             "open": [f"{row['open']:.6g}" for row in rows],
             "wirelength": [_estimate(row["wirelength"], 1) for row in rows],
+            "pruned": [_pruned(row) for row in rows],
             "gap\n%": [_gap(row) for row in rows],
             "less WL\n% of problems": [_share(row["lower_wirelength"]) for row in rows],
             "A*\nW/T/L": [_record(row["astar"]) for row in rows],
         }
+        if not any(columns["pruned"]):
+            del columns["pruned"]
         if reference:
             heading = textwrap.fill(reference, _NAME)
             columns[f"{heading}\nW/T/L"] = [_record(row["reference"]) for row in rows]
@@ -81,11 +88,13 @@ def show_experiment(summary: Mapping[str, Any]) -> None:
 _NOTES = (
     "overflow, open (two-pin tasks not joined): totals over the problems. problems without: those "
     "with neither. wirelength, gap: means over the problems ± half the 95 % interval (Student's "
-    "t). The gap is to the proven optimum, on the problems (their number in brackets) that have "
-    "the optimum's overflow and open tasks. less WL: share of problems with less wirelength than "
-    "A* [95 % interval, Wilson]. W/T/L: wins, ties and losses by open tasks, then overflow, then "
-    "wirelength. seconds: median time per problem. Everything is averaged over the seeds first. "
-    "Type II: A* uses up the capacity of an edge (the paper's partial edge depletion)."
+    "t). pruned: the mean wirelength without dead ends and loops, where routes have any; all other "
+    "columns count them. The gap is to the proven optimum, on the problems (their number in "
+    "brackets) that have the optimum's overflow and open tasks. less WL: share of problems with "
+    "less wirelength than A* [95 % interval, Wilson]. W/T/L: wins, ties and losses by open tasks, "
+    "then overflow, then wirelength. seconds: median time per problem. Everything is averaged over "
+    "the seeds first. Type II: A* uses up the capacity of an edge (the paper's partial edge "
+    "depletion)."
 )
 
 
@@ -173,6 +182,13 @@ def _estimate(estimate: Mapping[str, Any], digits: int) -> str:
     if estimate["high"] is None:
         return f"{estimate['mean']:.{digits}f}"
     return f"{estimate['mean']:.{digits}f} ± {estimate['high'] - estimate['mean']:.{digits}f}"
+
+
+def _pruned(row: Mapping[str, Any]) -> str:
+    """The mean wirelength without what joins nothing, if that is less."""
+    pruned = row["pruned_wirelength"]
+    less = pruned is not None and pruned["mean"] < row["wirelength"]["mean"]
+    return _estimate(pruned, 1) if less else ""
 
 
 def _gap(row: Mapping[str, Any]) -> str:

@@ -44,8 +44,10 @@ class ExperimentConfig:
         routers: the routers' options, by the name that tables give the router. The key ``router``
             says what routes: the name of a router, ``module:Class``, the name of a learner (see
             :class:`Training`) or ``published`` (see :class:`Published`). The key ``only`` lists the
-            sets that the entry is for, by default all. All other keys are options of the router,
-            and those left out are filled in. None in place of the options leaves a router out, as
+            sets that the entry is for, by default all; ``prune: true`` takes what joins nothing
+            (:meth:`marouting.Solution.pruned`) from its solutions before they are judged; ``label``
+            is what figures call it. All other keys are options of the router, and those left out
+            are filled in. None in place of the options leaves a router out, as
             ``routers.NAME=null`` does on the command line.
         studies: composed figures by name, besides the figures of every set. Columns of routers that
             are left out or not finished are left out.
@@ -221,6 +223,8 @@ class Entry:
         name: the name that tables give it.
         router: the name of a router or a learner, ``module:Class`` or ``published``.
         only: the sets that it is for; None stands for all.
+        prune: whether its solutions are pruned before they are judged.
+        label: what figures call it; None stands for its name.
         options: all other options as plain data, defaults included.
         trains: whether it is a learner that is trained on the problems.
         seeded: whether it is run for every seed.
@@ -229,6 +233,8 @@ class Entry:
     name: str
     router: str
     only: tuple[str, ...] | None
+    prune: bool
+    label: str | None
     options: Mapping[str, Any]
     trains: bool
     seeded: bool
@@ -236,7 +242,8 @@ class Entry:
     @property
     def plain(self) -> dict[str, Any]:
         """The entry as a configuration holds it."""
-        return {"router": self.router, "only": self.only, **self.options}
+        own = {"router": self.router, "only": self.only, "prune": self.prune, "label": self.label}
+        return {**own, **self.options}
 
     @staticmethod
     def of(name: str, raw: Mapping[str, Any]) -> "Entry":
@@ -248,6 +255,11 @@ class Entry:
             isinstance(only, list | tuple) and only and all(isinstance(name, str) for name in only)
         ):
             raise InputError(f"{where}: only: expected a list of sets, found {only!r}")
+        prune, label = options.pop("prune", False), options.pop("label", None)
+        check(f"{where}: prune", isinstance(prune, bool), "true or false")
+        named = label is None or (isinstance(label, str) and label.strip() and len(label) <= _LABEL)
+        check(f"{where}: label", named, f"a text of at most {_LABEL} characters")
+        check(f"{where}: prune", not (prune and router == PUBLISHED), "none: there are no routes")
         trains = seeded = False
         if router == PUBLISHED:
             options = asdict(build(Published, options, where))
@@ -264,7 +276,12 @@ class Entry:
             seeded = is_seeded(made)
             options = {key: value for key, value in plain(made).items() if key not in seed}
             del options["kind"]
-        return Entry(name, router, None if only is None else tuple(only), options, trains, seeded)
+        sets = None if only is None else tuple(only)
+        return Entry(name, router, sets, prune, label, options, trains, seeded)
+
+
+_LABEL = 80
+"""The longest label, in characters."""
 
 
 def load_experiment(

@@ -85,7 +85,7 @@ class Experiment:
     ) -> dict[str, dict[str, Any] | str]:
         """What must not change: the problems and options of sets and routers that are in both."""
         routers = {
-            name: {key: value for key, value in (options or {}).items() if key != "only"}
+            name: {k: value for k, value in (options or {}).items() if k not in ("only", "label")}
             for name, options in asked.routers.items()
             if name in self.config.routers and name in before.routers
         }

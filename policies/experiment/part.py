@@ -13,7 +13,7 @@ from policies.experiment.config import PARTS, PUBLISHED, Entry, Published
 from policies.learned.burn_in import read_solutions
 from policies.learned.config import Config, load_config
 from policies.results import experiment_folder, run_folder
-from policies.results.rows import COLUMNS, Row, solution_row
+from policies.results.rows import COLUMNS, Row, figures_of, solution_row
 from policies.routers.base import Router, solve
 from policies.routers.registry import is_learner, make_router
 
@@ -119,6 +119,7 @@ class Part:
         self._warm_up(router)
         started = time.perf_counter()
         solution, report = solve(router, problem)
+        solution = solution.pruned() if self.entry.prune else solution
         seconds = time.perf_counter() - started
         solution.write(self.solution(name))
         proven = report["status"] == "optimal" if "status" in report else None
@@ -156,7 +157,11 @@ class Part:
             name = row["problem"]
             problem = Problem.read(self.problem(name))
             file = run_folder.solution_file(self.run, name, self.entry.router)
-            Solution.read(file, problem).write(self.solution(name))
+            solution = Solution.read(file, problem)
+            if self.entry.prune:
+                solution = solution.pruned()
+                row |= figures_of(solution)
+            solution.write(self.solution(name))
         return rows
 
     def _training(self) -> Config:

@@ -1,6 +1,7 @@
 """Figures of trainings, experiments and measurements."""
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,15 @@ from matplotlib.ticker import MaxNLocator, SymmetricalLogLocator
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from policies.figures.style import INK, LINES, PALE, RED, literal
+from policies.figures.style import BLUE, INK, LINES, PALE, RED, fitted, literal
 from policies.results.scaling import curves, exponent
 
 # Training ---------------------------------------------------------------------------------------
 
 _TASK_REWARD = 100  # of reaching a target pin (paper, section on the reward)
+
+_NAMED = 12
+"""The most curves that are told apart by colour; more are drawn alike, with their mean."""
 
 
 def reward_curves(
@@ -35,10 +39,10 @@ def reward_curves(
         log: whether the reward's axis is logarithmic.
         smoothing: episodes in the running mean, which is drawn dark over the pale rewards; 1 for
             no mean.
-        title: the title.
+        title: the first line of the title.
 
     Returns:
-        One plot, with a legend if there are no more than ten curves.
+        One plot with a legend. More than twelve curves are drawn alike, with their mean.
 
     Raises:
         InputError: there is no curve, or ``smoothing`` is below 1.
@@ -50,11 +54,17 @@ def reward_curves(
     figure = Figure(figsize=(9, 5.5), layout="constrained")
     axes = figure.subplots()
     draw_rewards(axes, curves, log, smoothing)
-    mean_note = f"dark: mean of the last {smoothing} episodes" if smoothing > 1 else ""
-    axes.set_title(literal("\n".join(filter(None, (title, mean_note)))), fontsize=11)
-    if len(curves) <= 10:
-        axes.legend(frameon=False, loc="lower right", fontsize=9, ncols=-(-len(curves) // 5))
+    title = literal("\n".join(filter(None, (title or "Rewards of a training", note(smoothing)))))
+    axes.set_title(fitted(title, 8), fontsize=11)
+    shown = min(len(curves), _NAMED)
+    figure.legend(frameon=False, loc="outside lower center", fontsize=9, ncols=min(shown, 6))
     return figure
+
+
+def note(smoothing: int) -> str:
+    """What the lines of :func:`draw_rewards` mean."""
+    pale = "pale: every episode, " if smoothing > 1 else ""
+    return f"{pale}dark: mean of the last {smoothing} episodes" if smoothing > 1 else ""
 
 
 def draw_rewards(
@@ -64,8 +74,11 @@ def draw_rewards(
     smoothing: int,
 ) -> None:
     """Draws :func:`reward_curves` without title and legend."""
+    many = len(curves) > _NAMED
+    if many:
+        _draw_alike(axes, curves, smoothing)
     # Pale ones first, so that no curve's noise covers another's mean.
-    for index, (name, rewards) in enumerate(curves.items()):
+    for index, (name, rewards) in enumerate(() if many else curves.items()):
         values = np.asarray(rewards, np.float64)
         episode = np.arange(1, len(values) + 1)
         colour = LINES[index % len(LINES)]
@@ -98,6 +111,27 @@ def draw_rewards(
     axes.set_xlim(left=0)
 
 
+def _draw_alike(
+    axes: Axes, curves: Mapping[str, Sequence[float] | NDArray[np.floating]], smoothing: int
+) -> None:
+    """Draws the running means of many curves alike, and the mean of all up to the shortest."""
+    for index, rewards in enumerate(curves.values()):
+        mean = _running_mean(np.asarray(rewards, np.float64), smoothing)
+        label = None if index else f"each of {len(curves)}"
+        episode = np.arange(1, len(mean) + 1)
+        axes.plot(episode, mean, color=BLUE, linewidth=0.8, alpha=0.3, label=label, zorder=1)
+    common = min(map(len, curves.values()))
+    together = np.mean([np.asarray(rewards)[:common] for rewards in curves.values()], axis=0)
+    axes.plot(
+        np.arange(1, common + 1),
+        _running_mean(together, smoothing),
+        color=RED,
+        linewidth=2,
+        label=f"mean of all {len(curves)}",
+        zorder=2,
+    )
+
+
 def _running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:
     """The mean of the last ``window`` values at each place, or of fewer at the beginning."""
     total = np.concatenate(([0.0], np.cumsum(values)))
@@ -117,6 +151,7 @@ def by_problem(
     quantity: str,
     order_by: str,
     title: str = "",
+    open_values: Mapping[str, NDArray[np.floating]] = MappingProxyType({}),
 ) -> Figure:
     """A quantity of every problem, router by router (paper, comparisons of WL and of OF).
 
@@ -127,9 +162,12 @@ def by_problem(
         quantity: the name of the values, with the unit.
         order_by: the name of what the problems are sorted by.
         title: the title.
+        open_values: (problems,) values of a router where nets stayed open, NaN elsewhere. They are
+            drawn as hollow marks unless they are far from all others; the legend counts them.
 
     Returns:
-        One plot, with a line per router.
+        One plot, with marks for each router. No line joins the problems, whose ranks mean nothing;
+        a pale one joins the marks of a problem.
 
     Raises:
         InputError: there is no router.
@@ -138,9 +176,11 @@ def by_problem(
         raise InputError("by problem: expected the values of at least one router")
     figure = Figure(figsize=(9, 5.5), layout="constrained")
     axes = figure.subplots()
-    draw_by_problem(axes, values, order, quantity, order_by)
-    axes.set_title(literal(title), fontsize=12)
-    figure.legend(frameon=False, loc="outside lower center", ncols=min(len(values), 4))
+    draw_by_problem(axes, values, order, quantity, order_by, open_values=open_values)
+    axes.set_title(fitted(literal(title), 8, 12), fontsize=12)
+    _, labels = axes.get_legend_handles_labels()
+    ncols = max(1, min(len(values), 4, int(110 / (max(map(len, labels)) + 6))))
+    figure.legend(frameon=False, loc="outside lower center", ncols=ncols)
     return figure
 
 
@@ -151,22 +191,38 @@ def draw_by_problem(
     quantity: str,
     order_by: str,
     marks: float = 7.0,
+    open_values: Mapping[str, NDArray[np.floating]] = MappingProxyType({}),
 ) -> None:
     """Draws :func:`by_problem` without title and legend; ``marks`` is the marks' size in points."""
     rank = np.arange(1, len(order) + 1)
-    for index, (name, own) in enumerate(values.items()):
-        missing = int(np.isnan(own).sum())
-        axes.plot(
-            rank,
-            np.asarray(own, np.float64)[order],
-            color=LINES[index % len(LINES)],
-            linestyle=("-", "--", ":")[index // len(LINES) % 3],
-            linewidth=1.2,
-            marker=_MARKERS[index % len(_MARKERS)],
+    whole = {name: np.asarray(own, np.float64)[order] for name, own in values.items()}
+    nothing = np.full(len(order), np.nan)
+    hollow = {
+        name: np.asarray(open_values[name], np.float64)[order] if name in open_values else nothing
+        for name in values
+    }
+    most = _most(np.array(list(whole.values())))
+    shown = {name: np.where(own <= most, own, np.nan) for name, own in hollow.items()}
+    every = np.array([*whole.values(), *shown.values()])
+    some = ~np.isnan(every).all(axis=0)
+    ends = np.nanmin(every[:, some], axis=0), np.nanmax(every[:, some], axis=0)
+    axes.vlines(rank[some], *ends, color=PALE, linewidth=1.2, zorder=1)
+    for index, name in enumerate(values):
+        look = {
+            "color": LINES[index % len(LINES)],
+            "linestyle": "none",
+            "marker": _MARKERS[index % len(_MARKERS)],
             # Smaller from router to router, so that all of them show where they agree.
-            markersize=max(0.3 * marks, marks - 1.2 * index) * min(1.0, (60 / len(order)) ** 0.5),
-            label=literal(f"{name} (without {missing})" if missing else name),
-        )
+            "markersize": max(0.3 * marks, marks - 1.2 * index)
+            * min(1.0, (60 / len(order)) ** 0.5),
+        }
+        label = _label(name, whole[name], hollow[name], shown[name])
+        full = not np.isnan(whole[name]).all()
+        axes.plot(rank, whole[name], label=label if full else None, **look)
+        if not np.isnan(shown[name]).all() or not full:
+            large = max(1.3 * float(look["markersize"]), 4.5)
+            hollow_look = {**look, "markerfacecolor": "none", "markersize": large}
+            axes.plot(rank, shown[name], label=None if full else label, **hollow_look)
     axes.grid(color=PALE, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.set_xlabel(literal(f"problems, sorted by {order_by} [rank]"))
@@ -178,6 +234,42 @@ def draw_by_problem(
     if high - low < 1:  # all values alike, such as no overflow at all: show this one and the next
         value = round((low + high) / 2)
         axes.set_ylim(min(low, value - 0.5), max(high, value + 1.5))
+
+
+def _most(whole: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(problems,) the highest value to draw where nets stayed open: a quarter above all others'.
+
+    Random walks may take many times the wirelength, beside which all others would look alike.
+
+    Args:
+        whole: (routers, problems) values of routers that joined everything, or NaN.
+    """
+    if np.isnan(whole).all():
+        return np.full(whole.shape[1], np.inf)
+    highest = np.fmax.reduce(whole, axis=0)
+    highest = np.where(np.isnan(highest), np.nanmax(whole), highest)
+    return np.maximum(1.25 * highest, highest + 2)
+
+
+def _label(
+    name: str,
+    whole: NDArray[np.float64],
+    hollow: NDArray[np.float64],
+    shown: NDArray[np.float64],
+) -> str:
+    """A router's name, and what the plot does not show of it."""
+    opened, drawn = (int(np.count_nonzero(~np.isnan(own))) for own in (hollow, shown))
+    missing = len(whole) - opened - int(np.count_nonzero(~np.isnan(whole)))
+    notes = []
+    if opened:
+        of = "all" if opened == len(whole) else f"{opened}"
+        how = "hollow" if drawn else "off the scale"
+        if 0 < drawn < opened:
+            how += f", {opened - drawn} off the scale"
+        notes.append(f"nets open on {of}: {how}")
+    if missing:
+        notes.append(f"no result on {missing}")
+    return literal(f"{name} ({'; '.join(notes)})" if notes else name)
 
 
 def decrease_histogram(
@@ -198,22 +290,23 @@ def decrease_histogram(
     Raises:
         InputError: there is no router, or no value that is not NaN.
     """
-    known = {name: values[~np.isnan(values)] for name, values in decreases.items()}
-    bins = decrease_bins(list(known.values()))
-    figure = Figure(figsize=(9, 1.4 + 1.8 * len(known)), layout="constrained")
-    panels = figure.subplots(len(known), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    for axes, (name, values) in zip(panels, known.items(), strict=True):
+    bins = decrease_bins(list(decreases.values()))
+    figure = Figure(figsize=(9, 1.4 + 1.8 * len(decreases)), layout="constrained")
+    panels = figure.subplots(len(decreases), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for axes, (name, values) in zip(panels, decreases.items(), strict=True):
         draw_decreases(axes, values, bins)
-        axes.set_title(literal(f"{name}: {decrease_note(values)}"), fontsize=10)
+        note = literal(f"{name}: {decrease_note(values)}")
+        axes.set_title(fitted(note, 8, 10), fontsize=10)
     less = f"decrease in wirelength = {baseline}'s minus the router's [edges]"
     panels[-1].set_xlabel(literal(less))
-    figure.suptitle(literal(title), fontsize=12)
+    figure.suptitle(fitted(literal(title), 8.5, 12), fontsize=12)
     return figure
 
 
 def decrease_bins(decreases: Sequence[NDArray[np.floating]]) -> NDArray[np.floating]:
     """The limits of bars that cover all decreases; raises InputError if there are none."""
     together = np.concatenate([np.empty(0), *decreases])
+    together = together[~np.isnan(together)]
     if not together.size:
         raise InputError("decrease: expected the values of at least one problem")
     low, high = min(0, np.floor(together.min())), max(0, np.ceil(together.max()))
@@ -225,7 +318,7 @@ def decrease_bins(decreases: Sequence[NDArray[np.floating]]) -> NDArray[np.float
 def draw_decreases(axes: Axes, values: NDArray[np.floating], bins: NDArray[np.floating]) -> None:
     """Draws a panel of :func:`decrease_histogram` without its title."""
     # No outline: it would hide the bar of a single problem.
-    axes.hist(values, bins=bins.tolist(), color=RED)
+    axes.hist(values[~np.isnan(values)], bins=bins.tolist(), color=RED)
     axes.axvline(0, color=INK, linewidth=1, linestyle="--")
     axes.set_ylabel("problems [count]")
     axes.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True, min_n_ticks=1))
@@ -234,12 +327,15 @@ def draw_decreases(axes: Axes, values: NDArray[np.floating], bins: NDArray[np.fl
 
 
 def decrease_note(values: NDArray[np.floating]) -> str:
-    """A note that sums up some decreases."""
-    if not len(values):
-        return "no problem"
+    """A note that sums up some decreases; those that are NaN are of problems with open nets."""
+    known = values[~np.isnan(values)]
+    left_out = len(values) - len(known)
+    end = f"; {left_out} with open nets not shown" if left_out else ""
+    if not len(known):
+        return f"no problem{end}"
     return (
-        f"lower on {np.count_nonzero(values > 0)} of {len(values)} problems, "
-        f"equal on {np.count_nonzero(values == 0)}, mean decrease {values.mean():.3g}"
+        f"lower on {np.count_nonzero(known > 0)} of {len(known)} problems, "
+        f"equal on {np.count_nonzero(known == 0)}, mean decrease {known.mean():.3g}{end}"
     )
 
 

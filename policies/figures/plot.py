@@ -24,17 +24,22 @@ from policies.results.statistics import (
     by_set,
     mean_overflow,
     mean_wirelength,
+    open_wirelength,
 )
 from policies.results.study import FigureOptions, Study, StudyColumn
 from policies.routers.astar import AStarRouter
+from policies.routers.registry import router_label
 
 
 def reward_figures(metrics: Path, folder: Path) -> list[Path]:
     """Writes the reward curves of a ``metrics.jsonl``, plain and log; raises InputError."""
     curves = read_rewards(metrics)
+    longest = max(map(len, curves.values()))
+    count = f"{len(curves)} problems" if len(curves) > 1 else "1 problem"
+    title = f"Rewards of the training {metrics.absolute().parent.name}: {count}, {longest} episodes"
     written = []
     for name, log in (("reward.png", False), ("reward_log.png", True)):
-        figures.save(figures.reward_curves(curves, log=log), folder / name)
+        figures.save(figures.reward_curves(curves, log=log, title=title), folder / name)
         written.append(folder / name)
     return written
 
@@ -78,9 +83,12 @@ def problem_figures(
             stem = f"{base}_{len(stems)}"
         stems.add(stem)
         for kind, figure in draw.items():
-            write(figure(problem, solution, name), f"{stem}_{kind}")
+            write(figure(problem, solution, router_label(name)), f"{stem}_{kind}")
     if len(solutions) > 1:
-        write(figures.comparison(solutions), "comparison")
+        called = {router_label(name): solution for name, solution in solutions.items()}
+        if len(called) < len(solutions):  # a file's name may be what we call another
+            called = dict(solutions)
+        write(figures.comparison(called), "comparison")
     return written
 
 
@@ -137,6 +145,7 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
         written.append(folder / f"{name}.png")
 
     results = experiment_folder.read_results(experiment)
+    options = FigureOptions.read(experiment / experiment_folder.CONFIG)
     for name, rows in by_set(results).items():
         astar = baseline(rows)
         # A* first: this gives it the paper's colour.
@@ -145,35 +154,57 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
         sort_by = astar or next(iter(routers))
         order = np.argsort(lengths[sort_by], kind="stable")
         title = f"{name}: {len(order)} problems"
-        by = f"{sort_by}'s wirelength"
-        # A router that joins no problem completely has nothing to show.
-        shown = {router: values for router, values in lengths.items() if not np.isnan(values).all()}
-        if not shown:
-            continue
-        for quantity, unit, values in (
-            ("wirelength", "edges", shown),
-            ("overflow", "tracks", {router: mean_overflow(routers[router]) for router in shown}),
+        by = f"{options.label(sort_by)}'s wirelength"
+        for quantity, unit, (whole, opened) in (
+            ("wirelength", "edges", _wirelengths(routers, options)),
+            ("overflow", "tracks", _overflows(routers, options)),
         ):
-            figure = figures.by_problem(values, order, f"{quantity} [{unit}]", by, title)
+            figure = figures.by_problem(whole, order, f"{quantity} [{unit}]", by, title, opened)
             write(figure, f"{name}_{quantity}")
+        if astar is None:
+            continue
         decreases = {
-            router: decrease
-            for router, values in shown.items()
-            if astar is not None and router != astar
-            # One of them may join what the other leaves open.
-            if not np.isnan(decrease := lengths[astar] - values).all()
+            options.label(router): lengths[astar] - values
+            for router, values in lengths.items()
+            if router != astar
         }
-        if astar is not None and decreases:
-            write(figures.decrease_histogram(decreases, astar, title), f"{name}_decrease")
-    options = FigureOptions.read(experiment / experiment_folder.CONFIG)
+        # One of them may join what the other leaves open.
+        if not all(np.isnan(values).all() for values in decreases.values()):
+            figure = figures.decrease_histogram(decreases, options.label(astar), title)
+            write(figure, f"{name}_decrease")
     for name, study in options.studies.items():
         found = {
-            title: _column(experiment, results, study, column, options.reference)
+            title: _column(experiment, results, study, column, options)
             for title, column in study.columns.items()
         }
         if columns := {title: column for title, column in found.items() if column}:
             write(figures.study(columns, study.panels), name)
     return written
+
+
+_Values = dict[str, NDArray[np.float64]]
+"""(problems,) values by the router's label."""
+
+
+def _wirelengths(
+    routers: Mapping[str, Mapping[tuple[str, str], list[Row]]], options: FigureOptions
+) -> tuple[_Values, _Values]:
+    """Mean wirelength where all tasks were joined, and where some stayed open; NaN elsewhere."""
+    whole = {options.label(router): mean_wirelength(rows) for router, rows in routers.items()}
+    opened = {options.label(router): open_wirelength(rows) for router, rows in routers.items()}
+    return whole, opened
+
+
+def _overflows(
+    routers: Mapping[str, Mapping[tuple[str, str], list[Row]]], options: FigureOptions
+) -> tuple[_Values, _Values]:
+    """Mean overflow, likewise."""
+    whole, opened = _wirelengths(routers, options)
+    every = {options.label(router): mean_overflow(rows) for router, rows in routers.items()}
+    return (
+        {name: np.where(np.isnan(whole[name]), np.nan, every[name]) for name in every},
+        {name: np.where(np.isnan(opened[name]), np.nan, every[name]) for name in every},
+    )
 
 
 CURVES = 10
@@ -185,7 +216,7 @@ def _column(
     results: Sequence[Row],
     study: Study,
     column: StudyColumn,
-    reference: str | None,
+    options: FigureOptions,
 ) -> figures.ColumnData | None:
     """What a column of a composed figure shows; None if its router or A* is not finished.
 
@@ -200,13 +231,10 @@ def _column(
     if name is None or astar is None or column.router not in routers:
         return None
     own = routers[column.router]
-    # The paper's legend names the kind of router; its entry's name tells two of a kind apart.
     first = next(rows for rows in own.values() if rows)[0]
-    alike = {column.router, first["kind"]} & {astar, reference}
-    title = column.router if alike else first["kind"]
-    shown = {astar: routers[astar], title: own}
-    if reference in routers:
-        shown[reference] = routers[reference]
+    shown = {router: routers[router] for router in (astar, column.router)}
+    if options.reference in routers:
+        shown[options.reference] = routers[options.reference]
     chosen = column.problem or first["problem"]
     problem = Problem.read(experiment_folder.problem_file(experiment, name, chosen))
 
@@ -239,15 +267,19 @@ def _column(
                 curves = [curve for seed in seeds for curve in rewards(router, seed).values()]
                 # One of them may be of a training that is not finished.
                 common = min(map(len, curves))
-                means[router] = np.mean([curve[:common] for curve in curves], axis=0)
+                means[options.label(router)] = np.mean([c[:common] for c in curves], axis=0)
+    lengths, open_lengths = _wirelengths(shown, options)
+    overflow, open_overflow = _overflows(shown, options)
     return figures.ColumnData(
         problem,
         solution(astar),
         solution(column.router),
-        {router: mean_wirelength(rows) for router, rows in shown.items()},
-        {router: mean_overflow(rows) for router, rows in shown.items()},
+        lengths,
+        overflow,
         some,
         means,
+        open_lengths,
+        open_overflow,
     )
 
 

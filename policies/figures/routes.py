@@ -7,8 +7,8 @@ from typing import Any, Literal, NamedTuple
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import to_hex
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -26,8 +26,21 @@ from policies.figures.congestion import (
     draw_congestion,
     draw_congestion_3d,
 )
-from policies.figures.style import BAND, BLUE, INK, LINES, ORANGE, PALE, RED, VIA, literal
+from policies.figures.style import (
+    BAND,
+    BLUE,
+    INK,
+    LINES,
+    MAGENTA,
+    ORANGE,
+    PALE,
+    RED,
+    VIA,
+    fitted,
+    literal,
+)
 from policies.results.utilisation import (
+    UtilisationMaps,
     histogram_counts,
     overflowed_edges,
     routable_edges,
@@ -43,7 +56,9 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
 
     As in the paper, lighter colours mean higher utilisation. An edge lies between two Gcells, and
     so does its field: the field from y = 2 to y = 3 shows the edges from row 2 to row 3, summed
-    over the layers. Fields with an overflowed edge in any layer are outlined in red.
+    over the layers. Fields with an overflowed edge in any layer show their overflow instead, in
+    red: the more tracks, the darker, with the number where there is room. Where a few Gcells have
+    far more vias than all others, the scale of vias ends below them and says so.
 
     Args:
         problem: the problem, which gives the capacities.
@@ -51,7 +66,7 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
         title: text before wirelength and overflow in the title.
 
     Returns:
-        Three panels with colour bars: number of vias, and demand / capacity in %.
+        Three panels with colour bars: number of vias, demand / capacity in %, and overflow.
     """
     columns, rows, _ = problem.grid
     # Side by side; one above the other where the grid is wide. In inches.
@@ -59,9 +74,12 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
     across = 9 if stacked else float(np.clip(3.4 * columns / rows, 0.8, 3.4))
     height = across * rows / columns
     height = max(height, 1) if stacked else min(height, 9)
-    size = (across + 1.6, 3 * height + 4) if stacked else (3 * max(across + 1.2, 3), height + 1.5)
+    beside = 1.2 + SECOND_BAR * bool(map_scale([utilisation_maps(problem, solution)]).overflow)
+    size = (across + beside + 0.4, 3 * height + 4)
+    if not stacked:
+        size = (3 * max(across + beside, 3), height + 1.5)
     figure = Figure(figsize=size, layout="constrained")
-    figure.suptitle(_heading(problem, solution, title), fontsize=12)
+    figure.suptitle(fitted(_heading(problem, solution, title), size[0] - 0.5, 12), fontsize=12)
     panels = figure.subplots(3, 1) if stacked else figure.subplots(1, 3)
     for axes, (direction, of) in zip(panels, _DIRECTIONS.items(), strict=True):
         draw_map(axes, problem, solution, direction, across)
@@ -82,11 +100,64 @@ _DIRECTIONS: dict[Direction, str] = {
 }
 
 
+class MapScale(NamedTuple):
+    """The colours of heat maps that are to be compared.
+
+    Attributes:
+        vias: the number of vias at the end of the scale.
+        most_vias: the largest number in any map.
+        overflow: the largest overflow in any map, in tracks.
+    """
+
+    vias: int
+    most_vias: int
+    overflow: int
+
+
+def map_scale(maps: Sequence[UtilisationMaps]) -> MapScale:
+    """One scale for some maps, which a few outliers do not spoil.
+
+    Vias are scaled to their largest number, or to the 98th percentile of the fields with any if the
+    largest is more than twice as much and two.
+    """
+    counts = np.concatenate([own.via.ravel() for own in maps])
+    most = int(counts.max(initial=0))
+    usual = int(np.quantile(counts[counts > 0], 0.98, method="lower")) if most else 0
+    over = max(
+        int(direction.max(initial=0))
+        for own in maps
+        for direction in (own.vertical_overflow, own.horizontal_overflow)
+    )
+    return MapScale(usual if most > 2 * usual + 2 else most, most, over)
+
+
+SECOND_BAR = 0.75
+"""The width that the colour bar of the overflow takes beside the other one, in inches."""
+
+_OVERFLOW = LinearSegmentedColormap.from_list("overflow", ["#FF8060", RED, "#5A0A00"])
+"""Colours of overflow, the darker the more; none of them is on the scale of utilisation."""
+
+
 def draw_map(
-    axes: Axes, problem: Problem, solution: Solution, direction: Direction, across: float
+    axes: Axes,
+    problem: Problem,
+    solution: Solution,
+    direction: Direction,
+    across: float,
+    scale: MapScale | None = None,
 ) -> None:
-    """Draws one of the :func:`heat_maps`; ``across`` is about the width of the grid in inches."""
+    """Draws one of the :func:`heat_maps`.
+
+    Args:
+        axes: where.
+        problem: the problem.
+        solution: the routes.
+        direction: which of the maps.
+        across: about the width of the grid in inches.
+        scale: the scale of maps beside this one; None for its own.
+    """
     maps = utilisation_maps(problem, solution)
+    scale = scale or map_scale([maps])
     overflow = None
     if direction == "vias":
         values = maps.via.astype(np.float64)
@@ -110,32 +181,56 @@ def draw_map(
     # A field of one Gcell's size lies in the middle between the Gcells it joins.
     side = maps.side
     left, bottom = -0.5 * (direction != "horizontal"), -0.5 * (direction != "vertical")
-    image = axes.imshow(
-        # Demand without capacity is infinite, which matplotlib would take for missing.
-        np.minimum(values, 1e9).T,
-        origin="lower",
-        extent=(left, left + side * len(values), bottom, bottom + side * values.shape[1]),
-        cmap=matplotlib.colormaps["viridis"].with_extremes(over=RED, bad=_NO_CAPACITY),
-        vmin=0,
-        vmax=max(1, values.max()) if overflow is None else 100,
-    )
-    over = overflow is not None and bool(np.any(values > 100))
+    place: dict[str, Any] = {
+        "origin": "lower",
+        "extent": (left, left + side * len(values), bottom, bottom + side * values.shape[1]),
+    }
+    colours = matplotlib.colormaps["viridis"].with_extremes(over=MAGENTA, bad=_NO_CAPACITY)
+    top = max(1, scale.vias) if overflow is None else 100
+    # Demand without capacity is infinite, which matplotlib would take for missing.
+    image = axes.imshow(np.minimum(values, 1e9).T, cmap=colours, vmin=0, vmax=top, **place)
+    beyond = overflow is None and scale.most_vias > scale.vias
     # Inside the panel's own axes, so that it is as high as the map.
-    place = axes.inset_axes((1 + 0.1 / across, 0, 0.18 / across, 1))
-    bar = axes.figure.colorbar(image, cax=place, extend="max" if over else "neither")
+    inside = axes.inset_axes((1 + 0.1 / across, 0, 0.18 / across, 1))
+    bar = axes.figure.colorbar(image, cax=inside, extend="max" if beyond else "neither")
     if overflow is None:
-        bar.set_label("vias [count]")
+        bar.set_label(f"vias [count], at most {scale.most_vias}" if beyond else "vias [count]")
         bar.locator = MaxNLocator(nbins=8, integer=True)
         return
     bar.set_label("demand / capacity [%]")
     # The last fields may reach beyond the grid, which is all that is to be seen.
     axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
-    corners = np.argwhere(overflow)[:, None] + np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-    outlines = PolyCollection(
-        corners * side + (left, bottom), facecolor="none", edgecolor=RED, linewidth=2, zorder=3
-    )
-    axes.add_collection(outlines)
+    if overflow.any():
+        levels = min(scale.overflow, 256)
+        # From pale to dark; a single level is in between.
+        shades = _OVERFLOW(np.linspace(0, 1, levels) if levels > 1 else [0.5])
+        over = axes.imshow(
+            np.ma.masked_equal(overflow, 0).T,
+            cmap=ListedColormap(shades),
+            norm=Normalize(0.5, scale.overflow + 0.5),
+            **place,
+        )
+        inside = axes.inset_axes((1 + (0.1 + SECOND_BAR) / across, 0, 0.18 / across, 1))
+        bar = axes.figure.colorbar(over, cax=inside)
+        bar.set_label("overflow [tracks]")
+        bar.locator = MaxNLocator(nbins=8, integer=True, min_n_ticks=1)
+        field = 72 * across / columns * side
+        if field >= _ROOM:
+            for x, y in np.argwhere(overflow).tolist():
+                axes.text(
+                    left + (x + 0.5) * side,
+                    bottom + (y + 0.5) * side,
+                    str(overflow[x, y]),
+                    ha="center",
+                    va="center",
+                    color=INK if 2 * overflow[x, y] <= scale.overflow else "white",
+                    fontsize=min(8, 0.6 * field),
+                    clip_on=True,
+                )
 
+
+_ROOM = 10
+"""Points across a field from which on a number is drawn in it."""
 
 _NO_CAPACITY = "#BBBBBB"
 
@@ -145,8 +240,8 @@ def map_notes(problem: Problem, solution: Solution) -> list[Patch]:
     maps = utilisation_maps(problem, solution)
     notes = []
     if maps.vertical_overflow.any() or maps.horizontal_overflow.any():
-        label = "a layer's edge overflows (demand > capacity)"
-        notes.append(Patch(facecolor="none", edgecolor=RED, linewidth=2, label=label))
+        label = "overflow: each layer's demand above its capacity, summed"
+        notes.append(Patch(facecolor=RED, label=label))
     if np.isnan(maps.vertical).any() or np.isnan(maps.horizontal).any():
         notes.append(Patch(facecolor=_NO_CAPACITY, label="no capacity"))
     if maps.side > 1:
@@ -180,7 +275,7 @@ def utilisation_histogram(problem: Problem, solution: Solution, title: str = "")
         fontsize=9,
         transform=axes.get_xaxis_transform(),
     )
-    axes.set_title(_heading(problem, solution, title), fontsize=12)
+    axes.set_title(fitted(_heading(problem, solution, title), 8, 12), fontsize=12)
     axes.legend(frameon=False, loc="upper center")
     return figure
 
@@ -226,13 +321,15 @@ def edges_before_after(problem: Problem, solution: Solution, title: str = "") ->
         title: text before the type of the problem in the title.
 
     Returns:
-        One plot, edges in descending order of remaining capacity, with fully used ones marked.
+        One plot, each curve in descending order of remaining capacity, with fully used edges
+        marked. The same rank need not be the same edge; the area between the curves is the demand.
     """
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
     draw_edges(axes, problem, solution)
     kind = axes.get_title()
-    axes.set_title(literal(f"{title}: {kind}" if title else kind), fontsize=12)
+    title = literal(f"{title}: {kind}" if title else kind)
+    axes.set_title(fitted(title, 8, 12), fontsize=12)
     axes.legend(frameon=False, loc="upper left", ncols=3)
     return figure
 
@@ -241,17 +338,23 @@ def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
     """Draws :func:`edges_before_after`; the title names the type of the problem."""
     _, _, before, demand, count = routable_edges(problem, solution)
     after = before - demand
-    order = np.lexsort((-before, -after))
-    before, after, count = before[order], after[order], count[order]
-    borders = np.cumsum([0, *count]) - 0.5
     edges = int(count.sum())
-    full, over = int(np.count_nonzero(after <= 0)), int(np.count_nonzero(after < 0))
+    full, over = int(count[after <= 0].sum()), int(count[after < 0].sum())
     axes.axhline(0, color=INK, linewidth=0.8)
-    if edges:  # stairs need a step to fill
-        axes.stairs(before, borders, baseline=after, fill=True, color=BLUE, alpha=0.1)
-    for remaining, colour, style, label in (
-        (before, BLUE, "-", "before routing"),
-        (after, RED, "--", "after routing"),
+    curves = [_descending(remaining, count) for remaining in (before, after)]
+    if edges:
+        # Both curves step at the borders of either.
+        common = np.union1d(curves[0][1], curves[1][1])
+        upper, lower = (
+            values[np.searchsorted(borders, common[:-1], "right") - 1] for values, borders in curves
+        )
+        axes.stairs(upper, common, baseline=lower, fill=True, color=BLUE, alpha=0.1)
+    for (remaining, borders), colour, style, label in zip(
+        curves,
+        (BLUE, RED),
+        ("-", "--"),
+        ("before routing", "after routing"),
+        strict=True,
     ):
         axes.stairs(
             remaining,
@@ -265,7 +368,7 @@ def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
     if over:
         axes.plot(
             np.arange(edges - over, edges),
-            after[-over:],
+            np.repeat(curves[1][0], np.diff(curves[1][1]).astype(np.int64))[-over:],
             linestyle="none",
             marker="v",
             markersize=5,
@@ -287,7 +390,7 @@ def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
             arrowprops={"arrowstyle": "->", "color": RED, "linewidth": 1.5},
         )
     axes.set_xlim(-0.5, max(edges, 1) - 0.5)
-    axes.set_xlabel("edges, sorted by remaining capacity after routing [rank]")
+    axes.set_xlabel("edges, each curve sorted by remaining capacity [rank]")
     axes.set_ylabel("remaining capacity [tracks]")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -295,6 +398,16 @@ def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
     if stray := stray_edges(problem, solution):
         kind += f" (and {_edges(stray)} used without capacity)"
     axes.set_title(kind)
+
+
+def _descending(
+    values: NDArray[np.int64], count: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """(k,) values in descending order, each once, and (k + 1,) their borders among the ranks."""
+    levels, index = np.unique(-values, return_inverse=True)
+    numbers = np.zeros(len(levels), np.int64)
+    np.add.at(numbers, index, count)
+    return -levels, np.cumsum([0, *numbers]) - 0.5
 
 
 def _edges(count: int) -> str:
@@ -327,16 +440,23 @@ class _Drawing(NamedTuple):
     pitch: float
 
 
-def _tracks(problem: Problem, solution: Solution) -> NDArray[np.int64]:
+def _tracks(problem: Problem, solutions: Sequence[Solution]) -> NDArray[np.int64]:
     """(nets,) int64, a track for each net, such that no two nets share one in a column of Gcells.
+
+    It is the same in all of the solutions, so that pins lie at the same places in all drawings.
 
     Long nets choose first and each takes the first free track, so the result is deterministic and
     needs few tracks.
     """
     layers = problem.grid[2]
     columns = [
-        np.unique(np.concatenate((*problem.topology.ends(edges), pins)) // layers).tolist()
-        for edges, pins in zip(solution.edges, problem.pin_gcells, strict=True)
+        np.unique(
+            np.concatenate([*(end for own in edges for end in problem.topology.ends(own)), pins])
+            // layers
+        ).tolist()
+        for *edges, pins in zip(
+            *(solution.edges for solution in solutions), problem.pin_gcells, strict=True
+        )
     ]
     taken: defaultdict[int, int] = defaultdict(int)  # bit t: track t
     track = np.zeros(len(columns), np.int64)
@@ -361,18 +481,19 @@ def shifts(problem: Problem, solutions: Sequence[Solution]) -> tuple[NDArray[np.
     Returns:
         (nets,) float64, and the distance between two tracks.
     """
-    each = zip(*(solution.edges for solution in solutions), strict=True)
-    track = _tracks(problem, Solution(problem, [np.concatenate(own) for own in each]))
+    track = _tracks(problem, solutions)
     pitch = min(_TRACK, _SPREAD / (int(track.max()) + 1))
     # 0, +1, −1, +2, …: the first tracks in the middle.
     return pitch * np.where(track % 2, track // 2 + 1, -(track // 2)), pitch
 
 
-def _drawing(problem: Problem, solution: Solution) -> _Drawing:
+def _drawing(problem: Problem, solution: Solution, beside: Sequence[Solution] = ()) -> _Drawing:
     grid = problem.topology
     drawn = len(solution.uses[1])
     check_memory(DRAWN * drawn, "a drawing of {} edges", drawn)
-    shift, pitch = shifts(problem, [solution])
+    shift, pitch = shifts(
+        problem, [solution, *(other for other in beside if other is not solution)]
+    )
     net, edge = solution.uses
     near, far = grid.ends(edge)
     start, stop = _points(problem, near), _points(problem, far)
@@ -427,21 +548,38 @@ def solution_2d(problem: Problem, solution: Solution, title: str = "") -> Figure
     return figure
 
 
-def draw_routes(axes: Axes, problem: Problem, solution: Solution, title: str, gcell: float) -> None:
-    """Draws :func:`solution_2d`; ``gcell`` is about the width of a Gcell in inches."""
+def draw_routes(
+    axes: Axes,
+    problem: Problem,
+    solution: Solution,
+    title: str,
+    gcell: float,
+    beside: Sequence[Solution] = (),
+) -> None:
+    """Draws :func:`solution_2d`.
+
+    Args:
+        axes: where.
+        problem: the problem.
+        solution: the routes.
+        title: text before wirelength and overflow in the title.
+        gcell: about the width of a Gcell in inches.
+        beside: solutions that are drawn beside this one, with the pins at the same places.
+    """
     heading = _heading(problem, solution, title)
+    width = max(gcell * problem.grid[0], 3)
     if crowded(problem):
-        _prepare(axes, problem, f"{heading}\n{crowded_note(problem)}")
+        _prepare(axes, problem, fitted(f"{heading}\n{crowded_note(problem)}", width))
         draw_congestion(axes, problem, solution, gcell * problem.grid[0])
         return
-    _prepare(axes, problem, heading)
+    _prepare(axes, problem, fitted(heading, width))
     points = 72 * gcell
     if points >= 1:  # the lines of a finer grid would cover all
         for x in range(problem.grid[0] + 1):
             axes.axvline(x - 0.5, color=PALE, linewidth=0.5, zorder=0)
         for y in range(problem.grid[1] + 1):
             axes.axhline(y - 0.5, color=PALE, linewidth=0.5, zorder=0)
-    drawing = _drawing(problem, solution)
+    drawing = _drawing(problem, solution, beside)
     width = float(np.clip(0.65 * points * drawing.pitch, 0.6, 2))
     axes.add_collection(
         LineCollection(
@@ -480,11 +618,11 @@ def solution_3d(problem: Problem, solution: Solution, title: str = "") -> Figure
     axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
     heading = _heading(problem, solution, title)
     if crowded(problem):
-        axes.set_title(f"{heading}\n{crowded_note(problem)}", fontsize=12)
+        axes.set_title(fitted(f"{heading}\n{crowded_note(problem)}", 8, 12), fontsize=12)
         draw_congestion_3d(axes, problem, solution)
         _frame(axes, problem)
         return figure
-    axes.set_title(heading, fontsize=12)
+    axes.set_title(fitted(heading, 8, 12), fontsize=12)
     drawing = _drawing(problem, solution)
     width = float(np.clip(300 / max(columns, rows) * drawing.pitch, 0.5, 1.8))
 
@@ -537,6 +675,8 @@ def comparison(solutions: Mapping[str, Solution]) -> Figure:
     if not solutions:
         raise InputError("comparison: expected at least one solution")
     problem = next(iter(solutions.values())).problem
+    for solution in solutions.values():
+        _ = evaluate(problem, solution)  # refuses one of another problem
     across = min(len(solutions), 3)
     down = -(-len(solutions) // across)
     columns, rows, _ = problem.grid
@@ -548,7 +688,8 @@ def comparison(solutions: Mapping[str, Solution]) -> Figure:
     )
     panels = figure.subplots(down, across, squeeze=False).ravel()
     for axes, (name, solution) in zip(panels, solutions.items(), strict=False):
-        draw_routes(axes, problem, solution, name, 0.8 * side / max(columns, rows))
+        gcell = 0.8 * side / max(columns, rows)
+        draw_routes(axes, problem, solution, name, gcell, list(solutions.values()))
     for axes in panels[len(solutions) :]:
         axes.set_axis_off()
     _legend(figure, problem, list(solutions.values()), 3 if across == 1 else 6)
@@ -556,9 +697,17 @@ def comparison(solutions: Mapping[str, Solution]) -> Figure:
 
 
 def _heading(problem: Problem, solution: Solution, title: str) -> str:
-    """Title, wirelength and overflow, and the number of nets not joined if there are any."""
+    """Title, wirelength and overflow, and the number of nets not joined if there are any.
+
+    Where routes have dead ends or loops, the wirelength without them follows in brackets.
+    """
     figures = evaluate(problem, solution)
-    line = f"WL {figures.wirelength}, OF {figures.overflow}"
+    line = f"WL {figures.wirelength}"
+    blank = "\N{NO-BREAK SPACE}"
+    less = len(solution.pruned().uses[1])
+    if less < figures.wirelength:
+        line += f"{blank}({less}{blank}pruned)"
+    line += f", OF {figures.overflow}"
     if figures.disconnected:
         line += f", {len(figures.disconnected)} of {len(problem.nets)} nets not joined"
     return literal(f"{title}: {line}" if title else line)

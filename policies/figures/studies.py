@@ -5,12 +5,14 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from string import ascii_lowercase
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
@@ -25,6 +27,7 @@ from policies.figures.charts import (
     draw_rewards,
 )
 from policies.figures.routes import (
+    SECOND_BAR,
     SHIFTED,
     Direction,
     draw_edges,
@@ -32,9 +35,12 @@ from policies.figures.routes import (
     draw_map,
     draw_routes,
     map_notes,
+    map_scale,
     route_notes,
 )
+from policies.figures.style import INK, fitted
 from policies.results.study import Panel
+from policies.results.utilisation import utilisation_maps
 
 
 class ColumnData(NamedTuple):
@@ -46,9 +52,11 @@ class ColumnData(NamedTuple):
         solution: the router's solution of this problem.
         wirelength: (problems,) float64 by router, A* first and the column's router second (unless
             it is A* itself); NaN where tasks stayed open.
-        overflow: (problems,) float64, by the same routers.
+        overflow: (problems,) float64, by the same routers; NaN where tasks stayed open.
         rewards: the reward of each episode, by problem.
         mean_rewards: each episode's reward, averaged over problems and seeds, by router.
+        open_wirelength: (problems,) float64, by router: where tasks stayed open, NaN elsewhere.
+        open_overflow: (problems,) float64, likewise.
     """
 
     problem: Problem
@@ -58,6 +66,8 @@ class ColumnData(NamedTuple):
     overflow: Mapping[str, NDArray[np.floating]]
     rewards: Mapping[str, Sequence[float]]
     mean_rewards: Mapping[str, NDArray[np.floating]]
+    open_wirelength: Mapping[str, NDArray[np.floating]] = MappingProxyType({})
+    open_overflow: Mapping[str, NDArray[np.floating]] = MappingProxyType({})
 
 
 def study(columns: Mapping[str, ColumnData], panels: Sequence[Panel]) -> Figure:
@@ -68,8 +78,10 @@ def study(columns: Mapping[str, ColumnData], panels: Sequence[Panel]) -> Figure:
         panels: the quantity that each row shows.
 
     Returns:
-        A panel for each column and quantity, lettered row by row. Decreases have the same axes in
-        all columns, and rewards the same range. Problems are sorted by A*'s wirelength.
+        A panel for each column and quantity, lettered row by row. What is to be compared along a
+        row has the same limits, colours and places of pins: maps, decreases and rewards always;
+        wirelength, overflow, edges and routes where columns show the same problems. Problems are
+        sorted by A*'s wirelength.
 
     Raises:
         InputError: there is no column or no panel.
@@ -90,11 +102,14 @@ def study(columns: Mapping[str, ColumnData], panels: Sequence[Panel]) -> Figure:
     titles = list(columns)  # above the first row
     for index, axes in enumerate(grid.ravel()):
         title = titles[index] if index < len(titles) else ""
-        note = axes.get_title()
+        note = axes.get_title().replace("\n", " ")  # it may have been fitted to another width
         axes.set_title("")
         axes.set_title(f"({ascii_lowercase[index % 26]})", fontsize=10, loc="left")
         # A configuration's titles may contain dollar signs that do not mean formulas.
-        axes.set_title("\n".join(filter(None, (title, note))), fontsize=10, parse_math=False)
+        both = "\n".join(filter(None, (title, note)))
+        # The letter stands to the left of it.
+        both = fitted(both, 0.8 * max(widths) - 0.5, 10)
+        axes.set_title(both, fontsize=10, parse_math=False)
         axes.xaxis.label.set_fontsize(9)
         axes.yaxis.label.set_fontsize(9)
     handles = [note for kind in kinds for column in of for note in kind.notes(column)]
@@ -118,14 +133,15 @@ _Draw = Callable[[Sequence[Axes], Sequence[ColumnData]], None]
 def _edges_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     for axes, column in zip(row, columns, strict=True):
         draw_edges(axes, column.problem, column.astar)
-        axes.set_xlabel("edges, by remaining capacity [rank]")
+        axes.set_xlabel("edges, each curve by capacity [rank]")
         axes.legend(frameon=False, fontsize=8, loc="upper center", ncols=2)
 
 
 def _map_row(direction: Direction) -> _Draw:
     def draw(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
+        scale = map_scale([utilisation_maps(of.problem, of.solution) for of in columns])
         for axes, column in zip(row, columns, strict=True):
-            draw_map(axes, column.problem, column.solution, direction, across=2.4)
+            draw_map(axes, column.problem, column.solution, direction, 2.4, scale)
 
     return draw
 
@@ -133,7 +149,7 @@ def _map_row(direction: Direction) -> _Draw:
 def _histogram_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     for axes, column in zip(row, columns, strict=True):
         note = draw_histogram(axes, column.problem, column.solution)
-        axes.set_title(note.replace("\n", " ").replace(" (", "\n("))
+        axes.set_title(note)
         axes.tick_params(axis="x", labelsize=7, labelrotation=60)
         for count in axes.texts:
             count.set(rotation="vertical", fontsize=7)
@@ -144,47 +160,61 @@ def _histogram_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
 def _routes_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     for axes, column in zip(row, columns, strict=True):
         gcell = 3.5 / max(column.problem.grid[:2])
-        draw_routes(axes, column.problem, column.solution, "", gcell)
+        beside = [other.solution for other in columns if other.problem == column.problem]
+        draw_routes(axes, column.problem, column.solution, "", gcell, beside)
 
 
 def _wirelength_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
-    _by_problem_row(row, columns, "wirelength [edges]", lambda column: column.wirelength)
+    values = [(column.wirelength, column.open_wirelength) for column in columns]
+    _by_problem_row(row, columns, "wirelength [edges]", values)
 
 
 def _overflow_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
-    _by_problem_row(row, columns, "overflow [tracks]", lambda column: column.overflow)
+    values = [(column.overflow, column.open_overflow) for column in columns]
+    _by_problem_row(row, columns, "overflow [tracks]", values)
+
+
+_Values = Mapping[str, NDArray[np.floating]]
 
 
 def _by_problem_row(
     row: Sequence[Axes],
     columns: Sequence[ColumnData],
     quantity: str,
-    values: Callable[[ColumnData], Mapping[str, NDArray[np.floating]]],
+    values: Sequence[tuple[_Values, _Values]],
 ) -> None:
-    for axes, column in zip(row, columns, strict=True):
-        astar = next(iter(column.wirelength))
-        order = np.argsort(column.wirelength[astar], kind="stable")
-        draw_by_problem(axes, values(column), order, quantity, f"{astar}'s wirelength", marks=5.0)
+    """Draws values and those with open nets of each column."""
+    same: dict[bytes, list[Axes]] = {}
+    for axes, column, (whole, opened) in zip(row, columns, values, strict=True):
+        astar, lengths = next(iter(column.wirelength.items()))
+        order = np.argsort(lengths, kind="stable")
+        by = f"{astar}'s wirelength"
+        draw_by_problem(axes, whole, order, quantity, by, 5.0, opened)
         axes.legend(frameon=False, fontsize=8)
+        same.setdefault(lengths.tobytes(), []).append(axes)
+    for panels in same.values():
+        low, high = zip(*(axes.get_ylim() for axes in panels), strict=True)
+        for axes in panels:
+            axes.set_ylim(min(low), max(high))
 
 
 def _decrease_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     decreases = []
     for column in columns:
         astar, *own = list(column.wirelength.values())[:2]
-        decrease = astar - (own[0] if own else astar)
-        decreases.append(decrease[~np.isnan(decrease)])
-    if not any(values.size for values in decreases):
-        for axes in row:
-            axes.set_title(decrease_note(decreases[0]))
+        decreases.append(astar - (own[0] if own else astar))
+    if all(np.isnan(values).all() for values in decreases):
+        for axes, values in zip(row, decreases, strict=True):
+            axes.set_title(decrease_note(values))
+            axes.set_axis_off()
         return
     bins = decrease_bins(decreases)
-    highest = max(np.histogram(values, bins)[0].max() for values in decreases)
+    highest = max(np.histogram(values[~np.isnan(values)], bins)[0].max() for values in decreases)
     for axes, values in zip(row, decreases, strict=True):
         draw_decreases(axes, values, bins)
         axes.set_ylim(0, 1.05 * highest)
         axes.set_xlabel("decrease in wirelength [edges]")
-        axes.set_title(decrease_note(values).replace(", mean", ",\nmean"))
+        axes.set_title(decrease_note(values))
 
 
 def _reward_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
@@ -196,7 +226,7 @@ def _reward_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
         high = 1.1 * positive.max()
         low = min(np.quantile(positive, 0.02), high / 10)
     for axes, column in zip(row, columns, strict=True):
-        draw_rewards(axes, column.rewards, log=False, smoothing=50)
+        draw_rewards(axes, column.rewards, log=False, smoothing=_SMOOTHING)
         axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
         axes.set_ylim(low, high)
         if positive.size:
@@ -206,12 +236,13 @@ def _reward_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
             axes.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
             axes.tick_params(axis="y", which="minor", labelsize=8)
             axes.set_ylabel("reward of an episode, logarithmic")
-        axes.set_title(f"{len(column.rewards)} random problems")
+        count = len(column.rewards)
+        axes.set_title(f"{count} random problems, a colour each" if count > 1 else "")
 
 
 def _mean_reward_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
     for axes, column in zip(row, columns, strict=True):
-        draw_rewards(axes, column.mean_rewards, log=False, smoothing=50)
+        draw_rewards(axes, column.mean_rewards, log=False, smoothing=_SMOOTHING)
         axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
         axes.set_ylabel("mean reward of an episode")
         axes.legend(frameon=False, fontsize=8, loc="lower right")
@@ -224,8 +255,9 @@ def _plain_size(columns: Sequence[ColumnData]) -> tuple[float, float]:
     return (3.6 if len(columns) < 4 else 3.0), 2.9
 
 
-def _map_size(_columns: Sequence[ColumnData]) -> tuple[float, float]:
-    return 4.2, 3.3
+def _map_size(columns: Sequence[ColumnData]) -> tuple[float, float]:
+    over = map_scale([utilisation_maps(of.problem, of.solution) for of in columns]).overflow
+    return 4.2 + SECOND_BAR * bool(over), 3.3
 
 
 def _routes_size(columns: Sequence[ColumnData]) -> tuple[float, float]:
@@ -244,6 +276,16 @@ def _map_notes(column: ColumnData) -> Sequence[Artist]:
 
 def _route_notes(column: ColumnData) -> Sequence[Artist]:
     return route_notes(column.problem, [column.solution])
+
+
+def _reward_notes(_column: ColumnData) -> Sequence[Artist]:
+    return (
+        Line2D([], [], color=INK, linewidth=0.6, alpha=0.4, label="every episode"),
+        Line2D([], [], color=INK, linewidth=1.6, label=f"mean of the last {_SMOOTHING} episodes"),
+    )
+
+
+_SMOOTHING = 50
 
 
 class _Kind(NamedTuple):
@@ -270,6 +312,6 @@ _KINDS: dict[Panel, _Kind] = {
     "wirelength": _Kind(_wirelength_row),
     "overflow": _Kind(_overflow_row),
     "decrease": _Kind(_decrease_row),
-    "reward": _Kind(_reward_row),
-    "mean_reward": _Kind(_mean_reward_row),
+    "reward": _Kind(_reward_row, notes=_reward_notes),
+    "mean_reward": _Kind(_mean_reward_row, notes=_reward_notes),
 }

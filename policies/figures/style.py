@@ -1,6 +1,7 @@
 """Colours, and writing figures to files."""
 
 import os
+import textwrap
 import warnings
 from pathlib import Path
 
@@ -28,6 +29,19 @@ def literal(text: str) -> str:
     """
     text = text.replace("$", r"\$").encode(errors="backslashreplace").decode()
     return f"\N{ZERO WIDTH SPACE}{text}" if text.startswith("_") else text
+
+
+def fitted(text: str, inches: float, points: float = 11) -> str:
+    """A text with lines that fit into a width: a panel's title must not run into the next panel.
+
+    Args:
+        text: the text, which may have lines already.
+        inches: the width.
+        points: the size of the letters, which are taken to be 0.58 as wide on average.
+    """
+    width = max(int(72 * inches / (0.58 * points)), 12)
+    lines = [textwrap.wrap(line, width, break_on_hyphens=False) for line in text.split("\n")]
+    return "\n".join(line for parts in lines for line in parts)
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:

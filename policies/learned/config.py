@@ -38,6 +38,8 @@ class TrainOptions:
         threads: threads that share the networks of a training.
         checkpoint_seconds: seconds between checkpoints.
         tensorboard: whether to write TensorBoard's event files beside ``metrics.jsonl``.
+        reference: the ``results.json`` of an experiment whose proven optima TensorBoard measures
+            gaps to, by the problems' names; None for no gaps.
         figures: whether to draw the figures at the end.
     """
 
@@ -51,6 +53,7 @@ class TrainOptions:
     threads: int = 1
     checkpoint_seconds: float = 60.0
     tensorboard: bool = True
+    reference: str | None = None
     figures: bool = True
 
     def __post_init__(self) -> None:

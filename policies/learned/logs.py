@@ -1,11 +1,28 @@
-"""What a training logs: a line of JSON for every episode, and the same for TensorBoard."""
+"""What a training logs: a line of JSON for every episode and evaluation, and for TensorBoard.
+
+TensorBoard shows, for each problem and as means over all problems:
+
+==========================  ======================================================================
+``reward`` … ``loss``       the episodes, as ``metrics.jsonl`` has them
+``best_open``, …            open tasks, overflow and wirelength of the best episode so far
+``greedy_open``, …          those of the evaluations, which are played without exploration
+``best_gap``, …             wirelength above the reference in %, where that is known
+``speed``                   moves trained per second, over the moves of all problems
+==========================  ======================================================================
+
+A mean is over all problems, at the same episode; that of the gaps is over the problems that have
+the reference's overflow and no open task. The speed is that of this process: a resumed training
+shows it from there on.
+"""
 
 import functools
 import json
 import os
 import shutil
 import threading
-from collections.abc import Sequence
+import time
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
@@ -13,76 +30,80 @@ from typing import Self
 
 from marouting import InputError
 from marouting.files import naming
-from policies.results.run_folder import METRICS, Episode, read_episodes
+from policies.results.run_folder import (
+    EVALUATIONS,
+    METRICS,
+    Episode,
+    Walk,
+    read_episodes,
+    read_walks,
+)
+from policies.results.statistics import gap
 
 CURVES = ("reward", "joined", "overflow", "wirelength", "steps", "epsilon", "loss")
 """The fields of an episode that TensorBoard shows."""
 
+SPEED = "speed/steps_per_second"
+"""TensorBoard's name of the speed."""
+
+_SECONDS = 2.0
+"""How long a speed is measured, at least."""
+
 
 class Logs:
-    """Appends episodes to the logs of a run folder.
+    """Appends episodes and evaluations to the logs of a run folder.
 
     Args:
         folder: the run folder.
-        logged: bytes of ``metrics.jsonl`` that stay; what a killed run wrote after its last
-            checkpoint is cut off, since the resumed run writes it again.
+        logged: bytes of ``metrics.jsonl`` and of ``evaluations.jsonl`` that stay; what a killed run
+            wrote after its last checkpoint is cut off, since the resumed run writes it again.
         tensorboard: whether to write event files too.
+        problems: the names of all problems.
+        reference: overflow and wirelength of the best known solutions, by the problem's name.
 
     Raises:
         InputError: the folder cannot be written to.
     """
 
-    def __init__(self, folder: Path, logged: int, tensorboard: bool) -> None:
-        path = folder / METRICS
-        self._lines_named, self._events_named = (
-            functools.partial(naming, named, "cannot be written")
-            for named in (path, folder / "tensorboard")
-        )
-        with self._lines_named():
-            folder.mkdir(parents=True, exist_ok=True)
-            self._lines = path.open("a+", encoding="utf-8", newline="\n")
-            if self._lines.tell() < logged:
-                raise InputError(f"{path}: expected at least {logged} bytes, as when it was saved")
-            self._lines.truncate(logged)
-        self._events = None
+    def __init__(
+        self,
+        folder: Path,
+        logged: tuple[int, int],
+        tensorboard: bool,
+        problems: Sequence[str],
+        reference: Mapping[str, tuple[int, int]],
+    ) -> None:
+        self._episodes = _Lines(folder / METRICS, logged[0])
+        self._walks = _Lines(folder / EVALUATIONS, logged[1])
+        self._events: Events | None = None
         if tensorboard:
-            from torch.utils.tensorboard import SummaryWriter
-
             # The lines hold all that was logged: a resumed run's events are made anew from them,
             # without those that a killed run wrote after its last checkpoint.
             shutil.rmtree(folder / "tensorboard", ignore_errors=True)
-            with self._events_named():
-                self._events = SummaryWriter(str(folder / "tensorboard"))
-            for episode in read_episodes(path):
-                self._show(episode)
+            self._events = Events(folder / "tensorboard", problems, reference)
+            for episode in read_episodes(folder / METRICS):
+                self._events.show(episode)
+            for walk in read_walks(folder / EVALUATIONS):
+                self._events.show(walk)
+            self._events.start_clock()
 
-    def write(self, episodes: Sequence[Episode]) -> None:
-        """Logs finished episodes."""
-        with self._lines_named():
-            self._lines.writelines(json.dumps(asdict(episode)) + "\n" for episode in episodes)
-        for episode in episodes:
-            self._show(episode)
-
-    def _show(self, episode: Episode) -> None:
-        """Hands an episode to TensorBoard, if it is wanted."""
-        if self._events is None:
-            return
-        with self._events_named():
-            for curve in CURVES:
-                value = getattr(episode, curve)
-                if value is not None:
-                    self._events.add_scalar(f"{curve}/{episode.problem}", value, episode.episode)
-
-    def flush(self) -> int:
-        """Puts everything on disk; returns the bytes of ``metrics.jsonl``."""
-        with self._lines_named():
-            self._lines.flush()
-            os.fsync(self._lines.fileno())
-            size = self._lines.seek(0, os.SEEK_END)
+    def write(self, episodes: Sequence[Episode], walks: Sequence[Walk] = ()) -> None:
+        """Logs finished episodes, and evaluations."""
+        self._episodes.write(episodes)
+        self._walks.write(walks)
         if self._events is not None:
-            with self._events_named():
-                self._events.flush()
-        return size
+            lines: list[Episode | Walk] = [*episodes, *walks]
+            for line in lines:
+                self._events.show(line)
+            self._events.show_speed(_SECONDS)
+
+    def flush(self) -> tuple[int, int]:
+        """Puts everything on disk; returns the bytes of both files."""
+        sizes = self._episodes.flush(), self._walks.flush()
+        if self._events is not None:
+            self._events.show_speed(0)
+            self._events.flush()
+        return sizes
 
     def __enter__(self) -> Self:
         """The logs themselves."""
@@ -101,8 +122,143 @@ class Logs:
     ) -> None:
         """Closes the files."""
         threading.excepthook = self._hook
-        with self._lines_named():
-            self._lines.close()
+        self._episodes.close()
+        self._walks.close()
         if self._events is not None:
-            with self._events_named():
-                self._events.close()
+            self._events.close()
+
+
+class _Lines:
+    """A file of lines of JSON that grows; the arguments are those of :class:`Logs`."""
+
+    def __init__(self, path: Path, logged: int) -> None:
+        self._named = functools.partial(naming, path, "cannot be written")
+        with self._named():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("a+", encoding="utf-8", newline="\n")
+            if self._file.tell() < logged:
+                raise InputError(f"{path}: expected at least {logged} bytes, as when it was saved")
+            self._file.truncate(logged)
+
+    def write(self, lines: Sequence[Episode | Walk]) -> None:
+        with self._named():
+            self._file.writelines(json.dumps(asdict(line)) + "\n" for line in lines)
+
+    def flush(self) -> int:
+        """Puts everything on disk; returns the bytes."""
+        with self._named():
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            return self._file.seek(0, os.SEEK_END)
+
+    def close(self) -> None:
+        with self._named():
+            self._file.close()
+
+
+class Events:
+    """Writes TensorBoard's event files.
+
+    Args:
+        folder: the folder for them.
+        problems: the names of all problems.
+        reference: overflow and wirelength of the best known solutions, by the problem's name.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+
+    def __init__(
+        self, folder: Path, problems: Sequence[str], reference: Mapping[str, tuple[int, int]]
+    ) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self._named = functools.partial(naming, folder, "cannot be written")
+        with self._named():
+            self._writer = SummaryWriter(str(folder))
+        self._problems, self._reference = problems, reference
+        self._best: dict[str, Episode] = {}
+        # What waits for the other problems: by episode, and the latest evaluation of each problem.
+        self._waiting: dict[int, list[dict[str, float]]] = defaultdict(list)
+        self._walked: dict[str, tuple[int, dict[str, float]]] = {}
+        self._moves = 0
+        self.start_clock()
+
+    def start_clock(self) -> None:
+        """Measures speed from now on."""
+        self._since = self._moves, time.monotonic()
+
+    def show_speed(self, least: float) -> None:
+        """Adds the speed, if it has been measured for so many seconds; raises InputError."""
+        moves, started = self._since
+        seconds = time.monotonic() - started
+        if self._moves > moves and seconds > least:
+            with self._named():
+                speed = (self._moves - moves) / seconds
+                self._writer.add_scalar(SPEED, speed, self._moves)
+            self.start_clock()
+
+    def show(self, line: Episode | Walk) -> None:
+        """Adds an episode or an evaluation; raises InputError."""
+        with self._named():
+            if isinstance(line, Episode):
+                self._show_episode(line)
+            else:
+                self._show_walk(line)
+
+    def _show_episode(self, episode: Episode) -> None:
+        name = episode.problem
+        self._moves += episode.steps
+        if episode.best:
+            self._best[name] = episode
+        fields = {curve: getattr(episode, curve) for curve in CURVES}
+        values = {curve: value for curve, value in fields.items() if value is not None}
+        values |= self._figures("best", self._best.get(name, episode))
+        self._add(values, name, episode.episode)
+        waiting = self._waiting[episode.episode]
+        waiting.append(values)
+        if len(waiting) == len(self._problems):
+            self._add_means(self._waiting.pop(episode.episode), episode.episode)
+
+    def _show_walk(self, walk: Walk) -> None:
+        values = self._figures("greedy", walk)
+        self._add(values, walk.problem, walk.episodes)
+        self._walked[walk.problem] = walk.episodes, values
+        if len(self._walked) == len(self._problems):
+            episodes, figures = zip(*self._walked.values(), strict=True)
+            self._add_means(figures, min(episodes))
+            self._walked.clear()
+
+    def _figures(self, prefix: str, of: Episode | Walk) -> dict[str, float]:
+        """Open tasks, overflow, wirelength, and the gap where it is known."""
+        found = (of.tasks - of.joined, of.overflow, of.wirelength)
+        names = (f"{prefix}_open", f"{prefix}_overflow", f"{prefix}_wirelength")
+        values: dict[str, float] = dict(zip(names, found, strict=True))
+        if of.problem in self._reference:
+            above = gap(found, (0, *self._reference[of.problem]))
+            if above is not None:
+                values[f"{prefix}_gap"] = above
+        return values
+
+    def _add(self, values: Mapping[str, float], problem: str, step: int) -> None:
+        for curve, value in values.items():
+            self._writer.add_scalar(f"{curve}/{problem}", value, step)
+
+    def _add_means(self, of: Sequence[Mapping[str, float]], step: int) -> None:
+        """Adds the means over the problems, each over those that have a value."""
+        together: dict[str, list[float]] = defaultdict(list)
+        for values in of:
+            for curve, value in values.items():
+                together[curve].append(value)
+        for curve, known in together.items():
+            self._writer.add_scalar(f"mean/{curve}", sum(known) / len(known), step)
+
+    def flush(self) -> None:
+        """Puts everything on disk; raises InputError."""
+        with self._named():
+            self._writer.flush()
+
+    def close(self) -> None:
+        """Closes the files; raises InputError."""
+        with self._named():
+            self._writer.close()

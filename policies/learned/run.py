@@ -27,19 +27,21 @@ from policies.learned.config import Config, load_config
 from policies.learned.logs import Logs
 from policies.learned.trainer import Trainer
 from policies.results.folder import check_own, working_in
-from policies.results.rows import Row, solution_row
+from policies.results.rows import Row, read_reference, solution_row
 from policies.results.run_folder import (
     CHECKPOINT,
     CONFIG,
+    EVALUATIONS,
     METRICS,
     POLICY,
     RESULT,
     Episode,
+    read_episodes,
     solution_file,
 )
 from policies.routers.astar import AStarRouter
 
-_FILES = (CONFIG, METRICS, CHECKPOINT, POLICY, RESULT)
+_FILES = (CONFIG, METRICS, EVALUATIONS, CHECKPOINT, POLICY, RESULT)
 
 
 def write_config(config: Config, path: Path) -> None:
@@ -77,13 +79,24 @@ class Run:
     Args:
         config: what to do; its ``out`` is the folder.
         resume: whether the folder holds a run to go on with; otherwise it must hold none.
+        reference: overflow and wirelength of the best known solution by the problem's name, to
+            which TensorBoard shows gaps; None for what ``train.reference`` says.
 
     Raises:
         InputError: the folder, the configuration or a problem cannot be used.
     """
 
-    def __init__(self, config: Config, *, resume: bool = False) -> None:
+    def __init__(
+        self,
+        config: Config,
+        *,
+        resume: bool = False,
+        reference: Mapping[str, tuple[int, int]] | None = None,
+    ) -> None:
         self.config = config
+        if reference is None and config.train.reference is not None:
+            reference = read_reference(Path(config.train.reference))
+        self.reference = dict(reference or {})
         self.folder = Path(config.out)
         if resume:
             self._check_same()
@@ -98,7 +111,7 @@ class Run:
             check(f"problem {name[:80]!r}", fits, FILE_NAME)
         self.trainer = Trainer(self.problems, config)
         self._seconds = 0.0
-        self._logged = 0
+        self._logged = self._evaluated = 0
         if resume:
             self._load()
         else:
@@ -138,23 +151,36 @@ class Run:
         try:
             self.trainer.load_state(state, str(path))
             self._seconds, self._logged = state["seconds"], state["logged"]
+            self._evaluated = state["evaluated"]
             if not (type(self._seconds) is float and 0 <= self._seconds < math.inf):
                 raise InputError(f"{path}: seconds: expected a number from 0")
-            if not (type(self._logged) is int and self._logged >= 0):
-                raise InputError(f"{path}: logged: expected a whole number from 0")
+            for name, size in (("logged", self._logged), ("evaluated", self._evaluated)):
+                if not (type(size) is int and size >= 0):
+                    raise InputError(f"{path}: {name}: expected a whole number from 0")
         except InputError:
             raise
         except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise InputError(f"{path}: expected a whole checkpoint: {error!r}") from None
 
     def _state(self) -> dict[str, Any]:
-        return {**self.trainer.state(), "seconds": self._seconds, "logged": self._logged}
+        logged = {"logged": self._logged, "evaluated": self._evaluated}
+        return {**self.trainer.state(), "seconds": self._seconds, **logged}
 
     @property
     def episodes(self) -> tuple[int, int]:
         """The episodes finished so far, and their number in all, of all problems together."""
         total = self.config.train.episodes * len(self.problems)
         return int(self.trainer.episodes.sum()), total
+
+    @property
+    def best(self) -> list[Episode]:
+        """The best episode so far of each problem that has one; raises InputError."""
+        if not self._logged:
+            return []
+        logged = read_episodes(self.folder / METRICS, self._logged)
+        episodes = {(episode.problem, episode.episode): episode for episode in logged}
+        places = zip(self.trainer.names, self.trainer.best_episode.tolist(), strict=True)
+        return [episodes[place] for place in places if place in episodes]
 
     def execute(self, watch: Callable[[Sequence[Episode]], Any] | None = None) -> list[Row]:
         """Trains to the end and writes everything.
@@ -173,23 +199,31 @@ class Run:
         started = time.monotonic() - self._seconds
         saved = time.monotonic()
         with (
-            Logs(self.folder, self._logged, config.train.tensorboard) as logs,
+            Logs(
+                self.folder,
+                (self._logged, self._evaluated),
+                config.train.tensorboard,
+                tuple(self.problems),
+                self.reference,
+            ) as logs,
             _holding_interrupts() as interrupts,
         ):
             for episodes in trainer.run():
                 if episodes:
-                    logs.write(episodes)
+                    logs.write(episodes, trainer.walks)
                     if watch is not None:
                         watch(episodes)
                 if interrupts or time.monotonic() - saved >= config.train.checkpoint_seconds:
-                    self._seconds, self._logged = time.monotonic() - started, logs.flush()
+                    self._seconds = time.monotonic() - started
+                    self._logged, self._evaluated = logs.flush()
                     _save(self._state(), self.folder / CHECKPOINT)
                     saved = time.monotonic()
                 if signal.SIGTERM in interrupts:
                     raise SystemExit(128 + signal.SIGTERM)
                 if interrupts:
                     raise KeyboardInterrupt
-            self._seconds, self._logged = time.monotonic() - started, logs.flush()
+            self._seconds = time.monotonic() - started
+            self._logged, self._evaluated = logs.flush()
         rows = self._results()
         _save(self.trainer.policy(), self.folder / POLICY)
         _save(self._state(), self.folder / CHECKPOINT)

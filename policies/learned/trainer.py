@@ -36,7 +36,7 @@ from policies.learned.policy import TrainedPolicy, player_of, policy_origin
 from policies.learned.streams import keys
 from policies.learned.threads import use_threads
 from policies.results.rows import LARGEST
-from policies.results.run_folder import Episode
+from policies.results.run_folder import Episode, Walk
 
 SHARED = ("all",)
 """The name of the network that all problems share, where there is one."""
@@ -59,6 +59,7 @@ class Trainer:
         learner: what learns.
         player: the games: of each problem that still trains, its copies one after another.
         episodes: (M,) int64, episodes finished.
+        walks: the evaluations made since :meth:`run` last yielded.
         places: which problems the networks and games belong to that still train.
 
     Raises:
@@ -115,6 +116,7 @@ class Trainer:
         self.policy_episode = np.zeros(networks, np.int64)  # after which it was evaluated
         self._policies = self.learner.networks.flat.detach().cpu().clone()
         self._evaluated = np.zeros(networks, np.int64)  # episodes at the last evaluation
+        self.walks: list[Walk] = []
         self.places = np.arange(count)
         self._before = np.zeros((2, len(each)))  # loss and steps of the network before the episode
         self._tell_episodes()
@@ -246,6 +248,7 @@ class Trainer:
     def _evaluate(self, problems: NDArray[np.int64]) -> None:
         """Has networks that are due play without exploration, and keeps the best of each."""
         train = self.config.train
+        self.walks = []
         for network in np.unique(self._networks(problems)).tolist():
             taught = np.arange(len(self.names)) if train.shared else np.array([network])
             episodes = int(self.episodes[taught].min())
@@ -255,19 +258,24 @@ class Trainer:
                 continue
             self._evaluated[network] = episodes
             row = 0 if train.shared else int(np.searchsorted(self.places, network))
-            scores = [self._walk(int(m), row) for m in taught]
-            score = tuple(np.sum(scores, axis=0).tolist())
-            if score < tuple(self.policy_score[network].tolist()):
+            walked = {int(m): self._walk(int(m), row) for m in taught}
+            score = tuple(np.sum([_score(of, None) for of in walked.values()], axis=0).tolist())
+            best = bool(score < tuple(self.policy_score[network].tolist()))
+            self.walks += [
+                Walk(self.names[m], int(self.episodes[m]), best=best, **asdict(metrics))
+                for m, metrics in walked.items()
+            ]
+            if best:
                 self.policy_score[network] = score
                 self.policy_episode[network] = episodes
                 self._policies[network] = self.learner.networks.flat[row].detach().cpu()
 
-    def _walk(self, problem: int, network: int) -> tuple[float, ...]:
-        """The score of one episode of a problem by a network without exploration."""
+    def _walk(self, problem: int, network: int) -> Metrics:
+        """What a network gets in one episode of a problem without exploration."""
         player = self._whole.part(np.array([problem]))
         player.reset()
         self.learner.walk(player, network)
-        return _score(player.engine.metrics(0), None)
+        return player.engine.metrics(0)
 
     def solutions(self) -> dict[str, Solution]:
         """The best episode's routes of every problem that has finished one."""

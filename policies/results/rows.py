@@ -55,6 +55,8 @@ ResultRow = TypedDict(
         "max_overflow": Count,
         "wirelength": Count,
         "vias": Count,
+        "pruned_overflow": NotRequired[Count],
+        "pruned_wirelength": NotRequired[Count],
         "connected": bool,
         "joined": Count,
         "tasks": Count,
@@ -76,6 +78,8 @@ ExperimentRow = TypedDict(
         "max_overflow": Count | None,
         "wirelength": Count,
         "vias": Count | None,
+        "pruned_overflow": NotRequired[Count | None],
+        "pruned_wirelength": NotRequired[Count | None],
         "connected": bool | None,
         "joined": Count | None,
         "tasks": Count | None,
@@ -88,7 +92,9 @@ ExperimentRow = TypedDict(
 """A row of an experiment's results.
 
 ``router`` is the name of the experiment's entry and ``kind`` the registered name (or
-``module:Class``) of the router behind it. ``joined`` and ``tasks`` count two-pin tasks, ``proven``
+``module:Class``) of the router behind it. Overflow and wirelength are those of the routes as they
+are; ``pruned_overflow`` and ``pruned_wirelength`` are those of :meth:`marouting.Solution.pruned`,
+which earlier results lack. ``joined`` and ``tasks`` count two-pin tasks, ``proven``
 says whether the solution is known to be optimal, ``seconds`` is the time to route the problem,
 ``gap`` is the wirelength above the proven optimum in %, and ``from`` names the episode or policy
 that a learner's routes come from. A value that is not known is None: published results give only
@@ -97,6 +103,15 @@ overflow and wirelength.
 
 COLUMNS = tuple(ExperimentRow.__annotations__)
 """The columns of an experiment's rows."""
+
+
+_PARTS = (
+    ("max_overflow", "overflow"),
+    ("vias", "wirelength"),
+    ("pruned_overflow", "overflow"),
+    ("pruned_wirelength", "wirelength"),
+)
+"""Columns that are at most another one."""
 
 
 class PublishedRow(TypedDict):
@@ -115,9 +130,16 @@ def solution_row(solution: Solution, seconds: float) -> Row:
         solution: the solution of a problem.
         seconds: the time that it took.
     """
+    return {**figures_of(solution), "seconds": round(seconds, 6)}
+
+
+def figures_of(solution: Solution) -> Row:
+    """The figures of a solution but its time: as it is, and without what joins nothing."""
     figures = asdict(evaluate(solution.problem, solution))
     del figures["disconnected"]
-    return {**figures, "seconds": round(seconds, 6)}
+    pruned = evaluate(solution.problem, solution.pruned())
+    less = {"pruned_overflow": pruned.overflow, "pruned_wirelength": pruned.wirelength}
+    return {column: {**figures, **less}[column] for column in COLUMNS if column in figures | less}
 
 
 def read_rows(path: Path, schema: type[Any] = ExperimentRow) -> list[Row]:
@@ -136,8 +158,8 @@ def read_rows(path: Path, schema: type[Any] = ExperimentRow) -> list[Row]:
     for number, raw in enumerate(build_json(list[Any], text, f"{path}: expected rows in JSON"), 1):
         where = f"{path}: row {number}"
         row: Row = build(schema, raw, where)
-        for less, more in (("max_overflow", "overflow"), ("vias", "wirelength")):
-            of = row[less]
+        for less, more in _PARTS:
+            of = row.get(less)
             check(f"{where}: {less}", of is None or of <= row[more], f"at most the {more}")
         joined, tasks = row["joined"], row["tasks"]
         fits = joined == tasks if None in (joined, tasks) else joined <= tasks
@@ -146,6 +168,22 @@ def read_rows(path: Path, schema: type[Any] = ExperimentRow) -> list[Row]:
         check(where, key not in rows, "every router once for each problem and seed")
         rows[key] = row
     return list(rows.values())
+
+
+def read_reference(path: Path) -> dict[str, tuple[int, int]]:
+    """Overflow and wirelength of the proven optima in an experiment's ``results.json``.
+
+    Raises:
+        InputError: the file cannot be read, has no proven rows, or two that differ for one name.
+    """
+    found: dict[str, tuple[int, int]] = {}
+    for row in read_rows(path):
+        if row["proven"]:
+            best = row["overflow"], row["wirelength"]
+            same = found.setdefault(row["problem"], best) == best
+            check(f"{path}: {row['problem']}", same, "one optimum for all problems of that name")
+    check(f"{path}", bool(found), "rows that are proven optimal, as the router optimal gives them")
+    return found
 
 
 _FORMULA = re.compile(r"'*[=+\-@\t\r]")

@@ -4,6 +4,7 @@
 config.yaml            the whole configuration, defaults included
 problems/NAME.gr       the problems
 metrics.jsonl          a line of JSON for every episode
+evaluations.jsonl      a line of JSON for every evaluation without exploration
 tensorboard/           the same for TensorBoard
 checkpoint.pt          everything needed to resume the training
 policy.pt              only the networks, the best by evaluation, when the training is finished
@@ -17,7 +18,7 @@ figures/               pictures
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from pydantic import Field
 
@@ -27,7 +28,11 @@ from marouting.files import read_text
 from policies.results.rows import MOST_BYTES, Count, Measure, Name, ResultRow, Row, read_rows
 
 CONFIG, METRICS, CHECKPOINT = "config.yaml", "metrics.jsonl", "checkpoint.pt"
+EVALUATIONS = "evaluations.jsonl"
 POLICY, RESULT = "policy.pt", "result.json"
+
+
+Line = TypeVar("Line")
 
 
 def solution_file(folder: Path, problem: str, router: str) -> Path:
@@ -84,12 +89,49 @@ class Episode:
         check("joined", self.joined <= self.tasks, "at most the tasks")
 
 
-def read_episodes(metrics: Path) -> list[Episode]:
-    """The episodes in a ``metrics.jsonl``; raises InputError naming the line."""
-    # Only line feeds end a line: JSON may hold other separators.
-    text = read_text(metrics, MOST_BYTES)
+@dataclass(frozen=True)
+class Walk:
+    """An episode that a network played without exploration, as ``evaluations.jsonl`` holds it.
+
+    Attributes:
+        problem: the problem's name.
+        episodes: episodes of the problem that the network had been trained on.
+        joined: two-pin tasks joined.
+        tasks: two-pin tasks in all.
+        overflow: of the routes, joined or not.
+        wirelength: of the routes, joined or not.
+        steps: moves made.
+        best: whether no earlier network was better on all problems that it is for.
+    """
+
+    problem: Name
+    episodes: Count
+    joined: Count
+    tasks: Count
+    overflow: Count
+    wirelength: Count
+    steps: Count
+    best: bool
+
+    def __post_init__(self) -> None:
+        check("joined", self.joined <= self.tasks, "at most the tasks")
+
+
+def read_episodes(metrics: Path, size: int | None = None) -> list[Episode]:
+    """The episodes in a ``metrics.jsonl``, or in its first bytes; raises InputError."""
+    return _read_lines(metrics, Episode, size)
+
+
+def read_walks(evaluations: Path) -> list[Walk]:
+    """The evaluations in an ``evaluations.jsonl``; raises InputError naming the line."""
+    return _read_lines(evaluations, Walk)
+
+
+def _read_lines(path: Path, schema: type[Line], size: int | None = None) -> list[Line]:
+    # Only line feeds end a line: JSON may hold other separators. All characters are ASCII.
+    text = read_text(path, MOST_BYTES)[:size]
     lines = text.removesuffix("\n").split("\n") if text else []
-    return [build_json(Episode, line, f"{metrics}:{n}") for n, line in enumerate(lines, 1)]
+    return [build_json(schema, line, f"{path}:{n}") for n, line in enumerate(lines, 1)]
 
 
 def read_rewards(metrics: Path) -> dict[str, list[float]]:

@@ -50,13 +50,16 @@ def add_gaps(rows: Sequence[Row]) -> None:
             optimum.setdefault((row["set"], row["problem"]), row)
     for row in rows:
         best = optimum.get((row["set"], row["problem"]))
-        if best is None or rank(row)[:2] != rank(best)[:2]:
-            row["gap"] = None
-        elif row["wirelength"] == best["wirelength"]:
-            row["gap"] = 0.0
-        else:
-            least = best["wirelength"]
-            row["gap"] = 100 * (row["wirelength"] / least - 1) if least else None
+        row["gap"] = None if best is None else gap(rank(row), rank(best))
+
+
+def gap(found: tuple[int, int, int], best: tuple[int, int, int]) -> float | None:
+    """How far one :func:`rank` is above the optimum's, in %; None as in :func:`add_gaps`."""
+    if found[:2] != best[:2]:
+        return None
+    if found[2] == best[2]:
+        return 0.0
+    return 100 * (found[2] / best[2] - 1) if best[2] else None
 
 
 def mean_interval(values: NDArray[np.float64]) -> dict[str, float | None]:
@@ -123,6 +126,15 @@ def mean_wirelength(problems: _Problems) -> NDArray[np.float64]:
     return _over_seeds(_values(problems, value))
 
 
+def open_wirelength(problems: _Problems) -> NDArray[np.float64]:
+    """(problems,) the mean wirelength where :func:`mean_wirelength` has none; NaN elsewhere.
+
+    These are problems on which no seed joined all tasks: less wirelength is no merit there.
+    """
+    everything = _over_seeds(_values(problems, lambda row: row["wirelength"]))
+    return np.where(np.isnan(mean_wirelength(problems)), everything, np.nan)
+
+
 def mean_overflow(problems: _Problems) -> NDArray[np.float64]:
     """(problems,) overflow, averaged over the seeds."""
     return _over_seeds(_values(problems, lambda row: row["overflow"]))
@@ -176,6 +188,7 @@ def summarise(rows: Sequence[Row], reference: str | None = None) -> list[dict[st
         ``overflow``, the total in tracks; ``zero_overflow``, the number of problems without
         overflow and without open tasks; ``open``, the total of open tasks;
         ``wirelength``: ``mean``, ``low`` and ``high`` (95 % by Student's t over the problems);
+        ``pruned_wirelength``: the same without what joins nothing, None if a row lacks it;
         ``gap``: the same for the gap to the optimum in %, and ``problems``, on how many it is
         known;
         ``lower_wirelength``: ``percent`` of the problems with less wirelength than A* and no more
@@ -208,6 +221,7 @@ def _summary(
     overflow = _values(problems, lambda row: row["overflow"])
     wirelength = _values(problems, lambda row: row["wirelength"])
     clean = _values(problems, lambda row: rank(row)[:2] == (0, 0))
+    pruned = _over_seeds(_values(problems, lambda row: row.get("pruned_wirelength")))
     gap = _values(problems, lambda row: row["gap"])
     lower = None if astar is None else _against(problems, astar, _is_lower)
     gaps = _over_seeds(gap)
@@ -222,6 +236,7 @@ def _summary(
         "zero_overflow": _total(clean),
         "open": _total(_values(problems, lambda row: rank(row)[0])),
         "wirelength": mean_interval(_over_seeds(wirelength)),
+        "pruned_wirelength": None if np.isnan(pruned).any() else mean_interval(pruned),
         "gap": {**mean_interval(gaps), "problems": len(gaps)} if len(gaps) else None,
         "lower_wirelength": None if lower is None else _share(lower),
         "astar": None if astar is None else _record(problems, astar),

@@ -5,12 +5,15 @@ case study, of the discount factor, of the burn-in memory and of the solutions. 
 configuration describes them, and its folder keeps that configuration.
 """
 
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from marouting.config import build, check, read_yaml
 from marouting.files import FILE_NAME, is_file_name
+from policies.routers.registry import router_label, router_names
 
 Panel = Literal[
     "edges",
@@ -86,10 +89,12 @@ class FigureOptions:
 
     Attributes:
         reference: the router that all others are compared with, besides A*.
+        labels: what figures call routers, by the name of the entry; no two are alike.
         studies: composed figures by name.
     """
 
     reference: str | None = None
+    labels: dict[str, str] = field(default_factory=dict)
     studies: dict[str, Study] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -101,4 +106,32 @@ class FigureOptions:
         """Reads them from an experiment's configuration; raises InputError."""
         raw = read_yaml(config)
         own = {key: value for key, value in raw.items() if key in ("reference", "studies")}
-        return build(FigureOptions, own, str(config))
+        return build(FigureOptions, {**own, "labels": _labels(raw.get("routers"))}, str(config))
+
+    def label(self, router: str) -> str:
+        """What figures call a router."""
+        return self.labels.get(router, router)
+
+
+def _labels(routers: object) -> dict[str, str]:
+    """What figures call the entries of an experiment's configuration.
+
+    That is an entry's own label, or what its kind of router is called if it is the only one of its
+    kind or bears its name; any other is called by its name. Labels that two share have the names
+    beside them.
+    """
+    entries = {
+        str(name): entry
+        for name, entry in (routers.items() if isinstance(routers, Mapping) else ())
+        if isinstance(entry, Mapping)
+    }
+    kinds = Counter(str(entry.get("router")) for entry in entries.values())
+    called = {}
+    for name, entry in entries.items():
+        kind = str(entry.get("router"))
+        ours = kind in router_names() and (kind == name or kinds[kind] == 1)
+        called[name] = str(entry.get("label") or (router_label(kind) if ours else name))
+    alike = Counter(called.values())
+    return {
+        name: f"{label} ({name})" if alike[label] > 1 else label for name, label in called.items()
+    }

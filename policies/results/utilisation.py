@@ -28,16 +28,17 @@ class UtilisationMaps(NamedTuple):
         vertical: (X, Y − 1) float64, demand / capacity in % of the edges from row y to y + 1; NaN
             where both are zero, infinite where there is demand without capacity.
         horizontal: (X − 1, Y) float64, the same from column x to x + 1.
-        vertical_overflow: (X, Y − 1) bool, whether the edge overflows on any layer.
-        horizontal_overflow: (X − 1, Y) bool, likewise.
+        vertical_overflow: (X, Y − 1) int64, the overflow of these edges in tracks: each layer's
+            demand above its capacity.
+        horizontal_overflow: (X − 1, Y) int64, likewise.
         side: how many Gcells a field is wide and high. All shapes are divided by it, rounded up.
     """
 
     via: NDArray[np.int64]
     vertical: NDArray[np.float64]
     horizontal: NDArray[np.float64]
-    vertical_overflow: NDArray[np.bool_]
-    horizontal_overflow: NDArray[np.bool_]
+    vertical_overflow: NDArray[np.int64]
+    horizontal_overflow: NDArray[np.int64]
     side: int
 
 
@@ -57,7 +58,7 @@ def utilisation_maps(problem: Problem, solution: Solution) -> UtilisationMaps:
         """How many of so many edges in a row are in each field."""
         return np.diff(np.arange(0, length + side, side).clip(max=length))
 
-    def direction(axis: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def direction(axis: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         offered = unadjusted[:, axis].sum() * np.outer(
             counts(columns - (axis == 0)), counts(rows - (axis == 1))
         )
@@ -65,9 +66,9 @@ def utilisation_maps(problem: Problem, solution: Solution) -> UtilisationMaps:
         more = adjusted_capacity[adjusted % AXES == axis] - unadjusted[own // AXES % layers, axis]
         np.add.at(offered, fields(own), more)
         taken, tracks = edge[edge % AXES == axis], demand[edge % AXES == axis]
-        wanted, overflow = np.zeros_like(offered), np.zeros(offered.shape, np.bool_)
+        wanted, overflow = np.zeros_like(offered), np.zeros(offered.shape, np.int64)
         np.add.at(wanted, fields(taken), tracks)
-        overflow[fields(taken[tracks > problem.capacity_of(taken)])] = True
+        np.add.at(overflow, fields(taken), np.maximum(tracks - problem.capacity_of(taken), 0))
         with np.errstate(divide="ignore", invalid="ignore"):
             return 100 * wanted / offered, overflow
 

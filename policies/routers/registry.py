@@ -20,6 +20,26 @@ def router_names() -> tuple[str, ...]:
     return tuple(dict.fromkeys((*names("router"), *names("learner"))))
 
 
+_LABELS = {
+    "astar": "A*",
+    "pathfinder": "negotiated congestion",
+    "optimal": "optimum",
+    "random": "random walks",
+}
+
+
+def router_label(name: str) -> str:
+    """What figures call a router: the field's name for ours, and any other name as it is.
+
+    A learner's name is an abbreviation. With ``_policy`` after it, it is the saved policy of a
+    training, walked without exploration.
+    """
+    learner = name.removesuffix("_policy")
+    if learner in names("learner"):
+        return learner.upper() + (", saved policy" if learner != name else "")
+    return _LABELS.get(name, name)
+
+
 def unknown(what: str, found: str, known: tuple[str, ...]) -> InputError:
     """The InputError for an unknown name: it suggests the nearest and lists what there is."""
     close = difflib.get_close_matches(found, known, n=1)
