@@ -21,6 +21,7 @@ import yaml
 from marouting import InputError
 from marouting.config import check, check_same, plain
 from marouting.files import FILE_NAME, is_file_name, write_text, writing
+from marouting.scenarios import get
 from marouting.source import fixed_problems, load_problems
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
@@ -80,7 +81,7 @@ class Run:
         config: what to do; its ``out`` is the folder.
         resume: whether the folder holds a run to go on with; otherwise it must hold none.
         reference: overflow and wirelength of the best known solution by the problem's name, to
-            which TensorBoard shows gaps; None for what ``train.reference`` says.
+            which TensorBoard shows gaps; None for what ``train.reference`` says, or the scenario.
 
     Raises:
         InputError: the folder, the configuration or a problem cannot be used.
@@ -96,7 +97,6 @@ class Run:
         self.config = config
         if reference is None and config.train.reference is not None:
             reference = read_reference(Path(config.train.reference))
-        self.reference = dict(reference or {})
         self.folder = Path(config.out)
         if resume:
             self._check_same()
@@ -106,6 +106,10 @@ class Run:
         problems = load_problems(own) if resume else fixed_problems(config.env)
         # In an order that does not depend on where they come from.
         self.problems = dict(sorted(problems.items()))
+        if reference is None and config.env.scenario is not None:
+            best = get(config.env.scenario).reference
+            reference = {name: best(problem)[:2] for name, problem in self.problems.items()}
+        self.reference = dict(reference or {})
         for name in self.problems:
             fits = is_file_name(name, f".{config.learner.name}_policy.solution")
             check(f"problem {name[:80]!r}", fits, FILE_NAME)
