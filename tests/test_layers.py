@@ -50,6 +50,7 @@ ROOMS = {
         ("learned.logs", "learned.router", "learned.run"),
         ("learned",),
         ("experiment",),
+        ("benchmark",),
         ("bench",),
         ("cli",),
         ("",),

@@ -1,0 +1,1 @@
+"""The benchmark: routers and learners scored on the problems of :mod:`marouting.scenarios`."""
