@@ -7,7 +7,7 @@
 
 import gymnasium
 
-from marouting import global_routing_v0, vector
+from marouting import global_routing_v0, scenarios, vector
 from marouting._version import __version__
 from marouting.errors import InputError
 from marouting.game.engine import Engine
@@ -44,6 +44,7 @@ __all__ = [
     "global_routing_v0",
     "make",
     "register",
+    "scenarios",
     "sequential_astar",
     "vector",
 ]

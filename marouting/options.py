@@ -9,6 +9,7 @@ from pydantic import Discriminator, Tag
 from marouting.config import Named, build, check, piece_field, take_pieces
 from marouting.game.options import RuleOptions, TurnOrder
 from marouting.generator import GeneratorOptions
+from marouting.scenarios import Split, get
 
 Agents = Literal["single", "multi"]
 RenderMode = Literal["ansi", "rgb_array", "human"]
@@ -43,7 +44,11 @@ class GameOptions(RuleOptions):
     Attributes:
         problem: a ``.gr`` file, a folder of them, a list of both, or options of the generator
             (:class:`marouting.generator.GeneratorOptions`). Of several problems an environment
-            draws one at every reset; with ``seed: null`` the generator makes a new one.
+            draws one at every reset; with ``seed: null`` the generator makes a new one. None: a
+            small problem, or those of the scenario.
+        scenario: the name of a scenario (:mod:`marouting.scenarios`), in place of a problem.
+        split: which of its problems: ``train``, a new one at every reset; ``validation`` or
+            ``test``, one of these, drawn at every reset.
         observation: what agents see: the name of a registered observation, ``module:Class``, a
             mapping with the name under ``kind`` and its options beside it, or an object. See
             :mod:`marouting.game.observation`.
@@ -57,7 +62,9 @@ class GameOptions(RuleOptions):
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
     """
 
-    problem: ProblemSource = SMALL
+    problem: ProblemSource | None = None
+    scenario: str | None = None
+    split: Split = "train"
     observation: Named = piece_field("observation", "paper")
     reward: Named = piece_field("reward", "paper")
     agents_persist: bool = False
@@ -67,6 +74,12 @@ class GameOptions(RuleOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         take_pieces(self)
+        if self.scenario is None:
+            check("split", self.split == "train", "a scenario beside it")
+            object.__setattr__(self, "problem", SMALL if self.problem is None else self.problem)
+        else:
+            get(self.scenario)
+            check("problem", self.problem is None, "none beside a scenario, which has its own")
         for name, methods in (("observation", ("space", "write")), ("reward", ("__call__",))):
             given = getattr(self, name)
             defined = {method for base in given.cls.__mro__ for method in vars(base)}

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from marouting.config import build
+from marouting.config import build, check
 from marouting.errors import InputError
 from marouting.generator import GeneratorOptions, generate_from
 from marouting.options import SMALL, GameOptions
 from marouting.problem.net import MAX_NUMBER
 from marouting.problem.problem import Problem
+from marouting.scenarios import Scenario, Split, get
 
 Source = (
     Problem
@@ -46,7 +47,7 @@ def checked_source(source: Source) -> tuple[Problem, ...] | GeneratorOptions | t
         return tuple(source)
     if isinstance(source, str | os.PathLike):
         return (os.fspath(source),)  # which need not be UTF-8, as the text of a configuration is
-    checked = build(GameOptions, {"problem": source}).problem
+    checked = build(GameOptions, {"problem": source}).problem or SMALL
     return (checked,) if isinstance(checked, str) else checked
 
 
@@ -81,6 +82,22 @@ def load_problems(source: Source) -> dict[str, Problem]:
     return {name: Problem.read(file) for name, file in zip(names, files, strict=True)}
 
 
+def fixed_problems(options: GameOptions) -> dict[str, Problem]:
+    """The problems that the options of a game name, by name.
+
+    Raises:
+        InputError: they cannot be read, or there is no end of them.
+    """
+    if options.scenario is None:
+        return load_problems(options.problem)
+    if options.split == "train":
+        raise InputError(
+            f"split: expected validation or test, found train: of {options.scenario} there is no "
+            "end of training problems, and these are to be known beforehand"
+        )
+    return get(options.scenario).problems(options.split)
+
+
 def generated_name(number: int) -> str:
     """The name of a generated problem, given its place in the set."""
     return f"problem_{number:03d}"
@@ -103,18 +120,33 @@ class Episodes:
     Args:
         source: one problem; several, of which every episode plays one drawn at random; or options
             of the generator with ``seed=None``, by which every episode plays a new one.
+        scenario: the name of a scenario, in place of a source.
+        split: which problems of the scenario: every episode plays a new one of ``train``, or one
+            drawn at random of ``validation`` or ``test``.
 
     Attributes:
-        problems: those known beforehand, by name; of a generator without a seed an example.
+        problems: those known beforehand, by name; where every episode plays a new one, an example.
+        bounds: problems of which one has at least as many nets, and one at least as much capacity,
+            as any that will be played.
         many: whether there are several.
 
     Raises:
-        InputError: a problem cannot be used, or their grids differ.
+        InputError: a problem cannot be used, their grids differ, or there is no such scenario.
     """
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source, scenario: str | None = None, split: Split = "train") -> None:
+        self._drawn: GeneratorOptions | Scenario | None = None
+        if scenario is not None:
+            check("problem", source is None, "none beside a scenario, which has its own")
+            found, self.many = get(scenario), True
+            # The same bounds in every split: what learns in one can play in the others.
+            self.bounds = [found.largest]
+            if split == "train":
+                self._drawn, self.problems = found, {"example": found.largest}
+            else:
+                self.problems = found.problems(split)
+            return
         source = checked_source(source)
-        self._drawn: GeneratorOptions | None = None
         if isinstance(source, GeneratorOptions):
             if source.count > (1 if source.seed is None else MOST_PROBLEMS):
                 most = "1 without a seed" if source.seed is None else f"at most {MOST_PROBLEMS}"
@@ -130,11 +162,15 @@ class Episodes:
         for name, problem in self.problems.items():
             if (np.diff(problem.flat_pin_gcells[0]) < 2).all():
                 raise InputError(f"{name}: expected a net with pins in two Gcells or more")
+        # A generator's problems all have the same numbers of nets and of edges of each capacity.
+        self.bounds = list(self.problems.values())
 
     def next(self, rng: np.random.Generator) -> tuple[str, Problem]:
         """The problem of the next episode and its name."""
         if self._drawn is not None:
             number = int(rng.integers(MAX_NUMBER))
+            if isinstance(self._drawn, Scenario):
+                return f"train_{number}", next(self._drawn.train(number))
             return f"seed_{number}", load_problem(replace(self._drawn, seed=number))
         names = list(self.problems)
         name = names[int(rng.integers(len(names)))] if len(names) > 1 else names[0]

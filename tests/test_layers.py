@@ -29,6 +29,7 @@ ROOMS = {
         ("game",),
         ("search",),
         ("generator",),
+        ("scenarios",),
         ("options", "source"),
         ("player",),
         ("render",),

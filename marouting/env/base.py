@@ -84,8 +84,8 @@ class BaseGame:
         self._window = Window()
         self._rng, _ = seeding.np_random(0)
 
-        self._episodes = Episodes(problem)
-        problems = list(self._episodes.problems.values())
+        self._episodes = Episodes(problem, checked.scenario, checked.split)
+        problems = self._episodes.bounds
         grid = Grid.of(problems[0].grid)
         check_memory(
             grid.gcells * (TABLES + PLAYED + STATE), "an environment on a grid of {}", grid

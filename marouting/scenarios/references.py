@@ -1,0 +1,112 @@
+"""What is known about the best solutions of a scenario's problems, read from the package.
+
+``python -m policies.benchmark.references`` computes and writes these files, one per scenario.
+"""
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from marouting.config import build_json
+from marouting.errors import InputError
+from marouting.files import read_text
+
+FOLDER = Path(__file__).parent / "data"
+"""Where the files are."""
+
+MOST_BYTES = 2**24
+"""The largest file that is read."""
+
+
+class Reference(NamedTuple):
+    """The best known score of a problem."""
+
+    overflow: int
+    wirelength: int
+    proven: bool  # whether no solution is better
+
+
+@dataclass(frozen=True, kw_only=True)
+class Best:
+    """What is known about the best solution of a problem.
+
+    Attributes:
+        overflow: overflow of the best solution known, in tracks.
+        wirelength: its wirelength, in edges.
+        bound_overflow: no solution has less overflow.
+        bound_wirelength: no solution with ``bound_overflow`` has less wirelength.
+        how: the routers that found the solution and the bound.
+        seconds: the time that they took, in all.
+    """
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
+
+    overflow: int
+    wirelength: int
+    bound_overflow: int
+    bound_wirelength: int
+    how: str
+    seconds: float
+
+    def __post_init__(self) -> None:
+        found = self.overflow, self.wirelength
+        if not (0, 0) <= self.bound <= found or min(*found, *self.bound, self.seconds) < 0:
+            raise InputError(f"expected numbers from 0 and a bound of at most {found}")
+
+    @property
+    def bound(self) -> tuple[int, int]:
+        """No solution has a lower score (overflow, then wirelength)."""
+        return self.bound_overflow, self.bound_wirelength
+
+    @property
+    def proven(self) -> bool:
+        """Whether the solution is proven to be optimal."""
+        return self.bound == (self.overflow, self.wirelength)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record(Best):
+    """An entry of a file.
+
+    Attributes:
+        problem: the name of the problem in its scenario, for readers.
+    """
+
+    problem: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class References:
+    """The content of a file.
+
+    Attributes:
+        references: by the digest of the problem.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    references: dict[str, Record]
+
+
+def path_of(scenario: str) -> Path:
+    """The file with the references of a scenario."""
+    return FOLDER / f"{scenario}.json"
+
+
+def read_references(path: Path) -> dict[str, Record]:
+    """The references in a file by the digest of the problem; none if there is no file.
+
+    Raises:
+        InputError: the file cannot be read or does not hold references.
+    """
+    if not path.exists():
+        return {}
+    return build_json(References, read_text(path, MOST_BYTES), str(path)).references
+
+
+@functools.cache
+def references_of(scenario: str) -> Mapping[str, Record]:
+    """The references of a scenario that travel with the package."""
+    return read_references(path_of(scenario))
