@@ -41,8 +41,8 @@ class Budget:
 
     @staticmethod
     def parse(text: str) -> "Budget":
-        """A budget such as ``1s``, ``0.5s``, ``2min`` or ``16`` samples; raises InputError."""
-        matched = re.fullmatch(r"(\d{1,9}(?:\.\d{1,6})?)\s*(s|min|samples|)", text.strip())
+        """A budget such as ``1s``, ``2min``, ``16`` or ``500 episodes``; raises InputError."""
+        matched = re.fullmatch(r"(\d{1,9}(?:\.\d{1,6})?)\s*(s|min|samples|episodes|)", text.strip())
         expected = "seconds such as 1s, or a number of samples such as 16"
         if matched is None:
             raise InputError(f"budget: expected {expected}, found {text[:80]!r}")
@@ -53,8 +53,10 @@ class Budget:
         check("budget", number == int(number), expected)
         return Budget(samples=int(number))
 
-    def __str__(self) -> str:
-        return f"{self.samples} samples" if self.seconds is None else f"{self.seconds:g} s"
+    @property
+    def text(self) -> str:
+        """The budget as :meth:`parse` takes it."""
+        return f"{self.samples}" if self.seconds is None else f"{self.seconds:g}s"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,9 +146,9 @@ def from_text(text: str, name: str | None, budget: Budget | None) -> Contender:
         is_learner(router, "--router")
         raw = {**override({}, options), "router": router}
         called = "-".join([router, *(option.partition("=")[2] for option in options)])
-    if name is None:
-        name = re.sub(r"[^\w-]+", "-", called).strip("-") or "router"
-    return from_entry(name, raw, budget, f"--router {shlex.quote(text)}")
+    called = name or re.sub(r"[^\w-]+", "-", called).strip("-") or "router"
+    source = ["--router", text, *(["--name", name] if name else []), *_told(budget)]
+    return from_entry(called, raw, budget, shlex.join(source))
 
 
 def from_entry(name: str, raw: Mapping[str, Any], budget: Budget | None, source: str) -> Contender:
@@ -211,6 +213,11 @@ def _allowed(entry: Entry) -> str | None:
     return ", ".join(bounds + [f"{seconds:g} s" for seconds in times[:1]]) or None
 
 
+def _told(budget: Budget | None) -> list[str]:
+    """The budget as the command line takes it."""
+    return [] if budget is None else ["--budget", budget.text]
+
+
 def _learner_of(checkpoint: Path) -> str:
     """The learner whose policy a file holds; raises InputError if it holds none."""
     from policies.learned.checkpoint import read_checkpoint  # torch: only if something learned
@@ -238,9 +245,9 @@ def load_contenders(
     """
     where = os.fspath(path)
     config = build(BenchmarkConfig, override(read_yaml(path), overrides), where)
+    source = shlex.join(["--config", where, *overrides, *_told(budget)])
     if budget is None and config.budget is not None:
         budget = Budget.parse(config.budget)
-    source = shlex.join(["--config", where, *overrides])
     found = [
         from_entry(name, raw, budget, source)
         for name, raw in config.routers.items()

@@ -93,12 +93,13 @@ def _rescored(result: Result, tasks: Mapping[str, Task]) -> Result:
     return replace(result, tasks=own, outcomes=tuple(outcomes))
 
 
-def _rank(result: Result) -> tuple[bool, float, float, str]:
-    """Where a result stands: by score, then time; those without a score come last."""
+def _rank(result: Result) -> tuple[float | str | bool, ...]:
+    """Where a result stands: by score, share at the reference, gap; without a score at the end."""
     row = summarise(result)
     if row["score"] is None:
-        return True, 0.0, 0.0, result.name
-    return False, -row["score"]["mean"], row["solution_seconds"] or 0.0, result.name
+        return True, result.name
+    gap = float("inf") if row["gap"] is None else row["gap"]
+    return False, -row["score"]["mean"], -row["at_reference"], gap, result.name
 
 
 def _title(group: _Group) -> str:

@@ -116,6 +116,9 @@ class Benchmark:
         called = [contender.entry.name for contender in contenders]
         for name in called:
             check(f"routers.{name}", called.count(name) == 1, "another name: there are two")
+        for contender in contenders:
+            for scenario in contender.entry.only or ():
+                _ = scenarios.get(scenario)  # or an error
         self.folder, self.contenders = folder, tuple(contenders)
         self.sets = tuple(
             _Set(scenarios.get(name), split, folder / name) for name in dict.fromkeys(names)

@@ -129,9 +129,10 @@ _BENCHMARK_NOTES = (
     "score: 0 as sequential A*, 1 as the reference (the proven optimum or the best known), by open "
     "nets, then overflow, then wirelength; interquartile mean [95 % bootstrap interval]. open: "
     "problems with open nets. overflow: in all, in tracks. gap: mean wirelength above the "
-    "reference, of the solutions with its open nets and overflow (their problems). at ref.: solutions as good as "
-    "the reference. W/T/L: wins, ties and losses against A*. seconds: median per problem. All per "
-    "seed. ?: not known. docs/benchmark.md explains the protocol."
+    "reference, of the solutions with its open nets and overflow (the number of problems, if not "
+    "all). at ref.: solutions as good as the reference. W/T/L: wins, ties and losses against A*. "
+    "seconds: median per problem. All per seed. ?: not known. docs/benchmark.md explains the "
+    "protocol."
 )
 
 
