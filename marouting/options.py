@@ -21,6 +21,10 @@ It has no reduced edges. They take a search, and compiling it would double the t
 ``env()`` takes on a new machine."""
 
 
+PLAYED = ("problem", "scenario", "split")
+"""The options that say which problems are played, not how."""
+
+
 def _kind_of_source(value: Any) -> str:
     if isinstance(value, Mapping | GeneratorOptions):
         return "generator"

@@ -4,10 +4,11 @@ In every step every net of every problem moves, or only the one whose turn it is
 own interface to the latter, use ``gymnasium.make_vec``.
 """
 
+import itertools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -18,10 +19,11 @@ from marouting.config import check
 from marouting.errors import InputError
 from marouting.game.engine import Engine
 from marouting.game.observation import state, state_space
-from marouting.options import ORDERS, game_options
+from marouting.options import ORDERS, GameOptions, game_options
 from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
+from marouting.scenarios import get
 
 _FIGURES = ("overflow", "wirelength", "joined", "steps")
 
@@ -42,15 +44,18 @@ class BatchEnv(EzPickle):
     observations are those of the new episode.
 
     Args:
-        problems: the problems, all with the same grid shape.
+        problems: the problems, all with the same grid shape. With a ``scenario`` of whose split
+            ``train`` problems are to be played: how many, the first of those that ``seed`` gives;
+            they stay the same in all episodes. None for all of another split.
         everyone: whether all agents have a row and move in every step.
         autoreset: whether the next episode starts when one is over.
         threads: number of threads among which the problems are divided; the results do not depend
             on it. Several threads may call your own observation or reward at the same time, each
             for its own problems.
+        seed: where a scenario's training problems start.
         **options: the fields of :class:`marouting.options.GameOptions` about the rules, the
-            observation and the reward; unless given, ``turn_order`` is ``round_robin`` for all
-            agents and ``sequential`` for one row.
+            observation, the reward and the scenario; unless given, ``turn_order`` is
+            ``round_robin`` for all agents and ``sequential`` for one row.
 
     Attributes:
         num_problems: M.
@@ -66,22 +71,29 @@ class BatchEnv(EzPickle):
 
     def __init__(
         self,
-        problems: Sequence[Problem],
+        problems: Sequence[Problem] | int | None = None,
         *,
         everyone: bool = True,
         autoreset: bool = True,
         threads: int = 1,
+        seed: int = 0,
         **options: Any,
     ) -> None:
         EzPickle.__init__(
-            self, problems, everyone=everyone, autoreset=autoreset, threads=threads, **options
+            self,
+            problems,
+            everyone=everyone,
+            autoreset=autoreset,
+            threads=threads,
+            seed=seed,
+            **options,
         )
         if not (is_whole(threads) and threads >= 1):
             raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
         order = ORDERS["multi" if everyone else "single"]
         checked = game_options({"turn_order": order, **options})
         check("agents_persist", not checked.agents_persist, "false: all rows stay; see active")
-        self.engine = engine = Engine(problems, checked)
+        self.engine = engine = Engine(_batch(problems, checked, seed), checked)
         self.autoreset, self._everyone = autoreset, everyone
         observation, reward = checked.observation.make(), checked.reward.make()
         overflow = engine.static.overflow_allowed
@@ -236,3 +248,20 @@ class BatchEnv(EzPickle):
             **{figure: games[figure] for figure in _FIGURES},
             "final_info": {figure: b.final[figure] for figure in _FIGURES},
         }
+
+
+def _batch(
+    problems: Sequence[Problem] | int | None, options: GameOptions, seed: int
+) -> Sequence[Problem]:
+    """The problems of a batch; see :class:`BatchEnv`."""
+    found = problems if problems is None or is_whole(problems) else "a list"
+    if options.scenario is None:
+        what = f"a list of problems, or a scenario beside it; found {found}"
+        check("problems", found == "a list", what)
+        return cast(Sequence[Problem], problems)
+    if options.split != "train":
+        check("problems", problems is None, f"none: all of split {options.split} are played")
+        return list(get(options.scenario).problems(options.split).values())
+    count = cast(int, problems) if is_whole(problems) else 0
+    check("problems", count >= 1, f"how many of {options.scenario}, found {found}")
+    return list(itertools.islice(get(options.scenario).train(seed), count))

@@ -10,6 +10,7 @@ from typing import Any
 from marouting import InputError, Problem
 from marouting.config import build, check, override, plain, read_yaml
 from marouting.files import is_file_name
+from marouting.options import PLAYED
 from marouting.source import load_problems
 from policies.learned.config import Config, for_learner
 from policies.results.rows import read_published
@@ -127,7 +128,7 @@ class Training:
         config: a YAML file with a training's configuration, which the other keys change.
         stack: the number of problems that one process trains side by side. More than one save time
             on a GPU, but not on a CPU. A learner shared by all problems takes a whole set.
-        env: keys of the game, as in a training's configuration; the experiment gives ``problem``.
+        env: keys of the game, as in a training's configuration; the experiment gives the problems.
         learner: options of the learner.
         train: keys of the run; ``figures`` and ``tensorboard`` are off unless they are given here.
         checkpoint: the file of a trained policy, which routes without any training; no other key
@@ -145,7 +146,8 @@ class Training:
 
     def __post_init__(self) -> None:
         check("stack", self.stack >= 1, "a number from 1")
-        check("env.problem", "problem" not in self.env, "none: the experiment has its sets")
+        for name in PLAYED:
+            check(f"env.{name}", name not in self.env, "none: the experiment has its sets")
         told = self.config or self.env or self.learner or self.train
         check("checkpoint", not (self.checkpoint and told), "nothing to train beside it")
 
@@ -167,7 +169,8 @@ class Training:
         told = {"env": self.env, "learner": self.learner, "train": self.train}
         raw = _merged(_merged(raw, quiet), told)
         config: dict[str, Any] = plain(build(Config, for_learner(raw, learner, where), where))
-        del config["env"]["problem"]
+        for name in PLAYED:
+            del config["env"][name]
         return {"stack": self.stack, **{part: config[part] for part in PARTS}}
 
 

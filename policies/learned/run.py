@@ -21,7 +21,7 @@ import yaml
 from marouting import InputError
 from marouting.config import check, check_same, plain
 from marouting.files import FILE_NAME, is_file_name, write_text, writing
-from marouting.source import load_problems
+from marouting.source import fixed_problems, load_problems
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
 from policies.learned.logs import Logs
@@ -89,9 +89,10 @@ class Run:
             self._check_same()
         else:
             self._check_new()
-        source = str(self.folder / "problems") if resume else config.env.problem
+        own = str(self.folder / "problems")
+        problems = load_problems(own) if resume else fixed_problems(config.env)
         # In an order that does not depend on where they come from.
-        self.problems = dict(sorted(load_problems(source).items()))
+        self.problems = dict(sorted(problems.items()))
         for name in self.problems:
             fits = is_file_name(name, f".{config.learner.name}_policy.solution")
             check(f"problem {name[:80]!r}", fits, FILE_NAME)

@@ -24,6 +24,7 @@ from marouting.game.engine import Metrics
 from marouting.game.observation import state_space
 from marouting.game.saved import checked_demand
 from marouting.game.state import NOBODY, Dynamic
+from marouting.options import PLAYED
 from marouting.player import Saved, StepBuffers
 from policies.learned.burn_in import guide, read_solutions
 from policies.learned.checkpoint import ANY, FINITE, POLICY_FORMAT, TRAINING_FORMAT, checked
@@ -305,7 +306,8 @@ class Trainer:
     def policy(self) -> dict[str, Any]:
         """What it takes to play with the best networks: plain data and tensors."""
         env = plain(self.config.env)
-        del env["problem"]
+        for name in PLAYED:
+            del env[name]
         return {
             "format": POLICY_FORMAT,
             "names": list(self.learner.setup.names),

@@ -1,0 +1,645 @@
+"""Scenarios: their problems never change, are kept apart, and are known as well as is claimed."""
+
+import copy
+import hashlib
+import itertools
+import pickle
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import problems as any_problem
+
+import marouting
+from marouting import (
+    ENVIRONMENT_ID,
+    InputError,
+    Net,
+    Pin,
+    Problem,
+    evaluate,
+    global_routing_v0,
+    scenarios,
+    sequential_astar,
+)
+from marouting.scenarios import Level, Scenario, digest
+from marouting.scenarios.references import Best, path_of, read_references, references_of
+from marouting.scenarios.scenario import routable
+from marouting.vector import BatchEnv
+from policies.benchmark.references import Effort, solve, solve_scenario
+from policies.learned.config import Config
+from policies.learned.run import Run
+from policies.routers.optimal import OptimalRouter
+from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
+
+NAMES = scenarios.names()
+FEASIBLE = [name for name in NAMES if scenarios.get(name).feasible]
+SMALL = [name for name in FEASIBLE if name != "large-64x64-v0"]
+"""Those whose optima take a moment to prove."""
+
+every = pytest.mark.parametrize("name", NAMES)
+
+
+def fixed(name: str) -> dict[str, Problem]:
+    """The validation and the test problems of a scenario by their names."""
+    scenario = scenarios.get(name)
+    return {**scenario.problems("validation"), **scenario.problems("test")}
+
+
+# Names -------------------------------------------------------------------------------------------
+
+
+def test_names() -> None:
+    assert NAMES[0] == "toy-4x4-v0"
+    assert len(set(NAMES)) == len(NAMES) >= 8
+    assert all(name.endswith("-v0") for name in NAMES)
+    assert marouting.scenarios is scenarios
+    for name in NAMES:
+        scenario = scenarios.get(name)
+        assert scenarios.get(name) is scenario
+        assert scenario.name == name
+        assert scenario.description.endswith(".")
+        assert scenario.description.count(". ") <= 1
+    assert {name for name in NAMES if name.startswith("tight")} == set(NAMES) - set(FEASIBLE)
+
+
+def test_an_unknown_name_suggests_the_nearest() -> None:
+    with pytest.raises(InputError, match=r"^scenario: did you mean toy-4x4-v0\?"):
+        scenarios.get("toy-4x4")
+    with pytest.raises(InputError, match=r"expected one of toy-4x4-v0, two-pin.*found 'xyzzy'$"):
+        scenarios.get("xyzzy")
+
+
+@every
+def test_the_problems_have_names(name: str) -> None:
+    scenario = scenarios.get(name)
+    for split, problems in (("validation", scenario.validation), ("test", scenario.test)):
+        assert scenario.names(split) == [f"{split}_{i:03d}" for i in range(len(problems))]
+        assert list(scenario.problems(split).values()) == problems
+        assert all(problem.grid == scenario.grid for problem in problems)
+    assert all(a is b for a, b in zip(scenario.test, scenario.test, strict=True))
+    scenario.test.clear()
+    assert len(scenario.test) == scenario.level.test
+
+
+def test_splits_without_end_or_existence_are_refused() -> None:
+    toy = scenarios.get("toy-4x4-v0")
+    with pytest.raises(InputError, match=r"^split: expected validation or test: there is no end"):
+        toy.names("train")
+    with pytest.raises(InputError, match=r"^split: expected one of train, validation, test"):
+        toy.problems("tst")  # type: ignore[arg-type]
+    for seed in (-1, 1.0, None, "1"):
+        with pytest.raises(InputError, match=r"^seed: expected a whole number from 0"):
+            toy.train(seed)  # type: ignore[arg-type]
+
+
+# Problems ----------------------------------------------------------------------------------------
+
+DIGESTS = {
+    "toy-4x4-v0": ("75bc954ee67010c2", "be474f0270418ee8", "9fde4f5b7523e1ed"),
+    "two-pin-8x8-v0": ("3302b817d7a5115c", "c9e1e1036c4ccd63", "79278ce341c33968"),
+    "paper-table2-row3-v0": ("765c2060233f359b", "86fe01ea3bb5879b", "a7879bab022279fc"),
+    "multi-pin-8x8-v0": ("37da1c4c38c1ed70", "431db64b8e38bedd", "3d1d15700b24bde9"),
+    "mixed-v0": ("c2a81d184acccaaf", "364a25138bb16a68", "0f28ce50f83fc328"),
+    "large-64x64-v0": ("f1707dff51af4e50", "77d6f129782e6495", "ba7935b33c5e1e49"),
+    "tight-16x16-v0": ("d01285e06abc9564", "67c3cca46be39948", "082415c9186f3699"),
+    "tight-32x32-v0": ("a3ac525837a8c6ee", "142c24a64b8384ee", "4d19e34dfea94635"),
+}
+"""SHA-256 of the exact problems of each scenario: validation, test, the first three of seed 0."""
+
+
+def exact(problems: Sequence[Problem]) -> str:
+    """A digest of all that the problems hold, names and coordinates too."""
+    return hashlib.sha256(repr(list(problems)).encode()).hexdigest()[:16]
+
+
+@every
+def test_a_version_never_changes(name: str) -> None:
+    """If this fails, results of the scenario have changed: it needs a new version."""
+    scenario = scenarios.get(name)
+    first = list(itertools.islice(scenario.train(0), 3))
+    assert (exact(scenario.validation), exact(scenario.test), exact(first)) == DIGESTS[name]
+
+
+def test_a_scenario_depends_on_nothing_but_its_parameters() -> None:
+    level = scenarios.get("toy-4x4-v0").level
+    again = Scenario(level)
+    assert next(again.train(5)) == next(scenarios.get("toy-4x4-v0").train(5))
+    assert again.test == scenarios.get("toy-4x4-v0").test
+    assert Scenario(replace(level, name="toy-4x4-v1")).test != again.test
+
+
+def test_training_problems_come_from_their_seed() -> None:
+    toy = scenarios.get("toy-4x4-v0")
+    first = list(itertools.islice(toy.train(3), 5))
+    stream = toy.train(3)
+    assert [next(stream) for _ in range(5)] == first
+    assert list(itertools.islice(toy.train(np.int64(3)), 5)) == first
+    assert next(toy.train(4)) != first[0]
+    assert len({digest(problem) for problem in first}) == 5
+
+
+@every
+def test_problems_are_as_the_level_says(name: str) -> None:
+    scenario = scenarios.get(name)
+    level = scenario.level
+    drawn = [*scenario.validation, *scenario.test]
+    nets = {len(problem.nets) for problem in drawn}
+    assert set(range(level.nets[0], level.nets[1] + 1)) >= nets
+    assert len(nets) > 1 or level.nets[0] == level.nets[1]
+    pins = {len(net.pins) for problem in drawn for net in problem.nets}
+    assert pins <= set(range(2, level.max_pins[1] + 1))
+    assert level.max_pins[1] in pins
+    capacity = {problem.horizontal_capacity[0] for problem in drawn}
+    assert capacity == set(range(level.capacity[0], level.capacity[1] + 1))
+    assert {len(problem.adjustments) for problem in drawn} == {level.reduced_edges}
+
+
+ONE_NET = Level(
+    name="one-net-v0",
+    description="",
+    grid=(3, 2, 2),
+    nets=(1, 1),
+    max_pins=(2, 2),
+    capacity=(1, 1),
+    validation=4,
+    test=4,
+)
+"""There are 15 different problems: pairs of six Gcells."""
+
+
+def test_held_out_problems_never_occur_in_training() -> None:
+    scenario = Scenario(ONE_NET)
+    held = [digest(problem) for problem in (*scenario.validation, *scenario.test)]
+    assert len(set(held)) == 8
+    # Without the promise, training problems would be drawn from among them.
+    drawn = {digest(ONE_NET.problem(np.random.default_rng(i))) for i in range(300)}
+    assert len(drawn) == 15
+    assert drawn > set(held)
+    for seed in range(2):
+        found = {digest(problem) for problem in itertools.islice(scenario.train(seed), 150)}
+        assert found == drawn - set(held)
+
+
+def test_a_level_with_too_few_problems_is_refused() -> None:
+    scenario = Scenario(replace(ONE_NET, validation=5, test=10))
+    assert len({digest(p) for p in (*scenario.validation, *scenario.test)}) == 15
+    with pytest.raises(InputError, match=r"^one-net-v0: expected a problem that fits within 1000"):
+        next(scenario.train(0))
+    with pytest.raises(InputError, match="one-net-v0: expected a problem"):
+        _ = Scenario(replace(ONE_NET, validation=16)).validation
+
+
+@every
+def test_the_splits_are_disjoint(name: str) -> None:
+    scenario = scenarios.get(name)
+    held = list(map(digest, fixed(name).values()))
+    assert len(set(held)) == len(held)
+    count = 3 if name == "large-64x64-v0" else 30
+    assert not set(held) & {digest(p) for p in itertools.islice(scenario.train(1), count)}
+
+
+@pytest.mark.parametrize("name", FEASIBLE)
+def test_training_problems_are_feasible(name: str) -> None:
+    """By a router that the scenario does not use."""
+    count = 1 if name == "large-64x64-v0" else 10
+    router = PathfinderRouter(PathfinderOptions(seconds=3))
+    for problem in itertools.islice(scenarios.get(name).train(2), count):
+        judged = evaluate(problem, router.route(problem))
+        assert judged.connected
+        assert judged.overflow == 0
+
+
+def test_infeasible_problems_are_not_kept() -> None:
+    level = replace(scenarios.get("toy-4x4-v0").level, nets=(6, 6), validation=1, test=1)
+    raw = [level.problem(np.random.default_rng(i)) for i in range(20)]
+    least = [OptimalRouter().solve(problem).overflow for problem in raw]
+    assert 0 < sum(overflow > 0 for overflow in least) < 20
+    # Whatever A* has proven feasible is; it may miss some.
+    assert all(overflow == 0 for p, overflow in zip(raw, least, strict=True) if routable(p))
+    assert any(map(routable, raw))
+    for problem in itertools.islice(Scenario(level).train(0), 10):
+        assert OptimalRouter().solve(problem).overflow == 0
+
+
+# Digests -----------------------------------------------------------------------------------------
+
+
+@given(any_problem(), st.data())
+@settings(max_examples=60, deadline=None)
+def test_a_digest_tells_what_is_to_be_routed(problem: Problem, data: st.DataObject) -> None:
+    nets = data.draw(st.permutations(problem.nets))
+    width, height = problem.tile
+
+    def elsewhere(pin: Pin) -> Pin:
+        """Another place in the same Gcell."""
+        x = (pin.x - problem.origin[0]) // width * width + problem.origin[0]
+        y = (pin.y - problem.origin[1]) // height * height + problem.origin[1]
+        return Pin(
+            x + data.draw(st.integers(0, width - 1)),
+            y + data.draw(st.integers(0, height - 1)),
+            pin.layer,
+        )
+
+    renamed = [
+        Net(f"n{i}", i, tuple(map(elsewhere, data.draw(st.permutations(net.pins)))), net.min_width)
+        for i, net in enumerate(nets)
+    ]
+    assert digest(replace(problem, nets=tuple(renamed))) == digest(problem)
+    inside = Net("inside one Gcell".replace(" ", "_"), 1, (problem.nets[0].pins[0],) * 2)
+    assert digest(replace(problem, nets=(*problem.nets, inside))) == digest(problem)
+
+
+def test_digests_differ_where_routing_does() -> None:
+    problem = scenarios.get("mixed-v0").test[0]
+    first, *others = problem.nets
+    wide = replace(first, min_width=2)
+    moved = replace(first, pins=(*first.pins, Pin(1, 1, 3)))
+    changed = [
+        replace(problem, nets=(wide, *others)),
+        replace(problem, nets=(moved, *others)),
+        replace(problem, nets=tuple(others)),
+        replace(problem, nets=(*problem.nets, replace(first, name="again"))),
+        replace(problem, horizontal_capacity=(9, 0, 9)),
+        replace(problem, adjustments=(marouting.Adjustment(0, 0, 1, 1, 0, 1, 0),)),
+    ]
+    assert len({digest(p) for p in (problem, *changed)}) == 1 + len(changed)
+
+
+# References --------------------------------------------------------------------------------------
+
+
+@every
+def test_every_fixed_problem_has_a_reference(name: str) -> None:
+    scenario, problems = scenarios.get(name), fixed(name)
+    assert {record.problem for record in references_of(name).values()} == set(problems)
+    for of, problem in problems.items():
+        best = scenario.best(problem)
+        overflow, wirelength, proven = scenario.reference(problem)
+        assert (overflow, wirelength, proven) == (best.overflow, best.wirelength, best.proven)
+        assert references_of(name)[digest(problem)].problem == of
+        assert proven == ((overflow, wirelength) == best.bound)
+        assert best.bound <= (overflow, wirelength)
+        assert best.how.startswith("solution by")
+        assert best.seconds > 0
+        if scenario.feasible:
+            assert overflow == 0
+        astar = evaluate(problem, sequential_astar(problem))
+        assert (overflow, wirelength) <= (astar.overflow, astar.wirelength)
+
+
+@pytest.mark.parametrize("name", ["toy-4x4-v0", "two-pin-8x8-v0", "paper-table2-row3-v0"])
+def test_all_references_of_the_easy_ones_are_proven(name: str) -> None:
+    assert all(record.proven for record in references_of(name).values())
+
+
+def check_proven(name: str, names: Sequence[str]) -> None:
+    """Proves optima again, and compares."""
+    for of in names:
+        problem = fixed(name)[of]
+        best = scenarios.get(name).best(problem)
+        found = OptimalRouter(time_limit=20).solve(problem)
+        assert best.bound <= (found.overflow, found.wirelength)
+        assert (found.bound_overflow, found.bound_wirelength) <= (best.overflow, best.wirelength)
+        if best.proven and found.status == "optimal":
+            assert (found.overflow, found.wirelength) == (best.overflow, best.wirelength)
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_some_references_are_optimal(name: str) -> None:
+    proven = [record.problem for record in references_of(name).values() if record.proven]
+    check_proven(name, proven[::15])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SMALL)
+def test_all_references_are_optimal(name: str) -> None:
+    check_proven(name, list(fixed(name)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["tight-16x16-v0", "tight-32x32-v0"])
+def test_no_solution_is_below_a_bound(name: str) -> None:
+    """By negotiated congestion, which has no part in the bounds."""
+    for problem in scenarios.get(name).test[:3]:
+        routed = PathfinderRouter(PathfinderOptions(seconds=3, seed=7)).route(problem)
+        judged = evaluate(problem, routed)
+        assert scenarios.get(name).best(problem).bound <= (judged.overflow, judged.wirelength)
+
+
+def test_a_reference_belongs_to_what_is_routed(tmp_path: Path) -> None:
+    toy = scenarios.get("toy-4x4-v0")
+    problem = toy.test[3]
+    problem.write(tmp_path / "test_003.gr")
+    assert toy.reference(Problem.read(tmp_path / "test_003.gr")) == toy.reference(problem)
+    turned = replace(problem, nets=problem.nets[::-1])
+    assert toy.reference(turned) == toy.reference(problem)
+    for other in (next(toy.train(0)), scenarios.get("mixed-v0").test[0]):
+        with pytest.raises(InputError, match=r"^problem: expected a validation or test problem of"):
+            toy.reference(other)
+
+
+def test_what_is_known_is_checked(tmp_path: Path) -> None:
+    path = tmp_path / "toy.json"
+    assert read_references(path) == {}
+    good = path_of("toy-4x4-v0").read_text(encoding="utf-8")
+    for bad, said in (
+        ("{", "expected JSON"),
+        ('{"references": 3}', "references"),
+        (good.replace('"overflow": 0', '"overflow": -1', 1), "expected numbers from 0"),
+        (good.replace('"wirelength": ', '"wirelength": 1.5, "x": ', 1), "wirelength|x: unknown"),
+        (good.replace('"seconds": ', '"seconds": "1", "x": ', 1), "seconds|x: unknown"),
+    ):
+        path.write_text(bad, encoding="utf-8")
+        with pytest.raises(InputError, match=said) as error:
+            read_references(path)
+        assert str(error.value).startswith(str(path))
+    about: dict[str, Any] = {"how": "", "seconds": 1.0}
+    for overflow, wirelength, bound in ((1, 5, (1, 6)), (1, 5, (2, 0)), (1, 5, (-1, 9))):
+        with pytest.raises(InputError, match="bound of at most"):
+            Best(
+                overflow=overflow,
+                wirelength=wirelength,
+                bound_overflow=bound[0],
+                bound_wirelength=bound[1],
+                **about,
+            )
+
+
+def test_references_are_computed_once_and_only_get_better(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("policies.benchmark.references.path_of", lambda name: tmp_path / name)
+    name = "two-pin-8x8-v0"
+    hasty = Effort(seconds=0, seeds=0)  # A* and the bound of nets alone
+    steps = solve_scenario(name, hasty)
+    first = next(steps)
+    assert not first.proven
+    assert read_references(tmp_path / name).values()
+    steps.close()
+    assert len(read_references(tmp_path / name)) == 1  # it goes on from here
+    assert [record.problem for record in solve_scenario(name, hasty)] == list(fixed(name))[1:]
+    assert list(solve_scenario(name, hasty)) == []
+    better = next(solve_scenario(name, Effort(seconds=20, seeds=1), again=True))
+    problem = fixed(name)["validation_000"]
+    assert better.problem == first.problem == "validation_000"
+    assert better.proven
+    assert tuple(scenarios.get(name).reference(problem)) == (
+        better.overflow,
+        better.wirelength,
+        True,
+    )
+    assert better.seconds > first.seconds
+    assert read_references(tmp_path / name)[digest(problem)] == better
+
+
+def test_a_worse_search_changes_nothing() -> None:
+    toy = scenarios.get("toy-4x4-v0")
+    router = OptimalRouter(time_limit=0)  # A* and the bound of nets alone
+    of, problem, least = next(
+        (of, problem, toy.best(problem))
+        for of, problem in toy.problems("test").items()
+        if router.solve(problem).overflow > 0
+    )
+    for bound in (0, least.wirelength):
+        known = replace(references_of(toy.name)[digest(problem)], bound_wirelength=bound)
+        found = solve(problem, of, Effort(0, 0), known)
+        assert (found.overflow, found.wirelength) == (least.overflow, least.wirelength)
+        assert (0, bound) <= found.bound <= (least.overflow, least.wirelength)
+        assert found.bound_wirelength > 0
+        assert found.how.startswith("solution by optimal")
+
+
+# Environments ------------------------------------------------------------------------------------
+
+MAKERS: dict[str, Callable[..., Any]] = {
+    "env": global_routing_v0.env,
+    "raw_env": global_routing_v0.raw_env,
+    "parallel_env": global_routing_v0.parallel_env,
+    "gymnasium.make": lambda **options: gymnasium.make(ENVIRONMENT_ID, **options),
+    "make, multi": lambda **options: marouting.make({"env": {**options, "agents": "multi"}}),
+    "make, single": lambda **options: marouting.make({"env": options}),
+}
+makers = pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+
+
+def names_played(env: Any, episodes: int, seed: int | None = None) -> list[str]:
+    """The names of the problems of some episodes."""
+    names = []
+    for _ in range(episodes):
+        result = env.reset(seed=seed)
+        seed = None
+        if result is None:
+            info = env.unwrapped.infos[env.unwrapped.agents[0]]
+        else:
+            info = result[1]
+            info = info if "problem" in info else info[env.agents[0]]
+        names.append(info["problem"])
+    return names
+
+
+@makers
+def test_training_plays_a_new_problem_every_episode(make: Callable[..., Any]) -> None:
+    env, other = make(scenario="toy-4x4-v0"), make(scenario="toy-4x4-v0", split="train")
+    first = names_played(env, 6, seed=1)
+    assert len(set(first)) == 6
+    assert names_played(other, 6, seed=1) == first
+    assert names_played(other, 6, seed=2) != first
+    toy = scenarios.get("toy-4x4-v0")
+    for _ in range(3):
+        (name,) = names_played(env, 1)
+        played = env.unwrapped.solution().problem
+        assert played == next(toy.train(int(name.removeprefix("train_"))))
+        with pytest.raises(InputError, match="expected a validation or test problem"):
+            toy.reference(played)
+
+
+@makers
+@pytest.mark.parametrize("split", ["validation", "test"])
+def test_the_other_splits_play_their_problems(make: Callable[..., Any], split: Any) -> None:
+    env = make(scenario="toy-4x4-v0", split=split)
+    problems = scenarios.get("toy-4x4-v0").problems(split)
+    first = names_played(env, 8, seed=3)
+    assert len(set(first)) > 3
+    for name in first:
+        assert problems[name].grid == (4, 4, 2)
+    (name,) = names_played(env, 1)
+    assert env.unwrapped.solution().problem is problems[name]
+    assert names_played(env, 8, seed=3) == first
+
+
+@makers
+@pytest.mark.parametrize("split", scenarios.SPLITS)
+def test_spaces_hold_for_all_problems_of_a_scenario(make: Callable[..., Any], split: str) -> None:
+    env = make(scenario="mixed-v0", split=split, overflow="allowed")
+    rng = np.random.default_rng(0)
+    sizes = set()
+    for seed in range(12):
+        result = env.reset(seed=seed)
+        problem = env.unwrapped.solution().problem
+        sizes.add(len(problem.nets))
+        for _ in range(30):
+            if result is None:
+                agents = [env.agent_selection]
+                assert set(env.agents) <= set(env.possible_agents)
+                seen = {agent: env.observe(agent) for agent in agents}
+                env.step(None if any(env.last()[2:4]) else int(rng.integers(6)))
+            elif isinstance(result[0], dict):
+                assert set(env.agents) <= set(env.possible_agents)
+                seen, *_ = env.step({agent: int(rng.integers(6)) for agent in env.agents})
+            else:
+                assert env.observation_space.contains(result[0])
+                result = env.step(int(rng.integers(6)))
+                seen = {}
+            for agent, observation in seen.items():
+                assert env.observation_space(agent).contains(observation)
+        space = getattr(env.unwrapped, "state_space", None)
+        assert space is None or space.contains(env.unwrapped.state())
+    assert len(sizes) > 5
+
+
+def test_spaces_and_agents_are_the_same_in_all_splits() -> None:
+    envs = [global_routing_v0.parallel_env(scenario="mixed-v0", split=s) for s in scenarios.SPLITS]
+    for env in envs:
+        assert env.possible_agents == [f"net_{n}" for n in range(60)]
+        assert env.observation_space("net_0") == envs[0].observation_space("net_0")
+        assert env.state_space == envs[0].state_space
+
+
+def test_spaces_hold_for_all_problems_of_a_generator_without_seed() -> None:
+    """However many of the edges are reduced."""
+    for edges in (0, 5, 17, 10_000):
+        source = {
+            "grid": (4, 4, 2), "nets": 3, "max_pins": 3, "capacity": 3, "seed": None,
+            "reduced_edges": edges, "reduced_capacity": 7,
+        }  # fmt: skip
+        env = global_routing_v0.parallel_env(source)
+        for seed in range(20):
+            seen, _ = env.reset(seed=seed)
+            assert env.agents == env.possible_agents
+            assert env.state_space.contains(env.state())
+            for agent, observation in seen.items():
+                assert env.observation_space(agent).contains(observation)
+
+
+@makers
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_copies_go_on_with_the_same_problems(
+    make: Callable[..., Any], copied: Callable[[Any], Any]
+) -> None:
+    env = make(scenario="mixed-v0")
+    names_played(env, 2, seed=5)
+    twin = copied(env)
+    assert twin.unwrapped.solution().problem == env.unwrapped.solution().problem
+    assert names_played(twin, 4) == names_played(env, 4)
+
+
+def test_gymnasium_vectors() -> None:
+    envs = gymnasium.make_vec(ENVIRONMENT_ID, num_envs=3, scenario="toy-4x4-v0", split="test")
+    _, infos = envs.reset(seed=4)
+    again = gymnasium.make_vec(ENVIRONMENT_ID, num_envs=3, scenario="toy-4x4-v0", split="test")
+    assert list(infos["problem"]) == list(again.reset(seed=4)[1]["problem"])
+    assert set(infos["problem"]) <= set(scenarios.get("toy-4x4-v0").names("test"))
+    envs.close()
+
+
+def test_a_configuration_names_a_scenario(tmp_path: Path) -> None:
+    path = tmp_path / "toy.yaml"
+    path.write_text("env: {scenario: toy-4x4-v0, split: test, agents: multi}\n", encoding="utf-8")
+    env = marouting.make(path)
+    assert set(names_played(env, 3)) <= set(scenarios.get("toy-4x4-v0").names("test"))
+
+
+def test_batches_of_a_scenario() -> None:
+    batch = BatchEnv(4, scenario="mixed-v0", seed=3, turn_order="sequential")
+    stream = scenarios.get("mixed-v0").train(3)
+    assert list(batch.engine.problems) == [next(stream) for _ in range(4)]
+    batch.reset()
+    twin = pickle.loads(pickle.dumps(batch))
+    assert twin.engine.problems == batch.engine.problems
+    assert BatchEnv(2, scenario="mixed-v0", seed=4).engine.problems != batch.engine.problems[:2]
+    for split in ("validation", "test"):
+        batch = BatchEnv(scenario="toy-4x4-v0", split=split)
+        assert list(batch.engine.problems) == getattr(scenarios.get("toy-4x4-v0"), split)
+
+
+GENERATED = marouting.generate(2, nets=3)
+
+
+@pytest.mark.parametrize(
+    ("problem", "options", "said"),
+    [
+        (GENERATED[0], {"scenario": "toy-4x4-v0"}, "problem: expected none beside a scenario"),
+        (None, {"scenario": "toy-4x4-v1"}, r"scenario: did you mean toy-4x4-v0\?"),
+        (None, {"scenario": "toy-4x4-v0", "split": "tst"}, "split: expected 'train', 'valid"),
+        (None, {"split": "test"}, "split: expected a scenario beside it"),
+        (None, {"scenario": 3}, "scenario: expected a valid string, found 3"),
+    ],
+)
+@makers
+def test_what_environments_refuse(
+    make: Callable[..., Any], problem: Any, options: dict[str, Any], said: str
+) -> None:
+    given_problem = {} if problem is None else {"problem": problem}
+    if problem is not None and make in (MAKERS["make, multi"], MAKERS["make, single"]):
+        given_problem = {"problem": {"nets": 3}}  # configurations hold plain data
+    with pytest.raises(InputError, match=rf"^(config: env: )?{said}"):
+        make(**given_problem, **options)
+
+
+@pytest.mark.parametrize(
+    ("problems", "options", "said"),
+    [
+        (None, {}, "problems: expected a list of problems, or a scenario beside it; found None"),
+        (3, {}, "problems: expected a list of problems, or a scenario beside it; found 3"),
+        (None, {"scenario": "toy-4x4-v0"}, "problems: expected how many of toy-4x4-v0, found None"),
+        (0, {"scenario": "toy-4x4-v0"}, "problems: expected how many of toy-4x4-v0, found 0"),
+        (GENERATED, {"scenario": "toy-4x4-v0"}, "problems: expected how many .* found a list"),
+        (3, {"scenario": "toy-4x4-v0", "split": "test"}, "problems: expected none: all of split"),
+        (3, {"scenario": "toy-4x4-v0", "seed": -1}, "seed: expected a whole number from 0"),
+        (GENERATED, {"split": "test"}, "split: expected a scenario beside it"),
+    ],
+)
+def test_what_batches_refuse(problems: Any, options: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=f"^{said}"):
+        BatchEnv(problems, **options)
+
+
+# Trainings ---------------------------------------------------------------------------------------
+
+
+def training(folder: Path, **env: Any) -> Config:
+    """A very short training."""
+    return marouting.config.build(
+        Config,
+        {
+            "out": str(folder),
+            "env": env,
+            "learner": {"kind": "dqn", "burn_in_size": 100, "buffer_size": 500},
+            "train": {"episodes": 1, "figures": False, "tensorboard": False},
+        },
+    )
+
+
+def test_a_training_takes_fixed_problems_side_by_side(tmp_path: Path) -> None:
+    run = Run(training(tmp_path / "run", scenario="toy-4x4-v0", split="validation"))
+    assert list(run.problems) == scenarios.get("toy-4x4-v0").names("validation")
+    run.execute()
+    kept = {path.stem for path in (tmp_path / "run" / "problems").glob("*.gr")}
+    assert kept == set(run.problems)
+    with pytest.raises(InputError, match=r"env\.split: expected 'validation'"):
+        Run(training(tmp_path / "run", scenario="toy-4x4-v0", split="test"), resume=True)
+    again = Run(training(tmp_path / "run", scenario="toy-4x4-v0", split="validation"), resume=True)
+    assert again.problems == run.problems
+
+
+def test_a_training_refuses_problems_without_end(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^split: expected validation or test, found train"):
+        Run(training(tmp_path / "run", scenario="toy-4x4-v0"))
+    assert not (tmp_path / "run").exists()
