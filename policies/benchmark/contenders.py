@@ -42,7 +42,9 @@ class Budget:
     @staticmethod
     def parse(text: str) -> "Budget":
         """A budget such as ``1s``, ``2min``, ``16`` or ``500 episodes``; raises InputError."""
-        matched = re.fullmatch(r"(\d{1,9}(?:\.\d{1,6})?)\s*(s|min|samples|episodes|)", text.strip())
+        matched = re.fullmatch(
+            r"([0-9]{1,9}(?:\.[0-9]{1,6})?)\s*(s|min|samples|episodes|)", text.strip()
+        )
         expected = "seconds such as 1s, or a number of samples such as 16"
         if matched is None:
             raise InputError(f"budget: expected {expected}, found {text[:80]!r}")

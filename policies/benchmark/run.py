@@ -123,6 +123,9 @@ class Benchmark:
         self.sets = tuple(
             _Set(scenarios.get(name), split, folder / name) for name in dict.fromkeys(names)
         )
+        for one in self.sets:
+            for problem in one.problems.values():
+                _ = one.scenario.reference(problem)  # or an error, before hours of work
         self._seeds = SEEDS if seeds is None else seeds
         self._jobs = jobs or cores()
 
@@ -214,8 +217,8 @@ class Benchmark:
             try:
                 check_same(mine, kept, path)
             except InputError as error:
-                hint = f"(another name or folder starts anew) {error}"
-                raise InputError(f"{entry.name}: {hint}") from None
+                hint = "another name or folder starts anew"
+                raise InputError(f"{entry.name}: {error}; {hint}") from None
             return
         parts = self._parts(one, contender)
         parts[0].check(one.problems)
