@@ -404,8 +404,8 @@ def by_heuristic(problem: Problem, **options: Any) -> tuple[Solution, int]:
             edge = between(cell, ahead)  # type: ignore[arg-type]
             own = n in users.get(edge, ())
             limit = None if own or is_via(edge) else capacity_of(problem, edge)
-            # Own edges before vias, and vias before all others.
-            free = 9e9 if own else 1e9 if limit is None else limit - len(users.get(edge, ()))
+            # Own edges before all others, and vias after them.
+            free = 9e9 if own else 1e-9 if limit is None else limit - len(users.get(edge, ()))
             if free > most and distance(ahead, target) < nearest:  # type: ignore[arg-type]
                 best, most = move, free
         if best is None:

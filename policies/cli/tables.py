@@ -120,7 +120,9 @@ def show_benchmark(summaries: Sequence[Mapping[str, Any]]) -> None:
             "seconds": [_known(row["solution_seconds"], ".3g") for row in rows],
         }
         problems, seeds = rows[0]["problems"], max(row["seeds"] for row in rows)
-        of = f"{problems} {rows[0]['split']} problems, up to {seeds} seeds"
+        of = f"{problems} {rows[0]['split']} problems"
+        if seeds > 1:
+            of += f", up to {seeds} seeds"
         _print(f"{scenario}: {of}", columns, ["router"])
     click.echo(_wrapped(_BENCHMARK_NOTES))
 

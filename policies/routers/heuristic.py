@@ -7,7 +7,7 @@ from marouting.game.options import NetOrder
 from marouting.game.rules import has_room, move_player, settle_player, uses
 from marouting.game.state import NOBODY, Dynamic, Static
 from marouting.kernels import compiled, place, wide
-from marouting.problem.grid import AXES, MOVES
+from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.search.bounded import SearchBuffers, search_buffers, shortest_path
 from marouting.trees.decomposition import Decomposition
 
@@ -17,10 +17,11 @@ class HeuristicRouter:
     """Every net walks to the neighbour nearer to its target with the most remaining capacity.
 
     Distances are Manhattan distances over x, y and layer. Of the moves that lead nearer than the
-    agent has been in this task, it makes the one across the edge with the most remaining capacity;
-    its own edges count as free of any limit, ties go to the first in the order of
-    :class:`marouting.problem.grid.Move`. If there is none it walks a shortest detour, as A* finds
-    it, until there is one again. Where every way is full, it stays until the task fails.
+    agent has been in this task, it makes the one across the edge with the most remaining capacity.
+    Its own edges come first, vias last: their capacity has no limit, and an agent that took one
+    whenever it could would change layers at every step. Ties go to the first in the order of
+    :class:`marouting.problem.grid.Move`. If there is no such move it walks a shortest detour, as A*
+    finds it, until there is one again. Where every way is full, it stays until the task fails.
 
     Attributes:
         net_order: which nets come first, see :class:`marouting.game.options.RuleOptions`.
@@ -83,6 +84,8 @@ def _nearer(static: Static, dynamic: Dynamic, m: int, n: int, nearest: int) -> i
             continue
         edge = place(static.edge[cell, move])
         room = wide(dynamic.remaining[m, edge])
+        if move // 2 == VIA_AXIS:
+            room = wide(0)
         if uses(dynamic.used, m, n, edge):
             room = wide(2**62)
         if room > most:
