@@ -13,6 +13,7 @@ import wheels
 
 import marouting
 from marouting.config import config_file, read_yaml
+from marouting.scenarios.references import path_of
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "docs" / "examples"
@@ -210,6 +211,8 @@ def test_own_pieces_with_an_installed_wheel(name: str, installed: Path, tmp_path
 def test_a_wheel_brings_every_configuration(installed: Path, tmp_path: Path) -> None:
     brought = {p.relative_to(installed / "marouting") for p in installed.rglob("*.yaml")}
     assert brought == {p.relative_to(ROOT) for p in (ROOT / "configs").rglob("*.yaml")}
+    references = {path_of(name).relative_to(ROOT) for name in marouting.scenarios.names()}
+    assert {p.relative_to(installed) for p in installed.rglob("data/*.json")} == references
     out = python(
         installed / "bin" / "marouting", "train", "configs/paper/default.yaml", "out=run",
         "env.problem.count=1", "env.problem.nets=5", "learner.burn_in_size=100",

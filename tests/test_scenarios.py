@@ -377,7 +377,7 @@ def test_references_are_computed_once_and_only_get_better(
 ) -> None:
     monkeypatch.setattr("policies.benchmark.references.path_of", lambda name: tmp_path / name)
     name = "two-pin-8x8-v0"
-    hasty = Effort(seconds=0, seeds=0)  # A* and the bound of nets alone
+    hasty = Effort(seconds=0)  # A* and the bound of nets alone
     steps = solve_scenario(name, hasty)
     first = next(steps)
     assert not first.proven
@@ -386,7 +386,7 @@ def test_references_are_computed_once_and_only_get_better(
     assert len(read_references(tmp_path / name)) == 1  # it goes on from here
     assert [record.problem for record in solve_scenario(name, hasty)] == list(fixed(name))[1:]
     assert list(solve_scenario(name, hasty)) == []
-    better = next(solve_scenario(name, Effort(seconds=20, seeds=1), again=True))
+    better = next(solve_scenario(name, Effort(seconds=20), again=True))
     problem = fixed(name)["validation_000"]
     assert better.problem == first.problem == "validation_000"
     assert better.proven
@@ -409,7 +409,7 @@ def test_a_worse_search_changes_nothing() -> None:
     )
     for bound in (0, least.wirelength):
         known = replace(references_of(toy.name)[digest(problem)], bound_wirelength=bound)
-        found = solve(problem, of, Effort(0, 0), known)
+        found = solve(problem, of, Effort(0), known)
         assert (found.overflow, found.wirelength) == (least.overflow, least.wirelength)
         assert (0, bound) <= found.bound <= (least.overflow, least.wirelength)
         assert found.bound_wirelength > 0
