@@ -181,7 +181,7 @@ def _line(row: Mapping[str, Any]) -> str:
         f"`{row['name']}`",
         "?" if score is None else f"{score['mean']:.3f} [{score['low']:.2f}, {score['high']:.2f}]",
         "?" if unknown else f"{row['open']:.4g}",
-        f"{row['overflow']:.6g}",
+        f"{round(row['overflow'], 1):.10g}",
         "?" if unknown else _gap(row),
         "?" if unknown else f"{row['at_reference']:.0f}",
         "?" if unknown else f"{row['wins']:.3g}/{row['ties']:.3g}/{row['losses']:.3g}",

@@ -102,7 +102,7 @@ def show_benchmark(summaries: Sequence[Mapping[str, Any]]) -> None:
             "router": [row["name"] for row in rows],
             "score": [score_text(row["score"]) for row in rows],
             "open": [_known(row["open"], ".4g") for row in rows],
-            "overflow": [f"{row['overflow']:.6g}" for row in rows],
+            "overflow": [f"{round(row['overflow'], 1):.10g}" for row in rows],
             "gap\n%": [
                 "?"
                 if row["open"] is None

@@ -3,10 +3,15 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator
 
 from marouting.errors import InputError
 from policies.figures.style import BLUE, INK, LINES, PALE, literal
+
+WORSE = 4
+"""How many times narrower scores below 0 are drawn."""
 
 
 def score_intervals(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
@@ -43,9 +48,23 @@ def score_intervals(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figur
         axes.plot(score["mean"], place, "o", color=BLUE, markersize=6)
     axes.set_yticks(range(len(rows)), [literal(row["name"]) for row in rows], fontsize=9)
     axes.invert_yaxis()
+    # Most of the width is for the way from A* to the reference.
+    axes.set_xscale(
+        "function",
+        functions=(
+            lambda x: np.where(x < 0, x / WORSE, x),
+            lambda x: np.where(x < 0, x * WORSE, x),
+        ),
+    )
+    axes.xaxis.set_major_locator(FixedLocator([-3, -2, -1, 0, 0.25, 0.5, 0.75, 1, 2, 3, 4]))
+    axes.xaxis.set_major_formatter("{x:g}")
+    ends = [score[end] for score in (row["score"] for row in rows) for end in ("low", "high")]
+    axes.set_xlim(min(*ends, 0) - 0.05 * WORSE, max(*ends, 1) + 0.05)
     axes.grid(axis="x", color=PALE, linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.set_xlabel("score: interquartile mean over problems and seeds, 95 % interval")
+    axes.set_xlabel(
+        f"score: interquartile mean and 95 % interval (below 0 drawn {WORSE} times narrower)"
+    )
     figure.suptitle(literal(title), fontsize=12)
     return figure
 
