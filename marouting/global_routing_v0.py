@@ -25,7 +25,9 @@ mask whose only move does nothing, and all agents end together.
 The options of `env`, `raw_env` and `parallel_env` are the fields of
 :class:`marouting.options.GameOptions`. The problem may be a `Problem`, a `.gr` file, or a mapping
 of the generator's options (:class:`marouting.generator.GeneratorOptions`); or several of them, such
-as a folder: then every episode plays one, drawn at random.
+as a folder: then every episode plays one, drawn at random. With `scenario` and `split` it plays a
+level of the benchmark (:mod:`marouting.scenarios`): a new training problem in every episode, or one
+of the validation or test problems.
 
 ## Version history
 

@@ -4,6 +4,7 @@ import copy
 import hashlib
 import itertools
 import pickle
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import problems as any_problem
@@ -32,7 +34,15 @@ from marouting.scenarios import Level, Scenario, digest
 from marouting.scenarios.references import Best, path_of, read_references, references_of
 from marouting.scenarios.scenario import routable
 from marouting.vector import BatchEnv
-from policies.benchmark.references import Effort, solve, solve_scenario
+from policies.benchmark.references import (
+    MARKS,
+    Effort,
+    main,
+    solve,
+    solve_scenario,
+    table,
+    write_table,
+)
 from policies.learned.config import Config
 from policies.learned.run import Run
 from policies.routers.optimal import OptimalRouter
@@ -414,6 +424,49 @@ def test_a_worse_search_changes_nothing() -> None:
         assert (0, bound) <= found.bound <= (least.overflow, least.wirelength)
         assert found.bound_wirelength > 0
         assert found.how.startswith("solution by optimal")
+
+
+def test_the_table_is_measured(tmp_path: Path) -> None:
+    path = tmp_path / "scenarios.md"
+    path.write_text(f"before {MARKS[0]} old {MARKS[1]} after", encoding="utf-8")
+    names = ["toy-4x4-v0", "paper-table2-row3-v0"]
+    write_table(path, table(names, sample=0.3))
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith(f"before {MARKS[0]}\n\n| scenario ")
+    assert text.endswith(f"\n{MARKS[1]} after")
+    head, _, *rows = text.split(MARKS[0])[1].split(MARKS[1])[0].strip().splitlines()
+    for name, row in zip(names, rows, strict=True):
+        cells = [cell.strip() for cell in row.strip("|").split("|")]
+        assert len(cells) == len(head.strip("|").split("|"))
+        test = scenarios.get(name).test
+        known = [scenarios.get(name).reference(problem) for problem in test]
+        least = sum(one.wirelength for one in known)
+        assert cells[0] == name
+        assert cells[7] == f"0 / {least}"
+        judged = [evaluate(problem, sequential_astar(problem)) for problem in test]
+        more = 100 * (sum(one.wirelength for one in judged) / least - 1)
+        found = f"{sum(one.overflow for one in judged)} / {more:+.1f} %"
+        assert re.fullmatch(re.escape(found) + r", \S+ s", cells[8])
+        assert cells[9].startswith("0 / +0.0 %, ")  # negotiated congestion finds these optima
+        assert cells[11].endswith("/s")
+    path.write_text("no marks", encoding="utf-8")
+    with pytest.raises(InputError, match="expected the marks"):
+        write_table(path, [])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["toy"], "Error: scenario: did you mean toy-4x4-v0?"),
+        (["--seconds", "-1"], "Error: --seconds: expected a number from 0"),
+        (["--table", "missing.md"], "Error: missing.md: cannot be read"),
+    ],
+)
+def test_the_command_says_what_is_wrong(arguments: list[str], said: str) -> None:
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 2
+    assert done.output.startswith(said)
+    assert done.output.count("\n") == 1
 
 
 # Environments ------------------------------------------------------------------------------------

@@ -45,6 +45,6 @@ def get(name: str) -> Scenario:
     for level in LEVELS:
         if level.name == name:
             return _scenario(level)
-    close = difflib.get_close_matches(str(name), names(), n=1)
+    close = difflib.get_close_matches(str(name), names(), n=1, cutoff=0.4)
     nearest = f"did you mean {close[0]}? " if close else ""
     raise InputError(f"scenario: {nearest}expected one of {', '.join(names())}, found {name!r}")
