@@ -32,7 +32,7 @@ class Budget:
     """What a router may spend on a problem.
 
     Attributes:
-        seconds: wall time; None if the budget is of samples.
+        seconds: time; None if the budget is of samples.
         samples: solutions tried, or episodes of a training; None if the budget is of time.
     """
 

@@ -34,7 +34,7 @@ RESULTS = Path("docs/results/benchmark")
 @click.option("--config", type=Path, help="YAML file with routers by name, beside --router.")
 @click.option(
     "--budget",
-    help="What a router may spend on a problem: wall time such as 1s, or tries and episodes such "
+    help="What a router may spend on a problem: time such as 1s, or tries and episodes such "
     "as 16.  [default: as each router's options say]",
 )
 @click.option("--seeds", type=int, help="Seeds of routers that draw random numbers.  [default: 3]")
