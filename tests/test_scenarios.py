@@ -16,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pettingzoo.test import api_test, parallel_api_test
 from strategies import problems as any_problem
 
 import marouting
@@ -555,6 +556,13 @@ def test_spaces_hold_for_all_problems_of_a_scenario(make: Callable[..., Any], sp
         space = getattr(env.unwrapped, "state_space", None)
         assert space is None or space.contains(env.unwrapped.state())
     assert len(sizes) > 5
+
+
+@pytest.mark.parametrize("persist", [False, True])
+def test_pettingzoo_finds_nothing_wrong(persist: bool) -> None:
+    options: dict[str, Any] = {"scenario": "mixed-v0", "agents_persist": persist, "max_steps": 9}
+    api_test(global_routing_v0.env(**options), num_cycles=300)
+    parallel_api_test(global_routing_v0.parallel_env(**options), num_cycles=60)
 
 
 def test_spaces_and_agents_are_the_same_in_all_splits() -> None:

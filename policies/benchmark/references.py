@@ -195,7 +195,7 @@ def _gap(
     found = [evaluate(*pair) for pair in zip(problems, solutions, strict=True)]
     overflow, wirelength = sum(f.overflow for f in found), sum(f.wirelength for f in found)
     more = 100 * (wirelength / least[1] - 1)
-    above = f" (+{100 * (overflow / least[0] - 1):.1f} %)" if least[0] else ""
+    above = f" ({100 * (overflow / least[0] - 1):+.1f} %)" if least[0] else ""
     return f"{overflow}{above} / {more:+.1f} %, {each:.2g} s"
 
 
