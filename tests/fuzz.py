@@ -21,7 +21,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -33,6 +33,7 @@ from matplotlib.figure import Figure
 from mutations import MODEST, NASTY, in_archive, in_data, in_state, in_text, saved
 from reference import plain_evaluation
 from test_bad_files import GR
+from test_benchmark import made
 from test_experiment import everything
 from test_ispd import CONTEST
 from test_ispd98 import FLAT, LAYERED, said
@@ -43,6 +44,8 @@ from marouting import InputError, Net, Pin, Problem, Solution, errors, evaluate,
 from marouting.config import build, override, plain, read_yaml
 from marouting.problem.ispd import Format
 from policies import figures
+from policies.benchmark.leaderboard import read_groups
+from policies.benchmark.statistics import summarise
 from policies.experiment import Experiment, ExperimentConfig, experiment, load_experiment
 from policies.figures.plot import plot
 from policies.learned.config import Config, load_config
@@ -434,6 +437,13 @@ def experiment_folders(rng: Random, folder: Path) -> None:
     assert all(map(possible, found))
 
 
+def benchmarks(rng: Random, folder: Path) -> None:
+    """A result file of a benchmark is read as the leaderboard reads it."""
+    (folder / "result.json").write_bytes(in_json(rng, asdict(made())))
+    ((result,),) = read_groups(folder).values()
+    assert sane(summarise(result))
+
+
 def sane(value: Any) -> bool:
     """Whether plain data has only finite numbers."""
     if isinstance(value, dict):
@@ -499,6 +509,7 @@ KINDS: dict[str, Kind] = {
     "policy": Kind(policies, 60, 2_000, all_trained),
     "training": Kind(started_anew, 30, 2_000, all_trained),
     "run folder": Kind(run_folders, 40, 1_000, all_trained),
+    "result of a benchmark": Kind(benchmarks, 100, 5_000),
     "experiment folder": Kind(experiment_folders, 4, 200, compared),
 }
 

@@ -131,6 +131,7 @@ def test_generate_writes_what_the_library_generates(
 ROUTERS: dict[str, list[str]] = {
     "astar": [],
     "random": ["--seed", "3"],
+    "heuristic": [],
     "pathfinder": ["--seed", "3"],
     "optimal": [],
     "dqn": ["--seed", "3", *FAST],

@@ -9,9 +9,11 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference import STEPS, Edge, between, capacity_of, distance, gcell_of, is_via
 from strategies import problems
 
 from marouting import (
+    Engine,
     EnvOptions,
     InputError,
     Problem,
@@ -23,6 +25,7 @@ from marouting import (
 )
 from marouting.config import build
 from marouting.env.single import GlobalRoutingSingle
+from marouting.search.astar import AStar
 from policies.learned.config import Config
 from policies.learned.networks.mlp import MLP
 from policies.learned.policy import TrainedPolicy
@@ -30,6 +33,7 @@ from policies.learned.router import LearnedRouter
 from policies.learned.trainer import Episode, Trainer
 from policies.routers.astar import AStarRouter
 from policies.routers.base import Policy
+from policies.routers.heuristic import HeuristicRouter
 from policies.routers.random import RandomPolicy, RandomRouter
 
 
@@ -375,3 +379,55 @@ def test_astar_router_is_sequential_astar() -> None:
         up = AStarRouter(net_order="half_perimeter_up").route(problem)
         assert up == sequential_astar(problem, "half_perimeter_up")
         assert evaluate(problem, up).connected
+
+
+# --- the heuristic --------------------------------------------------------------------------------
+
+
+def by_heuristic(problem: Problem, **options: Any) -> tuple[Solution, int]:
+    """The heuristic in plain Python, and how many moves it made along detours."""
+    engine = Engine([problem], turn_order="sequential", **options)
+    astar, detour = AStar(engine), 0
+    users: dict[Edge, set[int]] = {}
+    nearest = 0
+    while (n := int(engine.games[0]["agent"])) >= 0:
+        agent = engine.agents[0, n]
+        cell, target = (gcell_of(problem, int(agent[key])) for key in ("cell", "target"))
+        if int(agent["steps"]) == 0:
+            nearest = distance(cell, target)
+        nearest = min(nearest, distance(cell, target))
+        best, most = None, 0.0
+        for move, step in enumerate(STEPS):
+            ahead = tuple(a + d for a, d in zip(cell, step, strict=True))
+            if not all(0 <= a < size for a, size in zip(ahead, problem.grid, strict=True)):
+                continue
+            edge = between(cell, ahead)  # type: ignore[arg-type]
+            own = n in users.get(edge, ())
+            limit = None if own or is_via(edge) else capacity_of(problem, edge)
+            # Own edges before all others, and vias after them.
+            free = 9e9 if own else 1e-9 if limit is None else limit - len(users.get(edge, ()))
+            if free > most and distance(ahead, target) < nearest:  # type: ignore[arg-type]
+                best, most = move, free
+        if best is None:
+            best, detour = int(astar.moves(np.array([0]), np.array([n]))[0]), detour + 1
+        engine.step(np.array([best]))
+        ahead = tuple(a + d for a, d in zip(cell, STEPS[best], strict=True))
+        if engine.agents[0, n]["crossing"] > 1:
+            users.setdefault(between(cell, ahead), set()).add(n)  # type: ignore[arg-type]
+    return engine.solution(), detour
+
+
+def test_the_heuristic_is_its_plain_version() -> None:
+    detours = open_nets = 0
+    for seed in range(12):
+        problem = problem_of(seed, nets=8 + seed % 5, max_pins=2 + seed % 3)
+        options: dict[str, Any] = {"decomposition": "steiner"} if seed % 4 == 3 else {}
+        expected, detour = by_heuristic(problem, **options)
+        routed = HeuristicRouter(**options).route(problem)
+        assert routed == expected
+        found = evaluate(problem, routed)
+        assert found.overflow == 0
+        detours += detour
+        open_nets += len(found.disconnected)
+    assert detours > 0
+    assert open_nets > 0

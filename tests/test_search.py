@@ -497,6 +497,8 @@ def test_the_best_of_several_orders() -> None:
     assert len(drawn) > 1
     assert figures(net_order="random", seed=3) == figures(net_order="random", seed=3)
     assert figures(net_order="random", best_of=8) <= min([figures(net_order="random")])
+    assert figures(best_of=40, seconds=0) == single
+    assert figures(best_of=5, seconds=1000) == few
     assert AStarRouter().seeded is False
     assert AStarRouter(best_of=2).seeded
     assert AStarRouter(net_order="random").seeded

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -21,6 +20,7 @@ from policies.bench.environment import batch, interfaces, jumanji, large, observ
 from policies.bench.measure import Bench, Measurement
 from policies.bench.search import search, time_scaling
 from policies.bench.training import training
+from policies.experiment.processes import processor
 
 __all__ = ["SECTIONS", "Bench", "Measurement", "machine", "run"]
 
@@ -43,22 +43,12 @@ def machine() -> dict[str, Any]:
     packages = ("numpy", "numba", "torch", "pettingzoo", "gymnasium", "scipy")
     return {
         "date": time.strftime("%Y-%m-%d"),
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
         "python": platform.python_version(),
         **{name: metadata.version(name) for name in packages},
     }
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        return next(
-            line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")
-        )
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
 
 
 def run(

@@ -29,6 +29,7 @@ from marouting.generator import ReducedPer
 from marouting.problem.ispd import FORMATS, Format
 from marouting.registry import names
 from policies.cli.animate import animate
+from policies.cli.benchmark import benchmark
 from policies.cli.view import view
 from policies.routers.base import solve
 from policies.routers.registry import has_seed, is_learner, make_router, router_names
@@ -414,6 +415,9 @@ def quickstart(out: Path) -> None:
     from policies.cli.quickstart import run
 
     run(out)
+
+
+cli.add_command(benchmark)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

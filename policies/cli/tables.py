@@ -98,6 +98,66 @@ _NOTES = (
 )
 
 
+def show_benchmark(summaries: Sequence[Mapping[str, Any]]) -> None:
+    """Prints rows of a benchmark, best first, a table for each scenario.
+
+    Args:
+        summaries: as :func:`policies.benchmark.statistics.summarise` returns them.
+    """
+    for scenario in dict.fromkeys(row["scenario"] for row in summaries):
+        rows = [row for row in summaries if row["scenario"] == scenario]
+        rows.sort(key=lambda row: (row["score"] is None, -(row["score"] or {"mean": 0})["mean"]))
+        columns = {
+            "router": [row["name"] for row in rows],
+            "score": [score_text(row["score"]) for row in rows],
+            "open": [_known(row["open"], ".4g") for row in rows],
+            "overflow": [f"{round(row['overflow'], 1):.10g}" for row in rows],
+            "gap\n%": [
+                "?"
+                if row["open"] is None
+                else _known(row["gap"], ".2f", "")
+                + (f" ({row['gap_problems']})" if 0 < row["gap_problems"] < row["problems"] else "")
+                for row in rows
+            ],
+            "at ref.\n%": [_known(row["at_reference"], ".0f") for row in rows],
+            "A*\nW/T/L": [
+                "?"
+                if row["wins"] is None
+                else f"{row['wins']:.4g}/{row['ties']:.4g}/{row['losses']:.4g}"
+                for row in rows
+            ],
+            "seconds": [_known(row["solution_seconds"], ".3g") for row in rows],
+        }
+        problems, seeds = rows[0]["problems"], max(row["seeds"] for row in rows)
+        of = f"{problems} {rows[0]['split']} problems"
+        if seeds > 1:
+            of += f", up to {seeds} seeds"
+        _print(f"{scenario}: {of}", columns, ["router"])
+    click.echo(_wrapped(_BENCHMARK_NOTES))
+
+
+_BENCHMARK_NOTES = (
+    "score: 0 as sequential A*, 1 as the reference (the proven optimum or the best known), by open "
+    "nets, then overflow, then wirelength; interquartile mean [95 % bootstrap interval]. open: "
+    "problems with open nets. overflow: in all, in tracks. gap: mean wirelength above the "
+    "reference, of the solutions with its open nets and overflow (the number of problems, if not "
+    "all). at ref.: solutions as good as the reference. W/T/L: wins, ties and losses against A*. "
+    "seconds: median per problem. All per seed. ?: not known. docs/benchmark.md explains the "
+    "protocol."
+)
+
+
+def score_text(score: Mapping[str, float] | None) -> str:
+    """A mean score and its interval."""
+    if score is None:
+        return "?"
+    return f"{score['mean']:.3f} [{score['low']:.2f}, {score['high']:.2f}]"
+
+
+def _known(value: float | None, form: str, unknown: str = "?") -> str:
+    return unknown if value is None else format(value, form)
+
+
 def show_speed(report: Mapping[str, Any]) -> None:
     """Prints what :func:`policies.bench.run` measured, a few lines for each figure."""
     machine = report["machine"].items()

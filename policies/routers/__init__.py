@@ -4,5 +4,6 @@ from marouting.registry import register
 
 register("router", "astar", "policies.routers.astar:AStarRouter")
 register("router", "random", "policies.routers.random:RandomRouter")
+register("router", "heuristic", "policies.routers.heuristic:HeuristicRouter")
 register("router", "pathfinder", "policies.routers.pathfinder:PathfinderRouter")
 register("router", "optimal", "policies.routers.optimal:OptimalRouter")

@@ -1,5 +1,6 @@
 """The paper's baseline: nets routed one after another along A* paths."""
 
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -30,22 +31,26 @@ class AStarRouter:
             paper), or ``tree``, at the nearest Gcell of the net's routed part.
         decomposition: how nets are cut into two-pin tasks: ``mst``, along a minimum spanning tree
             (the paper), or ``steiner``, along a Steiner tree.
+        seconds: limit of processor time; None for no limit. No order is begun after it, apart from
+            the first.
         seed: seed of the random orders.
 
     Raises:
-        InputError: ``best_of`` or ``seed`` is out of range.
+        InputError: ``best_of``, ``seconds`` or ``seed`` is out of range.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
 
     net_order: NetOrder | Literal["random"] = "half_perimeter"
     best_of: int = 1
     target: Target = "pin"
     decomposition: Decomposition = "mst"
+    seconds: float | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
         check("best_of", 1 <= self.best_of <= MOST, f"a number from 1 to {MOST}")
+        check("seconds", self.seconds is None or self.seconds >= 0, "a number from 0, or null")
         check("seed", 0 <= self.seed <= MOST, f"a number from 0 to {MOST}")
 
     @property
@@ -64,6 +69,7 @@ class AStarRouter:
     def _routes(self, problem: Problem) -> Iterator[Solution]:
         """The solution of each order."""
         rng = np.random.default_rng(self.seed)
+        began = time.thread_time()
         order: Any = self.net_order
         for _ in range(self.best_of):
             if order == "random":
@@ -72,6 +78,8 @@ class AStarRouter:
                 problem, order, target=self.target, decomposition=self.decomposition
             )
             order = "random"
+            if self.seconds is not None and time.thread_time() - began >= self.seconds:
+                break
 
 
 def _figures(solution: Solution) -> tuple[int, int]:

@@ -39,8 +39,9 @@ class PathfinderOptions:
             the 121 published problems of Liao et al., 5 misses one optimum with some seeds; 10
             misses none with any of four seeds.
         passes: the search ends after this many passes at the latest.
-        seconds: time limit; None for no limit. The search continues until every net is joined
-            even if that takes longer. A solution cut off by the limit depends on the machine.
+        seconds: limit of processor time, so that other work on the machine does not matter; None
+            for no limit. The search continues until every net is joined even if that takes longer.
+            A solution cut off by the limit depends on the machine.
         seed: seed of the random numbers.
 
     Raises:

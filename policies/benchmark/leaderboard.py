@@ -1,0 +1,213 @@
+"""The leaderboard: a page with a table and plots for each scenario, from result files alone.
+
+References only get better. So that all rows of a scenario are scored alike, each problem has the
+best reference that any of its files knows.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from marouting import InputError, scenarios
+from marouting.config import check
+from marouting.files import write_text
+from policies.benchmark.result import Result, Task, read_result
+from policies.benchmark.statistics import summarise
+
+PICTURES = Path("pictures/leaderboard")
+"""Where the plots lie, from the page's folder."""
+
+_Group = tuple[str, str]
+"""A scenario and a split."""
+
+
+def write_leaderboard(results: Path, page: Path) -> list[Path]:
+    """Writes the page and its plots.
+
+    Args:
+        results: the folder of the result files.
+        page: the page, in Markdown.
+
+    Returns:
+        All that was written, the page first.
+
+    Raises:
+        InputError: there are no result files, one is damaged, or two do not fit together.
+    """
+    groups = read_groups(results)
+    drawn = []
+    for group, found in groups.items():
+        drawn += _draw(group, found, page.parent / PICTURES)
+    write_text(page, _page(groups, {path.name for path in drawn}))
+    return [page, *drawn]
+
+
+def read_groups(results: Path) -> dict[_Group, list[Result]]:
+    """The results in a folder by scenario and split, all with the same tasks, the best first."""
+    files = sorted(results.glob("*.json"))
+    if not files:
+        raise InputError(f"{results}: expected result files of marouting benchmark (*.json)")
+    found: dict[_Group, dict[Path, Result]] = {}
+    for file in files:
+        result = read_result(file)
+        found.setdefault((result.scenario, result.split), {})[file] = result
+    known = scenarios.names()
+    order = sorted(
+        found, key=lambda group: (known.index(group[0]) if group[0] in known else len(known), group)
+    )
+    return {group: _aligned(found[group]) for group in order}
+
+
+def _aligned(found: Mapping[Path, Result]) -> list[Result]:
+    """Results of one scenario with the best references of all of them, the best first."""
+    first = next(iter(found))
+    tasks: dict[str, Task] = dict(found[first].by_name)
+    names: dict[str, Path] = {}
+    for file, result in found.items():
+        check(
+            f"{file}: name",
+            result.name not in names,
+            f"another than {result.name}, as in {names.get(result.name)}",
+        )
+        names[result.name] = file
+        check(f"{file}: tasks", result.by_name.keys() == tasks.keys(), f"those of {first}")
+        for task in result.tasks:
+            known = tasks[task.problem]
+            where = f"{file}: tasks: {task.problem}: astar"
+            check(where, task.astar == known.astar, f"{list(known.astar)}, as in {first}")
+            if (task.reference, not task.proven) < (known.reference, not known.proven):
+                tasks[task.problem] = task
+    aligned = [_rescored(result, tasks) for result in found.values()]
+    return sorted(aligned, key=_rank)
+
+
+def _rescored(result: Result, tasks: Mapping[str, Task]) -> Result:
+    """A result with other references, and the scores that follow."""
+    outcomes = []
+    for row in result.outcomes:
+        figures = row.figures
+        score = None if figures is None else tasks[row.problem].score(figures)
+        outcomes.append(replace(row, score=score))
+    own = tuple(tasks[task.problem] for task in result.tasks)
+    return replace(result, tasks=own, outcomes=tuple(outcomes))
+
+
+def _rank(result: Result) -> tuple[float | str | bool, ...]:
+    """Where a result stands: by score, share at the reference, gap; without a score at the end."""
+    row = summarise(result)
+    if row["score"] is None:
+        return True, result.name
+    gap = float("inf") if row["gap"] is None else row["gap"]
+    return False, -row["score"]["mean"], -row["at_reference"], gap, result.name
+
+
+def _title(group: _Group) -> str:
+    scenario, split = group
+    return scenario if split == "test" else f"{scenario}, {split} problems"
+
+
+def _picture(group: _Group, kind: str) -> str:
+    scenario, split = group
+    return f"{scenario}{'' if split == 'test' else f'-{split}'}-{kind}.png"
+
+
+def _draw(group: _Group, found: Sequence[Result], folder: Path) -> list[Path]:
+    """Draws the plots of a scenario; returns their paths."""
+    from policies.figures.leaderboard import learning_curves, score_intervals
+    from policies.figures.style import save
+
+    rows = [row for row in map(summarise, found) if row["score"] is not None]
+    curves = {result.name: result.curve for result in found if result.curve}
+    drawn = []
+    if rows:
+        drawn.append(folder / _picture(group, "scores"))
+        save(score_intervals(rows, _title(group)), drawn[-1])
+    if curves:
+        drawn.append(folder / _picture(group, "curves"))
+        save(learning_curves(curves, _title(group)), drawn[-1])
+    return drawn
+
+
+def _page(groups: Mapping[_Group, Sequence[Result]], drawn: set[str]) -> str:
+    lines = [
+        "# Leaderboard",
+        "",
+        "Made by `marouting benchmark --leaderboard` from the files in "
+        "[results/benchmark](results/benchmark); do not edit it. [benchmark.md](benchmark.md) "
+        "explains the protocol and how to add a row.",
+        "",
+        "**Score**: 0 as sequential A*, 1 as the reference (the proven optimum, or the best "
+        "solution known); by open nets, then overflow, then wirelength; interquartile mean over "
+        "problems and seeds with its 95 % bootstrap interval. **Open**: problems with open nets. "
+        "**Overflow**: in all, in tracks. **Gap**: mean wirelength above the reference, of the "
+        "solutions with its open nets and overflow; in brackets the number of problems, if not "
+        "all. **At reference**: solutions as good as it. **W/T/L**: wins, ties and losses against "
+        "A*. All of these are per seed. **Seconds**: median wall time per problem. **Rerun**: "
+        "what the whole row takes on one core, training included. **?**: not known.",
+    ]
+    for group, found in groups.items():
+        rows = [summarise(result) for result in found]
+        lines += ["", f"## {_title(group)}", ""]
+        if group[0] in scenarios.names():
+            lines += [scenarios.get(group[0]).description, ""]
+        lines += [
+            f"{rows[0]['problems']} problems; the reference is proven on "
+            f"{rows[0]['proven']:.0f} % of them.",
+            "",
+            "| router | score | open | overflow | gap, % | at reference, % | W/T/L | seconds | "
+            "budget | seeds | rerun | training |",
+            "|---|---|---:|---:|---:|---:|---:|---:|---|---:|---:|---:|",
+        ]
+        lines += [_line(row) for row in rows]
+        pictures = (("scores", "Scores"), ("curves", "Learning curves"))
+        for kind, title in pictures:
+            if (name := _picture(group, kind)) in drawn:
+                lines += ["", f"![{title}, {_title(group)}]({(PICTURES / name).as_posix()})"]
+        lines += ["", "<details><summary>How each row was made</summary>", ""]
+        lines += [
+            f"- `{result.name}`: `{result.command}` ({result.date}, marouting {result.version}, "
+            f"{result.machine})"
+            for result in found
+        ]
+        lines += ["", "</details>"]
+    return "\n".join(lines) + "\n"
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    """A row of a table."""
+    score, unknown = row["score"], row["open"] is None
+    cells = [
+        f"`{row['name']}`",
+        "?" if score is None else f"{score['mean']:.3f} [{score['low']:.2f}, {score['high']:.2f}]",
+        "?" if unknown else f"{row['open']:.4g}",
+        f"{round(row['overflow'], 1):.10g}",
+        "?" if unknown else _gap(row),
+        "?" if unknown else f"{row['at_reference']:.0f}",
+        "?" if unknown else f"{row['wins']:.3g}/{row['ties']:.3g}/{row['losses']:.3g}",
+        "?" if row["solution_seconds"] is None else f"{row['solution_seconds']:.2g}",
+        row["budget"] or "",
+        str(row["seeds"]),
+        _duration(row["seconds"]),
+        _duration(row["training_seconds"]),
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def _gap(row: Mapping[str, Any]) -> str:
+    if row["gap"] is None:
+        return ""
+    few = f" ({row['gap_problems']})" if row["gap_problems"] < row["problems"] else ""
+    return f"{row['gap']:.2f}{few}"
+
+
+def _duration(seconds: float | None) -> str:
+    """A time in the unit that fits."""
+    if seconds is None:
+        return "?"
+    if seconds == 0:
+        return "–"
+    for unit, size in (("h", 3600), ("min", 60)):
+        if seconds >= size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"

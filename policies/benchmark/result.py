@@ -1,0 +1,191 @@
+"""The result file of a benchmark: one router on the problems of one scenario.
+
+A file holds all that a row of the leaderboard is made of, so anyone adds a row by adding a file.
+``docs/benchmark.md`` explains the protocol. Figures that are not known are None: results published
+without routes do not say which nets are open, and then have no score.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from marouting.config import build_json, check
+from marouting.files import read_text, write_text
+from policies.benchmark.score import Figures, score
+from policies.results.rows import Count, Measure, Name, Seconds
+
+MOST_BYTES = 2**26
+"""The largest result file that is read."""
+
+CLOSE = 1e-6
+"""How far a score in a file may be from what its figures give."""
+
+Split = Literal["test", "validation"]
+"""The problems of a scenario that can be scored."""
+
+_FORBID = {"extra": "forbid", "allow_inf_nan": False}
+
+Share = Annotated[float, Field(ge=-3, le=4, allow_inf_nan=False)]
+"""A score."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """A problem, and what its scores are measured between.
+
+    Attributes:
+        problem: its name in the scenario.
+        astar: open nets, overflow and wirelength of sequential A* as in the paper: score 0.
+        reference: those of the proven optimum or the best solution known: score 1.
+        proven: whether the reference is proven to be optimal.
+    """
+
+    __pydantic_config__ = _FORBID
+
+    problem: Name
+    astar: tuple[Count, Count, Count]
+    reference: tuple[Count, Count, Count]
+    proven: bool
+
+    def __post_init__(self) -> None:
+        check("reference", self.reference <= self.astar, "one at least as good as A*")
+
+    def score(self, found: Figures) -> float:
+        """The score of a solution of the problem."""
+        return score(found, Figures(*self.astar), Figures(*self.reference))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """A problem routed with a seed.
+
+    Attributes:
+        problem: its name.
+        seed: None for a router that draws no random numbers.
+        open: nets that are not joined; None if not known.
+        overflow: in tracks.
+        wirelength: in edges.
+        vias: None if not known.
+        seconds: wall time, with the training if there was one for this problem; None if not known.
+        score: see :mod:`policies.benchmark.score`; None where ``open`` is.
+    """
+
+    __pydantic_config__ = _FORBID
+
+    problem: Name
+    seed: Count | None
+    open: Count | None
+    overflow: Count
+    wirelength: Count
+    vias: Count | None = None
+    seconds: Seconds | None = None
+    score: Share | None
+
+    @property
+    def figures(self) -> Figures | None:
+        """What solutions compare by; None if not all of it is known."""
+        return None if self.open is None else Figures(self.open, self.overflow, self.wirelength)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """One router on the problems of one scenario.
+
+    Attributes:
+        format: says which format the file has; the number goes up when the keys change.
+        scenario: the scenario's name.
+        split: ``test`` or ``validation``.
+        name: what tables call the router.
+        router: the router or learner, ``module:Class``, or ``solutions`` or ``published`` for what
+            was routed elsewhere.
+        options: its options, as plain data.
+        budget: per problem, in words; None if there was none.
+        version: of marouting, which judged the solutions.
+        machine: in words.
+        command: that makes the file again.
+        date: when the file was written, as YYYY-MM-DD.
+        seconds: all that it takes to make the rows again on one core, training included; None if
+            not known.
+        training_seconds: the part of it that is training, or what training the checkpoint took; 0
+            for what does not learn, None if not known.
+        tasks: the problems.
+        outcomes: one for each problem and seed.
+        curve: of a learner trained on the problems: episodes per problem, and the interquartile
+            mean of the scores of the best routes so far.
+    """
+
+    __pydantic_config__ = _FORBID
+
+    format: Literal["marouting-benchmark-1"] = "marouting-benchmark-1"
+    scenario: Name
+    split: Split = "test"
+    name: Name
+    router: Name
+    options: dict[str, Any]
+    budget: str | None = None
+    version: str
+    machine: str
+    command: str
+    date: Annotated[str, Field(pattern=r"^\d{4}-\d\d-\d\d$")]
+    seconds: Seconds | None
+    training_seconds: Seconds | None
+    tasks: tuple[Task, ...]
+    outcomes: tuple[Outcome, ...]
+    curve: tuple[tuple[Count, Measure], ...] = ()
+
+    def __post_init__(self) -> None:
+        check("tasks", len(self.tasks) > 0, "at least one")
+        check("tasks", len(self.by_name) == len(self.tasks), "every problem once")
+        seeds: Counter[str] = Counter()
+        seen = set()
+        for number, row in enumerate(self.outcomes, 1):
+            where = f"outcomes: row {number}"
+            check(f"{where}: problem", row.problem in self.by_name, "one of the tasks")
+            check(where, (row.problem, row.seed) not in seen, "every problem once for each seed")
+            seen.add((row.problem, row.seed))
+            seeds[row.problem] += 1
+            fits = row.vias is None or row.vias <= row.wirelength
+            check(f"{where}: vias", fits, "at most the wirelength")
+            known = row.figures
+            if known is None:
+                check(f"{where}: score", row.score is None, "null, as the open nets are unknown")
+            else:
+                right = self.by_name[row.problem].score(known)
+                fits = row.score is not None and abs(row.score - right) <= CLOSE
+                check(f"{where}: score", fits, f"{right:.6f}, found {row.score}")
+        whole = len(seeds) == len(self.tasks) and len(set(seeds.values())) == 1
+        check("outcomes", whole, "every problem with the same number of seeds")
+
+    @cached_property
+    def by_name(self) -> Mapping[str, Task]:
+        """The tasks by the problem's name."""
+        return {task.problem: task for task in self.tasks}
+
+    @property
+    def file_name(self) -> str:
+        """What the file is called."""
+        split = "" if self.split == "test" else f".{self.split}"
+        return f"{self.scenario}{split}.{self.name}.json"
+
+    def write(self, folder: Path) -> Path:
+        """Writes the file into a folder, whole or not at all; returns its path."""
+        path = folder / self.file_name
+        plain = asdict(self)
+        lists = {key: plain.pop(key) for key in ("tasks", "outcomes", "curve")}
+        text = json.dumps(plain, indent=1, ensure_ascii=False).removesuffix("\n}")
+        for key, rows in lists.items():  # a line each, so that files can be compared
+            lines = ",\n  ".join(json.dumps(row, ensure_ascii=False) for row in rows)
+            text += f',\n "{key}": [\n  {lines}\n ]' if rows else f',\n "{key}": []'
+        write_text(path, f"{text}\n}}\n")
+        return path
+
+
+def read_result(path: Path) -> Result:
+    """Reads a result file; raises InputError naming the file, the key and what was expected."""
+    return build_json(Result, read_text(path, MOST_BYTES), str(path))

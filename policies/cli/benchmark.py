@@ -1,0 +1,144 @@
+"""``marouting benchmark``: routers scored on the problems of scenarios, and the leaderboard."""
+
+import json
+import shlex
+from pathlib import Path
+
+import click
+
+from marouting import InputError
+
+RESULTS = Path("docs/results/benchmark")
+"""Where the leaderboard's result files are."""
+
+
+@click.command()
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option(
+    "--scenario",
+    "names",
+    multiple=True,
+    metavar="NAME",
+    help="Scenario whose problems are routed, or `all`; may be given several times.",
+)
+@click.option(
+    "--router",
+    "routers",
+    multiple=True,
+    metavar="ROUTER",
+    help="Name of a router or learner, or module:Class, each with options, as in 'astar "
+    "best_of=16'; file of a trained policy; folder of solutions; or CSV file of published "
+    "figures. May be given several times.",
+)
+@click.option("--name", help="What tables call the router.  [default: made of --router]")
+@click.option("--config", type=Path, help="YAML file with routers by name, beside --router.")
+@click.option(
+    "--budget",
+    help="What a router may spend on a problem: time such as 1s, or tries and episodes such "
+    "as 16.  [default: as each router's options say]",
+)
+@click.option("--seeds", type=int, help="Seeds of routers that draw random numbers.  [default: 3]")
+@click.option(
+    "--split",
+    type=click.Choice(["test", "validation"]),
+    default="test",
+    show_default=True,
+    help="Which problems of the scenario.",
+)
+@click.option(
+    "--out",
+    type=Path,
+    default=Path("runs/benchmark"),
+    show_default=True,
+    help="Folder for the result files and the work behind them.",
+)
+@click.option("--jobs", type=int, help="Number of processes.  [default: one per core]")
+@click.option("--leaderboard", is_flag=True, help="Write the leaderboard from result files.")
+@click.option(
+    "--results",
+    type=Path,
+    default=RESULTS,
+    show_default=True,
+    help="Folder of the leaderboard's result files.",
+)
+@click.option(
+    "--page",
+    type=Path,
+    default=Path("docs/leaderboard.md"),
+    show_default=True,
+    help="The leaderboard's page; its plots lie beside it, in pictures/leaderboard.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text.")
+def benchmark(
+    overrides: tuple[str, ...],
+    names: tuple[str, ...],
+    routers: tuple[str, ...],
+    name: str | None,
+    config: Path | None,
+    budget: str | None,
+    seeds: int | None,
+    split: str,
+    out: Path,
+    jobs: int | None,
+    leaderboard: bool,
+    results: Path,
+    page: Path,
+    as_json: bool,
+) -> None:
+    """Score routers on the problems of a scenario.
+
+    The score is 0 for sequential A* and 1 for the best solution known; docs/benchmark.md explains
+    it. Each router gets a result file OUT/SCENARIO.NAME.json. A benchmark that was stopped goes on
+    when the same command is given again. KEY=VALUE changes a key of --config, or an option of a
+    single --router. --leaderboard makes the page of all result files in --results.
+    """
+    from policies.benchmark.result import read_result
+    from policies.benchmark.statistics import summarise
+
+    if leaderboard:
+        from policies.benchmark.leaderboard import write_leaderboard
+
+        if names or routers or config:
+            raise InputError("--leaderboard: expected no --scenario, --router or --config with it")
+        written = write_leaderboard(results, page)
+        if as_json:
+            click.echo(json.dumps({"files": [str(path) for path in written]}))
+        else:
+            for path in written:
+                click.echo(path)
+        return
+
+    from marouting import scenarios
+    from policies.benchmark.contenders import Budget, Contender, from_text, load_contenders
+    from policies.benchmark.run import Benchmark
+    from policies.cli.progress import problems_bar
+    from policies.cli.tables import show_benchmark
+
+    if not names:
+        known = ", ".join(scenarios.names())
+        raise InputError(f"--scenario: expected one of {known}, or all")
+    if not routers and config is None:
+        raise InputError("--router: expected a router, or --config with several")
+    if name is not None and len(routers) != 1:
+        raise InputError("--name: expected one --router with it")
+    given = None if budget is None else Budget.parse(budget)
+    contenders: list[Contender] = []
+    if config is not None:
+        contenders, defaults = load_contenders(config, overrides, given)
+        seeds = defaults.seeds if seeds is None else seeds
+    elif overrides and len(routers) != 1:
+        raise InputError(f"{overrides[0]}: expected --config or one --router with it")
+    for text in routers:
+        more = "" if config is not None else f" {shlex.join(overrides)}" if overrides else ""
+        contenders.append(from_text(f"{text}{more}", name, given))
+    chosen = scenarios.names() if "all" in names else list(names)
+    run = Benchmark(chosen, contenders, out, split=split, seeds=seeds, jobs=jobs)  # type: ignore[arg-type]
+    with problems_bar("benchmark") as watch:
+        files = run.execute(watch)
+    summaries = [summarise(read_result(path)) for path in files]
+    if as_json:
+        click.echo(json.dumps({"files": [str(path) for path in files], "rows": summaries}))
+    else:
+        show_benchmark(summaries)
+        for path in files:
+            click.echo(path)

@@ -1,0 +1,102 @@
+"""The heuristic that plays the game without planning: nearer to the target, where most is free."""
+
+from dataclasses import dataclass
+
+from marouting import Engine, Problem, Solution
+from marouting.game.options import NetOrder
+from marouting.game.rules import has_room, move_player, settle_player, uses
+from marouting.game.state import NOBODY, Dynamic, Static
+from marouting.kernels import compiled, place, wide
+from marouting.problem.grid import AXES, MOVES, VIA_AXIS
+from marouting.search.bounded import SearchBuffers, search_buffers, shortest_path
+from marouting.trees.decomposition import Decomposition
+
+
+@dataclass(frozen=True)
+class HeuristicRouter:
+    """Every net walks to the neighbour nearer to its target with the most remaining capacity.
+
+    Distances are Manhattan distances over x, y and layer. Of the moves that lead nearer than the
+    agent has been in this task, it makes the one across the edge with the most remaining capacity.
+    Its own edges come first, vias last: their capacity has no limit, and an agent that took one
+    whenever it could would change layers at every step. Ties go to the first in the order of
+    :class:`marouting.problem.grid.Move`. If there is no such move it walks a shortest detour, as A*
+    finds it, until there is one again. Where every way is full, it stays until the task fails.
+
+    Attributes:
+        net_order: which nets come first, see :class:`marouting.game.options.RuleOptions`.
+        decomposition: how nets are cut into two-pin tasks, see there.
+        max_steps: steps after which a task fails; None for the default of
+            :class:`marouting.Engine`.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    net_order: NetOrder = "half_perimeter"
+    decomposition: Decomposition = "mst"
+    max_steps: int | None = None
+
+    def route(self, problem: Problem) -> Solution:
+        """Routes a problem.
+
+        Returns:
+            A solution without overflow, in which nets stay open where all ways were full.
+        """
+        engine = Engine(
+            [problem],
+            turn_order="sequential",
+            net_order=self.net_order,
+            decomposition=self.decomposition,
+            max_steps=self.max_steps,
+        )
+        _play(engine.static, engine.dynamic, search_buffers(engine.grid))
+        return engine.solution()
+
+
+@compiled
+def _play(static: Static, dynamic: Dynamic, s: SearchBuffers) -> None:
+    """Plays the game of the first problem to its end."""
+    m = wide(0)
+    nearest = wide(0)  # the least distance from the target so far in this task
+    while dynamic.games[m].agent != NOBODY:
+        n = place(dynamic.games[m].agent)
+        agent = dynamic.agents[m, n]
+        here = _distance(static, wide(agent.cell), wide(agent.target))
+        nearest = here if agent.steps == 0 else min(nearest, here)
+        move = _nearer(static, dynamic, m, n, nearest)
+        if move == NOBODY:
+            shortest_path(static, dynamic, s, m, n, wide(agent.cell), wide(agent.target))
+            move = wide(s.path[0])
+        move_player(static, dynamic, m, move)
+        settle_player(static, dynamic, m)
+
+
+@compiled
+def _nearer(static: Static, dynamic: Dynamic, m: int, n: int, nearest: int) -> int:
+    """The move nearer to the target than ``nearest`` with the most capacity; NOBODY for none."""
+    agent = dynamic.agents[m, n]
+    cell = place(agent.cell)
+    best, most = wide(NOBODY), wide(-1)
+    for move in range(MOVES):
+        if not has_room(static, dynamic, m, n, cell, move):
+            continue
+        if _distance(static, wide(static.neighbour[cell, move]), wide(agent.target)) >= nearest:
+            continue
+        edge = place(static.edge[cell, move])
+        room = wide(dynamic.remaining[m, edge])
+        if move // 2 == VIA_AXIS:
+            room = wide(0)
+        if uses(dynamic.used, m, n, edge):
+            room = wide(2**62)
+        if room > most:
+            best, most = wide(move), room
+    return best
+
+
+@compiled
+def _distance(static: Static, cell: int, target: int) -> int:
+    """The Manhattan distance of two Gcells."""
+    total = wide(0)
+    for axis in range(AXES):
+        total += abs(wide(static.position[cell, axis]) - wide(static.position[target, axis]))
+    return total

@@ -1,0 +1,565 @@
+"""The benchmark: the order of scores, result files, resuming, the leaderboard."""
+
+import csv
+import json
+import math
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from marouting import InputError, Problem, Solution, evaluate, scenarios, sequential_astar
+from marouting.config import build
+from policies.benchmark import run
+from policies.benchmark.contenders import Budget, from_text, load_contenders
+from policies.benchmark.leaderboard import read_groups
+from policies.benchmark.result import Outcome, Result, Task, read_result
+from policies.benchmark.score import Figures, score
+from policies.benchmark.statistics import interquartile_mean, interval, summarise
+from policies.cli.main import status
+from policies.learned.config import Config
+from policies.learned.trainer import Trainer
+
+SCENARIO = "toy-4x4-v0"
+
+FIGURES = st.builds(
+    Figures, st.integers(0, 3), st.integers(0, 4) | st.integers(0, 500), st.integers(0, 3000)
+)
+"""Small numbers often, so that levels agree."""
+
+
+def sign(x: float) -> int:
+    return (x > 0) - (x < 0)
+
+
+@settings(max_examples=2000, deadline=None)
+@given(FIGURES, FIGURES, FIGURES, FIGURES)
+def test_scores_are_in_the_order_of_open_nets_overflow_and_wirelength(
+    one: Figures, other: Figures, astar: Figures, reference: Figures
+) -> None:
+    reference, astar = min(reference, astar), max(reference, astar)
+    mine, theirs = score(one, astar, reference), score(other, astar, reference)
+    assert sign(theirs - mine) == sign((one > other) - (one < other))
+    assert -3 < mine < 4
+
+
+@settings(deadline=None)
+@given(FIGURES, FIGURES, FIGURES)
+def test_a_score_is_the_share_of_the_way(
+    found: Figures, astar: Figures, reference: Figures
+) -> None:
+    reference, astar = min(reference, astar), max(reference, astar)
+    assert score(reference, astar, reference) == 1
+    if reference < astar:
+        assert score(astar, astar, reference) == 0
+        assert sign(score(found, astar, reference)) == sign((found < astar) - (found > astar))
+    mine = score(found, astar, reference)
+    assert (mine > 1) == (found < reference)
+
+
+def test_scores_worked_out_by_hand() -> None:
+    astar, best = Figures(0, 0, 120), Figures(0, 0, 100)
+    assert score(Figures(0, 0, 105), astar, best) == 0.75
+    assert score(Figures(0, 0, 140), astar, best) == -0.5
+    assert score(Figures(0, 0, 80), astar, best) == 1.5
+    # One track too many, and as long as the reference: −1 − (1 + ½) / (2 + ½).
+    assert score(Figures(0, 1, 100), astar, best) == pytest.approx(-1.6)
+    assert -3 < score(Figures(1, 0, 50), astar, best) < -2
+    # Overflow is at stake: the way leads from (5, 95) to (0, 100), ½ of a track for the wirelength.
+    astar = Figures(0, 5, 95)
+    assert score(Figures(0, 2, 100), astar, best) == pytest.approx((4.75 - 2) / 4.75, abs=1e-12)
+    assert 0.9 < score(Figures(0, 0, 110), astar, best) < 1
+    # No room: worse is below 0, and in twentieths of the reference.
+    assert score(best, best, best) == 1
+    assert score(Figures(0, 0, 105), best, best) == -0.5
+    assert 1 < score(Figures(0, 0, 99), best, best) < 2
+
+
+@given(FIGURES, FIGURES)
+def test_the_reference_is_no_worse_than_astar(astar: Figures, reference: Figures) -> None:
+    assume(reference > astar)
+    with pytest.raises(InputError, match="at least as good as A"):
+        score(astar, astar, reference)
+    assert not math.isnan(score(astar, reference, reference))
+
+
+# --- statistics -----------------------------------------------------------------------------------
+
+
+def test_the_interquartile_mean_and_its_interval() -> None:
+    assert interquartile_mean(np.array([-9.0, 1, 2, 3, 4, 99, 2, 4])) == 2.75
+    scores = np.random.default_rng(1).normal(size=(60, 1))
+    mine = interval(scores)
+    theirs = stats.bootstrap(
+        (scores.ravel(),),
+        lambda x, axis: stats.trim_mean(x, 0.25, axis=axis),
+        method="percentile",
+        n_resamples=20_000,
+        rng=np.random.default_rng(2),
+    ).confidence_interval
+    assert mine == pytest.approx((theirs.low, theirs.high), abs=0.05)
+    assert mine == interval(scores)
+    # Seeds that all agree tell nothing new; seeds that differ widen the interval of a problem.
+    assert interval(np.repeat(scores, 3, axis=1)) == pytest.approx(mine, abs=0.05)
+    assert interval(np.full((5, 2), 0.5)) == (0.5, 0.5)
+    low, high = interval(np.tile([0.0, 1.0], (1, 8)))
+    assert low < high
+
+
+def made(name: str = "mine", **changes: Any) -> Result:
+    """A result of two problems and two seeds."""
+    tasks = (
+        Task(problem="a", astar=(0, 0, 120), reference=(0, 0, 100), proven=True),
+        Task(problem="b", astar=(0, 4, 90), reference=(0, 0, 100), proven=False),
+    )
+    found = {
+        ("a", 0): (0, 0, 105),
+        ("a", 1): (0, 0, 100),
+        ("b", 0): (0, 4, 90),
+        ("b", 1): (1, 0, 9),
+    }
+    by_name = {task.problem: task for task in tasks}
+    fields: dict[str, Any] = {
+        "scenario": "some-v0",
+        "name": name,
+        "router": "astar",
+        "options": {"best_of": 2},
+        "version": "0",
+        "machine": "m",
+        "command": "c",
+        "date": "2026-01-01",
+        "seconds": 10.0,
+        "training_seconds": 0.0,
+        "tasks": tasks,
+        "outcomes": tuple(
+            Outcome(
+                problem=problem,
+                seed=seed,
+                open=own[0],
+                overflow=own[1],
+                wirelength=own[2],
+                seconds=float(seed + 1),
+                score=by_name[problem].score(Figures(*own)),
+            )
+            for (problem, seed), own in found.items()
+        ),
+    }
+    return Result(**{**fields, **changes})
+
+
+def test_a_summary_worked_out_by_hand() -> None:
+    row = summarise(made())
+    assert row["problems"] == row["seeds"] == 2
+    assert row["open"] == 0.5
+    assert row["overflow"] == 2
+    assert (row["gap"], row["gap_problems"]) == (pytest.approx(2.5), 1)
+    assert row["at_reference"] == 25
+    assert row["proven"] == 50
+    assert (row["wins"], row["ties"], row["losses"]) == (1, 0.5, 0.5)
+    assert row["solution_seconds"] == 1.5
+    # The middle half of 0.75, 1, 0 and one below −2.
+    assert row["score"]["mean"] == pytest.approx(0.375)
+
+
+# --- result files ---------------------------------------------------------------------------------
+
+
+def unknown(result: Result, name: str) -> Result:
+    """The same without routes, as results are published."""
+    rows = tuple(replace(row, open=None, score=None, seconds=None) for row in result.outcomes)
+    return replace(result, name=name, outcomes=rows, seconds=None, training_seconds=None)
+
+
+def test_a_result_file_reads_back(tmp_path: Path) -> None:
+    for result in (made(), unknown(made(), "published"), made(curve=((1, -0.5), (10, 1.0)))):
+        path = result.write(tmp_path)
+        assert path.name == f"some-v0.{result.name}.json"
+        assert read_result(path) == result
+
+
+DAMAGE = {
+    "cut": lambda text: text[: len(text) // 2],
+    "score": lambda text: text.replace('"score": 0.75', '"score": 0.8'),
+    "no score": lambda text: text.replace('"score": 0.75', '"score": null'),
+    "nan": lambda text: text.replace('"score": 0.75', '"score": NaN'),
+    "negative": lambda text: text.replace('"wirelength": 105', '"wirelength": -105'),
+    "problem": lambda text: text.replace('{"problem": "b", "seed"', '{"problem": "c", "seed"', 1),
+    "twice": lambda text: text.replace('"seed": 1', '"seed": 0', 1),
+    "key": lambda text: text.replace('"machine"', '"maschine"'),
+    "format": lambda text: text.replace("benchmark-1", "benchmark-9"),
+    "reference": lambda text: text.replace('"reference": [0, 0, 100]', '"reference": [0, 5, 1]'),
+    "path": lambda text: text.replace('"name": "mine"', '"name": "../mine"'),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
+def test_a_damaged_file_is_one_line(
+    damage: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = made().write(tmp_path)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(damage(text), encoding="utf-8")
+    assert damage(text) != text
+    page = tmp_path / "docs" / "leaderboard.md"
+    command = ["benchmark", "--leaderboard", "--results", str(tmp_path), "--page", str(page)]
+    assert status(command) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert path.name in error
+    assert not page.exists()
+
+
+# --- the leaderboard ------------------------------------------------------------------------------
+
+
+def test_the_leaderboard_is_made_of_files_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = tmp_path / "results"
+    made("mine", curve=((1, -0.5), (10, 1.0))).write(results)
+    unknown(made(), "published").write(results)
+    best = tuple(
+        replace(
+            row,
+            open=0,
+            overflow=0,
+            wirelength=100,
+            score=1.0,
+        )
+        for row in made().outcomes
+    )
+    made("best", outcomes=best).write(results)
+    page = tmp_path / "docs" / "leaderboard.md"
+    command = ["benchmark", "--leaderboard", "--results", str(results), "--page", str(page)]
+    assert status(command) == 0
+    written = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    assert [path.name for path in written] == [
+        "leaderboard.md",
+        "some-v0-scores.png",
+        "some-v0-curves.png",
+    ]
+    text = page.read_text(encoding="utf-8")
+    lines = [line.strip("| ").split(" | ") for line in text.splitlines() if line[:3] == "| `"]
+    assert [line[0] for line in lines] == ["`best`", "`mine`", "`published`"]
+    header = next(line for line in text.splitlines() if line.startswith("| router"))
+    columns = header.strip("| ").split(" | ")
+    shown = dict(zip(columns, lines[2], strict=True))
+    for column in ("score", "open", "gap, %", "at reference, %", "W/T/L", "seconds", "rerun"):
+        assert shown[column] == "?", column
+    assert shown["overflow"] == "2"
+    for path in written[1:]:
+        assert f"pictures/leaderboard/{path.name}" in text
+    # Made again from the same files, it is the same.
+    assert status([*command, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == [str(path) for path in written]
+    assert page.read_text(encoding="utf-8") == text
+
+
+def test_all_rows_are_scored_against_the_best_reference(tmp_path: Path) -> None:
+    old, new = made("old"), made("new")
+    tasks = (replace(new.tasks[0], reference=(0, 0, 95)), new.tasks[1])
+    rows = tuple(
+        replace(row, score=tasks[0].score(row.figures)) if row.problem == "a" and row.figures
+        else row
+        for row in new.outcomes
+    )  # fmt: skip
+    old.write(tmp_path)
+    replace(new, tasks=tasks, outcomes=rows).write(tmp_path)
+    ((group, found),) = read_groups(tmp_path).items()
+    assert group == ("some-v0", "test")
+    for result in found:
+        assert result.tasks == tasks
+        assert result.outcomes[0].score == pytest.approx(15 / 25)
+    other = (replace(new.tasks[0], astar=(0, 0, 121)), new.tasks[1])
+    rows = tuple(
+        replace(row, score={t.problem: t for t in other}[row.problem].score(row.figures))
+        for row in new.outcomes
+        if row.figures
+    )
+    replace(new, name="another", tasks=other, outcomes=rows).write(tmp_path)
+    with pytest.raises(InputError, match=r"astar: expected \[0, 0, 120\]|expected \[0, 0, 121\]"):
+        read_groups(tmp_path)
+    with pytest.raises(InputError, match="expected result files"):
+        read_groups(tmp_path / "nothing")
+
+
+# --- contenders -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "budget"),
+    [
+        ("1s", Budget(seconds=1)),
+        ("0.5 s", Budget(seconds=0.5)),
+        ("2min", Budget(seconds=120)),
+        ("16", Budget(samples=16)),
+        ("500 episodes", Budget(samples=500)),
+    ],
+)
+def test_budgets(text: str, budget: Budget) -> None:
+    assert Budget.parse(text) == budget
+    assert Budget.parse(budget.text) == budget
+
+
+@pytest.mark.parametrize("text", ["", "s", "-1s", "0s", "1.5", "1h", "nan", "1e9s", "١s"])
+def test_what_is_no_budget(text: str) -> None:
+    with pytest.raises(InputError, match=r"^budget: expected"):
+        Budget.parse(text)
+
+
+def test_a_budget_fills_in_what_the_router_knows() -> None:
+    second, tries = Budget(seconds=1), Budget(samples=7)
+
+    def told(text: str, budget: Budget | None, *keys: str) -> list[Any]:
+        contender = from_text(text, None, budget)
+        return [contender.budget, *(contender.entry.options.get(key) for key in keys)]
+
+    assert told("pathfinder", second, "seconds") == ["1 s", 1]
+    assert told("pathfinder seconds=3", second, "seconds") == ["3 s", 3]
+    assert told("optimal", second, "time_limit") == ["1 s", 1]
+    assert told("optimal", None, "time_limit") == [None, None]
+    assert told("astar", second, "seconds") == [None, None]
+    assert told("astar best_of=5", second, "seconds") == ["best of 5, 1 s", 1]
+    assert told("astar", tries, "best_of") == ["best of 7", 7]
+    assert told("random", second) == [None]
+    contender = from_text("dqn", None, tries)
+    assert contender.budget == "7 episodes"
+    assert contender.entry.options["train"]["episodes"] == 7
+    name = from_text("astar best_of=16 target=tree", None, None).entry.name
+    assert name == "astar-16-tree"
+
+
+@pytest.mark.parametrize("name", ["baselines", "learners"])
+def test_the_configurations_that_travel_with_the_package(name: str) -> None:
+    contenders, config = load_contenders(f"configs/benchmark/{name}.yaml", (), None)
+    assert config.seeds == 3
+    names = [contender.entry.name for contender in contenders]
+    if name == "baselines":
+        assert names == ["random", "heuristic", "astar", "astar-16", "pathfinder", "optimal"]
+        budgets = [contender.budget for contender in contenders]
+        assert budgets == [None, None, None, "best of 16, 1 s", "1 s", "30 s"]
+    else:
+        assert names == ["dqn-single", "dqn-multi", "dqn-double-dueling", "ippo", "mappo"]
+        assert {contender.budget for contender in contenders} == {"500 episodes"}
+
+
+# --- runs -----------------------------------------------------------------------------------------
+
+MINE = """
+import marouting
+
+
+class Mine:
+    def __init__(self, order: str = "file"):
+        self.order = order
+
+    def route(self, problem):
+        return marouting.sequential_astar(problem, self.order)
+"""
+
+ROUTERS = ("astar", "random max_steps=9", "mine:Mine order=half_perimeter", "solved", "policy.pt",
+           "other.csv")  # fmt: skip
+NAMES = ("astar", "random-9", "mine-Mine-half_perimeter", "solved", "policy", "other")
+
+
+def problems() -> dict[str, Problem]:
+    return scenarios.get(SCENARIO).problems("validation")
+
+
+def command(*more: str) -> list[str]:
+    split = ["--split", "validation", "--seeds", "2", "--jobs", "1", "--out", "out"]
+    routers = [word for router in ROUTERS for word in ("--router", router)]
+    return ["benchmark", "--scenario", SCENARIO, *split, *routers, *more]
+
+
+def at_once(parts: Sequence[Any], *_: Any) -> Iterator[list[Any]]:
+    """In place of the processes, which take seconds to start."""
+    for part in parts:
+        part.work()
+        yield [part]
+
+
+@pytest.fixture(scope="module")
+def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which a benchmark of every form of contender has run."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    (folder / "mine.py").write_text(MINE)
+    for name, problem in problems().items():
+        sequential_astar(problem).write(folder / "solved" / f"{name}.some.solution")
+    rows = [("set", "problem", "overflow", "wirelength")]
+    rows += [(SCENARIO, name, "1", "20") for name in problems()]
+    with (folder / "other.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    first = next(iter(problems().values()))
+    raw = {"env": {"max_steps": 9}, "learner": {"burn_in_size": 40}, "train": {"episodes": 1}}
+    trainer = Trainer({"p": first}, build(Config, raw))
+    for _ in trainer.run():
+        pass
+    torch.save(trainer.policy(), folder / "policy.pt")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.syspath_prepend(folder)
+        patch.setattr(run, "work_on", at_once)
+        assert status(command()) == 0
+    return folder
+
+
+@pytest.fixture
+def here(there: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(there)
+    return there
+
+
+def of(name: str) -> Path:
+    return Path("out") / f"{SCENARIO}.validation.{name}.json"
+
+
+def test_results_are_those_of_the_solutions(here: Path) -> None:
+    assert sorted(path.name for path in (here / "out").glob("*.json")) == sorted(
+        of(name).name for name in NAMES
+    )
+    scenario = scenarios.get(SCENARIO)
+    for name in NAMES[:-1]:
+        result = read_result(of(name))
+        seeds = [0, 1] if name == "random-9" else [None]
+        assert [(row.problem, row.seed) for row in result.outcomes] == [
+            (problem, seed) for problem in problems() for seed in seeds
+        ]
+        for row in result.outcomes:
+            task, problem = result.by_name[row.problem], problems()[row.problem]
+            best = scenario.reference(problem)
+            assert (*task.reference[1:], task.proven) == tuple(best)
+            if name in ("astar", "solved", "mine-Mine-half_perimeter"):
+                found = evaluate(problem, sequential_astar(problem))
+                assert row.figures == task.astar == (0, found.overflow, found.wirelength)
+                assert row.score == (1 if task.astar == task.reference else 0)
+    walked = [row.figures for row in read_result(of("random-9")).outcomes]
+    assert {found.overflow for found in walked if found} == {0}
+    assert max(found.open for found in walked if found) > 0
+    assert walked[0::2] != walked[1::2]
+    assert {row.figures for row in read_result(of("other")).outcomes} == {None}
+    assert read_result(of("policy")).training_seconds is None
+    assert read_result(of("astar")).training_seconds == 0
+    # A folder's row is no time of ours.
+    assert read_result(of("solved")).seconds is None
+
+
+def test_a_run_that_is_finished_routes_nothing_again(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = {path: path.read_bytes() for path in (here / "out").rglob("*") if path.is_file()}
+    assert status(command("--json")) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["files"] == [str(of(name)) for name in NAMES]
+    assert [row["name"] for row in shown["rows"]] == list(NAMES)
+    assert [row["open"] is None for row in shown["rows"]] == [False] * 5 + [True]
+    for path, content in kept.items():
+        if path.suffix == ".json" and path.parent == here / "out":
+            continue  # written again, perhaps on another day
+        assert path.read_bytes() == content
+    assert status(command()) == 0
+    table = capsys.readouterr().out
+    assert "?" in table
+    assert all(name[:20] in table for name in NAMES)
+
+
+def without_times(path: Path) -> Any:
+    result = json.loads(path.read_text(encoding="utf-8"))
+    del result["seconds"], result["date"]
+    for row in result["outcomes"]:
+        del row["seconds"]
+    return result
+
+
+def test_a_run_goes_on(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(here, tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
+    expected = without_times(of("random-9"))
+    rows = sorted(Path("out", SCENARIO, "rows").rglob("random-9*/*.json"))
+    assert len(rows) == 2 * len(problems())
+    kept = {path: path.read_bytes() for path in rows[::2]}
+    for path in rows[1::2]:
+        path.unlink()
+    of("random-9").unlink()
+    assert status(command()) == 0
+    assert without_times(of("random-9")) == expected
+    assert all(path.read_bytes() == content for path, content in kept.items())
+    assert all(path.exists() for path in rows)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--router", "astar"], r"--scenario: expected one of toy-4x4-v0"),
+        (["--scenario", SCENARIO], r"--router: expected a router"),
+        (["--scenario", "toy-4x4-v1", "--router", "astar"], r"scenario: did you mean toy-4x4-v0"),
+        (["--scenario", SCENARIO, "--router", "astr"], r"did you mean astar"),
+        (["--scenario", SCENARIO, "--router", "no/such.pt"], r"expected a file or a folder"),
+        (["--scenario", SCENARIO, "--router", "astar best_off=2"], r"did you mean best_of"),
+        (["--scenario", SCENARIO, "--router", "astar", "--budget", "x"], r"budget: expected"),
+        (["--scenario", SCENARIO, "--router", "astar", "--router", "astar"], r"there are two"),
+        (["--scenario", SCENARIO, "--router", "astar", "--seeds", "0"], r"seeds: expected"),
+        (["--scenario", SCENARIO, "--router", "astar", "--jobs", "0"], r"jobs: expected"),
+        (["--scenario", SCENARIO, "--router", "mine.py"], r"mine\.py"),
+        (["--scenario", SCENARIO, "--router", "solved"], r"one solution test_000\.\*, found none"),
+        (["--scenario", SCENARIO, "--router", "other.csv"], r"a row for toy-4x4-v0,test_000"),
+        (["--leaderboard", "--router", "astar"], r"--leaderboard: expected no"),
+    ],
+)
+def test_wrong_input_is_one_line(
+    words: list[str], message: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status(["benchmark", *words, "--out", str(here / "other")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert re.search(message, error), error
+
+
+def test_other_options_need_another_name(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    del here
+    words = ["benchmark", "--scenario", SCENARIO, "--split", "validation", "--out", "out"]
+    assert status([*words, "--router", "astar target=tree", "--name", "astar"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "target" in error
+
+
+@pytest.mark.slow
+def test_a_benchmark_that_is_killed_comes_to_the_same_end(here: Path, tmp_path: Path) -> None:
+    for name in ("mine.py", "policy.pt", "other.csv"):
+        shutil.copy(here / name, tmp_path)
+    shutil.copytree(here / "solved", tmp_path / "solved")
+    words = [sys.executable, "-m", "policies.cli.main", *command()]
+    rng, kills = np.random.default_rng(7), 0
+    while True:
+        process = subprocess.Popen(words, cwd=tmp_path, start_new_session=True)
+        try:
+            assert process.wait(timeout=float(rng.uniform(4, 25)) if kills < 6 else 300) == 0
+            break
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            kills += 1
+            time.sleep(0.1)
+    assert kills > 0
+    for name in NAMES:
+        assert without_times(tmp_path / of(name)) == without_times(of(name))
+    left = [path for path in (tmp_path / "out").rglob(".*") if path.is_file()]
+    assert left == []
+    one = next(iter(problems().items()))
+    path = tmp_path / f"out/{SCENARIO}/solutions/{SCENARIO}.validation/{one[0]}.astar.solution"
+    assert Solution.read(path, one[1]) == sequential_astar(one[1])
