@@ -176,7 +176,10 @@ def from_entry(name: str, raw: Mapping[str, Any], budget: Budget | None, source:
         del options["router"]
         only = options.pop("only", None)
         found = asdict(build(Elsewhere, options, where))
-        entry = Entry(name, SOLUTIONS, None if only is None else tuple(only), found, False, False)
+        entry = Entry(
+            name, SOLUTIONS, None if only is None else tuple(only), prune=False, label=None,
+            options=found, trains=False, seeded=False,
+        )  # fmt: skip
         return Contender(entry, None, training, source)
     entry = Entry.of(name, options if budget is None else _with(budget, options, where))
     routed_here = entry.router != PUBLISHED and not entry.trains

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 from marouting import Engine, Problem, Solution
+from marouting.game.edges import has_room, uses
 from marouting.game.options import NetOrder
-from marouting.game.rules import has_room, move_player, settle_player, uses
+from marouting.game.rules import move_player, settle_player
 from marouting.game.state import NOBODY, Dynamic, Static
 from marouting.kernels import compiled, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
