@@ -408,8 +408,11 @@ class Player:
             settled = [array[place_of] for array in self._movable()]
             for array, arrived in zip(self._movable(), self._arrived, strict=False):
                 array[place_of] = arrived[place_of]
-            done = settled[0]["status"] != Status.ACTIVE
-            np.add.at(engine.games["active"], problems, done)
+            np.add.at(engine.games["active"], problems, settled[0]["status"] != Status.ACTIVE)
+            task = settled[0]["task"]
+            new = engine.static.nearest_next & (task != engine.agents[place_of]["task"])
+            begun = problems[new], (task - engine.static.first[problems, 0])[new]
+            engine.dynamic.tried[begun] = 0
         problems, agents = problems.astype(np.int32), agents.astype(np.int32)
         out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
         self.observation.write(engine, problems, agents, out)
@@ -418,6 +421,7 @@ class Player:
         if self._before is not None:
             for array, kept in zip(self._movable(), settled, strict=True):
                 array[place_of] = kept
+            engine.dynamic.tried[begun] = 1
             engine.games["active"] = active
 
     def _movable(self) -> list[NDArray[Any]]:

@@ -522,7 +522,7 @@ def test_the_state_is_as_the_oracle_says(
     targets = [end for of in tasks for _, end in of]
     heads = [of[0][0] for of in tasks if of]
     used = np.unpackbits(engine.dynamic.used[0], axis=1, bitorder="little").sum(axis=0)
-    edges = set(all_edges(problem))
+    edges, past = set(all_edges(problem)), engine.dynamic.history[0]
     for here in np.ndindex(columns, rows, layers):
         track = engine.static.demand[0, :, here[2]].mean() or 1.0
         answer: list[float] = []
@@ -550,7 +550,7 @@ def test_the_state_is_as_the_oracle_says(
                             "demand": lambda r=remaining, e=edge, t=track: squash(
                                 (int(r) - taken[e]) / Fraction(t)
                             ),
-                            "history": lambda: 0.0,
+                            "history": lambda i=number: squash(past[i]) if len(past) else 0,
                             "own": lambda i=number: squash(used[i]),
                         }[channel]()
                     )
