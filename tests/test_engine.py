@@ -107,7 +107,7 @@ def test_engine_plays_by_the_rules(
 forms = st.sampled_from(["turn", "all", "mixed"])
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=80)
 @given(contested(max_nets=8, max_capacity=2), options, extensions, seeds, forms)
 def test_engine_plays_by_the_options(
     problem: Problem, chosen: dict[str, Any], more: dict[str, Any], seed: int, form: str
