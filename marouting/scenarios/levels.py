@@ -131,7 +131,7 @@ LEVELS = (
     ),
     Level(
         name="tight-32x32-v0",
-        description="Five hundred nets of up to four pins that hardly fit: negotiated congestion takes long.",
+        description="Five hundred nets of up to four pins that nearly fit, if at all.",
         grid=(32, 32, 2),
         nets=(500, 500),
         max_pins=(4, 4),
