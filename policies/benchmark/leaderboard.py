@@ -179,7 +179,7 @@ def _line(row: Mapping[str, Any]) -> str:
     score, unknown = row["score"], row["open"] is None
     cells = [
         f"`{row['name']}`",
-        "?" if score is None else f"{score['mean']:.3f} [{score['low']:.2f}, {score['high']:.2f}]",
+        "?" if score is None else f"{score['mean']:.3f} [{score['low']:.3f}, {score['high']:.3f}]",
         "?" if unknown else f"{row['open']:.4g}",
         f"{round(row['overflow'], 1):.10g}",
         "?" if unknown else _gap(row),

@@ -151,7 +151,7 @@ def score_text(score: Mapping[str, float] | None) -> str:
     """A mean score and its interval."""
     if score is None:
         return "?"
-    return f"{score['mean']:.3f} [{score['low']:.2f}, {score['high']:.2f}]"
+    return f"{score['mean']:.3f} [{score['low']:.3f}, {score['high']:.3f}]"
 
 
 def _known(value: float | None, form: str, unknown: str = "?") -> str:
