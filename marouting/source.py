@@ -47,7 +47,8 @@ def checked_source(source: Source) -> tuple[Problem, ...] | GeneratorOptions | t
         return tuple(source)
     if isinstance(source, str | os.PathLike):
         return (os.fspath(source),)  # which need not be UTF-8, as the text of a configuration is
-    checked = build(GameOptions, {"problem": source}).problem or SMALL
+    checked = build(GameOptions, {"problem": source}).problem
+    checked = SMALL if checked is None else checked
     return (checked,) if isinstance(checked, str) else checked
 
 

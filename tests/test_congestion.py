@@ -44,7 +44,8 @@ def busy(monkeypatch):
 
 
 def titles(figure):
-    return [axes.get_title() for axes in figure.axes if axes.get_title()]
+    """The titles of the panels, each on one line."""
+    return [" ".join(axes.get_title().split()) for axes in figure.axes if axes.get_title()]
 
 
 def test_too_many_nets_give_a_map_and_the_title_says_so(busy):

@@ -8,6 +8,9 @@ import click
 
 from marouting import InputError
 
+BASELINES = Path("configs/benchmark/baselines.yaml")
+"""What is scored unless a router is named."""
+
 RESULTS = Path("docs/results/benchmark")
 """Where the leaderboard's result files are."""
 
@@ -19,7 +22,8 @@ RESULTS = Path("docs/results/benchmark")
     "names",
     multiple=True,
     metavar="NAME",
-    help="Scenario whose problems are routed, or `all`; may be given several times.",
+    help="Scenario whose problems are routed, or `all`; may be given several times. Without it "
+    "there has to be --leaderboard.",
 )
 @click.option(
     "--router",
@@ -28,10 +32,15 @@ RESULTS = Path("docs/results/benchmark")
     metavar="ROUTER",
     help="Name of a router or learner, or module:Class, each with options, as in 'astar "
     "best_of=16'; file of a trained policy; folder of solutions; or CSV file of published "
-    "figures. May be given several times.",
+    "figures. May be given several times. Without it and --config, all that do not learn.",
 )
 @click.option("--name", help="What tables call the router.  [default: made of --router]")
-@click.option("--config", type=Path, help="YAML file with routers by name, beside --router.")
+@click.option(
+    "--config",
+    type=Path,
+    help="YAML file with routers by name, beside --router.  [default: configs/benchmark/"
+    "baselines.yaml, without --router]",
+)
 @click.option(
     "--budget",
     help="What a router may spend on a problem: time such as 1s, or tries and episodes such "
@@ -118,7 +127,7 @@ def benchmark(
         known = ", ".join(scenarios.names())
         raise InputError(f"--scenario: expected one of {known}, or all")
     if not routers and config is None:
-        raise InputError("--router: expected a router, or --config with several")
+        config = BASELINES
     if name is not None and len(routers) != 1:
         raise InputError("--name: expected one --router with it")
     given = None if budget is None else Budget.parse(budget)
