@@ -63,6 +63,15 @@ def check_aec_loop(out: str) -> None:
     assert paid[0] < 0 < paid[1]
 
 
+def check_giving_way(out: str) -> None:
+    rows = [line.rsplit(maxsplit=5) for line in out.splitlines()[1:]]
+    left_open = [int(row[1]) for row in rows]
+    joined = [int(row[2]) for row in rows]
+    assert len(rows) == 7
+    assert min(left_open[4:]) < 0.3 * min(left_open[:4])
+    assert min(joined[4:]) > max(joined[:4])
+
+
 def check_own_observation(out: str) -> None:
     assert "shape: (13,)" in out
     crowd = re.search(r"two Gcells: \[(.*)\]", out)

@@ -104,20 +104,6 @@ def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
     return True
 
 
-@inlined
-def _near(static: Static, m: int, n: int, cell: int) -> bool:
-    """Whether a Gcell is in the box around a net's pins, or one Gcell beyond."""
-    for axis in range(VIA_AXIS):
-        low, high = wide(1 << 30), wide(-1)
-        for task in range(static.first[m, n], static.first[m, n + 1]):
-            for end in range(2):
-                at = wide(static.position[static.tasks[task, end], axis])
-                low, high = min(low, at), max(high, at)
-        if not low - 1 <= static.position[cell, axis] <= high + 1:
-            return False
-    return True
-
-
 @compiled
 def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """Fills ``again`` with a net and those that stand in its way; returns how many they are."""
@@ -125,14 +111,23 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     again[0], size = n, wide(1)
     if len(again) == 1:
         return size
-    is_open = dynamic.agents[m, n].joined < static.first[m, n + 1] - static.first[m, n]
+    first, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
+    is_open = dynamic.agents[m, n].joined < end - first
+    start = place(static.tasks[first, 0])
+    left, low = wide(static.position[start, 0]), wide(static.position[start, 1])
+    right, high = left, low
+    for task in range(first, end):
+        pin = place(static.tasks[task, 1])
+        x, y = wide(static.position[pin, 0]), wide(static.position[pin, 1])
+        left, right, low, high = min(left, x), max(right, x), min(low, y), max(high, y)
     for byte in range(len(blocking)):
         blocking[byte] = 0
         for bit in range(8):
             edge = 8 * byte + bit
             if edge < static.capacity.shape[1] and is_full(static, dynamic, m, edge):
-                own = uses(dynamic.used, m, n, edge)
-                if own or (is_open and _near(static, m, n, edge // AXES)):
+                x, y = static.position[edge // AXES, 0], static.position[edge // AXES, 1]
+                near = left - 1 <= x <= right + 1 and low - 1 <= y <= high + 1
+                if uses(dynamic.used, m, n, edge) or (is_open and near):
                     blocking[byte] |= 1 << bit
     for other in range(dynamic.used.shape[1]):
         count = wide(0)
