@@ -538,6 +538,19 @@ def test_other_options_need_another_name(here: Path, capsys: pytest.CaptureFixtu
     assert "target" in error
 
 
+def test_problems_of_another_version_are_not_mixed(
+    here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(here, tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
+    first, second = sorted(Path("out", SCENARIO, "problems").rglob("*.gr"))[:2]
+    shutil.copy(second, first)
+    assert status(command()) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert first.name in error
+
+
 @pytest.mark.slow
 def test_a_benchmark_that_is_killed_comes_to_the_same_end(here: Path, tmp_path: Path) -> None:
     for name in ("mine.py", "policy.pt", "other.csv"):

@@ -61,11 +61,13 @@ class _Set:
         return self.scenario.problems(self.split)
 
     def write(self) -> None:
-        """Writes the problems that are not there yet."""
+        """Writes the problems that are not there yet; raises InputError where others are."""
         for name, problem in self.problems.items():
             path = self.folder / "problems" / self.name / f"{name}.gr"
             if not path.exists():
                 problem.write(path)
+            elif Problem.read(path) != problem:
+                raise InputError(f"{path}: expected the problem of {self.name}: another --out?")
 
     def tasks(self) -> tuple[Task, ...]:
         """The problems with their A* and their reference."""
