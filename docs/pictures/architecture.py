@@ -24,11 +24,15 @@ ENVIRONMENT = (
         ("problem/", "Problem, Solution, evaluate, ISPD files", 1, False),
         ("trees/", "two-pin tasks of nets", 0.7, False),
     ),
-    (("game/rules, state, setup, engine", "the game: M problems in arrays", 1, False),),
+    (("game/rules, tasks, rounds, state, engine", "the game: M problems in arrays", 1, False),),
     (
-        ("game/observation", "what agents see", 1, True),
-        ("game/reward", "what moves pay", 1, True),
-        ("search/ · generator", "A*; problem sets", 1, False),
+        ("game/observation, window", "what agents see", 1, True),
+        ("game/reward, team_rewards", "what moves pay", 1, True),
+    ),
+    (
+        ("search/", "A*", 0.7, False),
+        ("generator", "problem sets", 0.8, False),
+        ("scenarios/", "the benchmark's levels", 1, False),
     ),
     (("player", "the one array player: actions in, step buffers out", 1, False),),
     (
@@ -41,7 +45,7 @@ POLICIES = (
     (
         ("routers/", "route(problem) → Solution", 1, True),
         ("results/", "rows, folders, statistics", 1, False),
-        ("figures/", "pictures of them", 0.8, False),
+        ("figures/", "pictures, pages, animations", 0.9, False),
     ),
     (
         ("learned/networks", "modules, stacked", 1, True),
@@ -54,6 +58,7 @@ POLICIES = (
     (("learned/trainer, run, router", "any learner, on any problems, in a run folder", 1, False),),
     (
         ("experiment/", "problem sets × routers × seeds", 1, False),
+        ("benchmark/", "scores on the scenarios", 0.8, False),
         ("bench/", "speed", 0.6, False),
     ),
     (("cli/", "the command marouting", 1, False),),
@@ -89,7 +94,7 @@ def floor(axes, rows, bottom, colour):
 def main():
     """Draws the picture."""
     mpl.rcParams["font.size"] = 9.5
-    figure, axes = plt.subplots(figsize=(8.6, 8.2))
+    figure, axes = plt.subplots(figsize=(8.6, 8.8))
     middle = floor(axes, ENVIRONMENT, 0.0, BLUE)
     top = floor(axes, POLICIES, middle + 0.7, ORANGE)
     for text, where in (("marouting/", 0.0), ("policies/", middle + 0.7)):
