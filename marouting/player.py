@@ -365,10 +365,19 @@ class Player:
     def _turns(self, begins: NDArray[np.bool_]) -> Iterator[tuple[Any, Any]]:
         """Yields (M,) the agent that moves next in each problem, or NOBODY, and (M,) the moves."""
         engine, actions = self.engine, self.buffers.actions
+        alone = (engine.games["asked"] != 0) | engine.static.sequential
         for k in range(engine.nets.shape[1] if self.everyone else 1):
             movers, moves = np.empty(len(begins), np.int32), np.empty(len(begins), np.int8)
             if _movers(
-                engine.static, engine.dynamic, self.everyone, k, actions, begins, movers, moves
+                engine.static,
+                engine.dynamic,
+                self.everyone,
+                k,
+                actions,
+                begins,
+                alone,
+                movers,
+                moves,
             ):
                 yield movers, moves
 
@@ -458,6 +467,7 @@ def _movers(
     k: int,
     actions: Any,
     begins: Any,
+    alone: Any,
     movers: Any,
     moves: Any,
 ) -> bool:
@@ -468,8 +478,7 @@ def _movers(
         moves[m] = NOBODY if n == NOBODY else actions[m, n if everyone else 0]
         movers[m] = NOBODY
         if n != NOBODY and not begins[m]:
-            playing = dynamic.games[m].agent
-            if everyone and not may_move(static, dynamic, m, place(n), playing, moves[m]):
+            if everyone and not may_move(dynamic, m, place(n), alone[m], moves[m]):
                 continue
             if moves[m] != NOBODY:
                 movers[m] = n

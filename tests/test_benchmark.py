@@ -505,7 +505,6 @@ def test_a_run_goes_on(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     ("words", "message"),
     [
         (["--router", "astar"], r"--scenario: expected one of toy-4x4-v0"),
-        (["--scenario", SCENARIO], r"--router: expected a router"),
         (["--scenario", "toy-4x4-v1", "--router", "astar"], r"scenario: did you mean toy-4x4-v0"),
         (["--scenario", SCENARIO, "--router", "astr"], r"did you mean astar"),
         (["--scenario", SCENARIO, "--router", "no/such.pt"], r"expected a file or a folder"),

@@ -264,33 +264,33 @@ def settle_player(static: Static, dynamic: Dynamic, m: int) -> None:
 
 
 @inlined
-def may_move(static: Static, dynamic: Dynamic, m: int, n: int, playing: int, move: int) -> bool:
-    """Whether an agent makes a move when all are asked: if it is active and need not wait.
+def may_move(dynamic: Dynamic, m: int, n: int, alone: bool, move: int) -> bool:
+    """Whether an agent makes a move in a step of all: if it is active and need not wait.
 
     Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
+        dynamic: the dynamic state of the games.
         m: the problem.
         n: the agent.
-        playing: the agent whose turn it is.
+        alone: whether only the agent whose turn it is moves in the step.
         move: the agent's move, or NOBODY.
     """
     active = dynamic.agents[m, n].status == Status.ACTIVE
-    return active and move != NOBODY and (n == playing or not static.sequential)
+    return active and move != NOBODY and (not alone or n == dynamic.games[m].agent)
 
 
 @inlined
 def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
     """In one problem, all agents make their moves of ``moves`` (M, N) in turn order.
 
-    In sequential order only the agent whose turn it is moves.
+    In sequential order, and where an agent is asked whether its net gives way, only the agent
+    whose turn it is moves.
     """
-    playing = dynamic.games[m].agent
+    alone = static.sequential or dynamic.games[m].asked != 0
     for k in range(static.order.shape[1]):
         if static.order[m, k] == NOBODY:
             break
         n = place(static.order[m, k])
-        if may_move(static, dynamic, m, n, playing, moves[m, n]):
+        if may_move(dynamic, m, n, alone, moves[m, n]):
             move_agent(static, dynamic, m, n, place(moves[m, n]))
         else:
             wait(dynamic, m, n)
