@@ -128,6 +128,22 @@ _Loader.add_implicit_resolver(
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_integer)
 
 
+class _Dumper(yaml.SafeDumper):
+    """The safe dumper, which quotes all text that would be a number by either version of YAML."""
+
+
+_Dumper.yaml_implicit_resolvers = {
+    first: [*_Loader.yaml_implicit_resolvers.get(first, []), *rules]
+    for first, rules in yaml.SafeDumper.yaml_implicit_resolvers.items()
+}
+
+
+def yaml_text(data: Mapping[str, Any]) -> str:
+    """YAML text that :func:`parse_yaml` reads as the same plain data."""
+    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False)
+    return text
+
+
 def parse_yaml(text: str, name: str) -> Any:
     """Plain data from YAML text; raises InputError with ``name`` and the line."""
     try:

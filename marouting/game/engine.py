@@ -157,7 +157,9 @@ class Engine:
         self.problems = tuple(problems)
         self.static, self.nets = static_state(self.problems, self.rules)
         self.grid = Grid.of(self.problems[0].grid)
-        self.dynamic = dynamic_state(self.static, self.nets.shape[1], self.rules.rip_up_neighbours)
+        self.dynamic = dynamic_state(
+            self.static, self.grid, self.nets.shape[1], self.rules.rip_up_neighbours
+        )
         self.reset()
 
     @property

@@ -111,11 +111,12 @@ def static_state(
     return static, agent_net
 
 
-def dynamic_state(static: Static, agents: int, neighbours: int = 0) -> Dynamic:
+def dynamic_state(static: Static, grid: Grid, agents: int, neighbours: int = 0) -> Dynamic:
     """The arrays that change during an episode, before the first one.
 
     Args:
         static: the constant arrays of M problems.
+        grid: the grid of all of them.
         agents: N, the agents of each.
         neighbours: how many nets walk again together with another.
 
@@ -129,8 +130,8 @@ def dynamic_state(static: Static, agents: int, neighbours: int = 0) -> Dynamic:
     rounds = static.rounds > 0
     again = (1 + neighbours) * rounds
     sets = agents * (ways * (1 + static.give_back) + gcells * static.mask_visited) + trees * gcells
-    what = "{} nets on a grid of {} Gcells, bits for each net and edge"
-    check_memory(m * (sets + again * ways), what, m * agents, len(static.position))
+    what = "{} nets on a grid of {}, a bit for each net and edge"
+    check_memory(m * (sets + again * ways), what, m * agents, grid)
     return Dynamic(
         remaining=np.empty((m, edges), np.int32),
         # Zeros take no memory until they are written to.

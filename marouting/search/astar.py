@@ -185,7 +185,7 @@ def sequential_astar(
         )
         ranks = None if isinstance(net_order, str) else net_order
         static, (nets,) = static_state((problem,), rules, ranks)
-        dynamic = dynamic_state(static, 1)
+        dynamic = dynamic_state(static, grid, 1)
         dynamic.remaining[...] = static.capacity
         buffers, demand, to_tree = search_buffers(grid), static.demand[0].copy(), target == "tree"
         while True:

@@ -9,10 +9,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from marouting import InputError, Problem, Solution
-from marouting.config import check, check_same, read_yaml
+from marouting.config import check, check_same, read_yaml, yaml_text
 from marouting.files import FILE_NAME, is_file_name, write_text
 from marouting.source import load_problems
 from policies.experiment.config import (
@@ -159,7 +157,7 @@ class Experiment:
             if isinstance(before.problems, Mapping):
                 plain["problems"] = {**before.problems, **plain["problems"]}
         if before is None or plain != asdict(before):
-            text = yaml.safe_dump(json.loads(json.dumps(plain)), sort_keys=False)
+            text = yaml_text(json.loads(json.dumps(plain)))
             write_text(self.folder / CONFIG, text)
 
     @cached_property

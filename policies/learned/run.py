@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import yaml
 
 from marouting import InputError
-from marouting.config import check, check_same, plain
+from marouting.config import check, check_same, plain, yaml_text
 from marouting.files import FILE_NAME, is_file_name, write_text, writing
 from marouting.scenarios import get
 from marouting.source import fixed_problems, load_problems
@@ -51,7 +50,7 @@ def write_config(config: Config, path: Path) -> None:
 
 
 def _yaml(config: Config) -> str:
-    return yaml.safe_dump(plain(config), sort_keys=False)
+    return yaml_text(plain(config))
 
 
 def _never_began(folder: Path) -> bool:
