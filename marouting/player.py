@@ -49,6 +49,7 @@ from marouting.game.state import (
     Crossing,
     Dynamic,
     Ending,
+    Option,
     Static,
     Status,
 )
@@ -211,7 +212,7 @@ class Player:
         nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
         self._settle = bound(_settle_and_show, *self._arguments, nobody, nowhere, _NOT)
         if own_reward:
-            self._arrived = np.zeros(engine.nets.shape, AGENT), engine.dynamic.visited.copy()
+            self._arrived = np.zeros(engine.nets.shape, AGENT), engine.dynamic.sets.copy()
         else:
             self._move = bound(_move_and_pay, *self._arguments, nobody)
 
@@ -322,7 +323,7 @@ class Player:
             self._move_by_turns(self._before, begins, asked)
             self._look_back(asked)
             self._settle(*self._arguments, begins, asked, _TURNS)
-            if engine.static.rounds:
+            if engine.static.options[Option.ROUNDS]:
                 self._mirror(engine.games["ripped"] != 0)
         self._look(None)
 
@@ -412,31 +413,34 @@ class Player:
             return
         problems, row = np.nonzero(rows)
         agents = row if self.everyone else asked[problems]
+        moved: list[tuple[NDArray[Any], Any, NDArray[Any]]] = []
         if self._before is not None:  # those whose tasks have ended stand elsewhere by now
-            place_of, active = (problems, agents), engine.games["active"].copy()
-            settled = [array[place_of] for array in self._movable()]
-            for array, arrived in zip(self._movable(), self._arrived, strict=False):
-                array[place_of] = arrived[place_of]
-            np.add.at(engine.games["active"], problems, settled[0]["status"] != Status.ACTIVE)
-            task = settled[0]["task"]
-            new = engine.static.nearest_next & (task != engine.agents[place_of]["task"])
-            begun = problems[new], (task - engine.static.first[problems, 0])[new]
-            engine.dynamic.tried[begun] = 0
+            active = engine.games["active"].copy()
+            settled = engine.agents["status"][problems, agents]
+            np.add.at(engine.games["active"], problems, settled != Status.ACTIVE)
+            arrays = engine.dynamic.agents, engine.dynamic.sets
+            for which, first in self._movable:
+                at = problems, first + agents
+                moved.append((arrays[which], at, arrays[which][at]))
+                arrays[which][at] = self._arrived[which][at]
         problems, agents = problems.astype(np.int32), agents.astype(np.int32)
         out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
         self.observation.write(engine, problems, agents, out)
         b.final_obs[rows] = out
         b.final_mask[rows] = engine.masks(problems, agents)
         if self._before is not None:
-            for array, kept in zip(self._movable(), settled, strict=True):
-                array[place_of] = kept
-            engine.dynamic.tried[begun] = 1
+            for array, at, kept in moved:
+                array[at] = kept
             engine.games["active"] = active
 
-    def _movable(self) -> list[NDArray[Any]]:
-        """What changes for an agent when its next task begins, as far as it is seen."""
-        dynamic = self.engine.dynamic
-        return [dynamic.agents, dynamic.visited][: 1 + self.engine.static.mask_visited]
+    @property
+    def _movable(self) -> list[tuple[int, int]]:
+        """What changes for an agent when its next task begins, as far as it is seen.
+
+        For the agents' records (0) and for sets of theirs (1): where those of agent 0 are.
+        """
+        places = [int(self.engine.static.options[o]) for o in (Option.VISITED, Option.TRIED)]
+        return [(0, 0), *((1, first) for first in places if first >= 0)]
 
     def _look(self, which: NDArray[np.bool_] | None) -> None:
         """Writes what agents see now, in all problems or where ``which`` (M,) is true."""
@@ -501,7 +505,7 @@ def _settle_movers(
     movers: Any,
     moves: Any,
     arrived: Any,
-    visited: Any,
+    sets: Any,
 ) -> None:
     """Settles the agents that moved, records where they arrived, and updates ``before``."""
     for m in range(len(movers)):
@@ -510,8 +514,11 @@ def _settle_movers(
         n = place(movers[m])
         edge = place(static.edge[place(before.agents[m, n].cell), place(moves[m] % MOVES)])
         arrived[m, n] = dynamic.agents[m, n]
-        for byte in range(dynamic.visited.shape[2] * static.mask_visited):
-            visited[m, n, byte] = dynamic.visited[m, n, byte]
+        for option in range(Option.VISITED, Option.TRIED + 1):
+            if static.extended and static.options[option] >= 0 and option != Option.KEPT:
+                row = place(static.options[option] + n)
+                for byte in range(sets.shape[2]):
+                    sets[m, row, byte] = dynamic.sets[m, row, byte]
         settle_agent(static, dynamic, m, n)
         before.remaining[m, edge] = dynamic.remaining[m, edge]
         before.used[m, n, edge >> 3] = dynamic.used[m, n, edge >> 3]
@@ -625,7 +632,7 @@ def _step_everyone(static: Static, dynamic: Dynamic, b: StepBuffers, known: Know
             settle_agent(static, dynamic, m, n)
         _show(static, dynamic, b, known, m, n)
     settle_turns(static, dynamic, m)
-    if static.rounds > 0 and (game.ripped or game.active == 0):
+    if static.extended and (game.ripped or game.active == 0):
         for n in range(b.agents.shape[1]):
             if dynamic.agents[m, n].status != Status.ABSENT:
                 _show(static, dynamic, b, known, m, n)

@@ -71,8 +71,8 @@ def open_tasks(engine: Engine, m: int, n: int) -> list[tuple[Gcell, Gcell]]:
     first, end = engine.static.first[m, n : n + 2].tolist()
     rows = [row for row in range(first, end) if row > agent["task"]]
     if engine.rules.next_task == "nearest":
-        tried = engine.dynamic.tried[m]
-        rows = [row for row in range(first, end) if not tried[row - engine.static.first[m, 0]]]
+        tried = np.unpackbits(engine.more.tried[m, n], bitorder="little")
+        rows = [row for row in range(first, end) if not tried[row - first]]
     if engine.rules.next_task == "nearest" or engine.rules.target == "tree":
         edges = engine.solution(m).edges[engine.nets[m, n]]
         graph: nx.Graph[int] = nx.Graph(list(zip(*engine.grid.ends(edges), strict=True)))
@@ -170,7 +170,7 @@ def blocks(engine: Engine, window: WindowObservation, m: int, n: int) -> dict[st
         if channel == "demand":
             return squash((remaining - taken[edge]) / track)
         if channel == "history":
-            history = engine.dynamic.history
+            history = engine.more.history
             return squash(history[m, number]) if history.shape[1] else 0.0
         return float(used[number])
 
@@ -242,9 +242,8 @@ def test_every_number_is_as_the_oracle_says(
 ) -> None:
     engine = Engine([problem, problem], turn_order="round_robin", max_steps=7, **rules)
     rng = np.random.default_rng(seed)
-    if history and not rules["rip_up_rounds"]:
-        seen = rng.integers(0, 9, engine.dynamic.remaining.shape, np.int32)
-        engine.dynamic = engine.dynamic._replace(history=seen)
+    if history and rules["rip_up_rounds"]:
+        engine.more.history[...] = rng.integers(0, 9, engine.more.history.shape)
     space = window.space([problem], rules["overflow"] == "allowed")
     for _ in range(3):
         rows = rows_of(engine, window)
@@ -522,7 +521,7 @@ def test_the_state_is_as_the_oracle_says(
     targets = [end for of in tasks for _, end in of]
     heads = [of[0][0] for of in tasks if of]
     used = np.unpackbits(engine.dynamic.used[0], axis=1, bitorder="little").sum(axis=0)
-    edges, past = set(all_edges(problem)), engine.dynamic.history[0]
+    edges, past = set(all_edges(problem)), engine.more.history[0]
     for here in np.ndindex(columns, rows, layers):
         track = engine.static.demand[0, :, here[2]].mean() or 1.0
         answer: list[float] = []

@@ -23,7 +23,7 @@ from marouting.game.rules import (
     write_mask,
 )
 from marouting.game.saved import check_saved
-from marouting.game.setup import dynamic_state, static_state
+from marouting.game.setup import More, dynamic_state, more_of, static_state
 from marouting.game.state import NOBODY, Dynamic, Static
 from marouting.kernels import compiled, place, wide
 from marouting.problem.grid import Grid
@@ -157,9 +157,7 @@ class Engine:
         self.problems = tuple(problems)
         self.static, self.nets = static_state(self.problems, self.rules)
         self.grid = Grid.of(self.problems[0].grid)
-        self.dynamic = dynamic_state(
-            self.static, self.grid, self.nets.shape[1], self.rules.rip_up_neighbours
-        )
+        self.dynamic = dynamic_state(self.static, self.grid, self.nets.shape[1])
         self.reset()
 
     @property
@@ -171,6 +169,11 @@ class Engine:
     def games(self) -> NDArray[Any]:
         """(M,) GAME records; a view, to be read."""
         return self.dynamic.games
+
+    @property
+    def more(self) -> More:
+        """The state of the options beyond the paper's, by name; views, to be read."""
+        return more_of(self.static, self.dynamic)
 
     @property
     def max_steps(self) -> int:
@@ -215,7 +218,6 @@ class Engine:
             demand=static.demand[which],
             first=static.first[which],
             order=static.order[which],
-            queue=static.queue[which],
         )
         part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
         return part

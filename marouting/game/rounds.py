@@ -27,8 +27,8 @@ An edge is full if it has no remaining capacity. In rip-up rounds agents wait
 """
 
 from marouting.game.edges import use_edges, uses
-from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, RipUp, Static, Status
-from marouting.game.tasks import begin_net, begin_task, clear, grow_tree, keeps_tree
+from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
+from marouting.game.tasks import begin_net, begin_task, clear, grow_tree, is_on, keeps_tree
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.heap import pop, push
@@ -64,7 +64,7 @@ def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
         while bits != 0:
             if bits & 1:
                 if not now:
-                    price += dynamic.history[m, edge]
+                    price += dynamic.numbers[m, static.options[Option.HISTORY] + edge]
                 elif is_full(static, dynamic, m, edge):
                     price += 1
             bits >>= 1
@@ -80,13 +80,14 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     game = dynamic.games[m]
     game.round += 1
     game.place = game.picked = 0
-    for edge in range(dynamic.history.shape[1]):
+    history, first = place(static.options[Option.HISTORY]), place(static.options[Option.LINE])
+    for edge in range(static.capacity.shape[1]):
         if is_full(static, dynamic, m, edge):
-            dynamic.history[m, edge] += 1
-    line, size = dynamic.line[m], wide(0)
+            dynamic.numbers[m, history + edge] += 1
+    line, size = dynamic.numbers[m, first : first + static.order.shape[1]], wide(0)
     while size < len(line) and static.order[m, size] != NOBODY:
         price = wide(0)
-        if static.rip_up == RipUp.PRICE:
+        if static.options[Option.RIP_UP] == RipUp.PRICE:
             price = _price(static, dynamic, m, wide(static.order[m, size]), False)
         push(line, size, price << _SHIFT | (_LAST - size))
         size += 1
@@ -99,15 +100,19 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
 @compiled
 def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net walks again now that it is considered."""
-    if static.rip_up == RipUp.CONFLICTS or static.rip_up == RipUp.PRICE:
-        return _price(static, dynamic, m, n, static.rip_up == RipUp.CONFLICTS) > 0
+    rip_up = static.options[Option.RIP_UP]
+    if rip_up == RipUp.CONFLICTS or rip_up == RipUp.PRICE:
+        return _price(static, dynamic, m, n, rip_up == RipUp.CONFLICTS) > 0
     return True
 
 
 @compiled
 def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """Fills ``again`` with a net and those that stand in its way; returns how many they are."""
-    again, blocking, counts = dynamic.again[m], dynamic.kept[m, 0], static.queue[m]
+    o, most = static.options, static.options[Option.AGAIN_MOST]
+    again = dynamic.numbers[m, o[Option.AGAIN] : o[Option.AGAIN] + most]
+    counts = dynamic.numbers[m, o[Option.QUEUE] : o[Option.QUEUE] + most]
+    blocking = dynamic.sets[m, o[Option.KEPT]]
     again[0], size = n, wide(1)
     if len(again) == 1:
         return size
@@ -160,15 +165,16 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     game.again = game.active = _find_neighbours(static, dynamic, m, n)
     game.picked += 1
     game.ripped = 1
-    for k in range(dynamic.again.shape[1]):
+    o = static.options
+    for k in range(o[Option.AGAIN_MOST]):
         if k >= game.again:
-            dynamic.again[m, k] = NOBODY
+            dynamic.numbers[m, o[Option.AGAIN] + k] = NOBODY
             continue
-        member = place(dynamic.again[m, k])
+        member = place(dynamic.numbers[m, o[Option.AGAIN] + k])
         agent = dynamic.agents[m, member]
-        dynamic.kept_joined[m, k] = agent.joined
+        dynamic.numbers[m, o[Option.KEPT_JOINED] + k] = agent.joined
         for byte in range(dynamic.used.shape[2]):
-            dynamic.kept[m, k, byte] = dynamic.used[m, member, byte]
+            dynamic.sets[m, o[Option.KEPT] + k, byte] = dynamic.used[m, member, byte]
             use_edges(static, dynamic, m, member, byte, 0)
         agent.status = Status.ACTIVE
         agent.added_overflow = 0
@@ -186,19 +192,20 @@ def judge(static: Static, dynamic: Dynamic, m: int) -> None:
         worse = game.overflow > game.kept_overflow
         if game.overflow == game.kept_overflow:
             worse = game.wirelength > game.kept_wirelength
+    o = static.options
     for k in range(game.again):
-        member = place(dynamic.again[m, k])
+        member = place(dynamic.numbers[m, o[Option.AGAIN] + k])
         agent = dynamic.agents[m, member]
         if worse:
             for byte in range(dynamic.used.shape[2]):
-                route = wide(dynamic.kept[m, k, byte])
+                route = wide(dynamic.sets[m, o[Option.KEPT] + k, byte])
                 use_edges(static, dynamic, m, member, byte, route)
-            agent.joined = dynamic.kept_joined[m, k]
-            if static.give_back:
-                clear(dynamic.taken, m, member)
+            agent.joined = dynamic.numbers[m, o[Option.KEPT_JOINED] + k]
+            if is_on(static, Option.GIVE_BACK):
+                clear(static, dynamic, m, Option.TAKEN, member)
             if keeps_tree(static):
                 grow_tree(static, dynamic, m, member)
-        dynamic.again[m, k] = NOBODY
+        dynamic.numbers[m, o[Option.AGAIN] + k] = NOBODY
     if worse:
         game.joined = game.kept_joined
     game.again = 0
@@ -221,20 +228,21 @@ def done(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
 def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
     """When no agent is active: the next net walks again or is asked, or the episode is over."""
     game = dynamic.games[m]
-    agents = dynamic.line.shape[1]
+    agents, line = static.order.shape[1], place(static.options[Option.LINE])
     while True:
-        if game.round == 0 or game.place == agents or dynamic.line[m, game.place] == NOBODY:
-            if game.round == static.rounds or (game.round > 0 and game.picked == 0):
+        over = game.round == 0 or game.place == agents
+        if over or dynamic.numbers[m, line + game.place] == NOBODY:
+            if game.round == static.options[Option.ROUNDS] or (game.round > 0 and game.picked == 0):
                 break
             _begin_round(static, dynamic, m)
             continue
-        turn = place(dynamic.line[m, game.place])
+        turn = place(dynamic.numbers[m, line + game.place])
         n = wide(static.order[m, turn])
         game.place += 1
         if not _walks_again(static, dynamic, m, n):
             continue
         game.turn, game.agent = turn, n
-        if static.rip_up == RipUp.AGENTS:
+        if static.options[Option.RIP_UP] == RipUp.AGENTS:
             game.asked = game.active = 1
             dynamic.agents[m, n].status = Status.ACTIVE
             begin_task(static, dynamic, m, n, wide(static.first[m, n]))

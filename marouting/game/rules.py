@@ -33,7 +33,7 @@ import numpy as np
 
 from marouting.game.edges import demand_of, may_cross, use_edges, uses
 from marouting.game.rounds import answer, done, has_walked, judge, walk_again
-from marouting.game.state import MASKS, NOBODY, Crossing, Dynamic, Ending, Static, Status
+from marouting.game.state import MASKS, NOBODY, Crossing, Dynamic, Ending, Option, Static, Status
 from marouting.game.tasks import (
     begin_extended,
     begin_net,
@@ -42,6 +42,7 @@ from marouting.game.tasks import (
     grow_tree,
     holds,
     insert,
+    is_on,
     keeps_tree,
     next_task,
 )
@@ -105,12 +106,12 @@ def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> N
 def note_move(static: Static, dynamic: Dynamic, m: int, n: int, edge: int, new: int) -> bool:
     """Notes what the options need of a move; returns whether the agent has arrived."""
     agent = dynamic.agents[m, n]
-    if static.give_back:
-        dynamic.taken[m, n, edge >> 3] |= new << (edge & 7)
-    if static.mask_visited:
-        insert(dynamic.visited, m, n, wide(agent.cell))
-    if static.tree_target:
-        return holds(dynamic.tree, m, n, wide(agent.cell)) != 0
+    if is_on(static, Option.GIVE_BACK) and new:
+        insert(static, dynamic, m, Option.TAKEN, n, edge)
+    if is_on(static, Option.MASK_VISITED):
+        insert(static, dynamic, m, Option.VISITED, n, wide(agent.cell))
+    if is_on(static, Option.TREE_TARGET):
+        return holds(static, dynamic, m, Option.TREE, n, wide(agent.cell)) != 0
     return agent.cell == agent.target
 
 
@@ -120,18 +121,19 @@ def end_task(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     agent, game = dynamic.agents[m, n], dynamic.games[m]
     if agent.ending == Ending.NONE:
         return
-    if static.give_back and agent.ending == Ending.FAILED:
+    if is_on(static, Option.GIVE_BACK) and agent.ending == Ending.FAILED:
+        row = place(static.options[Option.TAKEN] + n)
         for byte in range(dynamic.used.shape[2]):
-            kept = dynamic.used[m, n, byte] & ~dynamic.taken[m, n, byte]
+            kept = dynamic.used[m, n, byte] & ~dynamic.sets[m, row, byte]
             use_edges(static, dynamic, m, n, byte, wide(kept))
-        clear(dynamic.taken, m, n)
+        clear(static, dynamic, m, Option.TAKEN, n)
     if keeps_tree(static):
         grow_tree(static, dynamic, m, n)
     # Judged with the last move, which is then paid for what becomes of it.
     if game.again == 0:
         return
     for k in range(game.again):
-        member = wide(dynamic.again[m, k])
+        member = wide(dynamic.numbers[m, static.options[Option.AGAIN] + k])
         other = dynamic.agents[m, member]
         # An agent that has ended a task either stands where it arrived, or at its next start.
         goes_on = other.ending == Ending.NONE or other.steps == 0
@@ -175,7 +177,8 @@ def settle_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
         begin_extended(static, dynamic, m, n, task)
         return
     agent = dynamic.agents[m, n]
-    agent.status = Status.WAITING if static.rounds > 0 else done(static, dynamic, m, n)
+    waits = is_on(static, Option.ROUNDS)
+    agent.status = Status.WAITING if waits else done(static, dynamic, m, n)
     dynamic.games[m].active -= 1
 
 
@@ -185,7 +188,7 @@ def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
     game = dynamic.games[m]
     if game.active == 0:
         game.agent = NOBODY
-        if static.rounds > 0:
+        if static.extended and is_on(static, Option.ROUNDS):
             walk_again(static, dynamic, m)
         return
     agents = static.order.shape[1]
@@ -213,7 +216,7 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
     game.turn = game.active = game.joined = game.steps = 0
     game.overflow = game.wirelength = 0
     if static.extended:
-        reset_extended(dynamic, m)
+        reset_extended(static, dynamic, m)
     for n in range(static.order.shape[1]):
         agent = dynamic.agents[m, n]
         agent.joined = 0
@@ -231,15 +234,16 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
 
 
 @compiled
-def reset_extended(dynamic: Dynamic, m: int) -> None:
+def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
     """Forgets the rounds of an episode."""
     game = dynamic.games[m]
     game.round = game.place = game.again = game.picked = game.ripped = game.asked = 0
     game.kept_joined = game.kept_overflow = game.kept_wirelength = 0
-    for edge in range(dynamic.history.shape[1]):
-        dynamic.history[m, edge] = 0
-    for k in range(dynamic.again.shape[1]):
-        dynamic.again[m, k] = NOBODY
+    if is_on(static, Option.ROUNDS):
+        for column in range(static.options[Option.AGAIN], static.options[Option.KEPT_JOINED]):
+            dynamic.numbers[m, column] = NOBODY
+        for column in range(static.options[Option.HISTORY], static.options[Option.QUEUE]):
+            dynamic.numbers[m, column] = 0
 
 
 @inlined
@@ -320,17 +324,18 @@ def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
 
     An agent that is asked whether its net gives way has two actions, the first move and the last.
     """
-    if static.extended and dynamic.games[m].asked and dynamic.games[m].agent == n:
+    game = dynamic.games[m]
+    if static.extended and game.asked and game.agent == n:
         return wide(1 | 1 << GIVE_WAY)
     cell = place(dynamic.agents[m, n].cell)
     free = wide(0)
     for move in range(MOVES):
         free |= wide(may_cross(static, dynamic, m, n, cell, move)) << move
-    if static.mask_visited:
+    if static.extended and is_on(static, Option.MASK_VISITED):
         unvisited = free
         for move in range(MOVES):
             ahead = wide(static.neighbour[cell, move])
-            if free >> move & 1 and holds(dynamic.visited, m, n, ahead):
+            if free >> move & 1 and holds(static, dynamic, m, Option.VISITED, n, ahead):
                 unvisited ^= wide(1) << move
         free = unvisited if unvisited else free
     return free

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.game.edges import demand_of
-from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, RipUp, Static, Status
+from marouting.game.setup import more_of
+from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
 from marouting.kernels import compiled
 from marouting.problem.grid import AXES
 
@@ -28,11 +29,11 @@ def check_saved(static: Static, saved: Dynamic) -> None:
     waiting = agents["status"] == Status.WAITING
     done = there & ~active & ~waiting
     _expect("status of an agent", _within(agents["status"], 0, max(Status)))
-    _expect("status of an agent", ~waiting | (static.rounds > 0))
+    _expect("status of an agent", ~waiting | (static.options[Option.ROUNDS] > 0))
     _expect("status of an agent", (agents["status"] == Status.ABSENT) == ~there)
     _expect("Gcell", _within(agents["cell"], 0, len(static.position) - 1))
     _expect("task", _within(agents["task"], first, end - 1) | ~there)
-    if static.tree_target:
+    if static.options[Option.TREE_TARGET]:
         _expect("target", _within(agents["target"], 0, len(static.position) - 1))
     else:
         target = static.tasks[np.where(there, agents["task"], 0), 1]
@@ -68,41 +69,41 @@ def check_saved(static: Static, saved: Dynamic) -> None:
 def _check_extended(static: Static, saved: Dynamic) -> None:
     """:func:`check_saved` for what the options need."""
     agents, games = saved.agents, saved.games
-    _expect("tasks begun", saved.tried <= 1)
+    more, rounds = more_of(static, saved), int(static.options[Option.ROUNDS])
     for m in range(len(games)):
         # Sets of Gcells are only looked things up in; edges are given back.
-        if static.give_back:
-            _expect("edges of a task", (saved.taken[m] & ~saved.used[m]) == 0)
-        if not static.rounds:
+        if static.options[Option.GIVE_BACK]:
+            _expect("edges of a task", (more.taken[m] & ~saved.used[m]) == 0)
+        if not rounds:
             continue
-        game, again = games[m], saved.again[m]
+        game, again = games[m], more.again[m]
         agent_count = int((static.first[m, :-1] < static.first[m, 1:]).sum())
-        _expect("round", 0 <= game["round"] <= static.rounds)
+        _expect("round", 0 <= game["round"] <= rounds)
         _expect("place", 0 <= game["place"] <= agents.shape[1])
         _expect("picked", game["picked"] >= 0)
         if game["round"] > 0:
-            line = np.sort(saved.line[m][:agent_count])
+            line = np.sort(more.line[m][:agent_count])
             _expect("line", line == np.arange(agent_count))
-            _expect("line", saved.line[m][agent_count:] == NOBODY)
+            _expect("line", more.line[m][agent_count:] == NOBODY)
         _expect("nets that walk again", 0 <= game["again"] <= len(again))
         members, rest = again[: game["again"]], again[game["again"] :]
         _expect("nets that walk again", rest == NOBODY)
         _expect("nets that walk again", _within(members, 0, agents.shape[1] - 1))
         _expect("nets that walk again", len(set(members.tolist())) == len(members))
         _expect("answer", _within(np.array([game["ripped"], game["asked"]]), 0, 1))
-        _expect("answer", not game["asked"] or static.rip_up == RipUp.AGENTS)
+        _expect("answer", not game["asked"] or static.options[Option.RIP_UP] == RipUp.AGENTS)
         _expect("answer", not game["asked"] or (game["active"] == 1 and not len(members)))
         before = saved.used[m].copy()
-        before[members] = saved.kept[m, : len(members)]
+        before[members] = more.kept[m, : len(members)]
         joined = agents["joined"][m] * (agents["status"][m] != Status.ABSENT)
-        joined[members] = saved.kept_joined[m, : len(members)]
+        joined[members] = more.kept_joined[m, : len(members)]
         _expect("tasks joined", _within(joined, 0, np.diff(static.first[m])))
         if len(members):
             uses, demand = checked_demand(static, before[None], 0, m)
             over = np.maximum(demand - static.capacity[m], 0).sum()
             found = [game[f"kept_{name}"] for name in ("wirelength", "overflow", "joined")]
             _expect("routes before", found == [uses, over, joined.sum()])
-        _expect("congestion", _within(saved.history[m], 0, static.rounds))
+        _expect("congestion", _within(more.history[m], 0, rounds))
 
 
 def checked_demand(

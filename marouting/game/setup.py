@@ -1,15 +1,15 @@
 """Setting up the game: the constant arrays of a batch of problems."""
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.game.options import NetOrder, RuleOptions
-from marouting.game.state import AGENT, GAME, NOBODY, Dynamic, RipUp, Static
+from marouting.game.state import AGENT, GAME, NOBODY, Dynamic, Option, RipUp, Static
 from marouting.kernels import compiled, wide
 from marouting.memory import PLAYED, TABLES, check_memory
 from marouting.problem.grid import OFF_GRID, VIA_AXIS, Grid
@@ -66,7 +66,6 @@ def static_state(
     demand = np.zeros((*shape, grid.shape[2]), np.int32)
     size = np.empty(shape[1], np.int32)
     keeps_tree = rules.target == "tree" or rules.next_task == "nearest"
-    scratch = max(grid.gcells * keeps_tree, 1 + rules.rip_up_neighbours)
     tasks = [two_pin_tasks(problem, rules.decomposition) for problem in problems]
     for m, (problem, count) in enumerate(zip(problems, counts, strict=True)):
         first[m, 0] = first[m - 1, -1]  # 0 for the first problem
@@ -100,59 +99,114 @@ def static_state(
         overflow_allowed=overflow,
         max_steps=rules.steps_per_task(problems[0].grid),
         extended=keeps_tree or rules.mask_visited or rules.give_back or rules.rip_up_rounds > 0,
-        tree_target=rules.target == "tree",
-        nearest_next=rules.next_task == "nearest",
-        mask_visited=rules.mask_visited,
-        give_back=rules.give_back,
-        rounds=rules.rip_up_rounds,
-        rip_up=RipUp[rules.rip_up.upper()],
-        queue=np.empty((shape[0], scratch), np.int32),
+        options=_options(rules, (int(shape[1]), grid.gcells, grid.edges)),
     )
     return static, agent_net
 
 
-def dynamic_state(static: Static, grid: Grid, agents: int, neighbours: int = 0) -> Dynamic:
+def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int64]:
+    """(len(Option),) int64, what the options say, for N agents, G Gcells and E edges."""
+    agents, gcells, edges = shape
+    rounds = rules.rip_up_rounds > 0
+    nearest = rules.next_task == "nearest"
+    tree = rules.target == "tree" or nearest
+    again = (1 + rules.rip_up_neighbours) * rounds
+    options = np.full(len(Option), -1, np.int64)
+    options[Option.TREE_TARGET] = rules.target == "tree"
+    options[Option.NEAREST_NEXT] = nearest
+    options[Option.MASK_VISITED] = rules.mask_visited
+    options[Option.GIVE_BACK] = rules.give_back
+    options[Option.ROUNDS] = rules.rip_up_rounds
+    options[Option.RIP_UP] = RipUp[rules.rip_up.upper()]
+    options[Option.AGAIN_MOST] = again
+    sizes = {
+        Option.TREE: agents * tree,
+        Option.VISITED: agents * rules.mask_visited,
+        Option.TAKEN: agents * rules.give_back,
+        Option.KEPT: again,
+        Option.TRIED: agents * nearest,
+    }
+    _lay_out(options, sizes)
+    sizes = {
+        Option.LINE: agents * rounds,
+        Option.AGAIN: again,
+        Option.KEPT_JOINED: again,
+        Option.HISTORY: edges * rounds,
+        Option.QUEUE: max(gcells * tree, again),
+    }
+    _lay_out(options, sizes)
+    return options
+
+
+def _lay_out(options: NDArray[np.int64], sizes: Mapping[Option, int]) -> None:
+    """Notes where parts of these sizes begin, one after another; -1 for those of no size."""
+    begin = 0
+    for option, size in sizes.items():
+        if size:
+            options[option] = begin
+            begin += size
+
+
+class More(NamedTuple):
+    """Views of the state of the options, by name; see :class:`Option`. Empty where switched off."""
+
+    tree: NDArray[np.uint8]  # (M, N, ceil(E / 8))
+    visited: NDArray[np.uint8]  # (M, N, ceil(E / 8))
+    taken: NDArray[np.uint8]  # (M, N, ceil(E / 8))
+    kept: NDArray[np.uint8]  # (M, P, ceil(E / 8))
+    tried: NDArray[np.uint8]  # (M, N, ceil(E / 8))
+    line: NDArray[np.int64]  # (M, N)
+    again: NDArray[np.int64]  # (M, P)
+    kept_joined: NDArray[np.int64]  # (M, P)
+    history: NDArray[np.int64]  # (M, E)
+
+
+def more_of(static: Static, dynamic: Dynamic) -> More:
+    """The state of the options by name."""
+    found: list[NDArray[Any]] = []
+    for parts, array in (
+        (range(Option.TREE, Option.LINE), dynamic.sets),
+        (range(Option.LINE, Option.QUEUE + 1), dynamic.numbers),
+    ):
+        begins = [int(static.options[part]) for part in parts]
+        for place, begin in enumerate(begins):
+            later = [other for other in begins[place + 1 :] if other >= 0]
+            end = later[0] if later else array.shape[1]
+            found.append(array[:, begin:end] if begin >= 0 else array[:, :0])
+    return More(*found[:-1])
+
+
+def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
     """The arrays that change during an episode, before the first one.
 
     Args:
         static: the constant arrays of M problems.
         grid: the grid of all of them.
         agents: N, the agents of each.
-        neighbours: how many nets walk again together with another.
 
     Raises:
         InputError: they take too much memory.
     """
     m, edges = static.capacity.shape
-    gcells = -(-len(static.position) // 8)
-    ways = -(-edges // 8)
-    trees = agents * (static.tree_target or static.nearest_next)
-    rounds = static.rounds > 0
-    again = (1 + neighbours) * rounds
-    sets = agents * (ways * (1 + static.give_back) + gcells * static.mask_visited) + trees * gcells
+    o, ways = static.options, -(-edges // 8)
+    sizes = {Option.TREE: agents, Option.VISITED: agents, Option.TAKEN: agents}
+    sizes |= {Option.KEPT: int(o[Option.AGAIN_MOST]), Option.TRIED: agents}
+    rows = sum(size for option, size in sizes.items() if o[option] >= 0)
+    columns = 0
+    if o[Option.QUEUE] >= 0:
+        tree = grid.gcells if o[Option.TREE] >= 0 else 0
+        columns = int(o[Option.QUEUE]) + max(tree, int(o[Option.AGAIN_MOST]))
     what = "{} nets on a grid of {}, a bit for each net and edge"
-    check_memory(m * (sets + again * ways), what, m * agents, grid)
+    check_memory(m * ((agents + rows) * ways + 8 * columns), what, m * agents, grid)
     return Dynamic(
         remaining=np.empty((m, edges), np.int32),
         # Zeros take no memory until they are written to.
         used=np.zeros((m, agents, ways), np.uint8),
         agents=np.zeros((m, agents), AGENT),
         games=np.zeros(m, GAME),
-        tree=np.zeros((m, trees, gcells), np.uint8),
-        tried=np.zeros((m, _most_tasks(static) * static.nearest_next), np.uint8),
-        visited=np.zeros((m, agents * static.mask_visited, gcells), np.uint8),
-        taken=np.zeros((m, agents * static.give_back, ways), np.uint8),
-        line=np.zeros((m, agents * rounds), np.int64),
-        again=np.full((m, again), NOBODY, np.int32),
-        kept=np.zeros((m, again, ways), np.uint8),
-        kept_joined=np.zeros((m, again), np.int32),
-        history=np.zeros((m, edges * rounds), np.int32),
+        sets=np.zeros((m, rows, ways), np.uint8),
+        numbers=np.zeros((m, columns), np.int64),
     )
-
-
-def _most_tasks(static: Static) -> int:
-    """The number of tasks of the problem that has most of them."""
-    return int((static.first[:, -1] - static.first[:, 0]).max())
 
 
 @compiled

@@ -96,6 +96,33 @@ GAME = np.dtype(
 """One problem's state; the engine holds (M,) of them."""
 
 
+class Option(enum.IntEnum):
+    """Places in ``Static.options``.
+
+    The state of the options is kept in two arrays, because every array costs time whenever compiled
+    code is called. From ``TREE`` to ``TRIED`` are rows of ``Dynamic.sets``, from ``LINE`` on
+    columns of ``Dynamic.numbers``; -1 stands for an option that is switched off.
+    """
+
+    TREE_TARGET = 0  #: whether any Gcell of the net's tree ends a task
+    NEAREST_NEXT = 1  #: whether the open pin nearest to the tree is the next task
+    MASK_VISITED = 2  #: whether masks leave out Gcells visited in the task
+    GIVE_BACK = 3  #: whether a failed task gives its edges back
+    ROUNDS = 4  #: rip-up rounds
+    RIP_UP = 5  #: RipUp
+    AGAIN_MOST = 6  #: P, the most nets that walk again at a time
+    TREE = 7  #: N sets of Gcells that edges join to the first pin
+    VISITED = 8  #: N sets of Gcells visited in the present task
+    TAKEN = 9  #: N sets of edges newly used in the present task
+    KEPT = 10  #: P sets of edges that nets had before they walked again
+    TRIED = 11  #: N sets of tasks that have been begun, counted from the net's first
+    LINE = 12  #: N places in turn order, in the order of the rip-up round
+    AGAIN = 13  #: P nets that walk again; NOBODY where there is none
+    KEPT_JOINED = 14  #: P numbers of tasks that they had joined
+    HISTORY = 15  #: E numbers of rip-up rounds at whose start the edge was full
+    QUEUE = 16  #: G, or at least P, numbers to work with
+
+
 class Static(NamedTuple):
     """What does not change during an episode."""
 
@@ -111,14 +138,8 @@ class Static(NamedTuple):
     sequential: bool  # whether a net finishes before the next one starts
     overflow_allowed: bool  # whether moves may cross edges without enough remaining capacity
     max_steps: int  # steps after which a task fails
-    extended: bool  # whether any of the following options is switched on
-    tree_target: bool  # whether any Gcell of the net's tree ends a task
-    nearest_next: bool  # whether the open pin nearest to the tree is the next task
-    mask_visited: bool  # whether masks leave out Gcells visited in the task
-    give_back: bool  # whether a failed task gives its edges back
-    rounds: int  # rip-up rounds
-    rip_up: int  # RipUp
-    queue: NDArray[np.int32]  # (M, G) working array of trees and of rounds
+    extended: bool  # whether any option beyond the paper's is switched on
+    options: NDArray[np.int64]  # (len(Option),) what those options say, and where their state is
 
 
 class Dynamic(NamedTuple):
@@ -128,15 +149,8 @@ class Dynamic(NamedTuple):
     used: NDArray[np.uint8]  # (M, N, ceil(E / 8)) bit e % 8 of byte e // 8: the net uses edge e
     agents: NDArray[Any]  # (M, N) AGENT
     games: NDArray[Any]  # (M,) GAME
-    tree: NDArray[np.uint8]  # (M, N, ceil(G / 8)) bits: Gcells that edges join to the first pin
-    tried: NDArray[np.uint8]  # (M, T) whether the task, of the problem's T, has been begun
-    visited: NDArray[np.uint8]  # (M, N, ceil(G / 8)) bits: Gcells visited in the present task
-    taken: NDArray[np.uint8]  # (M, N, ceil(E / 8)) bits: edges newly used in the present task
-    line: NDArray[np.int64]  # (M, N) places in turn order, in the order of the rip-up round
-    again: NDArray[np.int32]  # (M, P) the nets that walk again; NOBODY where there is none
-    kept: NDArray[np.uint8]  # (M, P, ceil(E / 8)) bits: the edges that they had
-    kept_joined: NDArray[np.int32]  # (M, P) the tasks that they had joined
-    history: NDArray[np.int32]  # (M, E) rip-up rounds at whose start the edge was full
+    sets: NDArray[np.uint8]  # (M, R, ceil(E / 8)) sets of the options; see Option
+    numbers: NDArray[np.int64]  # (M, C) numbers of the options; see Option
 
 
 MASKS = np.array(

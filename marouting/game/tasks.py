@@ -17,64 +17,72 @@ Distances are Manhattan distances over x, y and layer; ties go to the task liste
 Gcell with the lowest number. With Steiner trees, "pin" stands for Steiner points as well.
 """
 
-from typing import Any
-
 from marouting.game.edges import uses
-from marouting.game.state import NOBODY, Dynamic, Static
+from marouting.game.state import NOBODY, Dynamic, Option, Static
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES
 
 
 @inlined
-def holds(bits: Any, m: int, n: int, cell: int) -> int:
-    """1 if a set of Gcells (M, N, ceil(G / 8)) of agent n of problem m has a Gcell, else 0."""
-    return bits[m, n, cell >> 3] >> (cell & 7) & 1
+def is_on(static: Static, option: int) -> bool:
+    """Whether an option is switched on."""
+    return static.options[option] > 0
 
 
 @inlined
-def insert(bits: Any, m: int, n: int, cell: int) -> None:
-    """Puts a Gcell into a set of an agent."""
-    bits[m, n, cell >> 3] |= 1 << (cell & 7)
+def holds(static: Static, dynamic: Dynamic, m: int, which: int, n: int, element: int) -> int:
+    """1 if agent n's set of a kind (``TREE`` to ``TRIED``) has a Gcell, edge or task, else 0."""
+    row = place(static.options[which] + n)
+    return dynamic.sets[m, row, element >> 3] >> (element & 7) & 1
 
 
 @inlined
-def clear(bits: Any, m: int, n: int) -> None:
+def insert(static: Static, dynamic: Dynamic, m: int, which: int, n: int, element: int) -> None:
+    """Puts a Gcell, edge or task into a set of an agent."""
+    row = place(static.options[which] + n)
+    dynamic.sets[m, row, element >> 3] |= 1 << (element & 7)
+
+
+@inlined
+def clear(static: Static, dynamic: Dynamic, m: int, which: int, n: int) -> None:
     """Empties a set of an agent."""
-    for byte in range(bits.shape[2]):
-        bits[m, n, byte] = 0
+    row = place(static.options[which] + n)
+    for byte in range(dynamic.sets.shape[2]):
+        dynamic.sets[m, row, byte] = 0
 
 
 @inlined
 def keeps_tree(static: Static) -> bool:
     """Whether the options need the nets' trees."""
-    return static.tree_target | static.nearest_next
+    return static.options[Option.TREE] >= 0
 
 
 @compiled
 def grow_tree(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """Finds all Gcells that a net's edges join to its first pin, and the tasks joined by them."""
-    agent, queue = dynamic.agents[m, n], static.queue
+    agent, numbers = dynamic.agents[m, n], dynamic.numbers
+    queue = place(static.options[Option.QUEUE])
     first, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
-    clear(dynamic.tree, m, n)
-    queue[m, 0] = static.tasks[first, 0]
-    insert(dynamic.tree, m, n, wide(queue[m, 0]))
+    clear(static, dynamic, m, Option.TREE, n)
+    numbers[m, queue] = static.tasks[first, 0]
+    insert(static, dynamic, m, Option.TREE, n, wide(numbers[m, queue]))
     at, size = 0, 1
     while at < size:
-        cell = place(queue[m, at])
+        cell = place(numbers[m, queue + at])
         at += 1
         for move in range(MOVES):
             ahead = wide(static.neighbour[cell, move])
             if (
                 static.exits[cell] >> move & 1
                 and uses(dynamic.used, m, n, place(static.edge[cell, move]))
-                and not holds(dynamic.tree, m, n, ahead)
+                and not holds(static, dynamic, m, Option.TREE, n, ahead)
             ):
-                insert(dynamic.tree, m, n, ahead)
-                queue[m, size] = ahead
+                insert(static, dynamic, m, Option.TREE, n, ahead)
+                numbers[m, queue + size] = ahead
                 size += 1
     joined = 0
     for task in range(first, end):
-        joined += wide(holds(dynamic.tree, m, n, wide(static.tasks[task, 1])))
+        joined += wide(holds(static, dynamic, m, Option.TREE, n, wide(static.tasks[task, 1])))
     dynamic.games[m].joined += joined - agent.joined
     agent.joined = joined
 
@@ -83,8 +91,9 @@ def grow_tree(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
 def nearest_in_tree(static: Static, dynamic: Dynamic, m: int, n: int, pin: int) -> tuple[int, int]:
     """The Gcell of a net's tree that is nearest to another Gcell, and its distance."""
     nearest, least = wide(0), wide(1 << 62)
-    for byte in range(dynamic.tree.shape[2]):
-        bits = wide(dynamic.tree[m, n, byte])
+    row = place(static.options[Option.TREE] + n)
+    for byte in range(dynamic.sets.shape[2]):
+        bits = wide(dynamic.sets[m, row, byte])
         cell = 8 * byte
         while bits != 0:
             if bits & 1:
@@ -102,10 +111,12 @@ def nearest_in_tree(static: Static, dynamic: Dynamic, m: int, n: int, pin: int) 
 def is_later(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> bool:
     """Whether an agent may still begin a task, after its present one."""
     begun = task <= dynamic.agents[m, n].task
-    if static.nearest_next:
-        begun = dynamic.tried[m, task - static.first[m, 0]] != 0
+    if is_on(static, Option.NEAREST_NEXT):
+        own = wide(task - static.first[m, n])
+        begun = holds(static, dynamic, m, Option.TRIED, n, own) != 0
     if keeps_tree(static):
-        begun |= holds(dynamic.tree, m, n, wide(static.tasks[task, 1])) != 0
+        pin = wide(static.tasks[task, 1])
+        begun |= holds(static, dynamic, m, Option.TREE, n, pin) != 0
     return not begun
 
 
@@ -113,13 +124,14 @@ def is_later(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> boo
 def next_task(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """The task that an agent begins after its present one; NOBODY if there is none."""
     first, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
-    if not static.nearest_next:
+    nearest = is_on(static, Option.NEAREST_NEXT)
+    if not nearest:
         first = wide(dynamic.agents[m, n].task) + 1
     found, least = wide(NOBODY), wide(1 << 62)
     for task in range(first, end):
         if not is_later(static, dynamic, m, n, wide(task)):
             continue
-        if not static.nearest_next:
+        if not nearest:
             return wide(task)
         _, distance = nearest_in_tree(static, dynamic, m, n, wide(static.tasks[task, 1]))
         if distance < least:
@@ -142,19 +154,19 @@ def begin_extended(static: Static, dynamic: Dynamic, m: int, n: int, task: int) 
     """:func:`begin_task` by the options."""
     begin_task(static, dynamic, m, n, task)
     agent = dynamic.agents[m, n]
-    if static.nearest_next:
-        dynamic.tried[m, task - static.first[m, 0]] = 1
+    if is_on(static, Option.NEAREST_NEXT):
+        insert(static, dynamic, m, Option.TRIED, n, wide(task - static.first[m, n]))
     if keeps_tree(static):
         pin = wide(static.tasks[task, 1])
         cell, _ = nearest_in_tree(static, dynamic, m, n, pin)
         agent.cell, agent.target = cell, pin
-        if static.tree_target:
+        if is_on(static, Option.TREE_TARGET):
             agent.cell, agent.target = pin, cell
-    if static.mask_visited:
-        clear(dynamic.visited, m, n)
-        insert(dynamic.visited, m, n, wide(agent.cell))
-    if static.give_back:
-        clear(dynamic.taken, m, n)
+    if is_on(static, Option.MASK_VISITED):
+        clear(static, dynamic, m, Option.VISITED, n)
+        insert(static, dynamic, m, Option.VISITED, n, wide(agent.cell))
+    if is_on(static, Option.GIVE_BACK):
+        clear(static, dynamic, m, Option.TAKEN, n)
 
 
 @compiled
@@ -165,9 +177,8 @@ def begin_net(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     dynamic.games[m].joined -= agent.joined
     agent.joined = 0
     agent.task = first - 1
-    for task in range(first, wide(static.first[m, n + 1])):
-        if static.nearest_next:
-            dynamic.tried[m, task - static.first[m, 0]] = 0
+    if is_on(static, Option.NEAREST_NEXT):
+        clear(static, dynamic, m, Option.TRIED, n)
     if keeps_tree(static):
         grow_tree(static, dynamic, m, n)
     begin_extended(static, dynamic, m, n, next_task(static, dynamic, m, n))

@@ -70,7 +70,7 @@ from marouting.config import check
 from marouting.game.edges import uses
 from marouting.game.engine import Engine, check_rows
 from marouting.game.rules import free_moves, is_agent
-from marouting.game.state import NOBODY, Dynamic, Static, Status
+from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
 from marouting.game.tasks import is_later
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.memory import EXPECTED, check_memory
@@ -552,8 +552,9 @@ def _edges(
                             capacity = _squashed(np.floor(np.float32(remaining) / track))
                         if where.demand >= 0:
                             slack = _squashed(_slack(maps, m, at, axis, remaining, track))
-                        if where.history >= 0 and dynamic.history.shape[1] > 0:
-                            history = _squashed(np.float32(dynamic.history[m, edge]))
+                        if where.history >= 0 and static.options[Option.HISTORY] >= 0:
+                            at = place(static.options[Option.HISTORY] + edge)
+                            history = _squashed(np.float32(dynamic.numbers[m, at]))
                 if axis != VIA_AXIS:
                     if where.capacity >= 0:
                         out[row, place(where.capacity + p)] = capacity
@@ -722,8 +723,9 @@ def _state(static: Static, dynamic: Dynamic, maps: _Maps, where: _Where, out: An
             if where.history >= 0:
                 for axis in range(VIA_AXIS):
                     out[m, cell, begin + axis] = 0
-                    if dynamic.history.shape[1] > 0:
-                        history = np.float32(dynamic.history[m, AXES * cell + axis])
+                    if static.options[Option.HISTORY] >= 0:
+                        at = place(static.options[Option.HISTORY] + AXES * cell + axis)
+                        history = np.float32(dynamic.numbers[m, at])
                         out[m, cell, begin + axis] = _squashed(history)
                 begin += VIA_AXIS
             for channel in range(begin, out.shape[2]):
