@@ -130,8 +130,9 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         cut = dict(zip(agents, truncated.tolist(), strict=True))
         rewards = dict(zip(agents, paid.tolist(), strict=True))
         if not stays.all():
+            result = self._game.result()
             for k in np.flatnonzero(~stays):
-                infos[agents[k]] |= self._game.result()
+                infos[agents[k]] |= {**result, "metrics": dict(result["metrics"])}
             self._numbers = numbers[stays]
             self.agents = [agents[k] for k in np.flatnonzero(stays)]
         if self.render_mode == "human":

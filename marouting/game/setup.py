@@ -65,7 +65,8 @@ def static_state(
     first = np.zeros((shape[0], shape[1] + 1), np.int32)
     demand = np.zeros((*shape, grid.shape[2]), np.int32)
     size = np.empty(shape[1], np.int32)
-    keeps_tree = rules.target == "tree" or rules.next_task == "nearest"
+    extended = rules.target == "tree" or rules.next_task == "nearest" or rules.mask_visited
+    extended |= rules.give_back or rules.rip_up_rounds > 0
     tasks = [two_pin_tasks(problem, rules.decomposition) for problem in problems]
     for m, (problem, count) in enumerate(zip(problems, counts, strict=True)):
         first[m, 0] = first[m - 1, -1]  # 0 for the first problem
@@ -98,8 +99,8 @@ def static_state(
         sequential=rules.turn_order != "round_robin",
         overflow_allowed=overflow,
         max_steps=rules.steps_per_task(problems[0].grid),
-        extended=keeps_tree or rules.mask_visited or rules.give_back or rules.rip_up_rounds > 0,
-        options=_options(rules, (int(shape[1]), grid.gcells, grid.edges)),
+        extended=extended,
+        options=_options(rules, (int(shape[1]), grid.gcells, grid.edges)) if extended else _PLAIN,
     )
     return static, agent_net
 
@@ -136,6 +137,10 @@ def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int6
     }
     _lay_out(options, sizes)
     return options
+
+
+_PLAIN = np.array([0] * Option.TREE + [-1] * (len(Option) - Option.TREE))
+"""The options of the paper's game: all are switched off."""
 
 
 def _lay_out(options: NDArray[np.int64], sizes: Mapping[Option, int]) -> None:
@@ -188,14 +193,15 @@ def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
         InputError: they take too much memory.
     """
     m, edges = static.capacity.shape
-    o, ways = static.options, -(-edges // 8)
-    sizes = {Option.TREE: agents, Option.VISITED: agents, Option.TAKEN: agents}
-    sizes |= {Option.KEPT: int(o[Option.AGAIN_MOST]), Option.TRIED: agents}
-    rows = sum(size for option, size in sizes.items() if o[option] >= 0)
-    columns = 0
-    if o[Option.QUEUE] >= 0:
-        tree = grid.gcells if o[Option.TREE] >= 0 else 0
-        columns = int(o[Option.QUEUE]) + max(tree, int(o[Option.AGAIN_MOST]))
+    ways, rows, columns = -(-edges // 8), 0, 0
+    if static.extended:
+        o = static.options
+        sizes = {Option.TREE: agents, Option.VISITED: agents, Option.TAKEN: agents}
+        sizes |= {Option.KEPT: int(o[Option.AGAIN_MOST]), Option.TRIED: agents}
+        rows = sum(size for option, size in sizes.items() if o[option] >= 0)
+        if o[Option.QUEUE] >= 0:
+            tree = grid.gcells if o[Option.TREE] >= 0 else 0
+            columns = int(o[Option.QUEUE]) + max(tree, int(o[Option.AGAIN_MOST]))
     what = "{} nets on a grid of {}, a bit for each net and edge"
     check_memory(m * ((agents + rows) * ways + 8 * columns), what, m * agents, grid)
     return Dynamic(
