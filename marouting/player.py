@@ -515,7 +515,7 @@ def _settle_movers(
         edge = place(static.edge[place(before.agents[m, n].cell), place(moves[m] % MOVES)])
         arrived[m, n] = dynamic.agents[m, n]
         for option in range(Option.VISITED, Option.TRIED + 1):
-            if static.extended and static.options[option] >= 0 and option != Option.KEPT:
+            if static.options[option] >= 0 and option != Option.KEPT:
                 row = place(static.options[option] + n)
                 for byte in range(sets.shape[2]):
                     sets[m, row, byte] = dynamic.sets[m, row, byte]
@@ -632,7 +632,7 @@ def _step_everyone(static: Static, dynamic: Dynamic, b: StepBuffers, known: Know
             settle_agent(static, dynamic, m, n)
         _show(static, dynamic, b, known, m, n)
     settle_turns(static, dynamic, m)
-    if static.extended and (game.ripped or game.active == 0):
+    if static.extended is not None and (game.ripped or game.active == 0):
         for n in range(b.agents.shape[1]):
             if dynamic.agents[m, n].status != Status.ABSENT:
                 _show(static, dynamic, b, known, m, n)

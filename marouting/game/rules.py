@@ -56,21 +56,25 @@ _SIX = (1 << MOVES) - 1
 
 
 @inlined
-def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> None:
-    """One step of one agent: it crosses an edge or is blocked, and its task may end."""
+def cross_edge(static: Static, dynamic: Dynamic, m: int, n: int, move: int, tries: int) -> int:
+    """One step of one agent, which crosses an edge or is blocked.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        m: the problem.
+        n: the agent.
+        move: 0 to 5.
+        tries: 1; 0 for a step that is blocked anyway.
+
+    Returns:
+        1 if the net did not use the edge before, else 0.
+    """
     agent = dynamic.agents[m, n]
     game = dynamic.games[m]
     cell = place(agent.cell)
-    crosses = wide(1)
-    if static.extended:
-        if game.asked:
-            answer(static, dynamic, m, n, move == GIVE_WAY)
-            return
-        game.ripped = 0
-        crosses = wide(move != GIVE_WAY)
-        move = min(move, MOVES - 1)
     edge = place(static.edge[cell, move])
-    crosses &= may_cross(static, dynamic, m, n, cell, move)
+    crosses = tries & may_cross(static, dynamic, m, n, cell, move)
     own = crosses & uses(dynamic.used, m, n, edge)
     new = crosses ^ own
     demand = new * demand_of(static, m, n, cell, move)
@@ -88,39 +92,60 @@ def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> N
     agent.cell = ahead if crosses else agent.cell
     agent.steps += 1
     game.steps += 1
+    return new
+
+
+@inlined
+def end_task(static: Static, dynamic: Dynamic, m: int, n: int, arrived: bool) -> None:
+    """After a step: the task ends if the agent has arrived, or if its steps are used up."""
+    agent = dynamic.agents[m, n]
     agent.ending = Ending.NONE
-    arrived = agent.cell == agent.target
-    if static.extended:
-        arrived = note_move(static, dynamic, m, n, edge, new)
     if arrived:
         agent.ending = Ending.JOINED
         agent.joined += 1
-        game.joined += 1
+        dynamic.games[m].joined += 1
     elif agent.steps >= static.max_steps:
         agent.ending = Ending.FAILED
-    if static.extended:
-        end_task(static, dynamic, m, n)
+
+
+@inlined
+def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> None:
+    """One step of one agent: it crosses an edge or is blocked, and its task may end."""
+    if static.extended is not None:
+        move_extended(static, dynamic, m, n, move)
+        return
+    _ = cross_edge(static, dynamic, m, n, move, wide(1))
+    agent = dynamic.agents[m, n]
+    end_task(static, dynamic, m, n, agent.cell == agent.target)
 
 
 @compiled
-def note_move(static: Static, dynamic: Dynamic, m: int, n: int, edge: int, new: int) -> bool:
-    """Notes what the options need of a move; returns whether the agent has arrived."""
-    agent = dynamic.agents[m, n]
+def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> None:
+    """:func:`move_agent` by the options."""
+    agent, game = dynamic.agents[m, n], dynamic.games[m]
+    if game.asked:
+        answer(static, dynamic, m, n, move == GIVE_WAY)
+        return
+    game.ripped = 0
+    step = min(move, MOVES - 1)
+    edge = place(static.edge[place(agent.cell), step])
+    new = cross_edge(static, dynamic, m, n, step, wide(move != GIVE_WAY))
     if is_on(static, Option.GIVE_BACK) and new:
         insert(static, dynamic, m, Option.TAKEN, n, edge)
     if is_on(static, Option.MASK_VISITED):
         insert(static, dynamic, m, Option.VISITED, n, wide(agent.cell))
+    arrived = agent.cell == agent.target
     if is_on(static, Option.TREE_TARGET):
-        return holds(static, dynamic, m, Option.TREE, n, wide(agent.cell)) != 0
-    return agent.cell == agent.target
+        arrived = holds(static, dynamic, m, Option.TREE, n, wide(agent.cell)) != 0
+    end_task(static, dynamic, m, n, arrived)
+    if agent.ending != Ending.NONE:
+        _end_extended(static, dynamic, m, n)
 
 
 @compiled
-def end_task(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
+def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """What the options do when a task has ended: edges go back, trees grow, nets are judged."""
     agent, game = dynamic.agents[m, n], dynamic.games[m]
-    if agent.ending == Ending.NONE:
-        return
     if is_on(static, Option.GIVE_BACK) and agent.ending == Ending.FAILED:
         row = place(static.options[Option.TAKEN] + n)
         for byte in range(dynamic.used.shape[2]):
@@ -158,7 +183,7 @@ def settle_agent(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     agent = dynamic.agents[m, n]
     if agent.ending == Ending.NONE or agent.status != Status.ACTIVE:
         return
-    if static.extended:
+    if static.extended is not None:
         settle_extended(static, dynamic, m, n)
     elif agent.task + 1 < static.first[m, n + 1]:
         begin_task(static, dynamic, m, n, wide(agent.task + 1))
@@ -188,7 +213,7 @@ def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
     game = dynamic.games[m]
     if game.active == 0:
         game.agent = NOBODY
-        if static.extended and is_on(static, Option.ROUNDS):
+        if static.extended is not None and is_on(static, Option.ROUNDS):
             walk_again(static, dynamic, m)
         return
     agents = static.order.shape[1]
@@ -215,7 +240,7 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
                 dynamic.used[m, n, byte] = 0
     game.turn = game.active = game.joined = game.steps = 0
     game.overflow = game.wirelength = 0
-    if static.extended:
+    if static.extended is not None:
         reset_extended(static, dynamic, m)
     for n in range(static.order.shape[1]):
         agent = dynamic.agents[m, n]
@@ -224,7 +249,7 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
         if static.first[m, n] < static.first[m, n + 1]:
             agent.status = Status.ACTIVE
             game.active += 1
-            if static.extended:
+            if static.extended is not None:
                 begin_net(static, dynamic, m, n)
             else:
                 begin_task(static, dynamic, m, n, wide(static.first[m, n]))
@@ -324,21 +349,27 @@ def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
 
     An agent that is asked whether its net gives way has two actions, the first move and the last.
     """
-    game = dynamic.games[m]
-    if static.extended and game.asked and game.agent == n:
-        return wide(1 | 1 << GIVE_WAY)
     cell = place(dynamic.agents[m, n].cell)
     free = wide(0)
     for move in range(MOVES):
         free |= wide(may_cross(static, dynamic, m, n, cell, move)) << move
-    if static.extended and is_on(static, Option.MASK_VISITED):
-        unvisited = free
-        for move in range(MOVES):
-            ahead = wide(static.neighbour[cell, move])
-            if free >> move & 1 and holds(static, dynamic, m, Option.VISITED, n, ahead):
-                unvisited ^= wide(1) << move
-        free = unvisited if unvisited else free
-    return free
+    return _free_extended(static, dynamic, m, n, free) if static.extended is not None else free
+
+
+@compiled
+def _free_extended(static: Static, dynamic: Dynamic, m: int, n: int, free: int) -> int:
+    """What the options make of an agent's free moves."""
+    game, cell = dynamic.games[m], place(dynamic.agents[m, n].cell)
+    if game.asked and game.agent == n:
+        return wide(1 | 1 << GIVE_WAY)
+    if not is_on(static, Option.MASK_VISITED):
+        return free
+    unvisited = free
+    for move in range(MOVES):
+        ahead = wide(static.neighbour[cell, move])
+        if free >> move & 1 and holds(static, dynamic, m, Option.VISITED, n, ahead):
+            unvisited ^= wide(1) << move
+    return unvisited if unvisited else free
 
 
 @inlined

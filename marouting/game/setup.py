@@ -99,7 +99,7 @@ def static_state(
         sequential=rules.turn_order != "round_robin",
         overflow_allowed=overflow,
         max_steps=rules.steps_per_task(problems[0].grid),
-        extended=extended,
+        extended=True if extended else None,
         options=_options(rules, (int(shape[1]), grid.gcells, grid.edges)) if extended else _PLAIN,
     )
     return static, agent_net

@@ -138,7 +138,8 @@ class Static(NamedTuple):
     sequential: bool  # whether a net finishes before the next one starts
     overflow_allowed: bool  # whether moves may cross edges without enough remaining capacity
     max_steps: int  # steps after which a task fails
-    extended: bool  # whether any option beyond the paper's is switched on
+    extended: bool | None  # True if an option beyond the paper's is on, otherwise None: then
+    # compiled code knows by the type that it need not look, and is as quick as without options
     options: NDArray[np.int64]  # (len(Option),) what those options say, and where their state is
 
 

@@ -400,7 +400,7 @@ def _refresh(static: Static, dynamic: Dynamic, maps: _Maps, m: int) -> None:
         target, task = wide(agent.target), wide(agent.task)
         before = wide(maps.counted[m, n, 0])
         same = task == maps.counted[m, n, 2]
-        if static.extended and active:
+        if static.extended is not None and active:
             for t in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
                 noted = maps.later[m, t - static.first[m, 0]] != 0
                 same &= noted == is_later(static, dynamic, m, n, wide(t))
