@@ -1,4 +1,7 @@
-"""The one exception for input that cannot be used."""
+"""The one exception for input that cannot be used, and the hint for a name that is misspelt."""
+
+import difflib
+from collections.abc import Iterable
 
 LONGEST = 500
 """The most characters of a message. Of a longer one, the middle is left out."""
@@ -21,3 +24,9 @@ class InputError(ValueError):
         if len(line) > LONGEST:
             line = f"{line[: LONGEST - 103]} … {line[-100:]}"
         super().__init__(line)
+
+
+def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """``did you mean …? `` with the known name that is most like another; empty if none is."""
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
+    return f"did you mean {close[0]}? " if close else ""

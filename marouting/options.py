@@ -75,6 +75,11 @@ class GameOptions(RuleOptions):
     mask_in_observation: bool = False
     render_mode: RenderMode | None = None
 
+    @property
+    def persists(self) -> bool:
+        """Whether agents stay until all are done: by choice, or to walk again in rounds."""
+        return self.agents_persist or self.rip_up_rounds > 0
+
     def __post_init__(self) -> None:
         super().__post_init__()
         take_pieces(self)

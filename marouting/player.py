@@ -38,7 +38,6 @@ from marouting.game.rules import (
     settle_everyone,
     settle_player,
     settle_turns,
-    wait,
     write_moves,
 )
 from marouting.game.state import (
@@ -53,6 +52,7 @@ from marouting.game.state import (
     Static,
     Status,
 )
+from marouting.game.tasks import wait
 from marouting.kernels import bound, compiled, inlined, place, wide
 from marouting.memory import check_memory
 from marouting.problem.grid import MOVES

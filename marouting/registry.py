@@ -13,13 +13,12 @@ A name comes from one of two places:
       selfless = "my_package.rewards:Selfless"
 """
 
-import difflib
 import functools
 import importlib
 from importlib import metadata
 from typing import Any
 
-from marouting.errors import InputError
+from marouting.errors import InputError, nearest
 
 KINDS = ("observation", "reward", "router", "network", "learner")
 """The kinds of pieces that can be registered."""
@@ -77,10 +76,8 @@ def lookup(kind: str, name: str, where: str = "") -> type[Any]:
         found = points[name]
     if found is None:
         if ":" not in name:
-            close = difflib.get_close_matches(name, names(kind), n=1)
-            nearest = f"did you mean {close[0]}? " if close else ""
             raise InputError(
-                f"{prefix}unknown {kind} {name!r}; {nearest}"
+                f"{prefix}unknown {kind} {name!r}; {nearest(name, names(kind))}"
                 f"expected module:Class or one of {', '.join(names(kind))}"
             )
         found = name

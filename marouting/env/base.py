@@ -78,7 +78,7 @@ class BaseGame:
         self._together = everyone
         self.render_mode = checked.render_mode
         self.masked = checked.mask_in_observation
-        self.persists = checked.agents_persist or checked.rip_up_rounds > 0
+        self.persists = checked.persists
         self.actions = checked.actions
         self.no_op = np.eye(1, self.actions, dtype=np.int8)[0]
         self.begun = False

@@ -43,6 +43,19 @@ def may_cross(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move:
     return has_room(static, dynamic, m, n, cell, move) | anyway
 
 
+@inlined
+def take(dynamic: Dynamic, m: int, edge: int, demand: int) -> int:
+    """Takes demand of an edge, or gives it back if it is negative; returns the added overflow.
+
+    Only the part of the demand beyond the remaining capacity overflows.
+    """
+    remaining = wide(dynamic.remaining[m, edge])
+    added = max(demand - remaining, 0) - max(-remaining, 0)
+    dynamic.remaining[m, edge] = remaining - demand
+    dynamic.games[m].overflow += added
+    return added
+
+
 @compiled
 def use_edges(static: Static, dynamic: Dynamic, m: int, n: int, byte: int, bits: int) -> None:
     """Makes a net use just these edges of a byte: it takes what is new, and gives the others back.
@@ -63,10 +76,7 @@ def use_edges(static: Static, dynamic: Dynamic, m: int, n: int, byte: int, bits:
             edge = 8 * byte + bit
             takes = 2 * (bits >> bit & 1) - 1  # 1 or -1
             cell, move = place(edge // AXES), wide(2 * (edge % AXES))
-            demand = takes * demand_of(static, m, n, cell, move)
-            remaining = wide(dynamic.remaining[m, edge])
-            game.overflow += max(demand - remaining, 0) - max(-remaining, 0)
+            _ = take(dynamic, m, edge, wide(takes * demand_of(static, m, n, cell, move)))
             game.wirelength += takes
-            dynamic.remaining[m, edge] = remaining - demand
         bit += 1
     dynamic.used[m, n, byte] = bits

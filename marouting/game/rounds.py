@@ -28,7 +28,16 @@ An edge is full if it has no remaining capacity. In rip-up rounds agents wait
 
 from marouting.game.edges import use_edges, uses
 from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
-from marouting.game.tasks import begin_net, begin_task, clear, grow_tree, is_on, keeps_tree
+from marouting.game.tasks import (
+    begin_net,
+    begin_task,
+    clear,
+    grow_tree,
+    is_on,
+    keeps_tree,
+    next_task,
+    wait,
+)
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.heap import pop, push
@@ -177,10 +186,22 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
             dynamic.sets[m, o[Option.KEPT] + k, byte] = dynamic.used[m, member, byte]
             use_edges(static, dynamic, m, member, byte, 0)
         agent.status = Status.ACTIVE
-        agent.added_overflow = 0
-        agent.crossing = Crossing.NONE
-        agent.ending = Ending.NONE
+        wait(dynamic, m, member)
         begin_net(static, dynamic, m, member)
+
+
+@compiled
+def all_have_walked(static: Static, dynamic: Dynamic, m: int) -> bool:
+    """Whether all nets that walk again have ended their last tasks."""
+    for k in range(dynamic.games[m].again):
+        member = wide(dynamic.numbers[m, static.options[Option.AGAIN] + k])
+        agent = dynamic.agents[m, member]
+        # An agent that has ended a task either stands where it arrived, or at its next start.
+        goes_on = agent.ending == Ending.NONE or agent.steps == 0
+        goes_on |= next_task(static, dynamic, m, member) != NOBODY
+        if agent.status == Status.ACTIVE and goes_on:
+            return False
+    return True
 
 
 @compiled

@@ -31,8 +31,15 @@ from typing import Any
 
 import numpy as np
 
-from marouting.game.edges import demand_of, may_cross, use_edges, uses
-from marouting.game.rounds import answer, done, has_walked, judge, walk_again
+from marouting.game.edges import demand_of, may_cross, take, use_edges, uses
+from marouting.game.rounds import (
+    all_have_walked,
+    answer,
+    done,
+    has_walked,
+    judge,
+    walk_again,
+)
 from marouting.game.state import MASKS, NOBODY, Crossing, Dynamic, Ending, Option, Static, Status
 from marouting.game.tasks import (
     begin_extended,
@@ -45,6 +52,7 @@ from marouting.game.tasks import (
     is_on,
     keeps_tree,
     next_task,
+    wait,
 )
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import MOVES
@@ -77,15 +85,9 @@ def cross_edge(static: Static, dynamic: Dynamic, m: int, n: int, move: int, trie
     crosses = tries & may_cross(static, dynamic, m, n, cell, move)
     own = crosses & uses(dynamic.used, m, n, edge)
     new = crosses ^ own
-    demand = new * demand_of(static, m, n, cell, move)
-    remaining = dynamic.remaining[m, edge]
     agent.crossing = Crossing.BLOCKED + new + 2 * own  # BLOCKED, NEW or OWN: 1, 2 or 3
-    agent.added_overflow = 0
-    if remaining < demand:
-        # Only the part of the demand beyond the remaining capacity overflows.
-        agent.added_overflow = demand - max(remaining, 0)
-        game.overflow += agent.added_overflow
-    dynamic.remaining[m, edge] = remaining - demand
+    demand = wide(new * demand_of(static, m, n, cell, move))
+    agent.added_overflow = take(dynamic, m, edge, demand)
     dynamic.used[m, n, edge >> 3] |= np.uint8(new << (edge & 7))
     game.wirelength += new
     ahead = static.neighbour[cell, move]
@@ -145,7 +147,7 @@ def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -
 @compiled
 def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """What the options do when a task has ended: edges go back, trees grow, nets are judged."""
-    agent, game = dynamic.agents[m, n], dynamic.games[m]
+    agent = dynamic.agents[m, n]
     if is_on(static, Option.GIVE_BACK) and agent.ending == Ending.FAILED:
         row = place(static.options[Option.TAKEN] + n)
         for byte in range(dynamic.used.shape[2]):
@@ -155,26 +157,8 @@ def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     if keeps_tree(static):
         grow_tree(static, dynamic, m, n)
     # Judged with the last move, which is then paid for what becomes of it.
-    if game.again == 0:
-        return
-    for k in range(game.again):
-        member = wide(dynamic.numbers[m, static.options[Option.AGAIN] + k])
-        other = dynamic.agents[m, member]
-        # An agent that has ended a task either stands where it arrived, or at its next start.
-        goes_on = other.ending == Ending.NONE or other.steps == 0
-        goes_on |= next_task(static, dynamic, m, member) != NOBODY
-        if other.status == Status.ACTIVE and goes_on:
-            return
-    judge(static, dynamic, m)
-
-
-@inlined
-def wait(dynamic: Dynamic, m: int, n: int) -> None:
-    """An agent does not move: clears what its last move did."""
-    agent = dynamic.agents[m, n]
-    agent.added_overflow = 0
-    agent.crossing = Crossing.NONE
-    agent.ending = Ending.NONE
+    if dynamic.games[m].again > 0 and all_have_walked(static, dynamic, m):
+        judge(static, dynamic, m)
 
 
 @inlined

@@ -59,7 +59,7 @@ def check_saved(static: Static, saved: Dynamic) -> None:
     if static.extended:
         _check_extended(static, saved)
     for m, game in enumerate(games):
-        uses, demand = checked_demand(static, saved.used, m, m)
+        uses, demand = checked_demand(static, saved.used[m], m)
         _expect("wirelength", game["wirelength"] == uses)
         remaining = static.capacity[m] - demand
         _expect("remaining capacity", saved.remaining[m] == remaining)
@@ -99,7 +99,7 @@ def _check_extended(static: Static, saved: Dynamic) -> None:
         joined[members] = more.kept_joined[m, : len(members)]
         _expect("tasks joined", _within(joined, 0, np.diff(static.first[m])))
         if len(members):
-            uses, demand = checked_demand(static, before[None], 0, m)
+            uses, demand = checked_demand(static, before, m)
             over = np.maximum(demand - static.capacity[m], 0).sum()
             found = [game[f"kept_{name}"] for name in ("wirelength", "overflow", "joined")]
             _expect("routes before", found == [uses, over, joined.sum()])
@@ -107,21 +107,20 @@ def _check_extended(static: Static, saved: Dynamic) -> None:
 
 
 def checked_demand(
-    static: Static, used: NDArray[np.uint8], row: int, m: int
+    static: Static, used: NDArray[np.uint8], m: int
 ) -> tuple[int, NDArray[np.int64]]:
     """How often edges of problem m are used, and (E,) the demand on them.
 
     Args:
         static: the static state of the games.
-        used: (…, N, ceil(E / 8)), see :class:`marouting.game.state.Dynamic`.
-        row: which row of it.
+        used: (N, ceil(E / 8)), its part of what :class:`marouting.game.state.Dynamic` has.
         m: the problem.
 
     Raises:
         ValueError: an edge does not exist, or its user does not.
     """
     demand = np.zeros(static.capacity.shape[1], np.int64)
-    uses = _demand(static, used[row], m, demand)
+    uses = _demand(static, used, m, demand)
     _expect("used edges", uses >= 0)
     return uses, demand
 

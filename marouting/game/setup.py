@@ -1,7 +1,7 @@
 """Setting up the game: the constant arrays of a batch of problems."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -120,36 +120,31 @@ def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int6
     options[Option.ROUNDS] = rules.rip_up_rounds
     options[Option.RIP_UP] = RipUp[rules.rip_up.upper()]
     options[Option.AGAIN_MOST] = again
-    sizes = {
+    rows = {
         Option.TREE: agents * tree,
         Option.VISITED: agents * rules.mask_visited,
         Option.TAKEN: agents * rules.give_back,
         Option.KEPT: again,
         Option.TRIED: agents * nearest,
     }
-    _lay_out(options, sizes)
-    sizes = {
+    columns = {
         Option.LINE: agents * rounds,
         Option.AGAIN: again,
         Option.KEPT_JOINED: again,
         Option.HISTORY: edges * rounds,
         Option.QUEUE: max(gcells * tree, again),
     }
-    _lay_out(options, sizes)
+    for total, sizes in ((Option.ROWS, rows), (Option.COLUMNS, columns)):
+        options[total] = 0
+        for option, size in sizes.items():  # one after another
+            if size:
+                options[option] = options[total]
+                options[total] += size
     return options
 
 
-_PLAIN = np.array([0] * Option.TREE + [-1] * (len(Option) - Option.TREE))
+_PLAIN = _options(RuleOptions(), (0, 0, 0))
 """The options of the paper's game: all are switched off."""
-
-
-def _lay_out(options: NDArray[np.int64], sizes: Mapping[Option, int]) -> None:
-    """Notes where parts of these sizes begin, one after another; -1 for those of no size."""
-    begin = 0
-    for option, size in sizes.items():
-        if size:
-            options[option] = begin
-            begin += size
 
 
 class More(NamedTuple):
@@ -193,15 +188,8 @@ def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
         InputError: they take too much memory.
     """
     m, edges = static.capacity.shape
-    ways, rows, columns = -(-edges // 8), 0, 0
-    if static.extended:
-        o = static.options
-        sizes = {Option.TREE: agents, Option.VISITED: agents, Option.TAKEN: agents}
-        sizes |= {Option.KEPT: int(o[Option.AGAIN_MOST]), Option.TRIED: agents}
-        rows = sum(size for option, size in sizes.items() if o[option] >= 0)
-        if o[Option.QUEUE] >= 0:
-            tree = grid.gcells if o[Option.TREE] >= 0 else 0
-            columns = int(o[Option.QUEUE]) + max(tree, int(o[Option.AGAIN_MOST]))
+    ways, rows = -(-edges // 8), int(static.options[Option.ROWS])
+    columns = int(static.options[Option.COLUMNS])
     what = "{} nets on a grid of {}, a bit for each net and edge"
     check_memory(m * ((agents + rows) * ways + 8 * columns), what, m * agents, grid)
     return Dynamic(

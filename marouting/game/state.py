@@ -121,6 +121,8 @@ class Option(enum.IntEnum):
     KEPT_JOINED = 14  #: P numbers of tasks that they had joined
     HISTORY = 15  #: E numbers of rip-up rounds at whose start the edge was full
     QUEUE = 16  #: G, or at least P, numbers to work with
+    ROWS = 17  #: R, all rows
+    COLUMNS = 18  #: C, all columns
 
 
 class Static(NamedTuple):

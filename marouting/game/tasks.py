@@ -18,7 +18,7 @@ Gcell with the lowest number. With Steiner trees, "pin" stands for Steiner point
 """
 
 from marouting.game.edges import uses
-from marouting.game.state import NOBODY, Dynamic, Option, Static
+from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, Static
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES
 
@@ -137,6 +137,15 @@ def next_task(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
         if distance < least:
             found, least = wide(task), distance
     return found
+
+
+@inlined
+def wait(dynamic: Dynamic, m: int, n: int) -> None:
+    """An agent does not move: clears what its last move did."""
+    agent = dynamic.agents[m, n]
+    agent.added_overflow = 0
+    agent.crossing = Crossing.NONE
+    agent.ending = Ending.NONE
 
 
 @inlined

@@ -324,6 +324,20 @@ def mirrored(moves: NDArray[np.integer], obs: NDArray[np.float32]) -> NDArray[np
 
 
 @inlined
+def _position(static: Static, cell: int) -> tuple[int, int, int]:
+    """x, y and z of a Gcell."""
+    at = static.position[cell]
+    return wide(at[0]), wide(at[1]), wide(at[2])
+
+
+@inlined
+def _grid(static: Static) -> tuple[int, int, int]:
+    """Columns, rows and layers of the grid."""
+    x, y, z = _position(static, len(static.position) - 1)
+    return x + 1, y + 1, z + 1
+
+
+@inlined
 def _share(static: Static, maps: _Maps, m: int, n: int, axis: int, z: int, across: int) -> int:
     """What a net is expected to take of each edge along an axis in a layer of a task's box.
 
@@ -345,8 +359,7 @@ def _count_task(
     static: Static, maps: _Maps, m: int, n: int, near: int, far: int, sign: int
 ) -> None:
     """Adds a task from one Gcell to another to the corners (``sign`` 1), or takes it off (−1)."""
-    last = len(static.position) - 1
-    rows, layers = wide(static.position[last, 1]) + 1, wide(static.position[last, 2]) + 1
+    columns, rows, layers = _grid(static)
     x0, x1 = wide(static.position[near, 0]), wide(static.position[far, 0])
     y0, y1 = wide(static.position[near, 1]), wide(static.position[far, 1])
     x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
@@ -354,7 +367,6 @@ def _count_task(
         return
     maps.changed[m, 0] = min(maps.changed[m, 0], x0)
     maps.changed[m, 1] = max(maps.changed[m, 1], x1)
-    columns = wide(static.position[last, 0]) + 1
     for z in range(layers):
         if x0 < x1:
             share = sign * _share(static, maps, m, n, 0, z, y1 - y0 + 1)
@@ -389,9 +401,7 @@ def _count_agent(static: Static, maps: _Maps, m: int, n: int, later: bool, sign:
 @compiled
 def _refresh(static: Static, dynamic: Dynamic, maps: _Maps, m: int) -> None:
     """Brings the maps of a problem up to date: agents that have moved are counted again."""
-    last = len(static.position) - 1
-    columns = wide(static.position[last, 0]) + 1
-    rows, layers = wide(static.position[last, 1]) + 1, wide(static.position[last, 2]) + 1
+    columns, rows, layers = _grid(static)
     maps.changed[m, 0], maps.changed[m, 1] = columns, NOBODY
     for n in range(dynamic.agents.shape[1]):
         agent = dynamic.agents[m, n]
@@ -440,14 +450,9 @@ def _take_own(
     static: Static, maps: _Maps, where: _Where, m: int, n: int, cell: int, sign: int
 ) -> None:
     """Takes a net's own expected demand off the edges of its window (−1), or adds it again (1)."""
-    last = len(static.position) - 1
-    rows, layers = wide(static.position[last, 1]) + 1, wide(static.position[last, 2]) + 1
+    _, rows, layers = _grid(static)
     reach = wide(where.radius)
-    x, y, z = (
-        wide(static.position[cell, 0]),
-        wide(static.position[cell, 1]),
-        wide(static.position[cell, 2]),
-    )
+    x, y, z = _position(static, cell)
     present = wide(maps.counted[m, n, 2])
     for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
         if task != present and not maps.later[m, task - static.first[m, 0]]:
@@ -512,19 +517,10 @@ def _edges(
         out: (K, size) to be filled.
         row: which of the K.
     """
-    last = len(static.position) - 1
-    columns, rows, layers = (
-        wide(static.position[last, 0]) + 1,
-        wide(static.position[last, 1]) + 1,
-        wide(static.position[last, 2]) + 1,
-    )
+    columns, rows, layers = _grid(static)
     agent = dynamic.agents[m, n]
     cell, target = place(agent.cell), place(agent.target)
-    x, y, z = (
-        wide(static.position[cell, 0]),
-        wide(static.position[cell, 1]),
-        wide(static.position[cell, 2]),
-    )
+    x, y, z = _position(static, cell)
     right = static.position[target, 0] >= x
     up = static.position[target, 1] >= y
     # The last edge of an axis leads off the grid; in a mirror an edge belongs to its other end.
@@ -579,19 +575,10 @@ def _gcells(
     row: int,
 ) -> None:
     """Writes the channels ``pins`` and ``heads``."""
-    last = len(static.position) - 1
-    columns, rows, layers = (
-        wide(static.position[last, 0]) + 1,
-        wide(static.position[last, 1]) + 1,
-        wide(static.position[last, 2]) + 1,
-    )
+    columns, rows, layers = _grid(static)
     agent = dynamic.agents[m, n]
     cell, target = place(agent.cell), place(agent.target)
-    x, y, z = (
-        wide(static.position[cell, 0]),
-        wide(static.position[cell, 1]),
-        wide(static.position[cell, 2]),
-    )
+    x, y, z = _position(static, cell)
     sign_x = 1 if static.position[target, 0] >= x else -1
     sign_y = 1 if static.position[target, 1] >= y else -1
     active = agent.status == Status.ACTIVE

@@ -12,10 +12,9 @@ about the best solution of each validation and test problem, are stored. What a 
 changes: a changed scenario gets a new version. ``docs/scenarios.md`` compares them.
 """
 
-import difflib
 import functools
 
-from marouting.errors import InputError
+from marouting.errors import InputError, nearest
 from marouting.scenarios.digests import digest
 from marouting.scenarios.levels import LEVELS, Level
 from marouting.scenarios.references import Best, Reference
@@ -45,6 +44,5 @@ def get(name: str) -> Scenario:
     for level in LEVELS:
         if level.name == name:
             return _scenario(level)
-    close = difflib.get_close_matches(str(name), names(), n=1, cutoff=0.4)
-    nearest = f"did you mean {close[0]}? " if close else ""
-    raise InputError(f"scenario: {nearest}expected one of {', '.join(names())}, found {name!r}")
+    hint = nearest(str(name), names(), cutoff=0.4)
+    raise InputError(f"scenario: {hint}expected one of {', '.join(names())}, found {name!r}")

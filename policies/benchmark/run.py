@@ -38,12 +38,6 @@ POINTS = 40
 """Points of a learning curve."""
 
 
-def figures_of(solution: Solution) -> Figures:
-    """What a solution is compared by."""
-    found = evaluate(solution.problem, solution)
-    return Figures(len(found.disconnected), found.overflow, found.wirelength)
-
-
 @dataclass(frozen=True)
 class _Set:
     """The problems of a split of a scenario, and where the work on them lies."""
@@ -77,7 +71,7 @@ class _Set:
             tasks.append(
                 Task(
                     problem=name,
-                    astar=figures_of(AStarRouter().route(problem)),
+                    astar=Figures.of(evaluate(problem, AStarRouter().route(problem))),
                     reference=(0, best.overflow, best.wirelength),
                     proven=best.proven,
                 )
@@ -334,7 +328,7 @@ class Benchmark:
 def outcome(task: Task, seed: int | None, solution: Solution, seconds: float | None) -> Outcome:
     """A solution of a problem, judged."""
     found = evaluate(solution.problem, solution)
-    figures = Figures(len(found.disconnected), found.overflow, found.wirelength)
+    figures = Figures.of(found)
     return Outcome(
         problem=task.problem,
         seed=seed,

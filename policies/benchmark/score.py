@@ -24,7 +24,7 @@ scores less than 0, for wirelength by twentieths of the reference's, bent by q.
 
 from typing import NamedTuple
 
-from marouting import InputError
+from marouting import Evaluation, InputError
 
 OPEN, OVERFLOW, WIRELENGTH = range(3)
 
@@ -38,6 +38,11 @@ class Figures(NamedTuple):
     open: int
     overflow: int
     wirelength: int
+
+    @classmethod
+    def of(cls, found: Evaluation) -> "Figures":
+        """The figures of a solution that has been judged."""
+        return cls(len(found.disconnected), found.overflow, found.wirelength)
 
 
 def score(found: Figures, astar: Figures, reference: Figures) -> float:

@@ -15,9 +15,9 @@ from scipy.stats import trim_mean
 
 from policies.benchmark.result import Outcome, Result
 from policies.benchmark.score import Figures
+from policies.results.statistics import CONFIDENCE, gap
 
 RESAMPLES = 2000
-CONFIDENCE = 0.95
 
 _CUT = 0.25
 """The share of values left out at each end."""
@@ -86,16 +86,14 @@ def summarise(result: Result) -> dict[str, Any]:
     low, high = interval(scores)
     references = [Figures(*result.by_name[row.problem].reference) for row in rows]
     astars = [Figures(*result.by_name[row.problem].astar) for row in rows]
-    gaps = [
-        (row.problem, 100 * (own.wirelength / best.wirelength - 1))
-        for row, own, best in zip(rows, figures, references, strict=True)
-        if own[:2] == best[:2] and best.wirelength
-    ]
+    found = zip(rows, figures, references, strict=True)
+    above = [(row.problem, gap(own, best)) for row, own, best in found]
+    gaps = [(problem, percent) for problem, percent in above if percent is not None]
     return {
         **summary,
         "score": {"mean": interquartile_mean(scores.ravel()), "low": low, "high": high},
         "open": _whole(sum(own.open > 0 for own in figures) / seeds),
-        "gap": statistics.fmean(gap for _, gap in gaps) if gaps else None,
+        "gap": statistics.fmean(percent for _, percent in gaps) if gaps else None,
         "gap_problems": len({problem for problem, _ in gaps}),
         "at_reference": 100
         * sum(own <= best for own, best in zip(figures, references, strict=True))

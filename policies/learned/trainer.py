@@ -397,7 +397,7 @@ class Trainer:
         try:
             self.player.check_saved(saved)
             for m in range(len(self.names)):
-                _ = checked_demand(self._whole.engine.static, arrays["best_used"], m, m)
+                _ = checked_demand(self._whole.engine.static, arrays["best_used"][m], m)
         except ValueError as error:
             raise InputError(f"{where}: {error}") from None
         self.learner.load_state(state["training"], f"{where}: ")

@@ -4,13 +4,12 @@ A problem is routed by a registered router, by a registered learner, which is tr
 ``module:Class``, which names either.
 """
 
-import difflib
 import inspect
 from collections.abc import Mapping
 from typing import Any
 
 from marouting.config import Piece, piece
-from marouting.errors import InputError
+from marouting.errors import InputError, nearest
 from marouting.registry import lookup, names
 from policies.routers.base import Router
 
@@ -42,11 +41,8 @@ def router_label(name: str) -> str:
 
 def unknown(what: str, found: str, known: tuple[str, ...]) -> InputError:
     """The InputError for an unknown name: it suggests the nearest and lists what there is."""
-    close = difflib.get_close_matches(found, known, n=1)
-    nearest = f"did you mean {close[0]}? " if close else ""
-    return InputError(
-        f"{what}: unknown name {found!r}; {nearest}expected one of {', '.join(known)}"
-    )
+    hint = nearest(found, known)
+    return InputError(f"{what}: unknown name {found!r}; {hint}expected one of {', '.join(known)}")
 
 
 def is_learner(name: str, where: str = "router") -> bool:
