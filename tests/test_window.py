@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import networkx as nx
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
@@ -74,12 +73,9 @@ def open_tasks(engine: Engine, m: int, n: int) -> list[tuple[Gcell, Gcell]]:
         tried = np.unpackbits(engine.more.tried[m, n], bitorder="little")
         rows = [row for row in range(first, end) if not tried[row - first]]
     if engine.rules.next_task == "nearest" or engine.rules.target == "tree":
-        edges = engine.solution(m).edges[engine.nets[m, n]]
-        graph: nx.Graph[int] = nx.Graph(list(zip(*engine.grid.ends(edges), strict=True)))
-        root = int(engine.static.tasks[first, 0])
-        graph.add_node(root)
-        tree = nx.node_connected_component(graph, root)
-        rows = [row for row in rows if int(engine.static.tasks[row, 1]) not in tree]
+        # The tree as it was when the present task began: test_engine holds it against the model.
+        tree = np.unpackbits(engine.more.tree[m, n], bitorder="little")
+        rows = [row for row in rows if not tree[engine.static.tasks[row, 1]]]
     later = [engine.static.tasks[row] for row in rows]
     return [
         (gcell(engine, a), gcell(engine, b)) for a, b in [(agent["cell"], agent["target"]), *later]
@@ -122,7 +118,7 @@ def blocks(engine: Engine, window: WindowObservation, m: int, n: int) -> dict[st
     here, target = gcell(engine, agent["cell"]), gcell(engine, agent["target"])
     sign = [1 if target[axis] >= here[axis] else -1 for axis in (0, 1)]
     far = [sign[0] * (target[0] - here[0]), sign[1] * (target[1] - here[1]), target[2] - here[2]]
-    mask = engine.masks(np.array([m]), np.array([n]))[0].tolist()
+    mask = engine.masks(np.array([m]), np.array([n]))[0, :6].tolist()
     if mask == [1] * 6:  # also that of an agent which is boxed in
         from_here = [np.add(here, step) for step in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))]
         if (

@@ -4,8 +4,9 @@ By the paper's rules the tasks of a net are begun in the order of its decomposit
 from a task's start, which earlier tasks have reached, to its target, a new pin.
 
 Two options know more of the net than that. Both keep the net's **tree**: all Gcells that its edges
-join to its first pin. A task is joined when its new pin is in the tree, whoever joined it: a pin
-that a route meets on its way is joined too, and its task is not begun any more.
+join to its first pin. The tree grows when a task ends. A task is joined when its new pin is in the
+tree, whoever joined it: a pin that a route has met on its way is joined too, and its task is not
+begun any more.
 
 * ``target: tree``: the agent starts at the new pin, and any Gcell of the tree ends the task. What
   it sees as its target is the Gcell of the tree that was nearest when the task began.
