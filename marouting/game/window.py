@@ -434,7 +434,7 @@ def _gcells(
 
 
 @inlined
-def _numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
+def write_numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
     """Writes the first 16 numbers of a row."""
     agent = dynamic.agents[m, n]
     cell, target = place(agent.cell), place(agent.target)
@@ -488,7 +488,7 @@ def _window(
         if m != refreshed and (where.demand >= 0 or where.heads >= 0):
             refresh(static, dynamic, maps, m, wide(NOBODY))
             refreshed = m
-        _numbers(static, dynamic, m, n, out, i)
+        write_numbers(static, dynamic, m, n, out, i)
         takes = where.demand >= 0 and maps.counted[m, n, 0] != NOBODY
         cell = place(dynamic.agents[m, n].cell)
         # One loop instead of three calls, which would compile everything three times.
