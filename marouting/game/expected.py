@@ -42,33 +42,51 @@ class Maps(NamedTuple):
     changed: NDArray[np.int32]  # (M, 2) first and last column in which ``corner`` has changed
 
 
-_maps: WeakKeyDictionary[Engine, Maps] = WeakKeyDictionary()
-"""The maps of every engine that is observed. They follow from its state, so nobody saves them."""
+_maps: WeakKeyDictionary[Engine, tuple[Maps, NDArray[np.int64]]] = WeakKeyDictionary()
+"""The maps of every engine that is observed, and (M,) which of the problems that have been in its
+places they are of. They follow from its state, so nobody saves them."""
 
 
 def maps_of(engine: Engine) -> Maps:
     """The maps of an engine, new ones if it has none yet."""
-    maps = _maps.get(engine)
-    if maps is None:
-        static, grid = engine.static, engine.grid
+    found = _maps.get(engine)
+    if found is None:
+        grid = engine.grid
         m, n = engine.nets.shape
+        layers = grid.shape[VIA_AXIS]
         check_memory(EXPECTED * m * grid.gcells, "expected demand of {} grids of {}", m, grid)
-        capacity = static.capacity.reshape(m, -1, grid.shape[VIA_AXIS], AXES)
-        lanes = (capacity[..., :VIA_AXIS].max(axis=1) > 0).transpose(0, 2, 1)
-        lanes = lanes | ~lanes.any(axis=2, keepdims=True)
-        track = static.demand.sum(axis=1) / (engine.tasks > 0).sum(axis=1)[:, None]
-        maps = _maps[engine] = Maps(
-            lanes=lanes.astype(np.int32),
-            lane_count=lanes.sum(axis=2, dtype=np.int32),
-            track=np.where(track > 0, track, 1).astype(np.float32),
-            counted=np.full((m, n, 3), NOBODY, np.int32),
+        maps = Maps(
+            lanes=np.zeros((m, VIA_AXIS, layers), np.int32),
+            lane_count=np.zeros((m, VIA_AXIS), np.int32),
+            track=np.zeros((m, layers), np.float32),
+            counted=np.zeros((m, n, 3), np.int32),
             corner=np.zeros((m, grid.gcells, 2), np.int64),
             expected=np.zeros((m, grid.gcells, 2), np.int64),
             heads=np.zeros((m, grid.gcells), np.int32),
-            later=np.zeros((m, int(engine.tasks.sum(axis=1).max())), np.uint8),
+            later=np.zeros((m, engine.most_tasks), np.uint8),
             changed=np.zeros((m, 2), np.int32),
         )
+        found = _maps[engine] = maps, np.full(m, NOBODY, np.int64)
+    maps, of = found
+    new = np.flatnonzero(of != engine.replaced)
+    if len(new):
+        _begin_maps(engine, maps, new)
+        of[new] = engine.replaced[new]
     return maps
+
+
+def _begin_maps(engine: Engine, maps: Maps, new: NDArray[np.integer]) -> None:
+    """Fills in the maps of some problems (K,), in which nobody is counted yet."""
+    static = engine.static
+    capacity = static.capacity[new].reshape(len(new), -1, engine.grid.shape[VIA_AXIS], AXES)
+    lanes = (capacity[..., :VIA_AXIS].max(axis=1) > 0).transpose(0, 2, 1)
+    lanes = lanes | ~lanes.any(axis=2, keepdims=True)
+    track = static.demand[new].sum(axis=1) / (engine.tasks[new] > 0).sum(axis=1)[:, None]
+    maps.lanes[new], maps.lane_count[new] = lanes, lanes.sum(axis=2)
+    maps.track[new] = np.where(track > 0, track, 1)
+    maps.counted[new] = NOBODY
+    for array in (maps.corner, maps.expected, maps.heads, maps.later):
+        array[new] = 0
 
 
 @inlined
