@@ -173,7 +173,7 @@ class Episodes:
                 raise InputError(f"problem.count: expected {most}, found {source.count}")
             if source.seed is None:
                 self._drawn = source
-                source = replace(source, seed=0)
+                source = replace(source, seed=0, least=None)  # as large as any of them
         self.problems = load_problems(source)
         self.many = self._drawn is not None or len(self.problems) > 1
         grids = {problem.grid for problem in self.problems.values()}
