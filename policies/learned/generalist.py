@@ -12,6 +12,7 @@ is that they are compiled (:mod:`policies.learned.compiled.walk`).
 
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -28,6 +29,9 @@ from policies.learned.networks.mlp import MLP
 from policies.learned.policy import Routed, TrainedPolicy
 from policies.learned.streams import keys
 
+SHIPPED = Path(__file__).with_name("generalist.pt")
+"""The weights that are shipped."""
+
 _SURE = 8.0
 """How much a Gcell of detour lowers a move's score without a network; see ``mind``."""
 
@@ -42,7 +46,8 @@ class GeneralistOptions:
     """What the generalist is told.
 
     Attributes:
-        weights: a file of a trained policy with the observation ``outlook``.
+        weights: a file of a trained policy with the observation ``outlook``; None: the one that is
+            shipped with the package, see ``generalist.md`` beside it.
         seconds: limit of processor time, without loading and compiling. It may be exceeded until
             the copies have routed for the first time. None: no limit.
         rounds: the most rip-up rounds; 0 for a single shot.
@@ -80,7 +85,6 @@ class GeneralistOptions:
         many = f"a number from 0 to {MOST_NEIGHBOURS}"
         check("neighbours", 0 <= self.neighbours <= MOST_NEIGHBOURS, many)
         check("seed", 0 <= self.seed < 2**63, "a number from 0")
-        check("weights", self.weights is not None or self.mind != "network", "a policy's file")
 
 
 class GeneralistRouter:
@@ -107,9 +111,10 @@ class GeneralistRouter:
         if options.mind == "ways":
             first = np.arange(MOVES)
             self._weights[(DETOURS + first) * MOVES + first] = -_SURE
-        if options.weights is not None and options.mind == "network":
-            policy = TrainedPolicy.load(options.weights)
-            self._observation, self._sizes, self._weights = _read(policy, options.weights)
+        if options.mind == "network":
+            weights = str(SHIPPED) if options.weights is None else options.weights
+            policy = TrainedPolicy.load(weights)
+            self._observation, self._sizes, self._weights = _read(policy, weights)
             env = policy.env
         rules = replace(env, turn_order="sequential", rip_up="all")
         neighbours = options.neighbours if options.rounds else 0
