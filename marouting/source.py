@@ -130,6 +130,7 @@ class Episodes:
         bounds: problems of which one has at least as many nets, and one at least as much capacity,
             as any that will be played.
         many: whether there are several.
+        nets: the numbers of the nets that have something to route in at least one of them.
 
     Raises:
         InputError: a problem cannot be used, their grids differ, or there is no such scenario.
@@ -142,6 +143,7 @@ class Episodes:
             found, self.many = get(scenario), True
             # The same bounds in every split: what learns in one can play in the others.
             self.bounds = [found.largest]
+            self.nets = list(range(len(found.largest.nets)))
             if split == "train":
                 self._drawn, self.problems = found, {"example": found.largest}
             else:
@@ -160,9 +162,13 @@ class Episodes:
         grids = {problem.grid for problem in self.problems.values()}
         if len(grids) > 1:
             raise InputError(f"problem: expected one grid shape, found {sorted(grids)}")
+        nets: set[int] = set()
         for name, problem in self.problems.items():
-            if (np.diff(problem.flat_pin_gcells[0]) < 2).all():
+            routed = np.flatnonzero(np.diff(problem.flat_pin_gcells[0]) > 1)
+            if not len(routed):
                 raise InputError(f"{name}: expected a net with pins in two Gcells or more")
+            nets.update(routed.tolist())
+        self.nets = sorted(nets)
         # A generator's problems all have the same numbers of nets and of edges of each capacity.
         self.bounds = list(self.problems.values())
 

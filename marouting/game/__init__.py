@@ -5,6 +5,7 @@ from marouting.registry import register
 register("observation", "paper", "marouting.game.observation:PaperObservation")
 register("observation", "window", "marouting.game.window:WindowObservation")
 register("reward", "paper", "marouting.game.reward:PaperReward")
+register("reward", "normalised", "marouting.game.reward:NormalisedReward")
 register("reward", "team", "marouting.game.team_rewards:TeamReward")
 register("reward", "difference", "marouting.game.team_rewards:DifferenceReward")
 register("reward", "potential", "marouting.game.team_rewards:PotentialReward")
