@@ -1,17 +1,18 @@
 """Many problems at once, in arrays, for learners.
 
-In every step every net of every problem moves, or only the one whose turn it is. For Gymnasium's
-own interface to the latter, use ``gymnasium.make_vec``.
+In every step every net of every problem moves, or only the one whose turn it is. For the interface
+of Gymnasium's own vectors to the latter, use ``gymnasium.make_vec`` (:mod:`marouting.gym_vector`).
 """
 
 import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import numpy as np
 from gymnasium.error import ResetNeeded
+from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
@@ -24,6 +25,7 @@ from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 from marouting.scenarios import get
+from marouting.source import Source, load_problem
 
 _FIGURES = ("overflow", "wirelength", "joined", "steps")
 
@@ -46,7 +48,9 @@ class BatchEnv(EzPickle):
     Args:
         problems: the problems, all with the same grid shape. With a ``scenario`` of whose split
             ``train`` problems are to be played: how many, the first of those that ``seed`` gives;
-            they stay the same in all episodes. None for all of another split.
+            they stay the same in all episodes. None for all of another split. With a ``problem``:
+            how often it is played side by side.
+        problem: a problem in any form of :data:`marouting.source.Source`, in place of a list.
         everyone: whether all agents have a row and move in every step.
         autoreset: whether the next episode starts when one is over.
         threads: number of threads among which the problems are divided; the results do not depend
@@ -59,9 +63,11 @@ class BatchEnv(EzPickle):
 
     Attributes:
         num_problems: M.
+        num_envs: M, under the name that Gymnasium's vectors have for it.
         num_agents: N, the number of agents of the largest problem.
         present: (M, N) bool, whether there is an agent.
         single_observation_space: the space of one agent's observation, of shape S.
+        single_action_space: the space of one agent's actions.
         single_state_space: the space of one problem's global state; see :meth:`state`.
         engine: the engine, to be read.
 
@@ -73,6 +79,7 @@ class BatchEnv(EzPickle):
         self,
         problems: Sequence[Problem] | int | None = None,
         *,
+        problem: Source = None,
         everyone: bool = True,
         autoreset: bool = True,
         threads: int = 1,
@@ -82,6 +89,7 @@ class BatchEnv(EzPickle):
         EzPickle.__init__(
             self,
             problems,
+            problem=problem,
             everyone=everyone,
             autoreset=autoreset,
             threads=threads,
@@ -93,13 +101,15 @@ class BatchEnv(EzPickle):
         order = ORDERS["multi" if everyone else "single"]
         checked = game_options({"turn_order": order, **options})
         check("agents_persist", not checked.agents_persist, "false: all rows stay; see active")
-        self.engine = engine = Engine(_batch(problems, checked, seed), checked)
+        self.engine = engine = Engine(_batch(problems, problem, checked, seed), checked)
         self.autoreset, self._everyone = autoreset, everyone
         observation, reward = checked.observation.make(), checked.reward.make()
         overflow = engine.static.overflow_allowed
         self.single_observation_space = observation.space(engine.problems, overflow)
         self.single_state_space = state_space_of(observation, engine.problems, overflow)
+        self.single_action_space = Discrete(engine.actions)
         self.num_problems, self.num_agents = engine.nets.shape
+        self.num_envs = self.num_problems
         self.present = engine.tasks > 0
         self._buffers = StepBuffers.of(
             self.num_problems,
@@ -129,14 +139,32 @@ class BatchEnv(EzPickle):
         self._process = os.getpid()
         self._threads = ThreadPoolExecutor(len(self._players))
 
-    def reset(self) -> tuple[NDArray[np.float32], Info]:
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], Info]:
         """Starts the episodes of all problems.
+
+        Args:
+            seed: as Gymnasium has it; problems that stay know no chance.
+            options: with ``reset_mask``, (M,) bool, only the episodes of some problems start, as in
+                Gymnasium's vectors. Others are ignored.
 
         Returns:
             (M, K, *S) float32 observations, and an info like that of :meth:`step`.
+
+        Raises:
+            ValueError: ``reset_mask`` is not one boolean per problem.
         """
+        del seed
+        which = np.asarray((options or {}).get("reset_mask", np.ones(self.num_problems, np.bool_)))
+        which = which if self._begun else np.ones_like(which)
+        if which.shape != (self.num_problems,) or which.dtype != np.bool_:
+            raise ValueError(f"reset_mask: expected {self.num_problems} booleans, found {which}")
+        first = 0
         for player in self._players:
-            player.reset()
+            some = which[first : first + len(player.buffers.over)]
+            first += len(some)
+            player.reset(some)
         self._begun = True
         return self._buffers.obs, self._info()
 
@@ -230,6 +258,11 @@ class BatchEnv(EzPickle):
             player.restore(kept)
         self._begun = True
 
+    def close(self) -> None:
+        """Ends the threads. The environment plays on if it is used again."""
+        self._threads.shutdown()
+        self._start_threads()
+
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents; call :meth:`reset` afterwards.
 
@@ -255,9 +288,11 @@ class BatchEnv(EzPickle):
 
 
 def _batch(
-    problems: Sequence[Problem] | int | None, options: GameOptions, seed: int
+    problems: Sequence[Problem] | int | None, problem: Source, options: GameOptions, seed: int
 ) -> Sequence[Problem]:
     """The problems of a batch; see :class:`BatchEnv`."""
+    if is_whole(problems) and problem is not None:
+        return [load_problem(problem)] * cast(int, problems)
     found = problems if problems is None or is_whole(problems) else "a list"
     if options.scenario is None:
         what = f"a list of problems, or a scenario beside it; found {found}"
