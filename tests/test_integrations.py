@@ -7,6 +7,7 @@ import pytest
 from marouting import ENVIRONMENT_ID, InputError, PaperObservation, generate, global_routing_v0
 from marouting.vector import BatchEnv
 
+
 class Seen(PaperObservation):
     """Known to nobody, like any subclass: games are played in parts."""
 
@@ -215,3 +216,71 @@ def test_sb3_learners_take_it(everyone: bool) -> None:
         assert len(model.ep_info_buffer) > 5
         assert len(model.ep_success_buffer) > 5
     learner("MlpPolicy", VecMonitor(env), n_steps=64, batch_size=64, device="cpu").learn(200)
+
+
+# TorchRL and BenchMARL ----------------------------------------------------------------------------
+
+
+def test_torchrl_steps_the_games_of_the_parallel_environment() -> None:
+    pytest.importorskip("torchrl")
+    import torch
+    from torchrl.envs.utils import check_env_specs
+
+    from marouting.integrations.torchrl import RoutingEnv
+
+    options = {"max_steps": 6, "reward": "normalised"}
+    env = RoutingEnv([PROBLEM] * 2, state=True, **options)
+    check_env_specs(env)
+    plain = [global_routing_v0.parallel_env(PROBLEM, agents_persist=True, **options) for _ in "ab"]
+    names = plain[0].possible_agents
+    td = env.reset()
+    seen = [one.reset() for one in plain]
+    rng = np.random.default_rng(0)
+    ends = 0
+    for _ in range(60):
+        for m, (one, (there, infos)) in enumerate(zip(plain, seen, strict=True)):
+            for n, name in enumerate(names):
+                active = infos[name]["active"]
+                expected = there[name] if active else np.zeros(12)
+                np.testing.assert_array_equal(td["nets", "observation"][m, n], expected)
+                mask = td["nets", "action_mask"][m, n].tolist()
+                assert mask == infos[name]["action_mask"].astype(bool).tolist()
+            np.testing.assert_array_equal(td["state"][m], one.state())
+        moves = rng.integers(6, size=(2, len(names)))
+        td["nets", "action"] = torch.from_numpy(moves)
+        td = env.step(td)["next"]
+        over = []
+        for m, one in enumerate(plain):
+            there, pay, *_, infos = one.step(dict(zip(names, moves[m].tolist(), strict=True)))
+            assert td["nets", "reward"][m, :, 0].tolist() == np.float32(list(pay.values())).tolist()
+            metrics = one.metrics()
+            assert td["info", "joined"][m].item() == np.float32(
+                metrics["joined"] / metrics["tasks"]
+            )
+            assert td["info", "wirelength"][m].item() == metrics["wirelength"]
+            over.append(not one.agents)
+            seen[m] = there, infos
+        assert td["done"].flatten().tolist() == td["terminated"].flatten().tolist() == over
+        if any(over):
+            ends += 1
+            td["_reset"] = td["done"].clone()
+            td = env.reset(td)
+            seen = [one.reset() if o else s for one, o, s in zip(plain, over, seen, strict=True)]
+    assert ends >= 4
+
+
+def test_benchmarl_takes_the_task() -> None:
+    pytest.importorskip("benchmarl")
+    from marouting.config import config_file
+    from marouting.integrations.benchmarl import RoutingTask
+
+    task = RoutingTask.TOY_4X4.get_from_yaml(str(config_file("configs/benchmarl/toy_4x4.yaml")))
+    env = task.get_env_fun(3, continuous_actions=False, seed=0, device="cpu")()
+    assert env.batch_size == (3,)
+    assert set(task.observation_spec(env).keys(True, True)) == {("nets", "observation")}
+    assert set(task.action_mask_spec(env).keys(True, True)) == {("nets", "action_mask")}
+    assert set(task.state_spec(env).keys()) == {"state"}
+    assert task.group_map(env) == {"nets": [f"agent_{n}" for n in range(5)]}
+    steps = env.rollout(100, break_when_all_done=True)
+    assert steps.shape[1] <= task.max_steps(env)
+    assert set(task.log_info(steps)) == {"collection/info/joined", "collection/info/overflow"}
