@@ -31,7 +31,7 @@ from marouting.game.observation import (
     move_order_of,
     write_paper,
 )
-from marouting.game.reward import PaperReward, Reward, paper_reward
+from marouting.game.reward import KNOWN, PaperReward, Reward, paper_reward
 from marouting.game.rules import (
     free_moves,
     may_move,
@@ -129,7 +129,7 @@ class Known(NamedTuple):
     observation: bool  # whether the observation is the paper's
     reward: bool  # whether the reward is the paper's
     via_capacity: float  # see PaperObservation
-    prices: NDArray[np.float32]  # (4, 3) see PaperReward.table
+    prices: NDArray[np.float32]  # (5, 3) see PaperReward.table
     overflow_price: float  # see PaperReward
 
 
@@ -191,7 +191,9 @@ class Player:
             buffers = StepBuffers.of(problems, rows, shape, engine.actions)
         self.buffers = buffers
         looks = observation if type(observation) is PaperObservation else PaperObservation()
-        pays = reward if type(reward) is PaperReward else PaperReward()
+        pays = PaperReward()
+        if isinstance(reward, PaperReward) and type(reward) in KNOWN:
+            pays = reward
         self.known = Known(
             everyone,
             looks is observation,
