@@ -160,8 +160,8 @@ class Episodes:
             found, self.many = get(scenario), True
             # The same bounds in every split: what learns in one can play in the others.
             self.bounds = [found.largest]
-            most = found.level.nets[1]
-            self.room = Room(most, most * found.level.max_pins[1])
+            largest = found.level.nets[1]
+            self.room = Room(largest, largest * found.level.max_pins[1])
             self.nets = list(range(len(found.largest.nets)))
             if split == "train":
                 self._drawn, self.problems = found, {"example": found.largest}
