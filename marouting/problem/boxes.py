@@ -32,9 +32,10 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
     """The edges between Gcells that a net's boxes touch.
 
     A guide is a region and says no more. Two Gcells of it that lie above each other are joined, and
-    two neighbours of one box if the layer's wires may go that way. Guides also count on neighbours
-    in different boxes, and on short wires across their layer's direction: where parts of a net
-    touch in no other way, the former, and then the latter, join them, no more than are needed.
+    two neighbours of one box if the edge between them has capacity. Guides also count on neighbours
+    in different boxes, and on short wires where there are no tracks, such as those across their
+    layer's direction: where parts of a net touch in no other way, the former, and then the latter,
+    join them, no more than are needed.
 
     Args:
         problem: the problem.
@@ -88,7 +89,8 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
         cost = np.zeros(len(at), np.int64)
         if axis != VIA_AXIS:
             in_box = np.isin(covered[at], keys[inside[axis]])
-            cost = np.where(chip.wires[position[at, VIA_AXIS], axis], 1 - in_box, 2)
+            usable = problem.capacity_of(AXES * (covered[at] % size) + axis) > 0
+            cost = np.where(usable, 1 - in_box, 2)
         costs.append(cost)
     near, far = np.concatenate(ends, axis=1)
     needed = np.concatenate(costs)

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,13 @@ from marouting.problem.segments import (
     longest_segments,
     with_pins_at,
 )
+
+RouteFormat = Literal["ispd2008", "guide", "ispd2024"]
+"""The formats of solutions (:meth:`Solution.write`)."""
+
+ROUTE_FORMATS: tuple[RouteFormat, ...] = get_args(RouteFormat)
+
+_BY_SUFFIX: dict[str, RouteFormat] = {".guide": "guide", ".pr_output": "ispd2024"}
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -228,24 +235,27 @@ class Solution:
             )
         return Solution.of_uses(problem, *np.divmod(uses, size))
 
-    def write(self, path: str | os.PathLike[str]) -> None:
-        """Writes the routes, whole or not at all, in the format that the file's suffix stands for.
+    def write(self, path: str | os.PathLike[str], format: RouteFormat | None = None) -> None:
+        """Writes the routes, whole or not at all.
 
-        - ``.guide``: a routing guide as in the ISPD 2018 contest
+        - ``guide``, for a suffix ``.guide``: a routing guide as in the ISPD 2018 contest
           (:func:`marouting.problem.boxes.boxes_of`).
-        - ``.PR_output``: the output of the ISPD 2024 contest.
-        - All others: ISPD solution text. Nets come in the problem's order, each as its longest
-          straight segments between the centres of Gcells, ordered by their lower end.
+        - ``ispd2024``, for a suffix ``.PR_output``: the output of the ISPD 2024 contest.
+        - ``ispd2008``, for all others: ISPD solution text. Nets come in the problem's order, each
+          as its longest straight segments between the centres of Gcells, ordered by their lower
+          end.
 
         Args:
             path: the file.
+            format: one of these; None: as the file's suffix says.
 
         Raises:
             InputError: the format cannot hold the routes, or the file cannot be written.
         """
         suffix = Path(path).suffix.lower()
+        format = format or _BY_SUFFIX.get(suffix, "ispd2008")
         nets = self.problem.nets
-        if suffix == ".guide":
+        if format == "guide":
             layers = self.problem.chip_or_default.layers
             net, box, layer = boxes_of(self.problem, *self.uses)
             rows = [
@@ -253,7 +263,7 @@ class Solution:
                 for corners, z in zip(box.tolist(), layer.tolist(), strict=True)
             ]
             ispd.write_routes(path, [net.name for net in nets], net, rows)
-        elif suffix == ".pr_output":
+        elif format == "ispd2024":
             self._check_directions(os.fspath(path))
             net, ends = longest_runs(self.problem, *self.uses)
             position = np.stack(np.unravel_index(ends, self.problem.grid), axis=-1)

@@ -8,10 +8,9 @@ What can be routed follows from tracks and from what lies in their way:
   all alike, with pins in their middle, and :class:`marouting.problem.chip.Chip` keeps the lines.
 * A layer's wires go along its preferred direction only, on the tracks of the DEF, or by the LEF's
   pitch where it has none. Every net takes one track.
-* An edge's **capacity** is the number of tracks in its row of Gcells, less what is blocked of them
-  between the middles of its two Gcells: every track counts by the share that is free, and the sum
-  is cut to a whole number. Pins, obstructions, special nets and blockages block a wire nearer than
-  half the layer's width and its spacing.
+* An edge's **capacity** is the number of tracks in its row of Gcells on which a wire can go from
+  the middle of one Gcell to the middle of the next and keep its distance from all pins,
+  obstructions, special nets and blockages: half the layer's width and its spacing.
 * A **pin** is in the Gcell and layer that hold most of its area.
 
 Where to look:
