@@ -56,7 +56,7 @@ class Statements:
             word = self.word()
             if not word:
                 raise InputError(
-                    f"file ends, expected '{' '.join(end)}' for what begins in {begun}"
+                    f"file ends, expected '{' '.join(end)}' for what begins in line {begun}"
                 )
             matched = matched + 1 if word == end[matched] else int(word == end[0])
 
