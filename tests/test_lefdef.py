@@ -146,6 +146,30 @@ def test_special_nets_and_blockages(tmp_path: Path) -> None:
     assert capacities(problem, 1, 1) == [[2, 1, 0], [4, 3, 0]]
 
 
+@pytest.mark.parametrize(("array", "left"), [("", [2, 0, 2]), (" DO 2 BY 1 STEP 100 0", [2, 0, 1])])
+def test_vias_of_special_nets(tmp_path: Path, array: str, left: list[int]) -> None:
+    square = "( -50 -50 ) ( 50 50 )"
+    vias = f"VIAS 1 ;\n- v + RECT M1 {square} + RECT V1 {square} + RECT M2 {square} ;\nEND VIAS\n"
+    special = SPECIAL.replace("( 0 850 ) ( 1000 850 )", f"( 700 700 ) v{array}")
+    special = special.replace("M1 100", "M1 0")
+    text = DEF.replace("COMPONENTS 1", f"{vias}COMPONENTS 1").replace("NETS 2", f"{special}NETS 2")
+    problem = Problem.read(design(tmp_path, text))
+    # 650-750 wide and high: it blocks 650 and 750 of both layers; the second one, 750-850, 850.
+    assert capacities(problem, 0, 0) == [[2, 3], [1, 1], [2, 2]]
+    assert capacities(problem, 1, 1)[0] == left
+
+
+@pytest.mark.parametrize("name", ["a/u1[0]", r"a/u1\[0\]", "u1<3>", r"u\/1"])
+def test_names_with_brackets(tmp_path: Path, name: str) -> None:
+    plain = Problem.read(design(tmp_path))
+    text, lef = DEF.replace("u1", name), LEF
+    assert Problem.read(design(tmp_path, text, lef)) == plain
+    for old, new in (("u1 A", "u1 A[1]"), ("u1 A", r"u1 A\[1\]")):
+        pin = new.removeprefix("u1 ")
+        lef = LEF.replace("PIN A", f"PIN {pin}").replace("END A", f"END {pin}")
+        assert Problem.read(design(tmp_path, DEF.replace(old, new), lef)) == plain
+
+
 def test_a_polygon_blocks_what_it_covers(tmp_path: Path) -> None:
     corner = "POLYGON 0.1 0.1 0.3 0.1 0.3 0.12 0.12 0.12 0.12 0.3 0.1 0.3 ;"
     lef = LEF.replace("RECT 0.1 0.1 0.3 0.3 ;", corner)

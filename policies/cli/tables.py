@@ -211,6 +211,7 @@ def show_report(found: Mapping[str, Any], title: str) -> None:
         columns = {"net": [row["net"] for row in rows]}
         for key in ("wires", "bound", "detour"):
             columns[key] = [str(row[key]) for row in rows]
+        columns["bound is"] = ["exact" if row["exact"] else "low" for row in rows]
         _print("Longest detours, in edges inside layers", columns, ["net"])
     rows = found["histogram"]
     columns = {"use %": [_bin(row["from"], row["to"]) for row in rows]}

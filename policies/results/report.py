@@ -124,7 +124,7 @@ def _detours(problem: Problem, solution: Solution, without: set[str]) -> dict[st
     """Wires beyond the lower bound; nets in ``without``, which are not joined, are left out."""
     net, edge = solution.uses
     wires = np.bincount(net[edge % AXES != VIA_AXIS], minlength=len(problem.nets))
-    bound = steiner_bounds(problem)
+    bound, exact = steiner_bounds(problem)
     judged = np.array([own.name not in without for own in problem.nets])
     more = np.where(judged, wires - bound, 0)
     worst = np.lexsort((np.arange(len(more)), -more))[:MOST_SPOTS]
@@ -138,6 +138,7 @@ def _detours(problem: Problem, solution: Solution, without: set[str]) -> dict[st
                 "wires": int(wires[i]),
                 "bound": int(bound[i]),
                 "detour": int(more[i]),
+                "exact": bool(exact[i]),
             }
             for i in worst.tolist()
             if more[i]
@@ -145,12 +146,13 @@ def _detours(problem: Problem, solution: Solution, without: set[str]) -> dict[st
     }
 
 
-def steiner_bounds(problem: Problem) -> NDArray[np.int64]:
-    """(nets,) the fewest edges inside layers that any route of each net has.
+def steiner_bounds(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """(nets,) twice: a bound from below on each net's edges inside layers, and whether it is exact.
 
     Seen from above, a route is a tree that joins the columns of Gcells with the net's pins. For
-    nets of up to EXACT_PINS such columns the bound is the length of a shortest one. For others it
-    is the larger of half the perimeter of the box around them and of two thirds of their minimum
+    nets of up to EXACT_PINS such columns the bound is the length of a shortest one, which a route
+    can have where capacity allows. For others, which may well need a tenth more, it is the larger
+    of half the perimeter of the box around them and of two thirds of their minimum
     spanning tree (Hwang 1976), rounded up.
     """
     columns, rows, _ = problem.grid
@@ -182,7 +184,7 @@ def steiner_bounds(problem: Problem) -> NDArray[np.int64]:
     bound = np.zeros(len(pins), np.int64)
     bound[few] = exact
     bound[~few] = np.maximum(half[~few], -(-2 * spanning // 3))
-    return bound
+    return bound, few
 
 
 def _of_nets(problem: Problem, kept: NDArray[np.bool_]) -> Problem | None:

@@ -233,7 +233,9 @@ def _pin_gcells(
 def _pin_boxes(design: Design, shapes: Shapes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(boxes,) the connection that each box belongs to, and (boxes, 5) the boxes on the chip."""
     alike: dict[tuple[int, int, str], list[tuple[int, int, int]]] = defaultdict(list)
-    for number, (component, pin) in enumerate(design.connections):
+    for number, names in enumerate(design.connections):
+        # klayout's names are without the backslashes that keep brackets from being a bus.
+        component, pin = (name.replace("\\", "") for name in names)
         if component == "PIN":
             alike[shapes.top, 0, pin].append((number, 0, 0))
         elif component in shapes.places:
