@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from marouting import InputError, Problem, Solution, evaluate
 from marouting.problem.contest import contest_cost, with_pins_covered
+from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "ispd24"
 needs_data = pytest.mark.skipif(not DATA.exists(), reason="needs the toy cases in ../shared/data")
@@ -317,6 +318,26 @@ def test_any_routes_cost_what_the_evaluator_says(
     # Pins that the contest takes for joined are so in the moved problem, edges permitting.
     moved = solution.at_reached_pins()
     assert np.array_equal(moved.uses[1], solution.uses[1])
+
+
+@settings(max_examples=40, deadline=None)
+@given(case=cases())
+def test_negotiated_congestion_keeps_to_the_directions_of_layers(
+    case: tuple[str, str, str], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Also where there is not enough capacity, so that its routes can be written."""
+    folder = tmp_path_factory.mktemp("case")
+    (folder / "p.cap").write_text(case[0])
+    (folder / "p.net").write_text(case[1])
+    problem = Problem.read(folder / "p.cap")
+    assert problem.chip is not None
+    if not problem.chip.wires.any(axis=0).all():
+        return  # its layers do not lead everywhere
+    solution = with_pins_covered(PathfinderRouter(PathfinderOptions(passes=5)).route(problem))
+    assert evaluate(problem, solution).connected
+    assert contest_cost(solution).open == ()
+    solution.write(folder / "p.PR_output")
+    assert Solution.read(folder / "p.PR_output", problem) == solution
 
 
 # --- files that cannot be used --------------------------------------------------------------------

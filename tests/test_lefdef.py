@@ -387,6 +387,7 @@ BAD_DEF = [
     ("( u1 A )", "( u1 B )", 17, "net n1: expected pin B of u1 to have a shape in a routing"),
     ("( u1 A )", "( PIN out )", 17, "net n1: expected a pin of PINS, found out"),
     ("( u1 A )", "( u1", 17, "'( component pin )' of net n1"),
+    ("( u1 A ) + USE SIGNAL", "( u1 )", 17, "'( component pin )' of net n1"),
     ("- n2 (", "- n1 (", 18, "net n1: expected a name no earlier net has"),
     ("LAYER M2 ( -20", "LAYER V1 ( -20", 17, "expected pin in of PIN to have a shape"),
     (

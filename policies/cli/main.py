@@ -119,7 +119,7 @@ def generate(out: Path, **options: Any) -> None:
     type=click.Choice((*FORMATS, *(f for f in ROUTE_FORMATS if f not in FORMATS))),
     help="Format of OUT.  [default: ispd2008; for routes as the suffix of OUT says]",
 )
-@click.option("--solution", type=Path, help="Solution of PROBLEM, to be written in its place.")
+@click.option("--solution", type=Path, help="Solution to write; without it, PROBLEM is written.")
 def convert(problem: ProblemFile, out: Path, format: str | None, solution: Path | None) -> None:
     """Write PROBLEM, or a solution of it, to OUT in another format.
 

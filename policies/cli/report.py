@@ -13,7 +13,12 @@ from policies.cli.source import ProblemFile, problem_argument
 @click.command()
 @problem_argument
 @click.argument("solution", type=Path)
-@click.option("--map", "picture", type=Path, help="Picture for a congestion map, such as map.png.")
+@click.option(
+    "--map",
+    "picture",
+    type=Path,
+    help="Picture for a congestion map, such as map.png; without it, none.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text.")
 def report(problem: ProblemFile, solution: Path, picture: Path | None, as_json: bool) -> None:
     """Say where a solution of PROBLEM is crowded, and which nets make detours.

@@ -372,7 +372,7 @@ def _connections(words: list[str], net: str) -> Iterator[tuple[str, str]]:
     at = 0
     while at < len(words) and words[at] == "(":
         # ( component pin [+ SYNTHESIZED] )
-        if ")" not in words[at : at + 6] or words[at + 3] not in (")", "+"):
+        if ")" not in words[at : at + 6] or words[at + 3 : at + 4] not in ([")"], ["+"]):
             raise unexpected(f"'( component pin )' of net {net}", words[at : at + 6])
         yield words[at + 1], words[at + 2]
         at = words.index(")", at) + 1
