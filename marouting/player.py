@@ -56,6 +56,7 @@ from marouting.game.tasks import wait
 from marouting.kernels import bound, compiled, inlined, place, wide
 from marouting.memory import check_memory
 from marouting.problem.grid import MOVES
+from marouting.source import Draws
 
 
 class StepBuffers(NamedTuple):
@@ -131,6 +132,7 @@ class Saved(NamedTuple):
 
     dynamic: Dynamic
     buffers: StepBuffers
+    counts: NDArray[np.int64] | None = None  # (M,) see Draws; None where problems stay
 
 
 class Player:
@@ -142,6 +144,8 @@ class Player:
         reward: what moves pay.
         everyone: whether all agents have a row, or only the one whose turn it is.
         buffers: the arrays to use; None: new ones.
+        draws: what the games play, another problem in every episode; the engine plays the present
+            ones and has room for the others. None: the engine's problems stay.
 
     Attributes:
         engine: the games.
@@ -149,6 +153,7 @@ class Player:
         reward: what moves pay.
         everyone: whether all agents have a row.
         buffers: see :class:`StepBuffers`.
+        draws: what the games play; None: the engine's problems stay.
         known: what the compiled step knows about the pieces.
         paid: (M, N) float32, what the last step paid every agent. None with the paper's reward,
             which pays only the agent that moves.
@@ -162,12 +167,14 @@ class Player:
         *,
         everyone: bool = True,
         buffers: StepBuffers | None = None,
+        draws: Draws | None = None,
     ) -> None:
         self.engine, self.observation, self.reward = engine, observation, reward
-        self.everyone = everyone
+        self.everyone, self.draws = everyone, draws
         problems, agents = engine.nets.shape
         if buffers is None:
-            shape = observation.space(engine.problems, engine.static.overflow_allowed).shape
+            bounds = draws.episodes.bounds if draws else engine.problems
+            shape = observation.space(bounds, engine.static.overflow_allowed).shape
             rows = agents if everyone else 1
             buffers = StepBuffers.of(problems, rows, shape, engine.actions)
         self.buffers = buffers
@@ -222,6 +229,7 @@ class Player:
         if which is None:
             which = np.ones(len(over), np.bool_)
         if self.compiled:
+            self._draw(which)
             were_over = over.copy()
             over[:] = which
             self._step(*self._arguments, False, True)
@@ -241,6 +249,8 @@ class Player:
                 episode instead.
         """
         if self.compiled:
+            if restart:
+                self._draw(self.buffers.over)
             self._step(*self._arguments, True, restart)
         else:
             self._step_in_parts(restart)
@@ -250,15 +260,31 @@ class Player:
         part = copy.copy(self)
         part.engine = self.engine.part(which)
         part.buffers = StepBuffers._make(array[which] for array in self.buffers)
+        part.draws = self.draws and self.draws.part(which)
         part._bind()
         return part
 
     def save(self) -> Saved:
         """A copy of the state of all games, for :meth:`restore`."""
-        return Saved(self.engine.save(), StepBuffers._make(a.copy() for a in self.buffers))
+        buffers = StepBuffers._make(array.copy() for array in self.buffers)
+        counts = None if self.draws is None else self.draws.counts.copy()
+        return Saved(self.engine.save(), buffers, counts)
+
+    def go_to(self, counts: NDArray[np.int64]) -> None:
+        """Puts the problems in place that games play when they have begun (M,) episodes.
+
+        Raises:
+            ValueError: the problems of these games stay, or the shape does not fit.
+        """
+        if self.draws is None or counts.shape != self.draws.counts.shape:
+            raise ValueError(f"counts: expected those of other games, found shape {counts.shape}")
+        self._replace(self.draws.go_to(counts))
 
     def check_saved(self, saved: Saved) -> None:
-        """Raises ValueError unless a state can be one of these games, wherever it is from."""
+        """Raises ValueError unless a state can be one of these games, wherever it is from.
+
+        Where games draw their problems, those of the state have to be in place; see :meth:`go_to`.
+        """
         self.engine.check_saved(saved.dynamic)
         b = saved.buffers
         if self.everyone:
@@ -283,10 +309,31 @@ class Player:
 
     def restore(self, saved: Saved) -> None:
         """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
+        if saved.counts is not None or self.draws is not None:
+            self.go_to(np.zeros(0, np.int64) if saved.counts is None else saved.counts)
         self.engine.restore(saved.dynamic)
         for name in StepBuffers._fields:
             getattr(self.buffers, name)[...] = getattr(saved.buffers, name)
         self._mirror(slice(None))
+
+    # --- problems that change -----------------------------------------------------------------
+
+    def _draw(self, which: NDArray[np.bool_]) -> None:
+        """Before episodes begin, where ``which`` (M,) is true: puts their problems in place."""
+        if self.draws is not None:
+            self._replace(self.draws.go_to(self.draws.counts + which))
+
+    def _replace(self, games: list[int]) -> None:
+        """Puts the drawn problems of some games in place of the others."""
+        b = self.buffers
+        for m in games:
+            assert self.draws is not None
+            self.engine.replace(m, self.draws.problems[m])
+            if self.everyone:
+                b.agents[m] = self.engine.agents_of(m)
+            # Rows of agents that are no longer there.
+            for seen, mask in ((b.obs, b.mask), (b.final_obs, b.final_mask)):
+                seen[m], mask[m] = 0, 1
 
     # --- any pieces ---------------------------------------------------------------------------
 
@@ -304,6 +351,7 @@ class Player:
     def _start(self, which: NDArray[np.bool_]) -> None:
         """Starts episodes, in which nobody has acted yet."""
         b = self.buffers
+        self._draw(which)
         self.engine.reset(which)
         self._mirror(which)
         b.acted[which] = b.over[which] = b.terminated[which] = b.truncated[which] = False

@@ -4,7 +4,7 @@ import contextlib
 import functools
 import os
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,19 +18,27 @@ from marouting.config import MOST, build, piece
 from marouting.game.engine import Engine
 from marouting.options import ORDERS
 from marouting.player import Player
+from marouting.source import Draws
 from policies.learned.checkpoint import checked, read_checkpoint
 from policies.learned.learner import best_moves, play_steps
 
 
-def player_of(env: EnvOptions, problems: list[Problem]) -> Player:
+def player_of(env: EnvOptions, problems: Sequence[Problem] | Draws) -> Player:
     """What plays problems as a configuration's ``env`` says.
+
+    Args:
+        env: the options.
+        problems: the problems, or what games draw theirs from.
 
     Raises:
         InputError: the problems do not go together.
     """
-    engine = Engine(problems, env, turn_order=env.turn_order or ORDERS[env.agents])
-    everyone = env.agents == "multi"
-    return Player(engine, env.observation.make(), env.reward.make(), everyone=everyone)
+    draws = problems if isinstance(problems, Draws) else None
+    room = draws.episodes.room if draws else None
+    held = problems.problems.tolist() if isinstance(problems, Draws) else problems
+    engine = Engine(held, env, room=room, turn_order=env.turn_order or ORDERS[env.agents])
+    observation, reward = env.observation.make(), env.reward.make()
+    return Player(engine, observation, reward, everyone=env.agents == "multi", draws=draws)
 
 
 def _check_weights(weights: Mapping[str, Any], module: nn.Module) -> None:
