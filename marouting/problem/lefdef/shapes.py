@@ -43,9 +43,6 @@ class Shapes(NamedTuple):
     all: Boxes
 
 
-TURNS = 8
-
-
 def turned(boxes: Boxes, turn: int) -> Boxes:
     """Boxes after a turn by ``turn % 4`` quarters, anticlockwise, of the plane.
 
