@@ -24,8 +24,14 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.game.engine import Engine
-from marouting.game.observation import Observation, PaperObservation, write_paper
-from marouting.game.reward import PaperReward, Reward, paper_reward
+from marouting.game.observation import (
+    Observation,
+    PaperObservation,
+    has_move_order,
+    move_order_of,
+    write_paper,
+)
+from marouting.game.reward import KNOWN, PaperReward, Reward, paper_reward
 from marouting.game.rules import (
     free_moves,
     may_move,
@@ -123,7 +129,7 @@ class Known(NamedTuple):
     observation: bool  # whether the observation is the paper's
     reward: bool  # whether the reward is the paper's
     via_capacity: float  # see PaperObservation
-    prices: NDArray[np.float32]  # (4, 3) see PaperReward.table
+    prices: NDArray[np.float32]  # (5, 3) see PaperReward.table
     overflow_price: float  # see PaperReward
 
 
@@ -146,6 +152,9 @@ class Player:
         buffers: the arrays to use; None: new ones.
         draws: what the games play, another problem in every episode; the engine plays the present
             ones and has room for the others. None: the engine's problems stay.
+        turned: whether actions and masks are in the order of an observation's own moves, if it has
+            one (:func:`marouting.game.observation.move_order_of`), as learners want them, and not
+            in that of the grid.
 
     Attributes:
         engine: the games.
@@ -154,6 +163,7 @@ class Player:
         everyone: whether all agents have a row.
         buffers: see :class:`StepBuffers`.
         draws: what the games play; None: the engine's problems stay.
+        turned: whether actions and masks are in the order of the observation's own moves.
         known: what the compiled step knows about the pieces.
         paid: (M, N) float32, what the last step paid every agent. None with the paper's reward,
             which pays only the agent that moves.
@@ -168,8 +178,10 @@ class Player:
         everyone: bool = True,
         buffers: StepBuffers | None = None,
         draws: Draws | None = None,
+        turned: bool = False,
     ) -> None:
         self.engine, self.observation, self.reward = engine, observation, reward
+        self.turned = turned and has_move_order(observation)
         self.everyone, self.draws = everyone, draws
         problems, agents = engine.nets.shape
         if buffers is None:
@@ -179,7 +191,9 @@ class Player:
             buffers = StepBuffers.of(problems, rows, shape, engine.actions)
         self.buffers = buffers
         looks = observation if type(observation) is PaperObservation else PaperObservation()
-        pays = reward if type(reward) is PaperReward else PaperReward()
+        pays = PaperReward()
+        if isinstance(reward, PaperReward) and type(reward) in KNOWN:
+            pays = reward
         self.known = Known(
             everyone,
             looks is observation,
@@ -240,6 +254,7 @@ class Player:
         nobody = np.full(len(over), NOBODY, np.int32)
         self._settle(*self._arguments, which, nobody, _NOT)
         self._look(which)
+        self._turn_masks()
 
     def step(self, restart: bool = False) -> None:
         """Makes the moves in ``buffers.actions``, in turn order, and fills the other arrays.
@@ -252,6 +267,12 @@ class Player:
             if restart:
                 self._draw(self.buffers.over)
             self._step(*self._arguments, True, restart)
+        elif self.turned:
+            chosen = self.buffers.actions.copy()
+            self.buffers.actions[:] = self._on_the_grid(chosen)
+            self._step_in_parts(restart)
+            self.buffers.actions[:] = chosen  # learners remember what they chose
+            self._turn_masks()
         else:
             self._step_in_parts(restart)
 
@@ -315,6 +336,31 @@ class Player:
         for name in StepBuffers._fields:
             getattr(self.buffers, name)[...] = getattr(saved.buffers, name)
         self._mirror(slice(None))
+
+    # --- moves of the observation -------------------------------------------------------------
+
+    def actions_of(self, moves: NDArray[np.integer]) -> NDArray[np.int8]:
+        """The actions for ``buffers.actions`` that stand for moves on the grid, both (M, K)."""
+        if not self.turned:
+            return moves.astype(np.int8)
+        order = self._order()
+        place = np.argsort(order, axis=-1)  # the other way round
+        return _picked(place, moves)
+
+    def _on_the_grid(self, actions: NDArray[np.int8]) -> NDArray[np.int8]:
+        """The moves on the grid (M, K) that actions of the observation (M, K) are."""
+        return _picked(self._order(), actions)
+
+    def _order(self) -> NDArray[np.int64]:
+        """(M, K, A), see :func:`marouting.game.observation.move_order_of`."""
+        b = self.buffers
+        obs = b.obs.reshape(-1, *b.obs.shape[2:])
+        return move_order_of(self.observation, obs, self.engine.actions).reshape(b.mask.shape)
+
+    def _turn_masks(self) -> None:
+        """Puts masks that have just been written for all rows in the order of the observation."""
+        if self.turned:
+            self.buffers.mask[:] = np.take_along_axis(self.buffers.mask, self._order(), -1)
 
     # --- problems that change -----------------------------------------------------------------
 
@@ -475,7 +521,11 @@ class Player:
         out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
         self.observation.write(engine, problems, agents, out)
         b.final_obs[rows] = out
-        b.final_mask[rows] = engine.masks(problems, agents)
+        masks = engine.masks(problems, agents)
+        if self.turned:
+            order = move_order_of(self.observation, out, engine.actions)
+            masks = np.take_along_axis(masks, order, -1)
+        b.final_mask[rows] = masks
         if self._before is not None:
             for array, at, kept in moved:
                 array[at] = kept
@@ -502,6 +552,12 @@ class Player:
         out = np.empty((int(rows.sum()), *obs.shape[1:]), np.float32)
         self.observation.write(engine, problems[rows], agents[rows], out)
         obs[rows] = out
+
+
+def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.int8]:
+    """(M, K) the entries of orders (M, K, A) at moves (M, K); no move stays none."""
+    found = np.take_along_axis(order, np.maximum(moves, 0)[..., None].astype(np.int64), -1)
+    return np.where(moves == NOBODY, NOBODY, found[..., 0]).astype(np.int8)
 
 
 @compiled

@@ -139,6 +139,7 @@ class Episodes:
             as any that will be played.
         room: room for any problem that will be played.
         many: whether there are several.
+        nets: the numbers of the nets that have something to route in at least one of them.
 
     Raises:
         InputError: a problem cannot be used, their grids differ, or there is no such scenario.
@@ -159,8 +160,9 @@ class Episodes:
             found, self.many = get(scenario), True
             # The same bounds in every split: what learns in one can play in the others.
             self.bounds = [found.largest]
-            nets = found.level.nets[1]
-            self.room = Room(nets, nets * found.level.max_pins[1])
+            largest = found.level.nets[1]
+            self.room = Room(largest, largest * found.level.max_pins[1])
+            self.nets = list(range(len(found.largest.nets)))
             if split == "train":
                 self._drawn, self.problems = found, {"example": found.largest}
             else:
@@ -173,15 +175,19 @@ class Episodes:
                 raise InputError(f"problem.count: expected {most}, found {source.count}")
             if source.seed is None:
                 self._drawn = source
-                source = replace(source, seed=0)
+                source = replace(source, seed=0, least=None)  # as large as any of them
         self.problems = load_problems(source)
         self.many = self._drawn is not None or len(self.problems) > 1
         grids = {problem.grid for problem in self.problems.values()}
         if len(grids) > 1:
             raise InputError(f"problem: expected one grid shape, found {sorted(grids)}")
+        nets: set[int] = set()
         for name, problem in self.problems.items():
-            if (np.diff(problem.flat_pin_gcells[0]) < 2).all():
+            routed = np.flatnonzero(np.diff(problem.flat_pin_gcells[0]) > 1)
+            if not len(routed):
                 raise InputError(f"{name}: expected a net with pins in two Gcells or more")
+            nets.update(routed.tolist())
+        self.nets = sorted(nets)
         # A generator's problems all have the same numbers of nets and of edges of each capacity.
         self.bounds = list(self.problems.values())
         self.room = Room.of(self.bounds)
@@ -242,10 +248,11 @@ class Draws:
     """
 
     def __init__(self, episodes: Episodes, seed: int, games: int) -> None:
-        check("seed", is_whole(seed) and seed >= 0, f"a whole number from 0, found {seed!r}")
         whole = is_whole(games) and 1 <= games <= MOST_PROBLEMS
         check("games", whole, f"a number from 1 to {MOST_PROBLEMS}, found {games!r}")
-        self.episodes, self._seed = episodes, int(seed)
+        self.episodes = episodes
+        # In an array, because parts share it.
+        self._seed = np.array(_checked_seed(seed), object)
         self.counts = np.zeros(games, np.int64)
         self._games = np.arange(games)
         self._numbers = np.array([self._number(m) for m in range(games)])
@@ -259,6 +266,15 @@ class Draws:
         for name in ("counts", "names", "problems", "_games", "_numbers"):
             setattr(part, name, getattr(self, name)[which])
         return part
+
+    def begin(self, seed: int, which: NDArray[np.bool_]) -> None:
+        """Takes another seed, and begins with the first episodes of the games in ``which`` (M,).
+
+        Raises:
+            InputError: it is no seed.
+        """
+        self._seed[...] = _checked_seed(seed)
+        self.counts[which] = 0
 
     def go_to(self, counts: NDArray[np.integer]) -> list[int]:
         """Goes to where each game has begun some number of episodes.
@@ -282,5 +298,10 @@ class Draws:
     def _number(self, m: int) -> int:
         """The number of the problem that game m plays now, or will play first."""
         episode = max(int(self.counts[m]) - 1, 0)
-        rng = np.random.default_rng([self._seed, int(self._games[m]), episode])
+        rng = np.random.default_rng([int(self._seed), int(self._games[m]), episode])
         return self.episodes.number(rng)
+
+
+def _checked_seed(seed: int) -> int:
+    check("seed", is_whole(seed) and seed >= 0, f"a whole number from 0, found {seed!r}")
+    return int(seed)

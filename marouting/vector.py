@@ -1,16 +1,17 @@
 """Many problems at once, in arrays, for learners.
 
-In every step every net of every problem moves, or only the one whose turn it is. For Gymnasium's
-own interface to the latter, use ``gymnasium.make_vec``.
+In every step every net of every problem moves, or only the one whose turn it is. For the interface
+of Gymnasium's own vectors to the latter, use ``gymnasium.make_vec`` (:mod:`marouting.gym_vector`).
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import numpy as np
 from gymnasium.error import ResetNeeded
+from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
@@ -55,8 +56,8 @@ class BatchEnv(EzPickle):
         problems: the problems, all with the same grid shape; they stay. A number M: so many games,
             each of which draws a problem for every episode, from ``problem`` or the scenario. None:
             all problems of a scenario's split ``validation`` or ``test``; they stay.
-        problem: what M games draw from: several problems, of which one is drawn for every episode,
-            or a generator with ``seed=None``, which makes a new one; see
+        problem: what M games draw from: one problem, several of which one is drawn for every
+            episode, or a generator with ``seed=None``, which makes a new one; see
             :data:`marouting.source.Source`.
         everyone: whether all agents have a row and move in every step.
         autoreset: whether the next episode starts when one is over.
@@ -71,8 +72,10 @@ class BatchEnv(EzPickle):
 
     Attributes:
         num_problems: M.
+        num_envs: M, under the name that Gymnasium's vectors have for it.
         num_agents: N, the number of agents of the largest problem.
         single_observation_space: the space of one agent's observation, of shape S.
+        single_action_space: the space of one agent's actions.
         single_state_space: the space of one problem's global state; see :meth:`state`.
         engine: the engine, to be read.
 
@@ -120,7 +123,9 @@ class BatchEnv(EzPickle):
         overflow = engine.static.overflow_allowed
         self.single_observation_space = observation.space(bounds, overflow)
         self.single_state_space = state_space_of(observation, bounds, overflow)
+        self.single_action_space = Discrete(engine.actions)
         self.num_problems, self.num_agents = engine.nets.shape
+        self.num_envs = self.num_problems
         self._buffers = StepBuffers.of(
             self.num_problems,
             self.num_agents if everyone else 1,
@@ -155,14 +160,34 @@ class BatchEnv(EzPickle):
         """(M, N) bool, whether there is an agent."""
         return self.engine.tasks > 0
 
-    def reset(self) -> tuple[NDArray[np.float32], Info]:
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], Info]:
         """Starts the episodes of all problems.
+
+        Args:
+            seed: where games draw their problems, the new seed, with which they begin from their
+                first episodes; problems that stay know no chance.
+            options: with ``reset_mask``, (M,) bool, only the episodes of some problems start, as in
+                Gymnasium's vectors. Others are ignored.
 
         Returns:
             (M, K, *S) float32 observations, and an info like that of :meth:`step`.
+
+        Raises:
+            ValueError: ``reset_mask`` is not one boolean per problem.
         """
+        which = np.asarray((options or {}).get("reset_mask", np.ones(self.num_problems, np.bool_)))
+        which = which if self._begun else np.ones_like(which)
+        if which.shape != (self.num_problems,) or which.dtype != np.bool_:
+            raise ValueError(f"reset_mask: expected {self.num_problems} booleans, found {which}")
+        if seed is not None and self._draws is not None:
+            self._draws.begin(seed, which)
+        first = 0
         for player in self._players:
-            player.reset()
+            some = which[first : first + len(player.buffers.over)]
+            first += len(some)
+            player.reset(some)
         self._begun = True
         return self._buffers.obs, self._info()
 
@@ -257,6 +282,11 @@ class BatchEnv(EzPickle):
         for player, kept in zip(self._players, saved, strict=True):
             player.restore(kept)
         self._begun = True
+
+    def close(self) -> None:
+        """Ends the threads. The environment plays on if it is used again."""
+        self._threads.shutdown()
+        self._start_threads()
 
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents; call :meth:`reset` afterwards.

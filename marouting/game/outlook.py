@@ -64,7 +64,7 @@ from marouting.game.expected import (
 from marouting.game.rules import is_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static
 from marouting.game.tasks import holds, is_later, is_on
-from marouting.game.window import MOST_RADIUS, write_numbers
+from marouting.game.window import MOST_RADIUS, move_order, write_numbers
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole
@@ -72,6 +72,9 @@ from marouting.problem.problem import Problem
 
 _NUMBERS, _DETOURS, _CROSSED, _PIN, _PINS = 16, 12, 8, 7, 5
 _FIXED = _NUMBERS + _DETOURS + _CROSSED + _PIN * _PINS
+DETOURS = _NUMBERS
+"""Where the block ``detour`` begins in a row."""
+
 _UNIT = 4  # the cost of an edge, so that the cost of scarcity has steps below it
 _OVERFLOW = 32 * _UNIT
 _SCARCE = 4 * _UNIT
@@ -182,6 +185,17 @@ class OutlookObservation:
         known = engine.static, engine.dynamic, maps_of(engine), ways_of(engine)
         if not _write(*known, self.radius, self.margin, problems, agents, out):
             raise ValueError(f"expected agents of the games, found {problems}, {agents}")
+
+    def move_order(self, obs: NDArray[np.float32]) -> NDArray[np.int64]:
+        """The moves on the grid that the moves of the frame are, for what learns in the frame.
+
+        Args:
+            obs: (K, size) float32, what agents saw.
+
+        Returns:
+            (K, 6) int64; see :func:`marouting.game.window.move_order`.
+        """
+        return move_order(obs)
 
 
 # --- the cheapest ways ----------------------------------------------------------------------------

@@ -38,8 +38,10 @@ done have no open tasks and no share in the predicted demand.
 
 Predicted demand is explained in :mod:`marouting.game.expected`. The agent's own is not counted.
 
-Moves are those of the grid, whatever the window's directions. :func:`mirrored` turns moves of the
-window into moves of the grid and back; :func:`move_order` does it for masks and values::
+The moves of environments are those of the grid, whatever the window's directions. :func:`mirrored`
+turns moves of the window into moves of the grid and back; :func:`move_order` does it for masks and
+values. Trainings and trained policies do so by themselves: their networks choose among the moves of
+the window and need not learn the mirror (:meth:`WindowObservation.move_order`)::
 
     from marouting.game.window import mirrored, move_order
 
@@ -211,6 +213,17 @@ class WindowObservation:
         maps = maps_of(engine)
         if not _window(engine.static, engine.dynamic, maps, self._where, problems, agents, out):
             raise ValueError(f"expected agents of the games, found {problems}, {agents}")
+
+    def move_order(self, obs: NDArray[np.float32]) -> NDArray[np.int64]:
+        """The moves on the grid that the moves of the window are, for what learns in the window.
+
+        Args:
+            obs: (K, size) float32, what agents saw.
+
+        Returns:
+            (K, 6) int64; see :func:`move_order`.
+        """
+        return move_order(obs)
 
     def state_space(self, problems: Sequence[Problem], overflow: bool) -> Box:
         """The space of :meth:`state`."""

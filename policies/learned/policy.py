@@ -16,6 +16,7 @@ from torch import nn
 from marouting import EnvOptions, InputError, Problem, Solution
 from marouting.config import MOST, build, piece
 from marouting.game.engine import Engine
+from marouting.game.observation import has_move_order, move_order_of
 from marouting.options import ORDERS
 from marouting.player import Player
 from marouting.source import Draws
@@ -24,7 +25,7 @@ from policies.learned.learner import best_moves, play_steps
 
 
 def player_of(env: EnvOptions, problems: Sequence[Problem] | Draws) -> Player:
-    """What plays problems as a configuration's ``env`` says.
+    """What plays problems as a configuration's ``env`` says, by the observation's own moves.
 
     Args:
         env: the options.
@@ -38,7 +39,8 @@ def player_of(env: EnvOptions, problems: Sequence[Problem] | Draws) -> Player:
     held = problems.problems.tolist() if isinstance(problems, Draws) else problems
     engine = Engine(held, env, room=room, turn_order=env.turn_order or ORDERS[env.agents])
     observation, reward = env.observation.make(), env.reward.make()
-    return Player(engine, observation, reward, everyone=env.agents == "multi", draws=draws)
+    everyone = env.agents == "multi"
+    return Player(engine, observation, reward, everyone=everyone, draws=draws, turned=True)
 
 
 def _check_weights(weights: Mapping[str, Any], module: nn.Module) -> None:
@@ -84,6 +86,7 @@ class TrainedPolicy:
     ) -> None:
         self.module, self.masking = module, masking
         self.obs_shape, self.env, self.origin = obs_shape, env, origin
+        self._observation = env.observation.make()
 
     @staticmethod
     def load(path: str | os.PathLike[str], name: str | None = None) -> "TrainedPolicy":
@@ -138,10 +141,19 @@ class TrainedPolicy:
         return int(self.moves(observation[None], mask[None])[0])
 
     def moves(self, observations: NDArray[np.float32], masks: NDArray[np.int8]) -> NDArray[np.int8]:
-        """(K,) int8 best moves for observations (K, *S) and masks (K, 6)."""
+        """(K,) int8 best moves for observations (K, *S) and masks (K, A) as environments show them.
+
+        Masks and moves are those of the grid, also where the network chooses among an observation's
+        own moves.
+        """
         with torch.no_grad():
             ratings = self.module(torch.from_numpy(observations))
-        return best_moves(ratings, masks if self.masking else None)
+        if not has_move_order(self._observation):
+            return best_moves(ratings, masks if self.masking else None)
+        order = move_order_of(self._observation, observations, masks.shape[1])
+        turned = np.take_along_axis(masks, order, -1)
+        best = best_moves(ratings, turned if self.masking else None)
+        return np.take_along_axis(order, best[:, None].astype(np.int64), -1)[:, 0].astype(np.int8)
 
     def check(self, problem: Problem) -> Player:
         """What plays a problem, in the game that the policy was trained in.

@@ -193,7 +193,8 @@ class Trainer:
             if moves is None:
                 chance.epsilon_greedy(b, nothing, masking)
             else:
-                b.actions.reshape(-1)[:] = moves.moves(game, b.agents.reshape(-1))
+                asked = moves.moves(game, b.agents.reshape(-1))
+                b.actions[:] = player.actions_of(asked.reshape(b.actions.shape))
             b.actions[filled] = NOBODY
             before = Before.of(player)
             player.step()

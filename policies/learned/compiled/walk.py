@@ -3,6 +3,8 @@
 It plays the game in turn order with the observation ``outlook``. While one net walks, the predicted
 demand of the others and the cheapest ways stay as they are, so they are found once a task; this is
 what makes it many times as fast as the same policy through the player.
+
+An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way.
 """
 
 from typing import Any, NamedTuple
@@ -12,7 +14,14 @@ from numpy.typing import NDArray
 
 from marouting.game.engine import Engine
 from marouting.game.expected import Maps, maps_of, refresh
-from marouting.game.outlook import OutlookObservation, Ways, find_ways, ways_of, write_outlook
+from marouting.game.outlook import (
+    DETOURS,
+    OutlookObservation,
+    Ways,
+    find_ways,
+    ways_of,
+    write_outlook,
+)
 from marouting.game.rules import free_moves, move_player, pass_turn, settle_agent
 from marouting.game.state import NOBODY, Dynamic, Static
 from marouting.kernels import allocating, compiled, inlined, place, wide
@@ -65,7 +74,7 @@ def make_walk(
 
 
 def walk(engine: Engine, given: Walk, steps: int, stops: bool) -> bool:
-    """Plays all games on.
+    """Plays games on.
 
     Args:
         engine: the games, in turn order.
@@ -80,6 +89,18 @@ def walk(engine: Engine, given: Walk, steps: int, stops: bool) -> bool:
     return bool(_walk(static, dynamic, maps_of(engine), ways_of(engine), given, steps, stops))
 
 
+def walk_on(engine: Engine, given: Walk) -> None:
+    """Begins the next rip-up in games that have stopped."""
+    _walk_on(engine.static, engine.dynamic, given)
+
+
+@compiled
+def _walk_on(static: Static, dynamic: Dynamic, given: Walk) -> None:
+    for m in range(len(given.playing)):
+        if given.playing[m] and dynamic.games[m].active == 0:
+            pass_turn(static, dynamic, wide(m))
+
+
 @inlined
 def _in_frame(rows: Any, row: int, move: int) -> int:
     """A move of the grid as a move of the frame of a row, or the other way round."""
@@ -88,11 +109,17 @@ def _in_frame(rows: Any, row: int, move: int) -> int:
 
 
 @inlined
-def _choose(given: Walk, m: int, row: int, free: int, at: int) -> int:
+def _choose(given: Walk, m: int, row: int, free: int, at: int, late: bool) -> int:
     """The move on the grid that a row takes; its scores begin at ``at``.
 
     A draw adds to every score −log(−log(u)) times the temperature, for u in (0, 1) (Gumbel).
     """
+    if late:
+        cheapest = wide(0)
+        for way in range(1, MOVES):
+            if given.rows[row, DETOURS + way] < given.rows[row, DETOURS + cheapest]:
+                cheapest = wide(way)
+        return _in_frame(given.rows, row, cheapest)
     best, most = wide(0), np.float32(-np.inf)
     for way in range(MOVES):
         move = _in_frame(given.rows, row, wide(way))
@@ -134,7 +161,8 @@ def _walk(
             m = place(given.game[row])
             n = place(dynamic.games[m].agent)
             free = free_moves(static, dynamic, m, n)
-            move = _choose(given, m, wide(row), free, at + row * given.sizes[-1])
+            late = 4 * wide(dynamic.agents[m, n].steps) >= static.max_steps
+            move = _choose(given, m, wide(row), free, at + row * given.sizes[-1], late)
             given.counters[m] += 1
             _step(static, dynamic, m, n, move, stops)
     return False
