@@ -1,5 +1,11 @@
 """What is made for single libraries; each test runs where its library is installed."""
 
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
@@ -284,3 +290,46 @@ def test_benchmarl_takes_the_task() -> None:
     steps = env.rollout(100, break_when_all_done=True)
     assert steps.shape[1] <= task.max_steps(env)
     assert set(task.log_info(steps)) == {"collection/info/joined", "collection/info/overflow"}
+
+
+# Recipes ------------------------------------------------------------------------------------------
+
+RECIPES = Path(__file__).resolve().parents[1] / "docs" / "examples" / "libraries"
+RUNS = {
+    "sb3_gymnasium ppo": "stable_baselines3",
+    "sb3_gymnasium dqn": "stable_baselines3",
+    "sb3_supersuit": "stable_baselines3",
+    "sb3_masked": "sb3_contrib",
+    "torchrl_ippo": "torchrl",
+    "benchmarl_task ippo": "benchmarl",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("run", RUNS)
+def test_a_recipe_joins_the_nets(run: str) -> None:
+    if importlib.util.find_spec(RUNS[run]) is None:
+        pytest.skip(f"{RUNS[run]} is not installed")
+    name, *words = run.split()
+    done = subprocess.run(
+        [sys.executable, RECIPES / f"{name}.py", *words],
+        capture_output=True,
+        text=True,
+        timeout=900,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    *_, (_, seconds, joined) = re.findall(r"^(\d+) (\d+) ([\d.]+)$", done.stdout, re.MULTILINE)
+    assert float(joined) >= 0.95
+    assert int(seconds) <= 300
+
+
+def test_every_recipe_is_listed_and_short() -> None:
+    page = (RECIPES.parents[1] / "libraries.md").read_text(encoding="utf-8")
+    files = {file.stem: file for file in RECIPES.glob("*.py")}
+    assert set(files) == {run.split()[0] for run in RUNS}
+    for name, file in files.items():
+        assert f"(examples/libraries/{name}.py)" in page
+        assert len(file.read_text(encoding="utf-8").splitlines()) <= 60, name
+    for link in re.findall(r"\]\(([^)#]+)\)", page):
+        assert link.startswith("https://") or (RECIPES.parents[1] / link).exists(), link

@@ -17,7 +17,7 @@ from marouting.kernels import compiled, wide
 from marouting.problem import ispd
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.net import MAX_NUMBER, FieldError
-from marouting.problem.problem import Problem
+from marouting.problem.problem import Problem, check_problem
 from marouting.problem.segments import covered_edges, longest_segments
 
 
@@ -153,6 +153,7 @@ class Solution:
             InputError: the file cannot be read, is not of this format, or does not fit the
                 problem; the message names the file, the line, and what was expected.
         """
+        check_problem(problem)
         record = ispd.read_solution(path, ((net.name, net.id) for net in problem.nets))
         try:
             segment, edge = covered_edges(problem, record.points)
@@ -236,8 +237,14 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
         Its quality.
 
     Raises:
-        InputError: the solution belongs to a problem with another grid or other nets.
+        InputError: the solution belongs to a problem with another grid or other nets, or these are
+            no problem and solution.
     """
+    check_problem(problem)
+    if not isinstance(solution, Solution):
+        raise InputError(
+            f"solution: expected a Solution, as Solution.read gives, found {solution!r}"
+        )
     own = solution.problem
     if own is not problem and (own.grid, own.origin, own.tile, own.nets) != (
         problem.grid,
