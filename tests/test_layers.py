@@ -18,8 +18,8 @@ from marouting import registry
 ROOT = Path(marouting.__file__).parent
 FILES = sorted(ROOT.rglob("*.py"))
 UPSTAIRS = {"policies", "torch"}
-OPTIONAL = {"matplotlib"}
-"""What a window may import when it opens, and nothing before."""
+OPTIONAL = {"klayout", "matplotlib"}
+"""What a design that is read, or a window that opens, may import, and nothing before."""
 
 LIBRARIES: dict[str, set[str]] = {
     "__init__": set(),

@@ -354,8 +354,8 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
 
 
 def _is_problem(path: Path) -> bool:
-    """Whether a file is a problem: all formats begin with the size of the grid."""
-    if path.suffix == ".gr":
+    """Whether a file is a problem, by its name or because it begins with the size of the grid."""
+    if path.suffix in (".gr", ".def", ".cap"):
         return True
     try:
         with path.open("rb") as file:

@@ -159,7 +159,7 @@ def set_costs(
                             present,
                             kind,
                         )
-                        if cost >= limit:
+                        if cost >= limit or problem.capacity[edge] < 0:
                             cost = wide(CLOSED)
                     set_cost(lattice, point, axis, cost)
                 point += 1
