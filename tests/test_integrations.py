@@ -71,6 +71,25 @@ def test_the_vector_is_that_of_single_environments(options: dict[str, object]) -
     plain.close()
 
 
+def test_the_vector_draws_problems() -> None:
+    options = {"scenario": "toy-4x4-v0", "max_steps": 4}
+    env = gymnasium.make_vec(ENVIRONMENT_ID, 3, **options)
+    plain = gymnasium.make_vec(ENVIRONMENT_ID, 3, vectorization_mode="sync", **options)
+    _, first = env.reset(seed=5)
+    _, expected = plain.reset(seed=5)
+    assert first["problem"].dtype == expected["problem"].dtype
+    played = set(first["problem"])
+    assert len(played) == 3
+    for _ in range(200):
+        *_, infos = env.step(np.zeros(3, np.int64))
+        if "problem" in infos:
+            found = infos["problem"][infos["_problem"]].tolist()
+            assert not played & set(found)
+            played |= set(found)
+    assert len(played) > 6
+    assert env.reset(seed=5)[1]["problem"].tolist() == first["problem"].tolist()
+
+
 def test_the_vector_says_what_it_cannot_use() -> None:
     for options, message in (
         ({"render_mode": "human"}, "render_mode: expected ansi, rgb_array or None"),
@@ -302,6 +321,7 @@ RUNS = {
     "sb3_masked": "sb3_contrib",
     "torchrl_ippo": "torchrl",
     "benchmarl_task ippo": "benchmarl",
+    "benchmarl_task iql": "benchmarl",
 }
 
 
