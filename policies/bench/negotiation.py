@@ -149,6 +149,12 @@ def summary(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
             )
 
 
+def write_rows(file: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Writes rows to a JSON file, one a line."""
+    lines = ",\n".join(json.dumps(row) for row in rows)
+    write_text(file, f"[\n{lines}\n]\n")
+
+
 @click.command()
 @click.option("--against", type=Path, help="An earlier checkout of this project.")
 @click.option("--families", default=",".join((*GENERATED, *SCENARIOS)), show_default=True)
@@ -165,14 +171,15 @@ def main(against: Path | None, families: str, seeds: int, seconds: str, out: Pat
         raise click.UsageError(str(error)) from None
     checkouts = {} if against is None else {"before": Checkout(against)}
     checkouts["now"] = Checkout(Path(__file__).resolve().parents[2])
-    rows = []
+    rows: list[dict[str, Any]] = []
     for row in measure(checkouts, families.split(","), seeds, times):
         rows.append(row)
         click.echo(json.dumps(row), err=True)
+        if len(rows) % 20 == 0:
+            write_rows(out, rows)
     for checkout in checkouts.values():
         checkout.close()
-    lines = ",\n".join(json.dumps(row) for row in rows)
-    write_text(out, f"[\n{lines}\n]\n")
+    write_rows(out, rows)
     click.echo("".join(summary(rows)), nl=False)
 
 
