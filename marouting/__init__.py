@@ -53,7 +53,11 @@ __all__ = [
 
 ENVIRONMENT_ID = "marouting/GlobalRouting-v0"
 
-gymnasium.register(ENVIRONMENT_ID, entry_point="marouting.env.single:GlobalRoutingSingle")
+gymnasium.register(
+    ENVIRONMENT_ID,
+    entry_point="marouting.env.single:GlobalRoutingSingle",
+    vector_entry_point="marouting.gym_vector:GlobalRoutingVector",
+)
 
 try:  # PettingZoo has a registry from version 1.27 on
     from pettingzoo import register as _register

@@ -349,7 +349,7 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> P
     unknown = [key for key in plainly if key not in known]
     try:
         if unknown and not varied:
-            raise InputError(_unknown_key(str(unknown[0]), known))
+            raise InputError(unknown_key(str(unknown[0]), known))
         options = build(schema, {k: v for k, v in plainly.items() if k not in unknown})
     except InputError as error:
         raise InputError(f"{where}.{error}" if where else str(error)) from None
@@ -487,7 +487,8 @@ def _prefix(where: str) -> str:
     return f"{where}: " if where else ""
 
 
-def _unknown_key(key: str, known: Sequence[str]) -> str:
+def unknown_key(key: str, known: Sequence[str]) -> str:
+    """The message about a key that is not one of those known."""
     close = difflib.get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
     expected = f"did you mean {close[0]}?" if close else f"expected one of {', '.join(known)}"
     return f"{key}: unknown key; {expected}"
@@ -502,7 +503,7 @@ def _explain(schema: type, error: ValidationError) -> str:
     path = [p for i, p in enumerate(loc) if not (p in tags and i and loc[i - 1] == "problem")]
     key = ".".join(path)
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-        return _unknown_key(key, _keys(schema, path[:-1]))
+        return unknown_key(key, _keys(schema, path[:-1]))
     message = first["msg"].replace("\n", " ").replace("Invalid JSON", "expected JSON")
     message = message.removeprefix("Value error, ").replace("Input should be", "expected")
     said = first["type"] in ("value_error", "json_invalid", "missing", "missing_argument")

@@ -26,6 +26,14 @@ class InputError(ValueError):
         super().__init__(line)
 
 
+class UnknownOption(InputError, TypeError):
+    """A keyword argument that an environment does not have.
+
+    It is the TypeError that Python raises as well, and says so in Python's words: some libraries
+    offer options of their own to every environment, and withdraw those that it refuses in this way.
+    """
+
+
 def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     """``did you mean …? `` with the known name that is most like another; empty if none is."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)

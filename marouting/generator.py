@@ -15,7 +15,15 @@ import numpy as np
 from marouting.errors import InputError
 from marouting.memory import ADJUSTMENT, NET, PIN, check_memory
 from marouting.problem.grid import AXES
-from marouting.problem.net import Adjustment, Net, Pin, check_numbers, is_whole, whole_numbers
+from marouting.problem.net import (
+    MAX_NUMBER,
+    Adjustment,
+    Net,
+    Pin,
+    check_numbers,
+    is_whole,
+    whole_numbers,
+)
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_grid
 from marouting.search.astar import sequential_astar
 
@@ -27,6 +35,25 @@ REDUCTION = 2
 
 ReducedPer = Literal["problem", "set"]
 """Whose A* solutions decide which edges are reduced."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Least:
+    """The smallest problems of a generator whose problems differ in size.
+
+    Attributes:
+        grid: columns, rows and layers of Gcells that can be used.
+        nets: nets per problem, if it uses the whole grid.
+        max_pins: the most pins of a net.
+        capacity: tracks of an edge.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    grid: tuple[int, int, int] = (4, 4, 1)
+    nets: int = 1
+    max_pins: int = 2
+    capacity: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +72,10 @@ class GeneratorOptions:
             the same edges reduced, those most used in all of them together.
         seed: seed of the random numbers, from 0; None: different ones every time, in an environment
             a new problem at every reset.
+        least: None: all problems are of the size above. Otherwise every problem has a size of its
+            own, drawn uniformly between ``least`` and the size above. It lies in a part of the
+            grid, in whose rest no edge has capacity, and has fewer nets in proportion to the part's
+            columns and rows.
 
     Raises:
         InputError: a value is out of range.
@@ -61,6 +92,7 @@ class GeneratorOptions:
     reduced_capacity: int | None = None
     reduced_per: ReducedPer = "problem"
     seed: int | None = 0
+    least: Least | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "grid", whole_numbers("grid", self.grid, 3))
@@ -78,6 +110,23 @@ class GeneratorOptions:
         check_choice("reduced_per", self.reduced_per, ReducedPer)
         if self.seed is not None and not (is_whole(self.seed) and self.seed >= 0):
             raise InputError(f"seed: expected a whole number from 0, found {self.seed!r}")
+        if self.least is not None:
+            self._check_least(self.least)
+
+    def _check_least(self, least: Least) -> None:
+        """Raises InputError unless all problems from ``least`` up to these options can be made."""
+        check_choice("least: reduced_per", self.reduced_per, Literal["problem"])
+        sides = whole_numbers("least.grid", least.grid, 3)
+        if any(not 1 <= a <= b for a, b in zip(sides, self.grid, strict=True)):
+            raise InputError(f"least.grid: expected 1 to {self.grid}, found {least.grid}")
+        try:
+            _ = replace(self, least=None, **vars(least))
+        except InputError as error:
+            raise InputError(f"least.{error}") from None
+        for name in ("nets", "max_pins", "capacity"):
+            low, high = getattr(least, name), getattr(self, name)
+            if low > high:
+                raise InputError(f"least.{name}: expected at most {high}, found {low}")
 
 
 def generate(
@@ -150,6 +199,9 @@ def generate_each(options: GeneratorOptions) -> Iterator[Problem]:
 
 def _each(options: GeneratorOptions) -> Iterator[Problem]:
     """See :func:`generate_each`, which checks before the first of them is asked for."""
+    if options.least is not None:
+        yield from _of_many_sizes(options, options.least)
+        return
     capacity = options.reduced_capacity
     if capacity is None:
         capacity = max(options.capacity - REDUCTION, 0)
@@ -173,10 +225,57 @@ def _each(options: GeneratorOptions) -> Iterator[Problem]:
             yield replace(problem, adjustments=adjustments)
 
 
+def _of_many_sizes(options: GeneratorOptions, least: Least) -> Iterator[Problem]:
+    """The problems of a generator whose problems differ in size."""
+    seed = np.random.SeedSequence(options.seed)
+    for number in range(options.count):
+        stream = np.random.SeedSequence(seed.entropy, spawn_key=(number,))
+        rng = np.random.default_rng(stream)
+        low = [*least.grid, least.nets, least.max_pins, least.capacity]
+        high = [*options.grid, options.nets, options.max_pins, options.capacity]
+        *part, nets, max_pins, capacity = rng.integers(low, np.add(high, 1)).tolist()
+        share = part[0] * part[1] / (options.grid[0] * options.grid[1])
+        inner = replace(
+            options,
+            count=1,
+            grid=tuple(part),
+            nets=max(round(nets * share), 1),
+            max_pins=max_pins,
+            capacity=capacity,
+            seed=int(rng.integers(MAX_NUMBER)),
+            least=None,
+        )
+        yield _within(next(_each(inner)), options.grid)
+
+
+def _within(problem: Problem, grid: tuple[int, int, int]) -> Problem:
+    """A problem in the corner of a larger grid, in whose rest no edge has capacity."""
+    more = grid[2] - problem.grid[2]
+    whole = replace(
+        problem,
+        grid=grid,
+        vertical_capacity=(*problem.vertical_capacity, *[0] * more),
+        horizontal_capacity=(*problem.horizontal_capacity, *[0] * more),
+        min_width=(*problem.min_width, *[1] * more),
+        min_spacing=(*problem.min_spacing, *[0] * more),
+        via_spacing=(*problem.via_spacing, *[0] * more),
+    )
+    outside = np.flatnonzero((whole.capacity > 0) & (whole.capacity < UNLIMITED))
+    position = whole.topology.position
+    near, far = (position[end] for end in whole.topology.ends(outside))
+    beyond = (np.maximum(near, far)[:, :2] >= problem.grid[:2]).any(axis=1)
+    closed = tuple(
+        Adjustment(*_gcell(a), *_gcell(b), 0)
+        for a, b in zip(near[beyond], far[beyond], strict=True)
+    )
+    return replace(whole, adjustments=problem.adjustments + closed)
+
+
 def _size(options: GeneratorOptions) -> float:
     """About what a problem takes in memory, in bytes."""
     pins = (2 + options.max_pins) / 2
-    edges = min(options.reduced_edges, AXES * math.prod(options.grid))
+    most = AXES * math.prod(options.grid)
+    edges = most if options.least else min(options.reduced_edges, most)
     return options.nets * (NET + PIN * pins) + ADJUSTMENT * edges
 
 

@@ -6,10 +6,10 @@ from the edges that they cross, so the nets have to share it.
 | | |
 |---|---|
 | Import | `from marouting import global_routing_v0` |
-| Agents | `net_0`, `net_1`, …: every net; nets with all pins in one Gcell never take part |
+| Agents | `net_0`, `net_1`, …: every net; those with all pins in one Gcell are in `idle_nets` |
 | Actions | Discrete(6): EAST +x, WEST −x, NORTH +y, SOUTH −y, UP +z, DOWN −z |
 | Observation | Box(12), float32: x, y, z; dx, dy, dz to the target; six remaining capacities |
-| Action mask | `info["action_mask"]`, int8 of length 6 |
+| Action mask | `info["action_mask"]` and `action_mask(agent)`, int8 of length 6 |
 | State | Box(X, Y, 5 Z), float32 |
 | Reward | +100 for reaching the target pin, −1 for any other move |
 | Parallel | yes, natively |

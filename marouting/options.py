@@ -1,12 +1,13 @@
 """The options of an environment: the ``env:`` part of a configuration."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Tag
 
-from marouting.config import Named, build, check, piece_field, take_pieces
+from marouting.config import Named, build, check, piece_field, take_pieces, unknown_key
+from marouting.errors import UnknownOption
 from marouting.game.options import RuleOptions, TurnOrder
 from marouting.generator import GeneratorOptions
 from marouting.scenarios import Split, get
@@ -58,11 +59,14 @@ class GameOptions(RuleOptions):
             :mod:`marouting.game.observation`.
         reward: what moves pay, given in the same ways. See :mod:`marouting.game.reward`.
         agents_persist: whether agents that are done stay among ``agents`` until all are done, with
-            rewards of 0 and a mask whose only move does nothing, and all end together. All nets
-            take part then, also those with nothing to route. For PettingZoo's interfaces, and
+            rewards of 0 and a mask whose only move does nothing, and all end together. Of several
+            problems, the agents of all take part in each. For PettingZoo's interfaces, and
             libraries that cannot do with agents that leave.
         mask_in_observation: whether observations are ``{"observation", "action_mask"}``; the mask
             is in ``info["action_mask"]`` either way.
+        observation_key: the name of the observation beside its mask, where a library wants another
+            (RLlib: ``observations``).
+        mask_key: the name of the mask, likewise, in observation and info.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
     """
 
@@ -73,6 +77,8 @@ class GameOptions(RuleOptions):
     reward: Named = piece_field("reward", "paper")
     agents_persist: bool = False
     mask_in_observation: bool = False
+    observation_key: str = "observation"
+    mask_key: str = "action_mask"
     render_mode: RenderMode | None = None
 
     @property
@@ -94,6 +100,7 @@ class GameOptions(RuleOptions):
             defined = {method for base in given.cls.__mro__ for method in vars(base)}
             what = f"an object that has {' and '.join(methods)}, found {given.name}"
             check(name, defined.issuperset(methods), what)
+        check("mask_key", self.mask_key != self.observation_key, "a name of its own")
 
 
 ORDERS: dict[Agents, TurnOrder] = {"single": "sequential", "multi": "round_robin"}
@@ -119,8 +126,14 @@ def game_options(options: Mapping[str, Any]) -> GameOptions:
         options: fields of :class:`GameOptions`; ``observation`` and ``reward`` may also be objects.
 
     Raises:
+        UnknownOption: there is no such option.
         InputError: an option cannot be used; the message names it and what was expected.
     """
+    known = [field.name for field in fields(GameOptions)]
+    for name in options:
+        if name not in known:
+            what = f"got an unexpected keyword argument {name!r}"
+            raise UnknownOption(f"{unknown_key(name, known)} ({what})")
     plain = dict(options)
     for name in ("observation", "reward"):
         check(name, plain.get(name, name) is not None, "a name, a mapping or an object, found None")

@@ -24,8 +24,14 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.game.engine import Engine
-from marouting.game.observation import Observation, PaperObservation, write_paper
-from marouting.game.reward import PaperReward, Reward, paper_reward
+from marouting.game.observation import (
+    Observation,
+    PaperObservation,
+    has_move_order,
+    move_order_of,
+    write_paper,
+)
+from marouting.game.reward import KNOWN, PaperReward, Reward, paper_reward
 from marouting.game.rules import (
     free_moves,
     may_move,
@@ -56,6 +62,7 @@ from marouting.game.tasks import wait
 from marouting.kernels import bound, compiled, inlined, place, wide
 from marouting.memory import check_memory
 from marouting.problem.grid import MOVES
+from marouting.source import Draws
 
 
 class StepBuffers(NamedTuple):
@@ -122,7 +129,7 @@ class Known(NamedTuple):
     observation: bool  # whether the observation is the paper's
     reward: bool  # whether the reward is the paper's
     via_capacity: float  # see PaperObservation
-    prices: NDArray[np.float32]  # (4, 3) see PaperReward.table
+    prices: NDArray[np.float32]  # (5, 3) see PaperReward.table
     overflow_price: float  # see PaperReward
 
 
@@ -131,6 +138,7 @@ class Saved(NamedTuple):
 
     dynamic: Dynamic
     buffers: StepBuffers
+    counts: NDArray[np.int64] | None = None  # (M,) see Draws; None where problems stay
 
 
 class Player:
@@ -142,6 +150,11 @@ class Player:
         reward: what moves pay.
         everyone: whether all agents have a row, or only the one whose turn it is.
         buffers: the arrays to use; None: new ones.
+        draws: what the games play, another problem in every episode; the engine plays the present
+            ones and has room for the others. None: the engine's problems stay.
+        turned: whether actions and masks are in the order of an observation's own moves, if it has
+            one (:func:`marouting.game.observation.move_order_of`), as learners want them, and not
+            in that of the grid.
 
     Attributes:
         engine: the games.
@@ -149,6 +162,8 @@ class Player:
         reward: what moves pay.
         everyone: whether all agents have a row.
         buffers: see :class:`StepBuffers`.
+        draws: what the games play; None: the engine's problems stay.
+        turned: whether actions and masks are in the order of the observation's own moves.
         known: what the compiled step knows about the pieces.
         paid: (M, N) float32, what the last step paid every agent. None with the paper's reward,
             which pays only the agent that moves.
@@ -162,17 +177,23 @@ class Player:
         *,
         everyone: bool = True,
         buffers: StepBuffers | None = None,
+        draws: Draws | None = None,
+        turned: bool = False,
     ) -> None:
         self.engine, self.observation, self.reward = engine, observation, reward
-        self.everyone = everyone
+        self.turned = turned and has_move_order(observation)
+        self.everyone, self.draws = everyone, draws
         problems, agents = engine.nets.shape
         if buffers is None:
-            shape = observation.space(engine.problems, engine.static.overflow_allowed).shape
+            bounds = draws.episodes.bounds if draws else engine.problems
+            shape = observation.space(bounds, engine.static.overflow_allowed).shape
             rows = agents if everyone else 1
             buffers = StepBuffers.of(problems, rows, shape, engine.actions)
         self.buffers = buffers
         looks = observation if type(observation) is PaperObservation else PaperObservation()
-        pays = reward if type(reward) is PaperReward else PaperReward()
+        pays = PaperReward()
+        if isinstance(reward, PaperReward) and type(reward) in KNOWN:
+            pays = reward
         self.known = Known(
             everyone,
             looks is observation,
@@ -222,6 +243,7 @@ class Player:
         if which is None:
             which = np.ones(len(over), np.bool_)
         if self.compiled:
+            self._draw(which)
             were_over = over.copy()
             over[:] = which
             self._step(*self._arguments, False, True)
@@ -232,6 +254,7 @@ class Player:
         nobody = np.full(len(over), NOBODY, np.int32)
         self._settle(*self._arguments, which, nobody, _NOT)
         self._look(which)
+        self._turn_masks()
 
     def step(self, restart: bool = False) -> None:
         """Makes the moves in ``buffers.actions``, in turn order, and fills the other arrays.
@@ -241,7 +264,15 @@ class Player:
                 episode instead.
         """
         if self.compiled:
+            if restart:
+                self._draw(self.buffers.over)
             self._step(*self._arguments, True, restart)
+        elif self.turned:
+            chosen = self.buffers.actions.copy()
+            self.buffers.actions[:] = self._on_the_grid(chosen)
+            self._step_in_parts(restart)
+            self.buffers.actions[:] = chosen  # learners remember what they chose
+            self._turn_masks()
         else:
             self._step_in_parts(restart)
 
@@ -250,15 +281,31 @@ class Player:
         part = copy.copy(self)
         part.engine = self.engine.part(which)
         part.buffers = StepBuffers._make(array[which] for array in self.buffers)
+        part.draws = self.draws and self.draws.part(which)
         part._bind()
         return part
 
     def save(self) -> Saved:
         """A copy of the state of all games, for :meth:`restore`."""
-        return Saved(self.engine.save(), StepBuffers._make(a.copy() for a in self.buffers))
+        buffers = StepBuffers._make(array.copy() for array in self.buffers)
+        counts = None if self.draws is None else self.draws.counts.copy()
+        return Saved(self.engine.save(), buffers, counts)
+
+    def go_to(self, counts: NDArray[np.int64]) -> None:
+        """Puts the problems in place that games play when they have begun (M,) episodes.
+
+        Raises:
+            ValueError: the problems of these games stay, or the shape does not fit.
+        """
+        if self.draws is None or counts.shape != self.draws.counts.shape:
+            raise ValueError(f"counts: expected those of other games, found shape {counts.shape}")
+        self._replace(self.draws.go_to(counts))
 
     def check_saved(self, saved: Saved) -> None:
-        """Raises ValueError unless a state can be one of these games, wherever it is from."""
+        """Raises ValueError unless a state can be one of these games, wherever it is from.
+
+        Where games draw their problems, those of the state have to be in place; see :meth:`go_to`.
+        """
         self.engine.check_saved(saved.dynamic)
         b = saved.buffers
         if self.everyone:
@@ -283,10 +330,56 @@ class Player:
 
     def restore(self, saved: Saved) -> None:
         """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
+        if saved.counts is not None or self.draws is not None:
+            self.go_to(np.zeros(0, np.int64) if saved.counts is None else saved.counts)
         self.engine.restore(saved.dynamic)
         for name in StepBuffers._fields:
             getattr(self.buffers, name)[...] = getattr(saved.buffers, name)
         self._mirror(slice(None))
+
+    # --- moves of the observation -------------------------------------------------------------
+
+    def actions_of(self, moves: NDArray[np.integer]) -> NDArray[np.int8]:
+        """The actions for ``buffers.actions`` that stand for moves on the grid, both (M, K)."""
+        if not self.turned:
+            return moves.astype(np.int8)
+        order = self._order()
+        place = np.argsort(order, axis=-1)  # the other way round
+        return _picked(place, moves)
+
+    def _on_the_grid(self, actions: NDArray[np.int8]) -> NDArray[np.int8]:
+        """The moves on the grid (M, K) that actions of the observation (M, K) are."""
+        return _picked(self._order(), actions)
+
+    def _order(self) -> NDArray[np.int64]:
+        """(M, K, A), see :func:`marouting.game.observation.move_order_of`."""
+        b = self.buffers
+        obs = b.obs.reshape(-1, *b.obs.shape[2:])
+        return move_order_of(self.observation, obs, self.engine.actions).reshape(b.mask.shape)
+
+    def _turn_masks(self) -> None:
+        """Puts masks that have just been written for all rows in the order of the observation."""
+        if self.turned:
+            self.buffers.mask[:] = np.take_along_axis(self.buffers.mask, self._order(), -1)
+
+    # --- problems that change -----------------------------------------------------------------
+
+    def _draw(self, which: NDArray[np.bool_]) -> None:
+        """Before episodes begin, where ``which`` (M,) is true: puts their problems in place."""
+        if self.draws is not None:
+            self._replace(self.draws.go_to(self.draws.counts + which))
+
+    def _replace(self, games: list[int]) -> None:
+        """Puts the drawn problems of some games in place of the others."""
+        b = self.buffers
+        for m in games:
+            assert self.draws is not None
+            self.engine.replace(m, self.draws.problems[m])
+            if self.everyone:
+                b.agents[m] = self.engine.agents_of(m)
+            # Rows of agents that are no longer there.
+            for seen, mask in ((b.obs, b.mask), (b.final_obs, b.final_mask)):
+                seen[m], mask[m] = 0, 1
 
     # --- any pieces ---------------------------------------------------------------------------
 
@@ -304,6 +397,7 @@ class Player:
     def _start(self, which: NDArray[np.bool_]) -> None:
         """Starts episodes, in which nobody has acted yet."""
         b = self.buffers
+        self._draw(which)
         self.engine.reset(which)
         self._mirror(which)
         b.acted[which] = b.over[which] = b.terminated[which] = b.truncated[which] = False
@@ -427,7 +521,11 @@ class Player:
         out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
         self.observation.write(engine, problems, agents, out)
         b.final_obs[rows] = out
-        b.final_mask[rows] = engine.masks(problems, agents)
+        masks = engine.masks(problems, agents)
+        if self.turned:
+            order = move_order_of(self.observation, out, engine.actions)
+            masks = np.take_along_axis(masks, order, -1)
+        b.final_mask[rows] = masks
         if self._before is not None:
             for array, at, kept in moved:
                 array[at] = kept
@@ -454,6 +552,12 @@ class Player:
         out = np.empty((int(rows.sum()), *obs.shape[1:]), np.float32)
         self.observation.write(engine, problems[rows], agents[rows], out)
         obs[rows] = out
+
+
+def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.int8]:
+    """(M, K) the entries of orders (M, K, A) at moves (M, K); no move stays none."""
+    found = np.take_along_axis(order, np.maximum(moves, 0)[..., None].astype(np.int64), -1)
+    return np.where(moves == NOBODY, NOBODY, found[..., 0]).astype(np.int8)
 
 
 @compiled

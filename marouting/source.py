@@ -1,5 +1,6 @@
 """The forms in which a problem can be given."""
 
+import copy
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -7,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from marouting.config import build, check
 from marouting.errors import InputError
+from marouting.game.setup import Room
 from marouting.generator import GeneratorOptions, generate_from
 from marouting.options import SMALL, GameOptions
-from marouting.problem.net import MAX_NUMBER
+from marouting.problem.net import MAX_NUMBER, is_whole
 from marouting.problem.problem import Problem
 from marouting.scenarios import Scenario, Split, get
 
@@ -94,7 +97,8 @@ def fixed_problems(options: GameOptions) -> dict[str, Problem]:
     if options.split == "train":
         raise InputError(
             f"split: expected validation or test, found train: of {options.scenario} there is no "
-            "end of training problems, and these are to be known beforehand"
+            "end of training problems, and these are to be known beforehand; a training draws "
+            "them with train.shared: true and train.games"
         )
     return get(options.scenario).problems(options.split)
 
@@ -118,30 +122,47 @@ def load_problem(source: Source) -> Problem:
 class Episodes:
     """The problems that an environment plays, one per episode.
 
+    Every problem that may be drawn has a number, from which it can be made again.
+
     Args:
         source: one problem; several, of which every episode plays one drawn at random; or options
             of the generator with ``seed=None``, by which every episode plays a new one.
         scenario: the name of a scenario, in place of a source.
         split: which problems of the scenario: every episode plays a new one of ``train``, or one
             drawn at random of ``validation`` or ``test``.
+        held_out: how many of the first numbers are never drawn, where every episode plays a new
+            problem of a generator.
 
     Attributes:
         problems: those known beforehand, by name; where every episode plays a new one, an example.
         bounds: problems of which one has at least as many nets, and one at least as much capacity,
             as any that will be played.
+        room: room for any problem that will be played.
         many: whether there are several.
+        nets: the numbers of the nets that have something to route in at least one of them.
 
     Raises:
         InputError: a problem cannot be used, their grids differ, or there is no such scenario.
     """
 
-    def __init__(self, source: Source, scenario: str | None = None, split: Split = "train") -> None:
+    def __init__(
+        self,
+        source: Source,
+        scenario: str | None = None,
+        split: Split = "train",
+        *,
+        held_out: int = 0,
+    ) -> None:
+        self._held_out = held_out
         self._drawn: GeneratorOptions | Scenario | None = None
         if scenario is not None:
             check("problem", source is None, "none beside a scenario, which has its own")
             found, self.many = get(scenario), True
             # The same bounds in every split: what learns in one can play in the others.
             self.bounds = [found.largest]
+            largest = found.level.nets[1]
+            self.room = Room(largest, largest * found.level.max_pins[1])
+            self.nets = list(range(len(found.largest.nets)))
             if split == "train":
                 self._drawn, self.problems = found, {"example": found.largest}
             else:
@@ -154,25 +175,133 @@ class Episodes:
                 raise InputError(f"problem.count: expected {most}, found {source.count}")
             if source.seed is None:
                 self._drawn = source
-                source = replace(source, seed=0)
+                source = replace(source, seed=0, least=None)  # as large as any of them
         self.problems = load_problems(source)
         self.many = self._drawn is not None or len(self.problems) > 1
         grids = {problem.grid for problem in self.problems.values()}
         if len(grids) > 1:
             raise InputError(f"problem: expected one grid shape, found {sorted(grids)}")
+        nets: set[int] = set()
         for name, problem in self.problems.items():
-            if (np.diff(problem.flat_pin_gcells[0]) < 2).all():
+            routed = np.flatnonzero(np.diff(problem.flat_pin_gcells[0]) > 1)
+            if not len(routed):
                 raise InputError(f"{name}: expected a net with pins in two Gcells or more")
+            nets.update(routed.tolist())
+        self.nets = sorted(nets)
         # A generator's problems all have the same numbers of nets and of edges of each capacity.
         self.bounds = list(self.problems.values())
+        self.room = Room.of(self.bounds)
+        if isinstance(self._drawn, GeneratorOptions):
+            self.room = Room(self._drawn.nets, self._drawn.nets * self._drawn.max_pins)
+
+    @classmethod
+    def of(cls, problems: Mapping[str, Problem]) -> "Episodes":
+        """Episodes that each play one of some problems, which have names; raises InputError."""
+        found = cls(list(problems.values()))
+        found.problems = dict(problems)
+        return found
+
+    @property
+    def endless(self) -> bool:
+        """Whether every episode plays a new problem."""
+        return self._drawn is not None
+
+    def number(self, rng: np.random.Generator) -> int:
+        """Draws the number of a problem."""
+        if self._drawn is not None:
+            return self._held_out + int(rng.integers(MAX_NUMBER - self._held_out))
+        return int(rng.integers(len(self.problems))) if len(self.problems) > 1 else 0
+
+    def problem(self, number: int) -> tuple[str, Problem]:
+        """The problem with a number, and its name."""
+        if isinstance(self._drawn, Scenario):
+            return f"train_{number}", next(self._drawn.train(number))
+        if self._drawn is not None:
+            return f"seed_{number}", load_problem(replace(self._drawn, seed=number))
+        return list(self.problems.items())[number]
 
     def next(self, rng: np.random.Generator) -> tuple[str, Problem]:
         """The problem of the next episode and its name."""
-        if self._drawn is not None:
-            number = int(rng.integers(MAX_NUMBER))
-            if isinstance(self._drawn, Scenario):
-                return f"train_{number}", next(self._drawn.train(number))
-            return f"seed_{number}", load_problem(replace(self._drawn, seed=number))
-        names = list(self.problems)
-        name = names[int(rng.integers(len(names)))] if len(names) > 1 else names[0]
-        return name, self.problems[name]
+        return self.problem(self.number(rng))
+
+
+class Draws:
+    """The problems of M games that may all play another one in each of their episodes.
+
+    What a game plays in an episode depends on the seed, on the game's place and on the number of
+    the episode: not on the other games, and not on who asks first.
+
+    Args:
+        episodes: the problems to draw from.
+        seed: a whole number from 0, where the random numbers start.
+        games: M.
+
+    Attributes:
+        episodes: the problems to draw from.
+        counts: (M,) int64, the episodes that each game has begun.
+        problems: (M,) objects, the problem that each game plays; before its first episode, the one
+            that it will play.
+        names: (M,) objects, their names.
+
+    Raises:
+        InputError: the seed or the number of games is none.
+    """
+
+    def __init__(self, episodes: Episodes, seed: int, games: int) -> None:
+        whole = is_whole(games) and 1 <= games <= MOST_PROBLEMS
+        check("games", whole, f"a number from 1 to {MOST_PROBLEMS}, found {games!r}")
+        self.episodes = episodes
+        # In an array, because parts share it.
+        self._seed = np.array(_checked_seed(seed), object)
+        self.counts = np.zeros(games, np.int64)
+        self._games = np.arange(games)
+        self._numbers = np.array([self._number(m) for m in range(games)])
+        self.names, self.problems = np.empty((2, games), object)
+        for m, number in enumerate(self._numbers.tolist()):
+            self.names[m], self.problems[m] = episodes.problem(number)
+
+    def part(self, which: NDArray[np.integer] | slice) -> "Draws":
+        """The draws of some of the games (indices); with a slice, the two share their arrays."""
+        part = copy.copy(self)
+        for name in ("counts", "names", "problems", "_games", "_numbers"):
+            setattr(part, name, getattr(self, name)[which])
+        return part
+
+    def begin(self, seed: int, which: NDArray[np.bool_]) -> None:
+        """Takes another seed, and begins with the first episodes of the games in ``which`` (M,).
+
+        Raises:
+            InputError: it is no seed.
+        """
+        self._seed[...] = _checked_seed(seed)
+        self.counts[which] = 0
+
+    def go_to(self, counts: NDArray[np.integer]) -> list[int]:
+        """Goes to where each game has begun some number of episodes.
+
+        Args:
+            counts: (M,) the numbers.
+
+        Returns:
+            The games that play another problem now than before.
+        """
+        changed = []
+        for m in np.flatnonzero(counts != self.counts).tolist():
+            self.counts[m] = counts[m]
+            number = self._number(m)
+            if number != self._numbers[m]:
+                self._numbers[m] = number
+                self.names[m], self.problems[m] = self.episodes.problem(number)
+                changed.append(m)
+        return changed
+
+    def _number(self, m: int) -> int:
+        """The number of the problem that game m plays now, or will play first."""
+        episode = max(int(self.counts[m]) - 1, 0)
+        rng = np.random.default_rng([int(self._seed), int(self._games[m]), episode])
+        return self.episodes.number(rng)
+
+
+def _checked_seed(seed: int) -> int:
+    check("seed", is_whole(seed) and seed >= 0, f"a whole number from 0, found {seed!r}")
+    return int(seed)

@@ -1,17 +1,17 @@
 """Many problems at once, in arrays, for learners.
 
-In every step every net of every problem moves, or only the one whose turn it is. For Gymnasium's
-own interface to the latter, use ``gymnasium.make_vec``.
+In every step every net of every problem moves, or only the one whose turn it is. For the interface
+of Gymnasium's own vectors to the latter, use ``gymnasium.make_vec`` (:mod:`marouting.gym_vector`).
 """
 
-import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import numpy as np
 from gymnasium.error import ResetNeeded
+from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
@@ -24,6 +24,7 @@ from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 from marouting.scenarios import get
+from marouting.source import Draws, Episodes, Source
 
 _FIGURES = ("overflow", "wirelength", "joined", "steps")
 
@@ -43,25 +44,38 @@ class BatchEnv(EzPickle):
     ``AutoresetMode.NEXT_STEP``: that step ignores the problem's actions, its rewards are 0, and its
     observations are those of the new episode.
 
+    Problems stay the same in all episodes, or games play another one in each of their episodes::
+
+        BatchEnv(marouting.generate(8))                           # 8 problems that stay
+        BatchEnv(scenario="toy-4x4-v0", split="validation")       # all of a split, which stay
+        BatchEnv(8, scenario="toy-4x4-v0")                        # new ones, without end
+        BatchEnv(8, problem={"nets": 10, "seed": None})           # new ones of the generator
+        BatchEnv(8, problem="folder")                             # drawn from a set
+
     Args:
-        problems: the problems, all with the same grid shape. With a ``scenario`` of whose split
-            ``train`` problems are to be played: how many, the first of those that ``seed`` gives;
-            they stay the same in all episodes. None for all of another split.
+        problems: the problems, all with the same grid shape; they stay. A number M: so many games,
+            each of which draws a problem for every episode, from ``problem`` or the scenario. None:
+            all problems of a scenario's split ``validation`` or ``test``; they stay.
+        problem: what M games draw from: one problem, several of which one is drawn for every
+            episode, or a generator with ``seed=None``, which makes a new one; see
+            :data:`marouting.source.Source`.
         everyone: whether all agents have a row and move in every step.
         autoreset: whether the next episode starts when one is over.
         threads: number of threads among which the problems are divided; the results do not depend
             on it. Several threads may call your own observation or reward at the same time, each
             for its own problems.
-        seed: where a scenario's training problems start.
+        seed: a whole number from 0 that decides which problems are drawn. What a game plays in an
+            episode depends on the seed, on the game's place and on the number of the episode alone.
         **options: the fields of :class:`marouting.options.GameOptions` about the rules, the
             observation, the reward and the scenario; unless given, ``turn_order`` is
             ``round_robin`` for all agents and ``sequential`` for one row.
 
     Attributes:
         num_problems: M.
+        num_envs: M, under the name that Gymnasium's vectors have for it.
         num_agents: N, the number of agents of the largest problem.
-        present: (M, N) bool, whether there is an agent.
         single_observation_space: the space of one agent's observation, of shape S.
+        single_action_space: the space of one agent's actions.
         single_state_space: the space of one problem's global state; see :meth:`state`.
         engine: the engine, to be read.
 
@@ -73,6 +87,7 @@ class BatchEnv(EzPickle):
         self,
         problems: Sequence[Problem] | int | None = None,
         *,
+        problem: Source = None,
         everyone: bool = True,
         autoreset: bool = True,
         threads: int = 1,
@@ -82,6 +97,7 @@ class BatchEnv(EzPickle):
         EzPickle.__init__(
             self,
             problems,
+            problem=problem,
             everyone=everyone,
             autoreset=autoreset,
             threads=threads,
@@ -93,14 +109,23 @@ class BatchEnv(EzPickle):
         order = ORDERS["multi" if everyone else "single"]
         checked = game_options({"turn_order": order, **options})
         check("agents_persist", not checked.agents_persist, "false: all rows stay; see active")
-        self.engine = engine = Engine(_batch(problems, checked, seed), checked)
+        draws = _draws(problems, problem, checked, seed)
+        if draws is None:
+            self.engine = engine = Engine(_batch(problems, checked), checked)
+        else:
+            self.engine = engine = Engine(
+                draws.problems.tolist(), checked, room=draws.episodes.room
+            )
+        self._draws = draws
+        bounds = draws.episodes.bounds if draws else engine.problems
         self.autoreset, self._everyone = autoreset, everyone
         observation, reward = checked.observation.make(), checked.reward.make()
         overflow = engine.static.overflow_allowed
-        self.single_observation_space = observation.space(engine.problems, overflow)
-        self.single_state_space = state_space_of(observation, engine.problems, overflow)
+        self.single_observation_space = observation.space(bounds, overflow)
+        self.single_state_space = state_space_of(observation, bounds, overflow)
+        self.single_action_space = Discrete(engine.actions)
         self.num_problems, self.num_agents = engine.nets.shape
-        self.present = engine.tasks > 0
+        self.num_envs = self.num_problems
         self._buffers = StepBuffers.of(
             self.num_problems,
             self.num_agents if everyone else 1,
@@ -118,6 +143,7 @@ class BatchEnv(EzPickle):
                 reward,
                 everyone=everyone,
                 buffers=StepBuffers._make(array[part] for array in self._buffers),
+                draws=draws and draws.part(part),
             )
             for part in map(slice, cuts, cuts[1:])
         ]
@@ -129,14 +155,39 @@ class BatchEnv(EzPickle):
         self._process = os.getpid()
         self._threads = ThreadPoolExecutor(len(self._players))
 
-    def reset(self) -> tuple[NDArray[np.float32], Info]:
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """(M, N) bool, whether there is an agent."""
+        return self.engine.tasks > 0
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], Info]:
         """Starts the episodes of all problems.
+
+        Args:
+            seed: where games draw their problems, the new seed, with which they begin from their
+                first episodes; problems that stay know no chance.
+            options: with ``reset_mask``, (M,) bool, only the episodes of some problems start, as in
+                Gymnasium's vectors. Others are ignored.
 
         Returns:
             (M, K, *S) float32 observations, and an info like that of :meth:`step`.
+
+        Raises:
+            ValueError: ``reset_mask`` is not one boolean per problem.
         """
+        which = np.asarray((options or {}).get("reset_mask", np.ones(self.num_problems, np.bool_)))
+        which = which if self._begun else np.ones_like(which)
+        if which.shape != (self.num_problems,) or which.dtype != np.bool_:
+            raise ValueError(f"reset_mask: expected {self.num_problems} booleans, found {which}")
+        if seed is not None and self._draws is not None:
+            self._draws.begin(seed, which)
+        first = 0
         for player in self._players:
-            player.reset()
+            some = which[first : first + len(player.buffers.over)]
+            first += len(some)
+            player.reset(some)
         self._begun = True
         return self._buffers.obs, self._info()
 
@@ -170,7 +221,9 @@ class BatchEnv(EzPickle):
               * ``overflow``, ``wirelength``, ``joined`` and ``steps`` (M,) integers: the present
                 metrics;
               * ``final_info``: a dictionary of the same four metrics at the end of the problem's
-                last episode, 0 before the first one has ended.
+                last episode, 0 before the first one has ended;
+              * where problems are drawn, ``problem`` (M,) objects: the names of those that are
+                played.
 
             ``terminated`` and ``truncated`` stay true until the problem's next episode starts. To
             bootstrap for an agent that acted, use ``final_obs`` where it is written, otherwise the
@@ -216,8 +269,8 @@ class BatchEnv(EzPickle):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Makes the environment anew and puts it where the copied one stands."""
         super().__setstate__(state)
-        self.engine.static.order[...] = state["order"]
         self.restore(state["saved"])
+        self.engine.static.order[...] = state["order"]
         self._begun = state["begun"]
 
     def save(self) -> list[Saved]:
@@ -230,17 +283,29 @@ class BatchEnv(EzPickle):
             player.restore(kept)
         self._begun = True
 
+    def close(self) -> None:
+        """Ends the threads. The environment plays on if it is used again."""
+        self._threads.shutdown()
+        self._start_threads()
+
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents; call :meth:`reset` afterwards.
 
         Args:
             order: (M, N) integers, see :meth:`marouting.Engine.set_order`.
+
+        Raises:
+            ValueError: the order is none, or problems are drawn: the next ones have other nets.
         """
+        if self._draws is not None:
+            raise ValueError("order: expected problems that stay the same in all episodes")
         self.engine.set_order(order)
 
     def _info(self) -> Info:
         b, games = self._buffers, self.engine.games
+        drawn = {} if self._draws is None else {"problem": self._draws.names}
         return {
+            **drawn,
             "agents": b.agents,
             "action_mask": b.mask,
             "active": b.active,
@@ -254,18 +319,28 @@ class BatchEnv(EzPickle):
         }
 
 
-def _batch(
-    problems: Sequence[Problem] | int | None, options: GameOptions, seed: int
-) -> Sequence[Problem]:
-    """The problems of a batch; see :class:`BatchEnv`."""
-    found = problems if problems is None or is_whole(problems) else "a list"
+def _draws(
+    problems: Sequence[Problem] | int | None, source: Source, options: GameOptions, seed: int
+) -> Draws | None:
+    """What the games of a batch draw their problems from; None if they stay, see `BatchEnv`."""
+    if not is_whole(problems):
+        check("problem", source is None, "a number of games beside it")
+        return None
+    if options.scenario is None:
+        what = f"a list of problems, or a problem or scenario beside it; found {problems}"
+        check("problems", source is not None, what)
+    return Draws(Episodes(source, options.scenario, options.split), seed, cast(int, problems))
+
+
+def _batch(problems: Sequence[Problem] | int | None, options: GameOptions) -> Sequence[Problem]:
+    """The problems of a batch that stay; see :class:`BatchEnv`."""
+    found = "None" if problems is None else "a list"
     if options.scenario is None:
         what = f"a list of problems, or a scenario beside it; found {found}"
-        check("problems", found == "a list", what)
+        check("problems", problems is not None, what)
         return cast(Sequence[Problem], problems)
-    if options.split != "train":
-        check("problems", problems is None, f"none: all of split {options.split} are played")
-        return list(get(options.scenario).problems(options.split).values())
-    count = cast(int, problems) if is_whole(problems) else 0
-    check("problems", count >= 1, f"how many of {options.scenario}, found {found}")
-    return list(itertools.islice(get(options.scenario).train(seed), count))
+    endless = options.split == "train"
+    what = f"how many of {options.scenario} are drawn, found {found}"
+    check("problems", not endless, what)
+    check("problems", problems is None, f"none, or a number, beside a scenario; found {found}")
+    return list(get(options.scenario).problems(options.split).values())

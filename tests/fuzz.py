@@ -37,11 +37,14 @@ from test_benchmark import made
 from test_experiment import everything
 from test_ispd import CONTEST
 from test_ispd98 import FLAT, LAYERED, said
+from test_ispd2024 import CAP, NET, ROUTES
+from test_lefdef import BLOCKED, DEF, LEF, SPECIAL
 from test_rows import DRAWN, READ
 from test_run import config_in
 
 from marouting import InputError, Net, Pin, Problem, Solution, errors, evaluate, sequential_astar
 from marouting.config import build, override, plain, read_yaml
+from marouting.problem.contest import contest_cost
 from marouting.problem.ispd import Format
 from policies import figures
 from policies.benchmark.leaderboard import read_groups
@@ -112,6 +115,51 @@ def problems(rng: Random, folder: Path, format: Format) -> None:
         except InputError as error:
             raise Refused(str(error)) from None  # of a problem in memory, not of a file
         assert evaluate(problem, solution) == plain_evaluation(solution)
+
+
+def sane_problem(problem: Problem, file: Path) -> None:
+    """A problem from another format is written as text and read back equal."""
+    problem.write(file)
+    assert Problem.read(file) == problem
+
+
+def designs(rng: Random, folder: Path) -> None:
+    """A LEF/DEF design that is accepted is a problem."""
+    text = {"chip.lef": LEF, "chip.def": DEF.replace("NETS 2", f"{SPECIAL}{BLOCKED}NETS 2")}
+    spoiled = rng.choice(("chip.lef", "chip.def", "chip.def"))
+    for name, content in text.items():
+        own = content.encode()
+        (folder / name).write_bytes(in_text(rng, own) if name == spoiled else own)
+    sane_problem(Problem.read(folder / "chip.def"), folder / "p.gr")
+
+
+def contests(rng: Random, folder: Path) -> None:
+    """A problem of the ISPD 2024 contest that is accepted is one, and routes of it have a cost."""
+    text = {"p.cap": CAP, "p.net": NET, "p.PR_output": ROUTES}
+    spoiled = rng.choice(list(text))
+    for name, content in text.items():
+        own = content.encode()
+        (folder / name).write_bytes(in_text(rng, own) if name == spoiled else own)
+    problem = Problem.read(folder / "p.cap")
+    sane_problem(problem, folder / "p.gr")
+    solution = Solution.read(folder / "p.PR_output", problem)
+    assert 0 <= contest_cost(solution).total < math.inf
+    assert evaluate(problem, solution) == plain_evaluation(solution)
+
+
+def guides(rng: Random, folder: Path) -> None:
+    """A guide that is accepted has routes inside it, which are written and read back."""
+    problem = any_problem(rng)
+    existing = np.flatnonzero(problem.topology.exists).tolist()
+    some = [rng.choices(existing, k=rng.randint(0, 20)) if existing else [] for _ in problem.nets]
+    file = folder / "p.guide"
+    Solution(problem, [np.array(edges, np.int64) for edges in some]).write(file)
+    file.write_bytes(in_text(rng, file.read_bytes()))
+    solution = Solution.read(file, problem)
+    assert evaluate(problem, solution) == plain_evaluation(solution)
+    solution.write(file)
+    joined = evaluate(problem, Solution.read(file, problem)).joined
+    assert joined >= evaluate(problem, solution).joined
 
 
 def solutions(rng: Random, folder: Path) -> None:
@@ -493,7 +541,10 @@ KINDS: dict[str, Kind] = {
         f"problem, {format}": Kind(functools.partial(problems, format=format), 200, 20_000)
         for format in PROBLEMS
     },
+    "problem, LEF/DEF": Kind(designs, 150, 20_000),
+    "problem, ispd2024": Kind(contests, 200, 20_000),
     "solution": Kind(solutions, 200, 20_000),
+    "guide": Kind(guides, 200, 20_000),
     "configuration of a training": Kind(trainings, 100, 10_000),
     "configuration of an experiment": Kind(experiments, 60, 4_000),
     "overrides": Kind(overrides, 100, 10_000),

@@ -223,7 +223,7 @@ def test_a_spoiled_problem(tmp_path: Path, old: str, new: str, line: int, what: 
     [
         ("A 1 2", "C 1 2", 1, "found 'C 1 2'"),
         ("A 1 2", "A 2 2", 1, "expected id 1, found 2"),
-        ("A 1 2", "A", 1, "a net's name, id"),
+        ("A 1 2", "A", 2, "'(' after the name of net A"),  # as in a guide
         ("A 1 2", "A 1 x", 1, "a net's name, id"),
         ("A 1 2", f"A {HUGE}", 1, "a net's name, id"),
         ("B 2 0", "A 1 0", 5, "found 'A 1 0'"),

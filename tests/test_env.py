@@ -4,8 +4,10 @@ What PettingZoo's, Gymnasium's and SuperSuit's own checks ask for is in test_env
 """
 
 import copy
+import functools
 import pickle
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -29,13 +31,17 @@ from marouting import (
     InputError,
     Move,
     Net,
+    PaperObservation,
     Pin,
     Problem,
     evaluate,
     generate,
     global_routing_v0,
 )
+from marouting.game.reward import NormalisedReward
 from marouting.game.state import NOBODY, Dynamic, Ending, Status
+from marouting.player import Player
+from marouting.vector import BatchEnv
 
 E, W, N, S, U, D = Move
 seeds = st.integers(0, 2**32)
@@ -120,8 +126,7 @@ def play_side_by_side(
     seen, infos = parallel.reset(seed=0)
     names = parallel.agents
     assert aec.agents == names == [f"net_{net}" for net in engine.nets[0]]
-    everyone = [f"net_{net}" for net in range(len(problem.nets))]
-    assert aec.possible_agents == parallel.possible_agents == everyone
+    assert aec.possible_agents == parallel.possible_agents == names
 
     while parallel.agents and cycles:
         cycles -= 1
@@ -351,6 +356,51 @@ def test_masks_handed_out_do_not_change_later() -> None:
         np.testing.assert_array_equal(info["action_mask"], kept[1])
 
 
+NAMES = {"observation_key": "observations", "mask_key": "mask"}
+
+
+def one_view(env: Any) -> tuple[Any, dict[str, Any]]:
+    """The observation and the info of one agent of an environment of any face."""
+    if hasattr(env, "agent_iter"):
+        env.reset(seed=0)
+        observation, *_, info = env.last()
+        return observation, info
+    seen, info = env.reset(seed=0)
+    return (seen["net_0"], info["net_0"]) if hasattr(env, "possible_agents") else (seen, info)
+
+
+@pytest.mark.parametrize("persist", [False, True])
+def test_masks_under_other_names(persist: bool) -> None:
+    options: dict[str, Any] = {"problem": {"nets": 3}, "mask_in_observation": True, **NAMES}
+    makers: list[Any] = [global_routing_v0.env, global_routing_v0.parallel_env]
+    makers += [] if persist else [single_env, functools.partial(gymnasium.make, ENVIRONMENT_ID)]
+    for make in makers:
+        env = make(**options, **({"agents_persist": True} if persist else {}))
+        observation, info = one_view(env)
+        assert set(observation) == {"observations", "mask"}
+        np.testing.assert_array_equal(observation["mask"], info["mask"])
+        assert "action_mask" not in info
+        nets = hasattr(env, "possible_agents")
+        space = env.observation_space("net_0") if nets else env.observation_space
+        assert space["mask"] == Box(0, 1, (6,), np.int8)
+        assert space.contains(observation)
+
+
+def test_masks_in_all_infos_have_their_name() -> None:
+    env = global_routing_v0.parallel_env({"nets": 3}, max_steps=3, mask_key="mask")
+    _, infos = env.reset()
+    aec = global_routing_v0.env({"nets": 3}, max_steps=3, mask_key="mask")
+    aec.reset()
+    found = list(infos.values())
+    while env.agents:
+        found += env.step(dict.fromkeys(env.agents, 0))[4].values()
+    for _ in aec.agent_iter():
+        *_, terminated, truncated, info = aec.last()
+        found.append(info)
+        aec.step(None if terminated or truncated else 0)
+    assert all(info["mask"].shape == (6,) and "action_mask" not in info for info in found)
+
+
 # Seeds and copies --------------------------------------------------------------------------------
 
 MAKERS: dict[str, Callable[..., Any]] = {
@@ -517,7 +567,16 @@ def test_own_edges_can_be_free() -> None:
 
 def test_reached_and_step() -> None:
     env = single_env(ROW, reward={"reached": 7.5, "step": -0.5})
-    assert rewards_of(env, EPISODE)[:3] == [-0.5, 7.5, -1]
+    # Own edges cost what other moves cost.
+    assert rewards_of(env, EPISODE)[:5] == [-0.5, 7.5, -0.5, -0.5, -0.5]
+
+
+def test_the_normalised_reward() -> None:
+    """The paper's, in numbers of order 1, and as quick."""
+    env = single_env(ROW, reward="normalised")
+    paper = rewards_of(single_env(ROW), EPISODE)
+    assert rewards_of(env, EPISODE) == pytest.approx([r / 100 for r in paper])
+    assert Player(Engine([ROW]), PaperObservation(), NormalisedReward()).compiled
 
 
 def test_overflow_has_a_price() -> None:
@@ -591,16 +650,46 @@ def test_via_capacity_shown() -> None:
 # Course of an episode ----------------------------------------------------------------------------
 
 
-def test_nets_of_one_gcell_never_take_part() -> None:
-    for make in (global_routing_v0.env, global_routing_v0.parallel_env):
-        env = make(ROW)
+@pytest.mark.parametrize("persist", [False, True])
+@pytest.mark.parametrize("make", [global_routing_v0.env, global_routing_v0.parallel_env])
+def test_nets_of_one_gcell_are_no_agents(make: Callable[..., Any], persist: bool) -> None:
+    env = make(ROW, agents_persist=persist, max_steps=1)
+    assert env.possible_agents == ["net_0", "net_2"]
+    env.reset(seed=0)
+    assert env.agents == ["net_0", "net_2"]
+    assert env.unwrapped.idle_nets == ["net_1"]
+    with pytest.raises(KeyError):
+        env.unwrapped.action_mask("net_1")
+    rest_of_episode(env, 1)
+    judged = evaluate(ROW, env.unwrapped.solution())
+    assert "dot" not in judged.disconnected  # it is joined, whatever the others do
+    assert judged.tasks == env.unwrapped.metrics()["tasks"] == 3
+
+
+def test_nets_of_one_gcell_elsewhere() -> None:
+    assert single_env(ROW).idle_nets == ["net_1"]  # type: ignore[attr-defined]
+    more = replace(ROW, nets=(*ROW.nets, Net("C", 3, ROW.nets[0].pins)))
+    env = BatchEnv([ROW, more])
+    assert env.num_agents == 3
+    assert env.present.tolist() == [[True, True, False], [True] * 3]
+
+
+def test_a_net_that_plays_in_some_problems_only() -> None:
+    moved = Net("dot", 1, (Pin(0, 0, 1), Pin(1, 0, 1)))
+    problems = [ROW, replace(ROW, nets=(ROW.nets[0], moved, ROW.nets[2]))]
+    for persist in (False, True):
+        env = global_routing_v0.parallel_env(problems, agents_persist=persist)
         assert env.possible_agents == ["net_0", "net_1", "net_2"]
-        env.reset(seed=0)
-        assert env.agents == ["net_0", "net_2"]
-    idle = global_routing_v0.raw_env(ROW)
-    idle.reset()
-    assert not idle.observe("net_1").any()
-    assert idle.observation_space("net_1").contains(idle.observe("net_1"))
+        found = set()
+        for _ in range(20):
+            seen, infos = env.reset()
+            idle = env.idle_nets
+            found.add(tuple(idle))
+            assert env.agents == [a for a in env.possible_agents if persist or a not in idle]
+            for agent in env.agents:
+                assert infos[agent].get("active", True) == (agent not in idle)
+                assert seen[agent].any() == (agent not in idle)
+        assert found == {(), ("net_1",)}
 
 
 @pytest.mark.parametrize("turn_order", ["round_robin", "sequential"])
@@ -788,6 +877,8 @@ def test_make_from_a_file(tmp_path: Path) -> None:
         ({"max_steps": 0}, "max_steps: expected 1 to 1000000, found 0"),
         ({"turn_order": "sequentiel"}, "turn_order: expected 'sequential' or 'round_robin'"),
         ({"mask_in_observation": "yes"}, "mask_in_observation: expected a valid boolean"),
+        ({"mask_key": "observation"}, "mask_key: expected a name of its own"),
+        ({"mask_key": 1}, "mask_key: expected a valid string, found 1"),
         ({"render_mode": "svg"}, "render_mode: expected 'ansi', 'rgb_array' or 'human'"),
         ({"problem": {"nets": 0}}, "nets: expected at least 1, found 0"),
         ({"problem": {"count": 2, "seed": None}}, "problem.count: expected 1 without a seed"),
@@ -807,6 +898,22 @@ def test_options_that_cannot_be_used(options: dict[str, Any], expected: str) -> 
             call()
         assert expected in str(caught.value)
         assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_option_is_a_type_error_too() -> None:
+    """Some libraries offer options of their own, and look for Python's words."""
+    for call in (
+        global_routing_v0.env,
+        global_routing_v0.parallel_env,
+        functools.partial(gymnasium.make, ENVIRONMENT_ID),
+        functools.partial(BatchEnv, [ROW]),
+    ):
+        with pytest.raises(TypeError, match="got an unexpected keyword argument 'frameskip'") as e:
+            call(frameskip=4)
+        assert isinstance(e.value, InputError)
+        assert str(e.value).startswith("frameskip: unknown key; expected one of turn_order, ")
+        assert "\n" not in str(e.value)
+        assert str(pickle.loads(pickle.dumps(e.value))) == str(e.value)
 
 
 def test_bad_agents() -> None:

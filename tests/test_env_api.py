@@ -26,6 +26,7 @@ from pettingzoo.test import (
     state_test,
 )
 from pettingzoo.test.performance_benchmark import performance_benchmark
+from pettingzoo.utils import aec_to_parallel
 
 from marouting import ENVIRONMENT_ID, Net, Pin, Problem, global_routing_v0
 
@@ -144,6 +145,26 @@ def test_observations_are_not_taken_for_pictures() -> None:
         importlib.import_module("pettingzoo.test.save_obs_test").check_save_obs(env)
 
 
+@pytest.mark.parametrize("options", [{}, {"agents_persist": True}, {"turn_order": "sequential"}])
+def test_what_is_said_about_parallel_is_true(options: dict[str, Any]) -> None:
+    """PettingZoo's conversion fails, and the environment says so beforehand."""
+    assert global_routing_v0.parallel_env(**options).metadata["is_parallelizable"]
+    env = global_routing_v0.env(problem={"nets": 5}, **options)
+    assert not env.metadata["is_parallelizable"]
+    with pytest.raises(AssertionError, match="not generally safe"):
+        aec_to_parallel(env)
+    env.unwrapped.metadata = env.metadata | {"is_parallelizable": True}
+    converted = aec_to_parallel(env)
+    converted.reset()
+
+    def play() -> None:
+        for _ in range(60):
+            converted.step(dict.fromkeys(converted.agents, 0))
+
+    with pytest.raises((AssertionError, ValueError)):
+        play()
+
+
 # Gymnasium --------------------------------------------------------------------------------------
 
 
@@ -241,6 +262,38 @@ def test_supersuit_vector_rollout() -> None:
                 episodes += 1
                 seen[index], _ = env.reset()
     assert episodes >= 20
+    envs.close()
+
+
+@pytest.mark.parametrize("make", [global_routing_v0.env, global_routing_v0.parallel_env])
+def test_supersuit_skips_frames(make: Callable[..., Any]) -> None:
+    """It asks environments for their random numbers."""
+    env = supersuit.frame_skip_v0(make(**OPTIONS), 3)
+    env.reset(seed=1)
+    parallel = env.unwrapped.metadata["is_parallelizable"]
+    for _ in range(3 * len(env.possible_agents)):
+        env.step(dict.fromkeys(env.agents, 0) if parallel else 0)
+    assert env.unwrapped.metrics()["steps"] > 3 * len(env.possible_agents)
+    draws = []
+    for _ in range(2):
+        env.reset(seed=1)
+        draws.append(env.unwrapped.np_random.random())
+    assert draws[0] == draws[1]
+
+
+def test_supersuit_takes_agents_that_stay() -> None:
+    """Without black_death_v3: agents end one by one for themselves, and together for it."""
+    env = global_routing_v0.parallel_env(**OPTIONS, agents_persist=True)
+    envs = supersuit.concat_vec_envs_v1(supersuit.pettingzoo_env_to_vec_env_v1(env), 2, num_cpus=0)
+    envs.reset(seed=0)
+    rng = np.random.default_rng(0)
+    ends = 0
+    for _ in range(200):
+        _, _, terminated, truncated, _ = envs.step(rng.integers(6, size=envs.num_envs))
+        over = (terminated | truncated).reshape(2, -1)
+        assert (over.all(axis=1) == over.any(axis=1)).all()
+        ends += int(over.all(axis=1).sum())
+    assert ends >= 4
     envs.close()
 
 

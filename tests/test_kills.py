@@ -87,6 +87,12 @@ COMMANDS = {
     "train, single, tensorboard": Command(
         lambda folder: training(folder, tensorboard=True), test_run.outcome, 0, 25
     ),
+    "train, drawn": Command(
+        lambda folder: training(folder, shared=True, games=3, problem=test_run.DRAWN),
+        test_run.outcome,
+        3,
+        25,
+    ),
     "train, multi": Command(
         lambda folder: training(folder, agents="multi", prioritised=True), test_run.outcome, 0, 25
     ),

@@ -18,8 +18,17 @@ from marouting import registry
 ROOT = Path(marouting.__file__).parent
 FILES = sorted(ROOT.rglob("*.py"))
 UPSTAIRS = {"policies", "torch"}
-OPTIONAL = {"matplotlib"}
-"""What a window may import when it opens, and nothing before."""
+OPTIONAL = {"klayout", "matplotlib"}
+"""What a design that is read, or a window that opens, may import, and nothing before."""
+
+LIBRARIES: dict[str, set[str]] = {
+    "__init__": set(),
+    "sb3": {"stable_baselines3"},
+    "torchrl": {"tensordict", "torch", "torchrl"},
+    "benchmarl": {"benchmarl", "torchrl"},
+}
+"""What each file of ``marouting.integrations`` may import beside the dependencies. Only users of
+that library import the file, and nothing else of the package may."""
 
 ROOMS = {
     "marouting": (
@@ -34,7 +43,8 @@ ROOMS = {
         ("player",),
         ("render",),
         ("env",),
-        ("vector", "global_routing_v0", "make"),
+        ("vector", "gym_vector", "global_routing_v0", "make"),
+        ("integrations",),
         ("",),  # the package's own __init__.py
     ),
     "policies": (
@@ -155,6 +165,17 @@ def room_of(module: str) -> int | None:
     return found and found[0]
 
 
+def libraries_of(file: Path) -> set[str]:
+    """The libraries that a file of ``marouting.integrations`` is for; none for all other files."""
+    return LIBRARIES[file.stem] if file.parent == ROOT / "integrations" else set()
+
+
+def test_nothing_imports_the_integrations() -> None:
+    for module, others in import_graph("marouting").items():
+        inside = module.startswith("marouting.integrations")
+        assert inside or not any(o.startswith("marouting.integrations") for o in others), module
+
+
 def test_there_is_something_to_look_at() -> None:
     assert {"engine.py", "problem.py", "make.py"} <= {file.name for file in FILES}
     found = set(imports(ast.parse("def f():\n    import torch.nn\n    from policies import x")))
@@ -164,7 +185,7 @@ def test_there_is_something_to_look_at() -> None:
 @pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(ROOT)))
 def test_nothing_from_upstairs(file: Path) -> None:
     tree = ast.parse(file.read_text(encoding="utf-8"))
-    assert not UPSTAIRS & set(imports(tree))
+    assert not (UPSTAIRS - libraries_of(file)) & set(imports(tree))
     assert not OPTIONAL & set(at_import(tree))
 
 
@@ -232,6 +253,7 @@ def test_dependencies_are_the_declared_ones() -> None:
     allowed = declared | OPTIONAL | {"marouting"} | sys.stdlib_module_names
     for file in FILES:
         named = {"?"} if file == ROOT / "registry.py" else set()  # it imports what users name
+        named |= libraries_of(file)
         assert set(imports(ast.parse(file.read_text("utf-8")))) <= allowed | named
 
 

@@ -52,6 +52,9 @@ SMALL: dict[str, dict[str, Any]] = {
 }
 """Options of learners whose trainings take a moment."""
 
+DRAWN = {**PROBLEMS, "count": 1, "seed": None, "max_pins": 3}
+"""A generator of another problem for every episode."""
+
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -407,6 +410,37 @@ KINDS: dict[str, dict[str, Any]] = {
     "ppo": {"kind": "ppo"},
     "ppo, central": {"kind": "ppo", "agents": "multi", "critic": "central", "episodes": 20},
     "a user's": {"kind": f"{__name__}:Untaught"},
+    "drawn": {"shared": True, "games": 3, "problem": DRAWN, "tensorboard": True, "episodes": 24},
+    "drawn from a set": {
+        "shared": True,
+        "games": 2,
+        "agents": "multi",
+        "masking": True,
+        "episodes": 24,
+    },
+    "drawn, torch": {
+        "shared": True,
+        "episodes": 24,
+        "games": 2,
+        "agents": "multi",
+        "scenario": "toy-4x4-v0",
+        "validation": 2,
+        "problem": None,
+        "observation": {"kind": "window", "radius": 1},
+        "reward": "team",
+        "n_step": 3,
+        "prioritised": True,
+        "burn_in": "random",
+    },
+    "drawn, ppo": {
+        "kind": "ppo",
+        "episodes": 40,
+        "shared": True,
+        "games": 3,
+        "agents": "multi",
+        "problem": DRAWN,
+        "critic": "central",
+    },
 }
 
 
@@ -447,7 +481,10 @@ def test_a_run_killed_anywhere_goes_on_as_if_not(
     if options.get("tensorboard"):  # every episode once, those before the kills as well
         events = EventAccumulator(str(folder / "tensorboard"))
         events.Reload()
-        assert [event.step for event in events.Scalars("reward/problem_000")] == list(range(8))
+        name = "train" if "games" in options else "problem_000"
+        assert [event.step for event in events.Scalars(f"reward/{name}")] == list(
+            range(options["episodes"])
+        )
     # Once more: there is nothing left to do, and nothing changes.
     Run(config_in(folder, **options), resume=True).execute()
     assert outcome(folder) == outcome(whole)

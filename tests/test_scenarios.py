@@ -3,6 +3,7 @@
 import copy
 import hashlib
 import itertools
+import json
 import pickle
 import re
 from collections.abc import Callable, Sequence
@@ -31,9 +32,11 @@ from marouting import (
     scenarios,
     sequential_astar,
 )
+from marouting.config import build
 from marouting.scenarios import Level, Scenario, digest
 from marouting.scenarios.references import Best, path_of, read_references, references_of
 from marouting.scenarios.scenario import routable
+from marouting.source import load_problem
 from marouting.vector import BatchEnv
 from policies.benchmark.references import (
     MARKS,
@@ -45,7 +48,9 @@ from policies.benchmark.references import (
     write_table,
 )
 from policies.learned.config import Config
-from policies.learned.run import Run
+from policies.learned.run import Run, problems_of
+from policies.learned.trainer import Trainer
+from policies.results.run_folder import read_rewards
 from policies.routers.optimal import OptimalRouter
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
@@ -618,13 +623,15 @@ def test_a_configuration_names_a_scenario(tmp_path: Path) -> None:
 
 
 def test_batches_of_a_scenario() -> None:
-    batch = BatchEnv(4, scenario="mixed-v0", seed=3, turn_order="sequential")
-    stream = scenarios.get("mixed-v0").train(3)
-    assert list(batch.engine.problems) == [next(stream) for _ in range(4)]
-    batch.reset()
+    batch = BatchEnv(2, scenario="mixed-v0", seed=3, turn_order="sequential")
+    _, info = batch.reset()
+    for name, problem in zip(info["problem"], batch.engine.problems, strict=True):
+        number = int(name.removeprefix("train_"))
+        assert problem == next(scenarios.get("mixed-v0").train(number))
+    assert batch.num_agents == 60  # of the largest
     twin = pickle.loads(pickle.dumps(batch))
     assert twin.engine.problems == batch.engine.problems
-    assert BatchEnv(2, scenario="mixed-v0", seed=4).engine.problems != batch.engine.problems[:2]
+    assert BatchEnv(2, scenario="mixed-v0", seed=4).engine.problems != batch.engine.problems
     for split in ("validation", "test"):
         batch = BatchEnv(scenario="toy-4x4-v0", split=split)
         assert list(batch.engine.problems) == getattr(scenarios.get("toy-4x4-v0"), split)
@@ -658,11 +665,11 @@ def test_what_environments_refuse(
     ("problems", "options", "said"),
     [
         (None, {}, "problems: expected a list of problems, or a scenario beside it; found None"),
-        (3, {}, "problems: expected a list of problems, or a scenario beside it; found 3"),
-        (None, {"scenario": "toy-4x4-v0"}, "problems: expected how many of toy-4x4-v0, found None"),
-        (0, {"scenario": "toy-4x4-v0"}, "problems: expected how many of toy-4x4-v0, found 0"),
+        (3, {}, "problems: expected a list of problems, or a problem or scenario beside it; foun"),
+        (None, {"scenario": "toy-4x4-v0"}, "problems: expected how many of toy-4x4-v0 are drawn, "),
+        (0, {"scenario": "toy-4x4-v0"}, "games: expected a number from 1 to 10000, found 0"),
         (GENERATED, {"scenario": "toy-4x4-v0"}, "problems: expected how many .* found a list"),
-        (3, {"scenario": "toy-4x4-v0", "split": "test"}, "problems: expected none: all of split"),
+        (GENERATED, {"scenario": "toy-4x4-v0", "split": "test"}, "problems: expected none, or a "),
         (3, {"scenario": "toy-4x4-v0", "seed": -1}, "seed: expected a whole number from 0"),
         (GENERATED, {"split": "test"}, "split: expected a scenario beside it"),
     ],
@@ -701,6 +708,96 @@ def test_a_training_takes_fixed_problems_side_by_side(tmp_path: Path) -> None:
 
 
 def test_a_training_refuses_problems_without_end(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"^split: expected validation or test, found train"):
+    with pytest.raises(InputError, match=r"^split: expected validation or test, .*games"):
         Run(training(tmp_path / "run", scenario="toy-4x4-v0"))
     assert not (tmp_path / "run").exists()
+
+
+def test_a_training_draws_a_new_problem_for_every_episode(tmp_path: Path) -> None:
+    config = training(tmp_path / "run", scenario="toy-4x4-v0", agents="multi", max_steps=9)
+    train = replace(config.train, episodes=20, shared=True, games=3, validation=4, evaluate_every=8)
+    run = Run(replace(config, train=train))
+    toy = scenarios.get("toy-4x4-v0")
+    held = dict(list(toy.problems("validation").items())[:4])
+    assert run.problems == held
+    rows = run.execute()
+    lines = (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()
+    episodes = [json.loads(line) for line in lines]
+    assert [row["episode"] for row in episodes] == list(range(20))
+    names = [row["problem"] for row in episodes]
+    assert len(set(names)) == 20
+    assert all(name.startswith("train_") for name in names)
+    assert not any(row["best"] for row in episodes)  # each problem is played once
+    lines = (tmp_path / "run" / "evaluations.jsonl").read_text().splitlines()
+    walks = [json.loads(line) for line in lines]
+    assert {row["problem"] for row in walks} == set(held)
+    assert walks[-1]["episodes"] == 20
+    # The best network by validation is kept, and its routes are the solutions.
+    figures = [(w["tasks"] - w["joined"], w["overflow"], w["wirelength"]) for w in walks]
+    sums = np.array(figures).reshape(-1, 4, 3).sum(axis=1)
+    scores = [tuple(of) for of in sums.tolist()]
+    best = [w["best"] for w in walks[::4]]
+    assert best == [all(score < before for before in scores[:i]) for i, score in enumerate(scores)]
+    kept = max(i for i, improved in enumerate(best) if improved)
+    for row in rows:
+        assert row["router"] in ("astar", "dqn_policy")
+        if row["router"] == "dqn_policy":
+            walk = next(w for w in walks[4 * kept :] if w["problem"] == row["problem"])
+            assert (walk["overflow"], walk["wirelength"]) == (row["overflow"], row["wirelength"])
+            assert row["from"] == f"policy after {walk['episodes']} episodes, greedy"
+    assert {row["problem"] for row in rows} == set(held)
+    assert [*read_rewards(tmp_path / "run" / "metrics.jsonl")] == ["all"]
+
+
+def test_a_generator_without_seed_holds_problems_out(tmp_path: Path) -> None:
+    source = {"grid": [4, 4, 2], "nets": 3, "seed": None}
+    config = training(tmp_path / "run", problem=source)
+    train = replace(config.train, shared=True, games=2, validation=3)
+    problems, draws = problems_of(replace(config, train=train))
+    assert draws is not None
+    assert list(problems) == ["seed_0", "seed_1", "seed_2"]
+    for seed, problem in enumerate(problems.values()):
+        assert problem == load_problem({**source, "seed": seed})
+
+    class Least:
+        """Draws the least number there is."""
+
+        def integers(self, most: int) -> int:
+            assert most == 10**9 - 3
+            return 0
+
+    assert draws.episodes.number(Least()) == 3  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("train", "env", "said"),
+    [
+        ({"games": 2}, {}, "train: games: expected null: a network for each of the problems that"),
+        ({"games": 0, "shared": True}, {}, "train: games: expected a number from 1 to 10000"),
+        ({"validation": 3}, {}, "train: validation: expected null without train.games"),
+        ({"games": 2, "shared": True, "validation": 21}, {"scenario": "toy-4x4-v0"},
+         "train.validation: expected at most 20, those of the split, found 21"),
+        ({"games": 2, "shared": True, "validation": 2}, {"problem": {"nets": 3}},
+         "train.validation: expected null: it is the set itself"),
+        ({"games": 2, "shared": True}, {"problem": {"nets": 3, "seed": None, "count": 2}},
+         "problem.count: expected 1 without a seed, found 2"),
+    ],
+)  # fmt: skip
+def test_what_trainings_cannot_draw(
+    train: dict[str, Any], env: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=f"^{said}"):
+        Run(build(Config, {"out": str(tmp_path / "run"), "train": train, "env": env}))
+    assert not (tmp_path / "run").exists()
+
+
+def test_drawn_problems_are_not_shown_by_solutions(tmp_path: Path) -> None:
+    raw = {
+        "out": str(tmp_path / "run"), "env": {"problem": {"nets": 3, "seed": None}},
+        "train": {"games": 2, "shared": True}, "learner": {"kind": "dqn", "burn_in": "pathfinder"},
+    }  # fmt: skip
+    with pytest.raises(InputError, match=r"^burn_in: expected astar or random with tr"):
+        Run(build(Config, raw))
+    config = build(Config, {**raw, "learner": {"kind": "dqn"}})
+    with pytest.raises(InputError, match=r"^train\.games: expected null: this training"):
+        Trainer({"p": GENERATED[0]}, config)

@@ -705,14 +705,14 @@ def test_the_saved_network_is_the_best_of_all_evaluations(
 
     def note(self: Any, player: Any, network: int) -> None:
         walk(self, player, network)
-        (problem,) = player.engine.problems
-        name = next(name for name, own in problems.items() if own is problem)
-        now = player.engine.metrics()
-        after = int(
-            trainer.episodes.min() if shared else trainer.episodes[trainer.names.index(name)]
-        )
-        score = now.tasks - now.joined, now.overflow, now.wirelength
-        found.append((name, after, score))
+        for m, problem in enumerate(player.engine.problems):
+            name = next(name for name, own in problems.items() if own is problem)
+            now = player.engine.metrics(m)
+            after = int(
+                trainer.episodes.min() if shared else trainer.episodes[trainer.names.index(name)]
+            )
+            score = now.tasks - now.joined, now.overflow, now.wirelength
+            found.append((name, after, score))
 
     monkeypatch.setattr(type(trainer.learner), "walk", note)
     train(trainer)

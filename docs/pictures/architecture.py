@@ -21,7 +21,7 @@ ENVIRONMENT = (
         ),
     ),
     (
-        ("problem/", "Problem, Solution, evaluate, ISPD files", 1, False),
+        ("problem/", "Problem, Solution, evaluate; ISPD, LEF/DEF", 1, False),
         ("trees/", "two-pin tasks of nets", 0.7, False),
     ),
     (("game/rules, tasks, rounds, state, engine", "the game: M problems in arrays", 1, False),),

@@ -3,20 +3,18 @@
 from typing import Any
 
 import numpy as np
-from gymnasium import Space
 from gymnasium.error import ResetNeeded
-from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
-from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
+from marouting.env.base import METADATA, BaseGame, NetMethods, checked_move
 from marouting.game.state import NOBODY, Status
 from marouting.options import ORDERS
 from marouting.source import Source
 
 
-class GlobalRoutingAEC(GameMethods, AECEnv):
+class GlobalRoutingAEC(NetMethods, AECEnv):
     """Global routing in which every net is an agent, one move at a time.
 
     An agent's observation and mask are those of the moment when it is selected. Its reward is what
@@ -28,7 +26,10 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
         **options: the fields of :class:`marouting.options.GameOptions`.
     """
 
-    metadata = METADATA
+    # PettingZoo's conversion of AEC wants agents in the order of their list, who all die at the end
+    # of a cycle. Nets move in their own order and leave when they are done; parallel_env is the
+    # same game in parallel.
+    metadata = METADATA | {"is_parallelizable": False}
     _episode = (
         "agents", "rewards", "_cumulative_rewards", "terminations", "truncations", "infos",
         "agent_selection", "_skip_agent_selection", "_number", "_mover",
@@ -37,23 +38,7 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
         AECEnv.__init__(self)
-        self._game = BaseGame(problem, ORDERS["multi"], options)
-        self.render_mode = self._game.render_mode
-        self.state_space = self._game.state_space
-        self.possible_agents = list(self._game.everyone)
-        self.observation_spaces = {
-            agent: self._game.new_observation_space() for agent in self.possible_agents
-        }
-        self.action_spaces = {agent: Discrete(self._game.actions) for agent in self.possible_agents}
-        self.agents: list[str] = []
-
-    def observation_space(self, agent: str) -> Space[Any]:
-        """The agent's observation space, the same object every time."""
-        return self.observation_spaces[agent]
-
-    def action_space(self, agent: str) -> Discrete:
-        """The agent's action space, the same object every time."""
-        return self.action_spaces[agent]
+        self._open(BaseGame(problem, ORDERS["multi"], options))
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Starts an episode.
@@ -133,7 +118,7 @@ class GlobalRoutingAEC(GameMethods, AECEnv):
 
     def _info(self, mask: NDArray[np.int8], *, active: bool) -> dict[str, Any]:
         """An agent's info during its episode."""
-        info: dict[str, Any] = {"action_mask": mask.copy()}
+        info = self._game.info(mask.copy(), over=False)
         if self._game.persists:
             info["active"] = active
         return info

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from gymnasium import Space
 from gymnasium.error import ResetNeeded
-from gymnasium.spaces import Box, Dict, MultiBinary
+from gymnasium.spaces import Box, Dict, Discrete
 from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 
@@ -30,7 +30,6 @@ METADATA: dict[str, Any] = {
     "name": "global_routing_v0",
     "render_modes": ["ansi", "rgb_array", "human"],
     "render_fps": 10,
-    "is_parallelizable": True,
 }
 
 
@@ -50,12 +49,15 @@ class BaseGame:
         name: the name of the problem that is played.
         names: the names of the engine's agents.
         numbers: the engine's agents by their names.
-        everyone: the names of all nets, of the problem with most of them.
+        everyone: the names of all nets that are agents in any episode.
         begun: whether an episode has begun.
+        masked: whether observations hold the mask.
+        mask_key: the name of the mask in observations and infos.
         persists: whether agents that are done stay until all are done.
         actions: A, the number of actions.
         no_op: (A,) the mask of an agent that is done and stays: the one move it may make does
             nothing.
+        rng: what draws the problem of an episode, if there are several.
 
     Raises:
         InputError: an option or the problem cannot be used.
@@ -78,12 +80,13 @@ class BaseGame:
         self._together = everyone
         self.render_mode = checked.render_mode
         self.masked = checked.mask_in_observation
+        self.mask_key, self._observation_key = checked.mask_key, checked.observation_key
         self.persists = checked.persists
         self.actions = checked.actions
         self.no_op = np.eye(1, self.actions, dtype=np.int8)[0]
         self.begun = False
         self._window = Window()
-        self._rng, _ = seeding.np_random(0)
+        self.rng, _ = seeding.np_random(0)
 
         self._episodes = Episodes(problem, checked.scenario, checked.split)
         problems = self._episodes.bounds
@@ -91,7 +94,7 @@ class BaseGame:
         check_memory(
             grid.gcells * (TABLES + PLAYED + STATE), "an environment on a grid of {}", grid
         )
-        self.everyone = [f"net_{net}" for net in range(max(len(p.nets) for p in problems))]
+        self.everyone = [f"net_{net}" for net in self._episodes.nets]
         self._play(*next(iter(self._episodes.problems.items())))
         overflow = self.engine.static.overflow_allowed
         self._box = self._observation.space(problems, overflow)
@@ -108,8 +111,8 @@ class BaseGame:
     def restart(self, seed: int | None) -> None:
         """Starts a new episode, of another problem if there are several."""
         if seed is not None:
-            self._rng, _ = seeding.np_random(seed)
-        name, problem = self._episodes.next(self._rng)
+            self.rng, _ = seeding.np_random(seed)
+        name, problem = self._episodes.next(self.rng)
         if problem is not self.problem:
             self._play(name, problem)
         self.player.reset()
@@ -124,7 +127,7 @@ class BaseGame:
         """A copy of the state of the game, for :meth:`restore`."""
         return {
             "problem": (self.name, self.problem) if self._episodes.many else None,
-            "rng": copy.deepcopy(self._rng),
+            "rng": copy.deepcopy(self.rng),
             "order": self.engine.static.order.copy(),
             "begun": self.begun,
             "player": self.player.save(),
@@ -136,7 +139,7 @@ class BaseGame:
             self._play(*saved["problem"])
         self.player.restore(saved["player"])
         self.engine.static.order[...] = saved["order"]
-        self._rng = copy.deepcopy(saved["rng"])
+        self.rng = copy.deepcopy(saved["rng"])
         self.begun = saved["begun"]
 
     @property
@@ -156,7 +159,8 @@ class BaseGame:
         box = copy.copy(self._box)
         if not self.masked:
             return box
-        return Dict({"observation": box, "action_mask": MultiBinary(self.actions)})
+        mask = Box(0, 1, (self.actions,), np.int8)
+        return Dict({self._observation_key: box, self.mask_key: mask})
 
     def masks(self) -> NDArray[np.int8]:
         """(N, A) int8, new action masks of all agents."""
@@ -185,12 +189,12 @@ class BaseGame:
     def seen(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
         """An observation with its mask, in the form that the options ask for."""
         if self.masked:
-            return {"observation": observation, "action_mask": mask.copy()}
+            return {self._observation_key: observation, self.mask_key: mask.copy()}
         return observation
 
     def info(self, mask: NDArray[np.int8], over: bool) -> dict[str, Any]:
         """An agent's info: its mask and, when its episode is over, the present metrics."""
-        info: dict[str, Any] = {"action_mask": mask}
+        info: dict[str, Any] = {self.mask_key: mask}
         if over:
             info |= self.result()
         return info
@@ -302,6 +306,16 @@ class GameMethods(EzPickle):
             raise KeyError(agent)
         return self._game.mask(self._game.numbers.get(agent, NOBODY))
 
+    @property
+    def idle_nets(self) -> list[str]:
+        """The names of the problem's nets with all pins in one Gcell: nothing to route, no agents.
+
+        Solutions and metrics count them as joined.
+        """
+        agents = self._game.numbers
+        nets = (f"net_{net}" for net in range(len(self._game.problem.nets)))
+        return [net for net in nets if net not in agents]
+
     def state(self) -> NDArray[np.float32]:
         """The global state, float32: (X, Y, 5 Z), see :func:`marouting.game.observation.state`.
 
@@ -325,3 +339,34 @@ class GameMethods(EzPickle):
     def close(self) -> None:
         """Closes the window, if there is one."""
         self._game.close()
+
+
+class NetMethods(GameMethods):
+    """The methods that the environments in which every net is an agent share."""
+
+    possible_agents: list[str]
+
+    def _open(self, game: BaseGame) -> None:
+        """Sets up the attributes that PettingZoo asks for."""
+        self._game = game
+        self.render_mode = game.render_mode
+        self.state_space = game.state_space
+        self.possible_agents = list(game.everyone)
+        self.observation_spaces = {
+            agent: game.new_observation_space() for agent in self.possible_agents
+        }
+        self.action_spaces = {agent: Discrete(game.actions) for agent in self.possible_agents}
+        self.agents: list[str] = []
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """The agent's observation space, the same object every time."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Discrete:
+        """The agent's action space, the same object every time."""
+        return self.action_spaces[agent]
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """The environment's random numbers, for wrappers; ``reset(seed)`` seeds them."""
+        return self._game.rng

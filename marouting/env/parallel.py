@@ -7,19 +7,17 @@ turn order, so the same moves give the same game as in AEC.
 from typing import Any
 
 import numpy as np
-from gymnasium import Space
-from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
+from marouting.env.base import METADATA, BaseGame, NetMethods, checked_move
 from marouting.game.state import NOBODY
 from marouting.options import ORDERS
 from marouting.source import Source
 
 
-class GlobalRoutingParallel(GameMethods, ParallelEnv):
+class GlobalRoutingParallel(NetMethods, ParallelEnv):
     """Global routing in which every net is an agent and all agents move in every step.
 
     With ``turn_order="sequential"`` every agent gives an action, but only the agent whose turn it
@@ -30,28 +28,12 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         **options: the fields of :class:`marouting.options.GameOptions`.
     """
 
-    metadata = METADATA
+    metadata = METADATA | {"is_parallelizable": True}
     _episode = ("agents", "_numbers")
 
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
-        self._game = BaseGame(problem, ORDERS["multi"], options, everyone=True)
-        self.render_mode = self._game.render_mode
-        self.state_space = self._game.state_space
-        self.possible_agents = list(self._game.everyone)
-        self.observation_spaces = {
-            agent: self._game.new_observation_space() for agent in self.possible_agents
-        }
-        self.action_spaces = {agent: Discrete(self._game.actions) for agent in self.possible_agents}
-        self.agents: list[str] = []
-
-    def observation_space(self, agent: str) -> Space[Any]:
-        """The agent's observation space, the same object every time."""
-        return self.observation_spaces[agent]
-
-    def action_space(self, agent: str) -> Discrete:
-        """The agent's action space, the same object every time."""
-        return self.action_spaces[agent]
+        self._open(BaseGame(problem, ORDERS["multi"], options, everyone=True))
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -66,7 +48,7 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         self._game.restart(seed)
         game = self._game
         self.agents = list(self.possible_agents if game.persists else game.names)
-        # The rows of the agents in the game; NOBODY for a net that has nothing to route.
+        # The rows of the agents in the game; NOBODY for one that this problem does not have.
         self._numbers = np.array([game.numbers.get(agent, NOBODY) for agent in self.agents])
         observations, infos = self._look()
         game.describe(infos)
@@ -77,7 +59,7 @@ class GlobalRoutingParallel(GameMethods, ParallelEnv):
         buffers, numbers, agents = self._game.player.buffers, self._numbers, self.agents
         seen: Any = buffers.obs[0].take(numbers, axis=0)
         masks = buffers.mask[0].take(numbers, axis=0)
-        infos: list[dict[str, Any]] = [{"action_mask": mask} for mask in masks]
+        infos: list[dict[str, Any]] = [{self._game.mask_key: mask} for mask in masks]
         if self._game.persists:
             active = buffers.active[0].take(numbers) & (numbers != NOBODY)
             seen[numbers == NOBODY] = 0

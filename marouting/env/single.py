@@ -71,7 +71,7 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
         buffers = game.player.buffers
         self._net = buffers.agents.item()
         mask = buffers.mask[0, 0].copy()
-        info = {"action_mask": mask, "net": game.names[self._net]}
+        info = game.info(mask, over=False) | {"net": game.names[self._net]}
         return game.seen(buffers.obs[0, 0].copy(), mask), info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:

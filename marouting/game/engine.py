@@ -23,7 +23,14 @@ from marouting.game.rules import (
     write_mask,
 )
 from marouting.game.saved import check_saved
-from marouting.game.setup import More, dynamic_state, more_of, static_state
+from marouting.game.setup import (
+    More,
+    Room,
+    dynamic_state,
+    more_of,
+    replace_problem,
+    static_state,
+)
 from marouting.game.state import NOBODY, Dynamic, Static
 from marouting.kernels import compiled, place, wide
 from marouting.problem.grid import Grid
@@ -107,6 +114,11 @@ def _uses(used: Any, nets: Any, net: Any, edge: Any) -> int:
     return size
 
 
+def _rows_of(nets: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(M, N) the agents of problems whose agents' nets are (M, N); NOBODY where there is none."""
+    return np.where(nets == NOBODY, np.int32(NOBODY), np.arange(nets.shape[1], dtype=np.int32))
+
+
 @dataclass(frozen=True)
 class Metrics:
     """The metrics of an episode. They do not depend on the reward.
@@ -135,15 +147,18 @@ class Engine:
     Args:
         problems: the problems, all with the same grid shape.
         rules: the options of the rules; None: those of the paper.
+        room: how large problems are that may take the place of these, see :meth:`replace`; None:
+            they stay.
         **changes: fields of :class:`marouting.game.options.RuleOptions` that differ from ``rules``.
 
     Attributes:
-        problems: the problems, a tuple of M.
         rules: the options of the rules.
+        room: how large problems may be that take the place of others.
         grid: the grid that all problems share.
         nets: (M, N) int32, the net of every agent; NOBODY where there is no agent.
         static: the arrays that do not change during an episode.
         dynamic: the arrays that do.
+        replaced: (M,) int64, how often a problem has taken the place of another.
 
     Raises:
         InputError: there is no problem, the grids differ, a problem has nothing to route, they take
@@ -151,14 +166,29 @@ class Engine:
     """
 
     def __init__(
-        self, problems: Sequence[Problem], rules: RuleOptions | None = None, **changes: Any
+        self,
+        problems: Sequence[Problem],
+        rules: RuleOptions | None = None,
+        *,
+        room: Room | None = None,
+        **changes: Any,
     ) -> None:
-        self.rules = replace(rules or RuleOptions(), **changes)
-        self.problems = tuple(problems)
-        self.static, self.nets = static_state(self.problems, self.rules)
-        self.grid = Grid.of(self.problems[0].grid)
+        self.rules, self.room = replace(rules or RuleOptions(), **changes), room
+        problems = tuple(problems)
+        self.static, self.nets = static_state(problems, self.rules, room=room)
+        # An array, like all that parts of an engine share.
+        self._held = np.empty(len(problems), object)
+        self._held[:] = problems
+        self.grid = Grid.of(problems[0].grid)
         self.dynamic = dynamic_state(self.static, self.grid, self.nets.shape[1])
+        self.replaced = np.zeros(len(problems), np.int64)
+        self._rows = _rows_of(self.nets)
         self.reset()
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """The problems, a tuple of M."""
+        return tuple(self._held)
 
     @property
     def agents(self) -> NDArray[Any]:
@@ -186,6 +216,11 @@ class Engine:
         return self.rules.actions
 
     @property
+    def most_tasks(self) -> int:
+        """The most two-pin tasks of a problem that is played or may take the place of one."""
+        return self.room.tasks if self.room else int(self.tasks.sum(axis=1).max())
+
+    @property
     def tasks(self) -> NDArray[np.int32]:
         """(M, N) int32, the number of two-pin tasks of every agent."""
         return np.diff(self.static.first, axis=1)
@@ -196,9 +231,9 @@ class Engine:
         Raises:
             ValueError: ``which`` is not one boolean per problem.
         """
-        which = np.asarray(np.ones(len(self.problems), np.bool_) if which is None else which)
+        which = np.asarray(np.ones(len(self.games), np.bool_) if which is None else which)
         if which.shape != self.games.shape or which.dtype != np.bool_:
-            raise ValueError(f"which: expected {len(self.problems)} booleans, found {which}")
+            raise ValueError(f"which: expected {len(self.games)} booleans, found {which}")
         _reset(self.static, self.dynamic, which)
 
     def part(self, which: NDArray[np.integer] | slice) -> "Engine":
@@ -208,12 +243,14 @@ class Engine:
             which: their indices. With a slice, the two engines share their arrays.
         """
         part = copy.copy(self)
-        for cached in ("_problems", "_all"):
+        for cached in ("_problems", "_each"):
             vars(part).pop(cached, None)
-        part.problems = tuple(self.problems[m] for m in np.arange(len(self.problems))[which])
-        part.nets = self.nets[which]
+        for name in ("_held", "_rows", "nets", "replaced"):
+            setattr(part, name, getattr(self, name)[which])
         static = self.static
+        alone = self.room is not None and not isinstance(which, slice)
         part.static = static._replace(
+            tasks=static.tasks.copy() if alone else static.tasks,
             capacity=static.capacity[which],
             demand=static.demand[which],
             first=static.first[which],
@@ -221,6 +258,29 @@ class Engine:
         )
         part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
         return part
+
+    def replace(self, m: int, problem: Problem) -> None:
+        """Puts another problem in the place of one; its episode is to be started by :meth:`reset`.
+
+        Engines that share arrays with this one, see :meth:`part`, play it as well.
+
+        Args:
+            m: the place.
+            problem: the problem, with the same grid shape.
+
+        Raises:
+            ValueError: there is no room for other problems in this engine.
+            InputError: the problem does not fit into it, or has nothing to route.
+        """
+        if self.room is None:
+            raise ValueError("replace: expected an engine with room for other problems")
+        replace_problem(self.static, self.nets, m, problem, self.rules, self.room)
+        self._held[m] = problem
+        self._rows[m] = _rows_of(self.nets[m : m + 1])
+        self.replaced[m] += 1
+        for array in self.dynamic:
+            array[m] = np.zeros((), array.dtype)
+        self.games["agent"][m] = NOBODY
 
     def move(self, moves: NDArray[np.integer]) -> None:
         """The first half of a step: agents move, tasks end.
@@ -321,13 +381,11 @@ class Engine:
 
     @functools.cached_property
     def _problems(self) -> NDArray[np.int32]:
-        return np.arange(len(self.problems), dtype=np.int32)
+        return np.arange(len(self.games), dtype=np.int32)
 
     @functools.cached_property
-    def _all(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        _, n = self.nets.shape
-        agents = np.where(self.nets == NOBODY, NOBODY, np.arange(n, dtype=np.int32))
-        return np.repeat(self._problems, n), agents.ravel()
+    def _each(self) -> NDArray[np.int32]:
+        return np.repeat(self._problems, self.nets.shape[1])
 
     def pairs(self, everyone: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Indices (problem, agent) of all M·N agents, or of the M agents whose turn it is.
@@ -336,8 +394,13 @@ class Engine:
         agent of a problem whose episode is over.
         """
         if everyone:
-            return self._all
+            return self._each, self._rows.reshape(-1)
         return self._problems, self.games["agent"]
+
+    def agents_of(self, m: int) -> NDArray[np.int32]:
+        """(N,) int32, the agents of a problem; NOBODY where one is absent."""
+        agents: NDArray[np.int32] = self._rows[m]
+        return agents
 
     def masks(
         self,
@@ -382,4 +445,4 @@ class Engine:
         nothing = np.empty(0, np.int64)
         net, edge = np.empty((2, _uses(used, self.nets[m], nothing, nothing)), np.int64)
         _uses(used, self.nets[m], net, edge)
-        return Solution.of_uses(self.problems[m], net, edge)
+        return Solution.of_uses(self._held[m], net, edge)

@@ -4,7 +4,11 @@ The paper's observation is here; :mod:`marouting.game.window` has one that fits 
 also write your own: any object with the two methods of :class:`Observation`. It works in all
 interfaces of the environment, in the batch and in trainings; see :func:`marouting.register`. An
 observation with a method ``state``, whose arguments are those of :func:`state`, and
-``state_space``, with those of :func:`state_space`, also decides what the global state is.
+``state_space``, with those of :func:`state_space`, also decides what the global state is. One that
+turns what it shows, as :mod:`marouting.game.window` does, may have a method ``move_order`` with the
+arguments and result of :meth:`.window.WindowObservation.move_order`: learners then choose among its
+moves, and their masks are of these; see :func:`move_order_of`. Environments take and show the moves
+of the grid in any case.
 
 A worked example: the paper's 12 numbers, and the number of agents that are still routing::
 
@@ -255,6 +259,48 @@ def _state(dynamic: Dynamic, out: Any) -> None:
             if agent.status == Status.ACTIVE:
                 out[m, place(agent.cell), AXES] += 1
                 out[m, place(agent.target), AXES + 1] += 1
+
+
+def has_move_order(observation: Observation) -> bool:
+    """Whether an observation has an order of moves of its own."""
+    return callable(getattr(observation, "move_order", None))
+
+
+def move_order_of(
+    observation: Observation, obs: NDArray[np.float32], actions: int
+) -> NDArray[np.int64]:
+    """The actions on the grid that the actions of an observation are.
+
+    Args:
+        observation: with a method ``move_order``.
+        obs: (K, *S) float32, what agents saw.
+        actions: A; an action that is no move, such as giving way, stays what it is.
+
+    Returns:
+        (K, A) int64, each row the numbers from 0 to A − 1 in some order.
+        ``numpy.take_along_axis(mask, order, -1)`` turns the grid's mask into the observation's.
+
+    Raises:
+        InputError: the observation gives something else.
+    """
+    own: Any = observation
+    order = np.asarray(own.move_order(obs))
+    whole = order.shape == (len(obs), MOVES) and order.dtype.kind in "iu"
+    # One bit per move: all six of them, each once.
+    if not whole or (order.clip(0, 62) != order).any() or (_bits(order) != _bits(_MOVES)).any():
+        found = f"{type(observation).__name__}.move_order"
+        raise InputError(
+            f"{found}: expected the moves 0 to 5, each once, for {len(obs)} agents, found {order}"
+        )
+    rest = np.broadcast_to(np.arange(MOVES, actions), (len(obs), actions - MOVES))
+    return np.concatenate((order.astype(np.int64), rest), axis=1)
+
+
+_MOVES = np.arange(MOVES)
+
+
+def _bits(moves: NDArray[np.integer]) -> NDArray[np.int64]:
+    return np.asarray(np.left_shift(1, moves.astype(np.int64)).sum(axis=-1))
 
 
 def state_space_of(observation: Observation, problems: Sequence[Problem], overflow: bool) -> Box:

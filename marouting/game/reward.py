@@ -82,7 +82,7 @@ class PaperReward:
         reached: for the move that reaches the task's target.
         step: for any other move, blocked ones included. An answer whether to give way pays 0.
         own_edge: for a move along an edge that the net already used, unless it reaches the target.
-            The paper charges −1, as for any move; 0 makes it free, as in wirelength.
+            None: what any other move pays (the paper); 0 makes it free, as in wirelength.
         overflow_price: subtracted for every unit of overflow that the move adds. It only matters
             if overflow is allowed.
     """
@@ -91,19 +91,20 @@ class PaperReward:
 
     reached: float = 100.0
     step: float = -1.0
-    own_edge: float = -1.0
+    own_edge: float | None = None
     overflow_price: float = 0.0
 
     def __post_init__(self) -> None:
         for f in fields(PaperReward):
             value = getattr(self, f.name)
+            value = 0 if value is None else value
             check(f.name, abs(value) <= _MOST, f"a number from {-_MOST:g} to {_MOST:g}")
 
     @functools.cached_property
     def table(self) -> NDArray[np.float32]:
         """(5, 3) float32, the reward by Crossing and Ending, without the price of overflow."""
         table = np.full((len(Crossing), len(Ending)), self.step, np.float32)
-        table[Crossing.OWN] = self.own_edge
+        table[Crossing.OWN] = self.step if self.own_edge is None else self.own_edge
         table[:, Ending.JOINED] = self.reached
         table[[Crossing.NONE, Crossing.ANSWERED]] = 0
         return table
@@ -120,6 +121,21 @@ class PaperReward:
         own = own - np.float32(self.overflow_price) * agent["added_overflow"].astype(np.float32)
         paid[moved, movers[moved]] = own
         return paid
+
+
+@dataclass(frozen=True)
+class NormalisedReward(PaperReward):
+    """The paper's reward in numbers of order 1: +1 for reaching the target pin, −0.01 otherwise.
+
+    Learners whose settings expect such numbers, as those of most libraries do, need it.
+    """
+
+    reached: float = 1.0
+    step: float = -0.01
+
+
+KNOWN = (PaperReward, NormalisedReward)
+"""The rewards that compiled steps know; subclasses may do anything."""
 
 
 @inlined

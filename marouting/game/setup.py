@@ -17,10 +17,29 @@ from marouting.problem.problem import UNLIMITED, Problem
 from marouting.trees.decomposition import two_pin_tasks
 
 
+class Room(NamedTuple):
+    """How large problems are at most that take each other's place in a game."""
+
+    nets: int  # nets of a problem
+    pins: int  # pins of a problem, of all its nets together
+
+    @classmethod
+    def of(cls, problems: Sequence[Problem]) -> "Room":
+        """Room for each of some problems."""
+        pins = max(sum(len(net.pins) for net in problem.nets) for problem in problems)
+        return cls(max(len(problem.nets) for problem in problems), pins)
+
+    @property
+    def tasks(self) -> int:
+        """Two-pin tasks at most: a Steiner tree of p pins has less than 2 p edges."""
+        return 2 * self.pins
+
+
 def static_state(
     problems: Sequence[Problem],
     rules: RuleOptions,
     ranks: NDArray[np.integer] | None = None,
+    room: Room | None = None,
 ) -> tuple[Static, NDArray[np.int32]]:
     """The constant arrays of a batch of problems with one grid shape.
 
@@ -28,6 +47,7 @@ def static_state(
         problems: M problems.
         rules: the options of the rules.
         ranks: (nets,) numbers; the net with the lowest one comes first. None: ``rules.net_order``.
+        room: the size of the arrays; None: what these problems need.
 
     Returns:
         The arrays, and (M, N) int32, the net of every agent (NOBODY where there is no agent). Nets
@@ -50,11 +70,11 @@ def static_state(
     grid = Grid.of(problems[0].grid)
     overflow = rules.overflow == "allowed"
     pins = [problem.flat_pin_gcells for problem in problems]
-    counts = [np.count_nonzero(first[1:] - first[:-1] > 1) for first, _ in pins]
+    counts = [int(np.count_nonzero(first[1:] - first[:-1] > 1)) for first, _ in pins]
     for m, count in enumerate(counts):
         if not count:
             raise InputError(f"problem {m}: expected a net with pins in two Gcells or more")
-    shape = len(problems), max(counts)
+    shape = len(problems), room.nets if room else max(counts)
     check_memory(
         grid.gcells * (TABLES + PLAYED * shape[0]) + 8 * math.prod(shape) * grid.shape[2],
         "{} problems of up to {} nets on a grid of {}",
@@ -68,8 +88,13 @@ def static_state(
     extended = rules.target == "tree" or rules.next_task == "nearest" or rules.mask_visited
     extended |= rules.give_back or rules.rip_up_rounds > 0
     tasks = [two_pin_tasks(problem, rules.decomposition) for problem in problems]
+    begins = np.cumsum([0, *map(len, tasks)]) if room is None else room.tasks * np.arange(shape[0])
+    table = np.zeros((int(begins[-1]) + (room.tasks if room else 0), 2), np.int32)
     for m, (problem, count) in enumerate(zip(problems, counts, strict=True)):
-        first[m, 0] = first[m - 1, -1]  # 0 for the first problem
+        if room is not None:
+            _check_room(room, count, len(tasks[m]))
+        first[m, 0] = begins[m]
+        table[begins[m] : begins[m] + len(tasks[m])] = tasks[m][:, 1:]
         most = _agents(
             *pins[m],
             tasks[m],
@@ -93,7 +118,7 @@ def static_state(
         position=grid.position,
         capacity=np.array([problem.capacity for problem in problems]),
         demand=demand,
-        tasks=np.concatenate([table[:, 1:] for table in tasks]),
+        tasks=table,
         first=first,
         order=order,
         sequential=rules.turn_order != "round_robin",
@@ -103,6 +128,50 @@ def static_state(
         options=_options(rules, (int(shape[1]), grid.gcells, grid.edges)) if extended else _PLAIN,
     )
     return static, agent_net
+
+
+def _check_room(room: Room, agents: int, tasks: int) -> None:
+    """Raises InputError for a problem that is too large."""
+    if agents > room.nets or tasks > room.tasks:
+        raise InputError(
+            f"problem: expected at most {room.nets} nets with {room.tasks} two-pin tasks to route, "
+            f"found {agents} with {tasks}"
+        )
+
+
+def replace_problem(
+    static: Static,
+    nets: NDArray[np.int32],
+    m: int,
+    problem: Problem,
+    rules: RuleOptions,
+    room: Room,
+) -> None:
+    """Puts another problem in the place of one, in arrays that have room for it.
+
+    Args:
+        static: the constant arrays of M problems, changed.
+        nets: (M, N), the net of every agent, changed.
+        m: the place.
+        problem: the problem, on the same grid.
+        rules: the options of the rules, the same as before.
+        room: the size of the arrays.
+
+    Raises:
+        InputError: the problem is too large, on another grid, or has nothing to route.
+    """
+    own, own_nets = static_state([problem], rules)
+    shapes = [tuple(state.position[-1].tolist()) for state in (static, own)]
+    if shapes[0] != shapes[1]:
+        raise InputError(f"problem: expected one grid shape, found another, {problem.grid}")
+    agents, tasks, begin = own_nets.shape[1], len(own.tasks), static.first[m, 0]
+    _check_room(room, agents, tasks)
+    static.capacity[m] = own.capacity[0]
+    static.demand[m], static.demand[m, :agents] = 0, own.demand[0]
+    static.first[m], static.first[m, : agents + 1] = begin + tasks, begin + own.first[0]
+    static.tasks[begin : begin + tasks] = own.tasks
+    static.order[m], static.order[m, :agents] = NOBODY, own.order[0]
+    nets[m], nets[m, :agents] = NOBODY, own_nets[0]
 
 
 def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int64]:

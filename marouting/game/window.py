@@ -36,13 +36,12 @@ A block has the shape (columns, rows, layers), in the window's directions, the l
 :attr:`WindowObservation.layout` tells where each block is. Off the grid all is 0. Agents that are
 done have no open tasks and no share in the predicted demand.
 
-**Predicted demand** (as in RUDY: Spindler and Johannes, 2007): each open task is expected to take
-one edge across every column and every row of the box around its two ends, with equal chances in all
-rows (columns) of the box and in all layers that have capacity in that direction. An agent's present
-task counts from where the agent is.
+Predicted demand is explained in :mod:`marouting.game.expected`. The agent's own is not counted.
 
-Moves are those of the grid, whatever the window's directions. :func:`mirrored` turns moves of the
-window into moves of the grid and back; :func:`move_order` does it for masks and values::
+The moves of environments are those of the grid, whatever the window's directions. :func:`mirrored`
+turns moves of the window into moves of the grid and back; :func:`move_order` does it for masks and
+values. Trainings and trained policies do so by themselves: their networks choose among the moves of
+the window and need not learn the mirror (:meth:`WindowObservation.move_order`)::
 
     from marouting.game.window import mirrored, move_order
 
@@ -60,7 +59,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -69,11 +67,20 @@ from numpy.typing import NDArray
 from marouting.config import check
 from marouting.game.edges import uses
 from marouting.game.engine import Engine, check_rows
+from marouting.game.expected import (
+    Maps,
+    grid_of,
+    maps_of,
+    position,
+    refresh,
+    share_of,
+    slack_of,
+    squashed,
+)
 from marouting.game.rules import free_moves, is_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
 from marouting.game.tasks import is_later
 from marouting.kernels import compiled, inlined, place, wide
-from marouting.memory import EXPECTED, check_memory
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
@@ -102,10 +109,6 @@ _SCALARS = 16
 _FAR = 4.0
 """log2(1 + d) / 8 for the largest d of a grid."""
 
-_BITS = 20
-"""Expected demand is counted in parts of 2**-20. Sums of integers are the same in any order, so it
-makes no difference how a state has come about."""
-
 
 class _Where(NamedTuple):
     """What the compiled code has to know of the options."""
@@ -118,49 +121,6 @@ class _Where(NamedTuple):
     own: int
     pins: int
     heads: int
-
-
-class _Maps(NamedTuple):
-    """What is known about M problems beyond their state, brought up to date before it is read."""
-
-    lanes: NDArray[np.int32]  # (M, 2, Z) 1 for layers with capacity along x, along y
-    lane_count: NDArray[np.int32]  # (M, 2) their number, at least 1
-    track: NDArray[np.float32]  # (M, Z) mean demand of the agents on an edge, for the state
-    counted: NDArray[np.int32]  # (M, N, 3) Gcell, target and task of agents in the maps, or NOBODY
-    corner: NDArray[np.int64]  # (M, G, 2) what ``expected`` is the sum of, over lower x and y
-    expected: NDArray[np.int64]  # (M, G, 2) expected demand on a Gcell's edges towards +x and +y
-    heads: NDArray[np.int32]  # (M, G) active agents
-    later: NDArray[np.uint8]  # (M, T) tasks in the maps that agents have still to begin
-    changed: NDArray[np.int32]  # (M, 2) first and last column in which ``corner`` has changed
-
-
-_maps: WeakKeyDictionary[Engine, _Maps] = WeakKeyDictionary()
-"""The maps of every engine that is observed. They follow from its state, so nobody saves them."""
-
-
-def _maps_of(engine: Engine) -> _Maps:
-    """The maps of an engine, new ones if it has none yet."""
-    maps = _maps.get(engine)
-    if maps is None:
-        static, grid = engine.static, engine.grid
-        m, n = engine.nets.shape
-        check_memory(EXPECTED * m * grid.gcells, "expected demand of {} grids of {}", m, grid)
-        capacity = static.capacity.reshape(m, -1, grid.shape[VIA_AXIS], AXES)
-        lanes = (capacity[..., :VIA_AXIS].max(axis=1) > 0).transpose(0, 2, 1)
-        lanes = lanes | ~lanes.any(axis=2, keepdims=True)
-        track = static.demand.sum(axis=1) / (engine.tasks > 0).sum(axis=1)[:, None]
-        maps = _maps[engine] = _Maps(
-            lanes=lanes.astype(np.int32),
-            lane_count=lanes.sum(axis=2, dtype=np.int32),
-            track=np.where(track > 0, track, 1).astype(np.float32),
-            counted=np.full((m, n, 3), NOBODY, np.int32),
-            corner=np.zeros((m, grid.gcells, 2), np.int64),
-            expected=np.zeros((m, grid.gcells, 2), np.int64),
-            heads=np.zeros((m, grid.gcells), np.int32),
-            later=np.zeros((m, int(engine.tasks.sum(axis=1).max())), np.uint8),
-            changed=np.zeros((m, 2), np.int32),
-        )
-    return maps
 
 
 @dataclass(frozen=True)
@@ -250,9 +210,20 @@ class WindowObservation:
             ValueError: there are no such agents.
         """
         check_rows(problems, agents, out, self.size)
-        maps = _maps_of(engine)
+        maps = maps_of(engine)
         if not _window(engine.static, engine.dynamic, maps, self._where, problems, agents, out):
             raise ValueError(f"expected agents of the games, found {problems}, {agents}")
+
+    def move_order(self, obs: NDArray[np.float32]) -> NDArray[np.int64]:
+        """The moves on the grid that the moves of the window are, for what learns in the window.
+
+        Args:
+            obs: (K, size) float32, what agents saw.
+
+        Returns:
+            (K, 6) int64; see :func:`move_order`.
+        """
+        return move_order(obs)
 
     def state_space(self, problems: Sequence[Problem], overflow: bool) -> Box:
         """The space of :meth:`state`."""
@@ -285,7 +256,7 @@ class WindowObservation:
         if out is None:
             out = np.empty((len(engine.games), columns, rows, layers * channels), np.float32)
         flat = out.reshape(len(out), -1, channels)
-        _state(engine.static, engine.dynamic, _maps_of(engine), self._where, flat)
+        _state(engine.static, engine.dynamic, maps_of(engine), self._where, flat)
         return out
 
 
@@ -320,139 +291,17 @@ def mirrored(moves: NDArray[np.integer], obs: NDArray[np.float32]) -> NDArray[np
     return np.where(moves == NOBODY, NOBODY, turned)
 
 
-# --- expected demand ------------------------------------------------------------------------------
-
-
-@inlined
-def _position(static: Static, cell: int) -> tuple[int, int, int]:
-    """x, y and z of a Gcell."""
-    at = static.position[cell]
-    return wide(at[0]), wide(at[1]), wide(at[2])
-
-
-@inlined
-def _grid(static: Static) -> tuple[int, int, int]:
-    """Columns, rows and layers of the grid."""
-    x, y, z = _position(static, len(static.position) - 1)
-    return x + 1, y + 1, z + 1
-
-
-@inlined
-def _share(static: Static, maps: _Maps, m: int, n: int, axis: int, z: int, across: int) -> int:
-    """What a net is expected to take of each edge along an axis in a layer of a task's box.
-
-    Args:
-        static: the static state of the games.
-        maps: see :class:`_Maps`.
-        m: the problem.
-        n: the agent.
-        axis: 0 or 1.
-        z: the layer.
-        across: the size of the box across the axis, in Gcells.
-    """
-    demand = wide(maps.lanes[m, axis, z]) * wide(static.demand[m, n, z])
-    return (demand << _BITS) // (across * wide(maps.lane_count[m, axis]))
-
-
-@inlined
-def _count_task(
-    static: Static, maps: _Maps, m: int, n: int, near: int, far: int, sign: int
-) -> None:
-    """Adds a task from one Gcell to another to the corners (``sign`` 1), or takes it off (−1)."""
-    columns, rows, layers = _grid(static)
-    x0, x1 = wide(static.position[near, 0]), wide(static.position[far, 0])
-    y0, y1 = wide(static.position[near, 1]), wide(static.position[far, 1])
-    x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
-    if x0 == x1 and y0 == y1:
-        return
-    maps.changed[m, 0] = min(maps.changed[m, 0], x0)
-    maps.changed[m, 1] = max(maps.changed[m, 1], x1)
-    for z in range(layers):
-        if x0 < x1:
-            share = sign * _share(static, maps, m, n, 0, z, y1 - y0 + 1)
-            maps.corner[m, place((x0 * rows + y0) * layers + z), 0] += share
-            maps.corner[m, place((x1 * rows + y0) * layers + z), 0] -= share
-            if y1 + 1 < rows:
-                maps.corner[m, place((x0 * rows + y1 + 1) * layers + z), 0] -= share
-                maps.corner[m, place((x1 * rows + y1 + 1) * layers + z), 0] += share
-        if y0 < y1:
-            share = sign * _share(static, maps, m, n, 1, z, x1 - x0 + 1)
-            maps.corner[m, place((x0 * rows + y0) * layers + z), 1] += share
-            maps.corner[m, place((x0 * rows + y1) * layers + z), 1] -= share
-            if x1 + 1 < columns:
-                maps.corner[m, place(((x1 + 1) * rows + y0) * layers + z), 1] -= share
-                maps.corner[m, place(((x1 + 1) * rows + y1) * layers + z), 1] += share
-
-
-@inlined
-def _count_agent(static: Static, maps: _Maps, m: int, n: int, later: bool, sign: int) -> None:
-    """Adds an agent's present task and those noted as later to the maps, or takes them off."""
-    cell, target = place(maps.counted[m, n, 0]), place(maps.counted[m, n, 1])
-    maps.heads[m, cell] += sign
-    _count_task(static, maps, m, n, cell, target, sign)
-    if later:
-        for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
-            if not maps.later[m, task - static.first[m, 0]]:
-                continue
-            near, far = place(static.tasks[task, 0]), place(static.tasks[task, 1])
-            _count_task(static, maps, m, n, near, far, sign)
-
-
-@compiled
-def _refresh(static: Static, dynamic: Dynamic, maps: _Maps, m: int) -> None:
-    """Brings the maps of a problem up to date: agents that have moved are counted again."""
-    columns, rows, layers = _grid(static)
-    maps.changed[m, 0], maps.changed[m, 1] = columns, NOBODY
-    for n in range(dynamic.agents.shape[1]):
-        agent = dynamic.agents[m, n]
-        active = agent.status == Status.ACTIVE
-        cell = wide(agent.cell) if active else wide(NOBODY)
-        target, task = wide(agent.target), wide(agent.task)
-        before = wide(maps.counted[m, n, 0])
-        same = task == maps.counted[m, n, 2]
-        if static.extended is not None and active:
-            for t in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
-                noted = maps.later[m, t - static.first[m, 0]] != 0
-                same &= noted == is_later(static, dynamic, m, n, wide(t))
-        if cell == before and (cell == NOBODY or (same and target == maps.counted[m, n, 1])):
-            continue
-        later = not (same and active and before != NOBODY)
-        # Two turns instead of two calls, which would compile the counting twice.
-        for sign in range(-1, 2, 2):
-            if sign == 1:
-                maps.counted[m, n, 0] = cell
-                maps.counted[m, n, 1] = target
-                maps.counted[m, n, 2] = task
-                for t in range(later * static.first[m, n], later * static.first[m, n + 1]):
-                    noted = active and is_later(static, dynamic, m, n, wide(t))
-                    maps.later[m, t - static.first[m, 0]] = noted
-            if maps.counted[m, n, 0] != NOBODY:
-                _count_agent(static, maps, m, n, later, sign)
-    # To the left of a box that has changed nothing changes, and to the right of it neither.
-    column = rows * layers
-    for x in range(wide(maps.changed[m, 0]), wide(maps.changed[m, 1]) + 1):
-        for y in range(rows):
-            for z in range(layers):
-                cell = place(x * column + y * layers + z)
-                for axis in range(VIA_AXIS):
-                    total = maps.corner[m, cell, axis]
-                    if x > 0:
-                        total += maps.expected[m, place(cell - column), axis]
-                    if y > 0:
-                        total += maps.expected[m, place(cell - layers), axis]
-                    if x > 0 and y > 0:
-                        total -= maps.expected[m, place(cell - column - layers), axis]
-                    maps.expected[m, cell, axis] = total
+# --- rows -----------------------------------------------------------------------------------------
 
 
 @inlined
 def _take_own(
-    static: Static, maps: _Maps, where: _Where, m: int, n: int, cell: int, sign: int
+    static: Static, maps: Maps, where: _Where, m: int, n: int, cell: int, sign: int
 ) -> None:
     """Takes a net's own expected demand off the edges of its window (−1), or adds it again (1)."""
-    _, rows, layers = _grid(static)
+    _, rows, layers = grid_of(static)
     reach = wide(where.radius)
-    x, y, z = _position(static, cell)
+    x, y, z = position(static, cell)
     present = wide(maps.counted[m, n, 2])
     for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
         if task != present and not maps.later[m, task - static.first[m, 0]]:
@@ -466,7 +315,7 @@ def _take_own(
         for layer in range(max(z - where.layers, 0), min(z + where.layers, layers - 1) + 1):
             for axis in range(VIA_AXIS):
                 across = (y1 - y0 if axis == 0 else x1 - x0) + 1
-                share = sign * _share(static, maps, m, n, axis, layer, across)
+                share = sign * share_of(static, maps, m, n, axis, layer, across)
                 right, up = x1 - (axis == 0), y1 - (axis == 1)
                 for column in range(max(x0, x - reach - 1), min(right, x + reach) + 1):
                     for row in range(max(y0, y - reach - 1), min(up, y + reach) + 1):
@@ -474,27 +323,11 @@ def _take_own(
                         maps.expected[m, at, axis] += share
 
 
-# --- rows -----------------------------------------------------------------------------------------
-
-
-@inlined
-def _squashed(number: Any) -> Any:
-    """float32, q / (1 + |q|)."""
-    return number / (np.float32(1) + abs(number))
-
-
-@inlined
-def _slack(maps: _Maps, m: int, cell: int, axis: int, remaining: int, track: Any) -> Any:
-    """float32 remaining capacity less expected demand, in tracks."""
-    expected = np.float32(maps.expected[m, cell, axis]) * np.float32(2.0**-_BITS)
-    return (np.float32(remaining) - expected) / track
-
-
 @inlined
 def _edges(
     static: Static,
     dynamic: Dynamic,
-    maps: _Maps,
+    maps: Maps,
     where: _Where,
     m: int,
     n: int,
@@ -508,7 +341,7 @@ def _edges(
     Args:
         static: the static state of the games.
         dynamic: their dynamic state.
-        maps: see :class:`_Maps`.
+        maps: see :class:`Maps`.
         where: where channels begin.
         m: the problem.
         n: the agent.
@@ -517,10 +350,10 @@ def _edges(
         out: (K, size) to be filled.
         row: which of the K.
     """
-    columns, rows, layers = _grid(static)
+    columns, rows, layers = grid_of(static)
     agent = dynamic.agents[m, n]
     cell, target = place(agent.cell), place(agent.target)
-    x, y, z = _position(static, cell)
+    x, y, z = position(static, cell)
     right = static.position[target, 0] >= x
     up = static.position[target, 1] >= y
     # The last edge of an axis leads off the grid; in a mirror an edge belongs to its other end.
@@ -545,12 +378,12 @@ def _edges(
                         remaining = dynamic.remaining[m, edge]
                         track = np.float32(max(static.demand[m, n, place(gz)], 1))
                         if where.capacity >= 0:
-                            capacity = _squashed(np.floor(np.float32(remaining) / track))
+                            capacity = squashed(np.floor(np.float32(remaining) / track))
                         if where.demand >= 0:
-                            slack = _squashed(_slack(maps, m, at, axis, remaining, track))
+                            slack = squashed(slack_of(maps, m, at, axis, remaining, track))
                         if where.history >= 0 and static.options[Option.HISTORY] >= 0:
                             at = place(static.options[Option.HISTORY] + edge)
-                            history = _squashed(np.float32(dynamic.numbers[m, at]))
+                            history = squashed(np.float32(dynamic.numbers[m, at]))
                 if axis != VIA_AXIS:
                     if where.capacity >= 0:
                         out[row, place(where.capacity + p)] = capacity
@@ -567,7 +400,7 @@ def _edges(
 def _gcells(
     static: Static,
     dynamic: Dynamic,
-    maps: _Maps,
+    maps: Maps,
     where: _Where,
     m: int,
     n: int,
@@ -575,10 +408,10 @@ def _gcells(
     row: int,
 ) -> None:
     """Writes the channels ``pins`` and ``heads``."""
-    columns, rows, layers = _grid(static)
+    columns, rows, layers = grid_of(static)
     agent = dynamic.agents[m, n]
     cell, target = place(agent.cell), place(agent.target)
-    x, y, z = _position(static, cell)
+    x, y, z = position(static, cell)
     sign_x = 1 if static.position[target, 0] >= x else -1
     sign_y = 1 if static.position[target, 1] >= y else -1
     active = agent.status == Status.ACTIVE
@@ -596,7 +429,7 @@ def _gcells(
                     if inside and 0 <= gz < layers:
                         at = place((gx * rows + gy) * layers + gz)
                         others = np.float32(maps.heads[m, at] - wide(active and at == cell))
-                    out[row, place(where.heads + p)] = _squashed(others)
+                    out[row, place(where.heads + p)] = squashed(others)
                 if where.pins >= 0:
                     out[row, place(where.pins + p)] = 0
                 p += 1
@@ -614,7 +447,7 @@ def _gcells(
 
 
 @inlined
-def _numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
+def write_numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
     """Writes the first 16 numbers of a row."""
     agent = dynamic.agents[m, n]
     cell, target = place(agent.cell), place(agent.target)
@@ -627,7 +460,7 @@ def _numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: in
             out[row, axis] = 1 - 2 * back
             far = abs(far)
         logarithm = np.float32(math.log2(1.0 + abs(far)) / 8)
-        out[row, 2 + axis] = _squashed(np.float32(far))
+        out[row, 2 + axis] = squashed(np.float32(far))
         out[row, 5 + axis] = logarithm if far >= 0 else -logarithm
         for way in range(2):
             out[row, 8 + 2 * axis + way] = free >> (2 * axis + (way ^ back)) & 1
@@ -638,14 +471,14 @@ def _numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: in
         tasks += 1
         for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
             tasks += is_later(static, dynamic, m, n, wide(task))
-    out[row, 15] = _squashed(np.float32(tasks))
+    out[row, 15] = squashed(np.float32(tasks))
 
 
 @compiled
 def _window(
     static: Static,
     dynamic: Dynamic,
-    maps: _Maps,
+    maps: Maps,
     where: _Where,
     problems: Any,
     agents: Any,
@@ -666,9 +499,9 @@ def _window(
             continue
         m, n = place(m), place(n)
         if m != refreshed and (where.demand >= 0 or where.heads >= 0):
-            _refresh(static, dynamic, maps, m)
+            refresh(static, dynamic, maps, m, wide(NOBODY))
             refreshed = m
-        _numbers(static, dynamic, m, n, out, i)
+        write_numbers(static, dynamic, m, n, out, i)
         takes = where.demand >= 0 and maps.counted[m, n, 0] != NOBODY
         cell = place(dynamic.agents[m, n].cell)
         # One loop instead of three calls, which would compile everything three times.
@@ -686,12 +519,12 @@ def _window(
 
 
 @compiled
-def _state(static: Static, dynamic: Dynamic, maps: _Maps, where: _Where, out: Any) -> None:
+def _state(static: Static, dynamic: Dynamic, maps: Maps, where: _Where, out: Any) -> None:
     """Fills ``out`` (M, G, C)."""
     layers = maps.track.shape[1]
     for m in range(out.shape[0]):
         if where.demand >= 0 or where.heads >= 0:
-            _refresh(static, dynamic, maps, m)
+            refresh(static, dynamic, maps, m, wide(NOBODY))
         begin = wide(0)
         for cell in range(out.shape[1]):
             track = maps.track[m, cell % layers]
@@ -699,13 +532,13 @@ def _state(static: Static, dynamic: Dynamic, maps: _Maps, where: _Where, out: An
             if where.capacity >= 0:
                 for axis in range(VIA_AXIS):
                     remaining = np.float32(dynamic.remaining[m, AXES * cell + axis])
-                    out[m, cell, begin + axis] = _squashed(remaining / track)
+                    out[m, cell, begin + axis] = squashed(remaining / track)
                 begin += VIA_AXIS
             if where.demand >= 0:
                 for axis in range(VIA_AXIS):
                     remaining = dynamic.remaining[m, AXES * cell + axis]
-                    slack = _slack(maps, m, cell, axis, remaining, track)
-                    out[m, cell, begin + axis] = _squashed(slack)
+                    slack = slack_of(maps, m, cell, axis, remaining, track)
+                    out[m, cell, begin + axis] = squashed(slack)
                 begin += VIA_AXIS
             if where.history >= 0:
                 for axis in range(VIA_AXIS):
@@ -713,7 +546,7 @@ def _state(static: Static, dynamic: Dynamic, maps: _Maps, where: _Where, out: An
                     if static.options[Option.HISTORY] >= 0:
                         at = place(static.options[Option.HISTORY] + AXES * cell + axis)
                         history = np.float32(dynamic.numbers[m, at])
-                        out[m, cell, begin + axis] = _squashed(history)
+                        out[m, cell, begin + axis] = squashed(history)
                 begin += VIA_AXIS
             for channel in range(begin, out.shape[2]):
                 out[m, cell, channel] = 0
@@ -737,4 +570,4 @@ def _state(static: Static, dynamic: Dynamic, maps: _Maps, where: _Where, out: An
             if where.heads >= 0:
                 out[m, cell, out.shape[2] - 1] = maps.heads[m, cell]
             for channel in range(begin, out.shape[2]):
-                out[m, cell, channel] = _squashed(out[m, cell, channel])
+                out[m, cell, channel] = squashed(out[m, cell, channel])

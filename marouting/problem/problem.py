@@ -11,7 +11,8 @@ import itertools
 import os
 from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -19,8 +20,9 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.kernels import compiled
-from marouting.problem import ispd
-from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS, Grid
+from marouting.problem import ispd, lefdef
+from marouting.problem.chip import Chip
+from marouting.problem.grid import AXES, MAX_GCELLS, OFF_GRID, VIA_AXIS, Grid
 from marouting.problem.net import (
     MAX_NUMBER,
     Adjustment,
@@ -33,9 +35,6 @@ from marouting.problem.net import (
 
 UNLIMITED = int(np.iinfo(np.int32).max)
 """The capacity of a via. Vias never overflow (paper, section on the problem sets generator)."""
-
-MAX_GCELLS = 2**24
-"""The largest grid accepted, larger than any of the ISPD 2008 contest."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +53,9 @@ class Problem:
         tile: width and height of a Gcell in chip coordinates.
         adjustments: edges whose capacity differs from their layer's; if an edge has several, the
             last one counts (ISPD 2008 evaluator).
+        chip: names of layers, lines between Gcells and costs that the problem's files give beyond
+            the problem itself, or None. Equal problems may differ in it, and ``.gr`` files do not
+            hold it.
 
     Raises:
         FieldError: a value is out of range or contradicts another (an InputError).
@@ -69,6 +71,7 @@ class Problem:
     origin: tuple[int, int] = (0, 0)
     tile: tuple[int, int] = (1, 1)
     adjustments: tuple[Adjustment, ...] = ()
+    chip: Chip | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         layered = (
@@ -148,6 +151,11 @@ class Problem:
             )
         return net, gcell
 
+    @property
+    def gcell_of_pins(self) -> NDArray[np.int64]:
+        """(pins,) the Gcell of every pin, one net after another, with repetitions."""
+        return self._pins[1]
+
     @functools.cached_property
     def _adjusted_edges(self) -> NDArray[np.int64]:
         """(adjustments,) the edge of each adjustment; raises FieldError for an unusable one."""
@@ -177,6 +185,18 @@ class Problem:
                 "adjustments",
                 row,
             )
+
+    @functools.cached_property
+    def chip_or_default(self) -> Chip:
+        """:attr:`chip`, or what stands for it: layers Metal1, Metal2, … and Gcells by tile."""
+        if self.chip is not None:
+            return self.chip
+        x, y = (
+            self.origin[axis] + self.tile[axis] * np.arange(self.grid[axis] + 1, dtype=np.int64)
+            for axis in (0, 1)
+        )
+        layers = tuple(f"Metal{layer + 1}" for layer in range(self.grid[2]))
+        return Chip(layers, x, y, self.layer_capacity[:, :VIA_AXIS] > 0)
 
     @functools.cached_property
     def topology(self) -> Grid:
@@ -260,17 +280,49 @@ class Problem:
         return tuple(gcell[a:b] for a, b in itertools.pairwise(first.tolist()))
 
     @staticmethod
-    def read(path: str | os.PathLike[str]) -> "Problem":
-        """Reads a file in any of the ISPD formats (:mod:`marouting.problem.ispd`).
+    def read(
+        path: str | os.PathLike[str],
+        *,
+        lef: Sequence[str | os.PathLike[str]] = (),
+        tile: tuple[int, int] | None = None,
+        net: str | os.PathLike[str] | None = None,
+    ) -> "Problem":
+        """Reads a problem.
+
+        A file ``.def`` is a LEF/DEF design (:mod:`marouting.problem.lefdef`, which needs the extra
+        ``lefdef``), a file ``.cap`` a problem of the ISPD 2024 contest
+        (:mod:`marouting.problem.ispd.ispd2024`). All others are ISPD text
+        (:mod:`marouting.problem.ispd`), whose header tells the format.
 
         Args:
-            path: the file; its header tells the format.
+            path: the file.
+            lef: for a design its LEF files, technology first; none stands for the file beside it
+                that is named alike, with the suffix ``.lef``.
+            tile: for a design the width and height of a Gcell in the DEF's units; None for its
+                GCELLGRID, or, where it has none, for 15 tracks.
+            net: for a ``.cap`` file its ``.net`` file; None for the one beside it that is named
+                alike.
 
         Raises:
             InputError: the file cannot be read, is in none of the formats, or does not describe
-                a valid problem; the message names the file, the line, and what was expected.
+                a valid problem; the message names the file, the line, and what was expected. Or an
+                argument is for another format.
         """
-        record = ispd.read_problem(path)
+        suffix = Path(path).suffix.lower()
+        for name, given, own in (
+            ("lef", lef, ".def"),
+            ("tile", tile, ".def"),
+            ("net", net, ".cap"),
+        ):
+            if given and suffix != own:
+                raise InputError(f"{os.fspath(path)}: expected no {name} for it, only for {own}")
+        if suffix == ".def":
+            files = lef or [Path(path).with_suffix(".lef")]
+            record = lefdef.read_design(path, files, tile)
+        elif suffix == ".cap":
+            record = ispd.read_contest(path, net or Path(path).with_suffix(".net"))
+        else:
+            record = ispd.read_problem(path)
         try:
             return Problem(**record.fields)
         except FieldError as error:
@@ -279,7 +331,8 @@ class Problem:
     def write(self, path: str | os.PathLike[str], format: ispd.Format = "ispd2008") -> None:
         """Writes the problem in an ISPD format (:mod:`marouting.problem.ispd`).
 
-        The file is written whole or not at all. Reading it gives an equal problem.
+        The file is written whole or not at all. Reading it gives an equal problem, without its
+        :attr:`chip`.
 
         Args:
             path: the file.

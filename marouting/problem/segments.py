@@ -3,12 +3,15 @@
 Points are given as in ISPD files: x and y in chip coordinates, layer from 1.
 """
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from marouting.memory import USED, check_memory
 from marouting.problem.grid import AXES, OFF_GRID
-from marouting.problem.net import FieldError
+from marouting.problem.net import FieldError, Pin
 from marouting.problem.problem import Problem
 
 
@@ -30,6 +33,24 @@ def covered_edges(
         InputError: the edges would take too much memory.
     """
     gcells = problem.gcells(points.reshape(-1, 3)).reshape(-1, 2)
+    return edges_between(problem, gcells, points, problem.extent)
+
+
+def edges_between(
+    problem: Problem, gcells: NDArray[np.int64], points: NDArray[np.int64], extent: str
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The edges that segments between Gcells cover, as :func:`covered_edges` returns them.
+
+    Args:
+        problem: whose grid counts.
+        gcells: (n, 2) the two ends of each segment, OFF_GRID for one that is off the grid.
+        points: (n, 2, 3) the ends as they were given, for error messages.
+        extent: what ends have to be, for error messages.
+
+    Raises:
+        FieldError: as of :func:`covered_edges`.
+        InputError: likewise.
+    """
     position = np.stack(np.unravel_index(gcells.clip(0), problem.grid), axis=-1)
     span = np.abs(position[:, 1] - position[:, 0])
     wrong = (gcells == OFF_GRID).any(axis=1) | (np.count_nonzero(span, axis=1) > 1)
@@ -38,7 +59,7 @@ def covered_edges(
         expected = "a segment along one axis, found a diagonal one"
         for point, gcell in zip(points[row].tolist(), gcells[row], strict=True):
             if gcell == OFF_GRID:
-                expected = f"{problem.extent}, found {tuple(point)}"
+                expected = f"{extent}, found {tuple(point)}"
                 break
         raise FieldError(f"expected {expected}", "segments", row)
     axis, length = span.argmax(axis=1), span.sum(axis=1)
@@ -64,6 +85,14 @@ def longest_segments(
         (n,) the net of each segment and (n, 2, 3) the centres of its two end Gcells, the lower
         Gcell first; ordered by net, lower end and axis.
     """
+    owner, ends = longest_runs(problem, net, edge)
+    return owner, _centres(problem, ends)
+
+
+def longest_runs(
+    problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """As :func:`longest_segments`, but with (n, 2) the numbers of the end Gcells."""
     near, axis = np.divmod(edge, AXES)
     stride = problem.strides[axis]
     # Within a row of Gcells along the axis, identified by its first Gcell, edges with consecutive
@@ -84,7 +113,18 @@ def longest_segments(
     canonical = np.lexsort((axis[first], near[first], net[first]))
     first, last = first[canonical], last[canonical]
     gcells = np.stack((near[first], near[last] + stride[last]), axis=1)
-    return net[first], _centres(problem, gcells)
+    return net[first], gcells
+
+
+def with_pins_at(problem: Problem, gcells: NDArray[np.int64]) -> Problem:
+    """The problem with its pins (pins,) in the middle of other Gcells, one net after another."""
+    pins = [Pin(*point) for point in _centres(problem, gcells).tolist()]
+    bounds = [0, *itertools.accumulate(len(net.pins) for net in problem.nets)]
+    nets = (
+        replace(net, pins=tuple(pins[start:end]))
+        for net, (start, end) in zip(problem.nets, itertools.pairwise(bounds), strict=True)
+    )
+    return replace(problem, nets=tuple(nets))
 
 
 def _centres(problem: Problem, gcells: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -7,7 +7,8 @@ import textwrap
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,25 @@ from numpy.typing import NDArray
 from marouting.errors import InputError
 from marouting.kernels import compiled, wide
 from marouting.problem import ispd
-from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.boxes import Boxes, boxes_of, edges_in_boxes
+from marouting.problem.chip import Places
+from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS
 from marouting.problem.net import MAX_NUMBER, FieldError
 from marouting.problem.problem import Problem
-from marouting.problem.segments import covered_edges, longest_segments
+from marouting.problem.segments import (
+    covered_edges,
+    edges_between,
+    longest_runs,
+    longest_segments,
+    with_pins_at,
+)
+
+RouteFormat = Literal["ispd2008", "guide", "ispd2024"]
+"""The formats of solutions (:meth:`Solution.write`)."""
+
+ROUTE_FORMATS: tuple[RouteFormat, ...] = get_args(RouteFormat)
+
+_BY_SUFFIX: dict[str, RouteFormat] = {".guide": "guide", ".pr_output": "ispd2024"}
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -138,24 +154,71 @@ class Solution:
         _mark_ways(ends, pins, np.zeros(size + 1, np.int64), at, back, queue, kept)
         return Solution.of_uses(self.problem, net[kept], edge[kept])
 
+    def at_reached_pins(self) -> "Solution":
+        """The same routes for the problem with its pins where these routes reach them.
+
+        A pin with shapes in several Gcells can be reached in any of them
+        (:attr:`marouting.problem.chip.Chip.places`), and a problem has it in one. Routers join
+        these; routes of others may end in other ones, and are judged rightly by this solution and
+        its problem.
+
+        Returns:
+            A solution of a problem in which every pin is moved to its first place where an edge of
+            its net ends, unless one does where it is, or nowhere. The pins of a net without edges
+            are moved to the first Gcell where all of them are, if there is one. This solution, if
+            none moves.
+        """
+        places = None if self.problem.chip is None else self.problem.chip.places
+        if places is None:
+            return self
+        problem, (net, edge) = self.problem, self.uses
+        size = int(np.prod(problem.grid))
+        near = edge // AXES
+        ends = np.concatenate((near, near + problem.strides[edge - AXES * near]))
+        reached = np.unique(np.tile(net, 2) * size + ends)
+        reached = np.union1d(reached, _shared_places(problem, places, net))
+        pins = np.arange(len(places.first) - 1)
+        owner = np.repeat(np.arange(len(problem.nets)), np.diff(places.first_pin))
+        pin = np.repeat(pins, np.diff(places.first))
+        good = np.flatnonzero(np.isin(owner[pin] * size + places.gcell, reached))
+        first = np.full(len(pins), -1)
+        first[pin[good[::-1]]] = places.gcell[good[::-1]]
+        moved = (first >= 0) & ~np.isin(owner * size + problem.gcell_of_pins, reached)
+        if not moved.any():
+            return self
+        gcell = np.where(moved, first, problem.gcell_of_pins)
+        return Solution.of_uses(with_pins_at(problem, gcell), net, edge)
+
     @staticmethod
     def read(path: str | os.PathLike[str], problem: Problem) -> "Solution":
-        """Reads ISPD solution text (:mod:`marouting.problem.ispd`).
+        """Reads routes: ISPD solution text, a routing guide, or ISPD 2024's output.
 
-        A net without a block is routed with no edges. An edge that a net lists several times
-        counts once, with one ``UserWarning`` for the file.
+        The file's first lines tell the format (:mod:`marouting.problem.ispd`). A net without a
+        block is routed with no edges. An edge that a net lists several times counts once, with one
+        ``UserWarning`` for the file.
+
+        Boxes, of which guides consist, say where a route may be. The solution has the shortest ways
+        inside them (:meth:`pruned`), along the directions of the layers' wires.
 
         Args:
             path: the file.
-            problem: what it solves; its origin and tile map points to Gcells.
+            problem: what it solves; its origin and tile map points to Gcells, its chip boxes.
 
         Raises:
-            InputError: the file cannot be read, is not of this format, or does not fit the
+            InputError: the file cannot be read, is of none of these formats, or does not fit the
                 problem; the message names the file, the line, and what was expected.
         """
-        record = ispd.read_solution(path, ((net.name, net.id) for net in problem.nets))
+        layers = problem.chip_or_default.layers
+        record = ispd.read_solution(path, ((net.name, net.id) for net in problem.nets), layers)
         try:
-            segment, edge = covered_edges(problem, record.points)
+            if isinstance(record, ispd.SolutionRecord):
+                segment, edge = covered_edges(problem, record.points)
+            elif len(record.boxes):
+                boxes = Boxes(record.net, record.boxes[:, :4], record.boxes[:, 4])
+                region = Solution.of_uses(problem, *edges_in_boxes(problem, boxes))
+                return Solution.of_uses(problem, *region.at_reached_pins().pruned().uses)
+            else:
+                segment, edge = _edges_of_gcells(problem, record.segments)
         except FieldError as error:
             raise record.located(error) from None
         size = AXES * int(np.prod(problem.grid))
@@ -172,20 +235,90 @@ class Solution:
             )
         return Solution.of_uses(problem, *np.divmod(uses, size))
 
-    def write(self, path: str | os.PathLike[str]) -> None:
-        """Writes the solution as ISPD solution text, whole or not at all.
+    def write(self, path: str | os.PathLike[str], format: RouteFormat | None = None) -> None:
+        """Writes the routes, whole or not at all.
 
-        Nets come in the problem's order, each as its longest straight segments between the centres
-        of Gcells, ordered by their lower end.
+        - ``guide``, for a suffix ``.guide``: a routing guide as in the ISPD 2018 contest
+          (:func:`marouting.problem.boxes.boxes_of`).
+        - ``ispd2024``, for a suffix ``.PR_output``: the output of the ISPD 2024 contest.
+        - ``ispd2008``, for all others: ISPD solution text. Nets come in the problem's order, each
+          as its longest straight segments between the centres of Gcells, ordered by their lower
+          end.
 
         Args:
             path: the file.
+            format: one of these; None: as the file's suffix says.
 
         Raises:
-            InputError: the file cannot be written.
+            InputError: the format cannot hold the routes, or the file cannot be written.
         """
-        net, points = longest_segments(self.problem, *self.uses)
-        ispd.write_solution(path, [(net.name, net.id) for net in self.problem.nets], net, points)
+        suffix = Path(path).suffix.lower()
+        format = format or _BY_SUFFIX.get(suffix, "ispd2008")
+        nets = self.problem.nets
+        if format == "guide":
+            layers = self.problem.chip_or_default.layers
+            net, box, layer = boxes_of(self.problem, *self.uses)
+            rows = [
+                f"{' '.join(map(str, corners))} {layers[z]}"
+                for corners, z in zip(box.tolist(), layer.tolist(), strict=True)
+            ]
+            ispd.write_routes(path, [net.name for net in nets], net, rows)
+        elif format == "ispd2024":
+            self._check_directions(os.fspath(path))
+            net, ends = longest_runs(self.problem, *self.uses)
+            position = np.stack(np.unravel_index(ends, self.problem.grid), axis=-1)
+            rows = [" ".join(map(str, row)) for row in position.reshape(-1, 6).tolist()]
+            ispd.write_routes(path, [net.name for net in nets], net, rows)
+        else:
+            net, points = longest_segments(self.problem, *self.uses)
+            ispd.write_solution(path, [(net.name, net.id) for net in nets], net, points)
+
+    def _check_directions(self, path: str) -> None:
+        """Raises InputError for a wire along an axis on which its layer has none."""
+        chip = self.problem.chip_or_default
+        net, edge = self.uses
+        layer, axis = edge // AXES % self.problem.grid[2], edge % AXES
+        wrong = (axis != VIA_AXIS) & ~chip.wires[layer, np.minimum(axis, 1)]
+        if wrong.any():
+            at = int(wrong.argmax())
+            way = ("horizontal", "vertical")[axis[at]]
+            raise InputError(
+                f"{path}: the format ISPD 2024 cannot hold it: "
+                f"net {self.problem.nets[net[at]].name}: expected no {way} wires in layer "
+                f"{chip.layers[layer[at]]}; {np.count_nonzero(wrong)} edges are such wires"
+            )
+
+
+def _shared_places(
+    problem: Problem, places: Places, routed: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Nets · G + Gcell of the first Gcell that all pins of a net without edges have in common.
+
+    Args:
+        problem: the problem.
+        places: of its pins.
+        routed: the nets with edges, with repetitions.
+    """
+    size = int(np.prod(problem.grid))
+    pins = np.diff(places.first_pin)
+    owner = np.repeat(np.arange(len(pins)), pins)
+    pin = np.repeat(np.arange(len(owner)), np.diff(places.first))
+    without = ~np.isin(owner[pin], routed)
+    each = np.unique(np.stack((owner[pin] * size + places.gcell, pin), axis=1)[without], axis=0)
+    key, count = np.unique(each[:, 0], return_counts=True)
+    shared = key[count == pins[key // size]]
+    return shared[np.unique(shared // size, return_index=True)[1]]
+
+
+def _edges_of_gcells(
+    problem: Problem, ends: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The edges of segments (n, 2, 3) in columns, rows and layers from 0, as covered_edges does."""
+    inside = ((ends >= 0) & (ends < np.array(problem.grid))).all(axis=2)
+    gcells = np.where(inside, ends @ problem.strides, OFF_GRID)
+    columns, rows, layers = problem.grid
+    extent = f"a Gcell of the {columns}x{rows}x{layers} grid, counted from 0"
+    return edges_between(problem, gcells, ends, extent)
 
 
 def _edges_of(problem: Problem, net: int, edges: object) -> NDArray[np.int64]:
@@ -319,9 +452,23 @@ def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64],
     """(pin Gcells,) twice: the net of each pin Gcell, and the connected part that it lies in."""
     edges = len(solution.uses[1])
     pin_net, index = _graph(problem, solution)
-    part = np.arange(int(index.max()) + 1)
-    _join(index[:edges], index[edges : 2 * edges], part)
+    part = joined_parts(index[:edges], index[edges : 2 * edges], int(index.max()) + 1)
     return pin_net, part[index[2 * edges :]]
+
+
+def joined_parts(
+    near: NDArray[np.int64], far: NDArray[np.int64], vertices: int
+) -> NDArray[np.int64]:
+    """(vertices,) for each vertex of a graph the lowest one in its connected part.
+
+    Args:
+        near: (n,) one end of every edge.
+        far: (n,) the other.
+        vertices: how many there are.
+    """
+    part = np.arange(vertices)
+    _join(near, far, part)
+    return part
 
 
 def _graph(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

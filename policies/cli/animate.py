@@ -9,6 +9,7 @@ import click
 from marouting import InputError, Problem, Solution, evaluate
 from marouting.files import check_writable
 from marouting.game.options import TurnOrder
+from policies.cli.source import ProblemFile, problem_argument
 from policies.results.run_folder import solution_name
 from policies.routers.registry import is_learner, make_router
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("problem", type=Path)
+@problem_argument
 @click.argument("solution", type=Path, required=False)
 @click.option(
     "--out", type=Path, required=True, help="File for the animation, with the suffix .svg or .gif."
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     "--fps", type=float, help="Pictures per second.  [default: 3 to 20, for about 12 seconds]"
 )
 def animate(
-    problem: Path,
+    problem: ProblemFile,
     solution: Path | None,
     out: Path,
     router: str | None,
@@ -64,7 +65,7 @@ def animate(
     if checkpoint is not None and turn_order is not None:
         raise InputError("--turn-order: expected none with --checkpoint: the policy has its own")
     animation_format(out)
-    loaded = Problem.read(problem)
+    loaded = problem.read()
     check_writable(out)
     if checkpoint is not None:
         states = _policy(checkpoint, loaded, problem.stem)

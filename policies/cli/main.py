@@ -12,24 +12,28 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 try:
     import click
 except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
-from marouting import InputError, Problem, Solution, __version__, evaluate
+from marouting import InputError, Solution, __version__, evaluate
 from marouting.config import override, read_yaml
 from marouting.files import check_writable, write_text
 from marouting.generator import ReducedPer
+from marouting.problem.contest import contest_cost, with_pins_covered
 from marouting.problem.ispd import FORMATS, Format
+from marouting.problem.solution import ROUTE_FORMATS, RouteFormat
 from marouting.registry import names
 from policies.cli.animate import animate
 from policies.cli.benchmark import benchmark
+from policies.cli.report import guide, report
+from policies.cli.source import ProblemFile, problem_argument
 from policies.cli.view import view
 from policies.routers.base import solve
 from policies.routers.registry import has_seed, is_learner, make_router, router_names
@@ -108,29 +112,38 @@ def generate(out: Path, **options: Any) -> None:
 
 
 @cli.command()
-@click.argument("problem", type=Path)
+@problem_argument
 @click.argument("out", type=Path)
 @click.option(
     "--format",
-    type=click.Choice(FORMATS),
-    default="ispd2008",
-    show_default=True,
-    help="Format of OUT.",
+    type=click.Choice((*FORMATS, *(f for f in ROUTE_FORMATS if f not in FORMATS))),
+    help="Format of OUT.  [default: ispd2008; for routes as the suffix of OUT says]",
 )
-def convert(problem: Path, out: Path, format: Format) -> None:
-    """Write PROBLEM to OUT in another format.
+@click.option("--solution", type=Path, help="Solution to write; without it, PROBLEM is written.")
+def convert(problem: ProblemFile, out: Path, format: str | None, solution: Path | None) -> None:
+    """Write PROBLEM, or a solution of it, to OUT in another format.
 
-    The format of PROBLEM is recognised by its header. Reading OUT gives the same problem; a format
-    that cannot hold it is refused.
+    PROBLEM is a LEF/DEF design (.def), a problem of the ISPD 2024 contest (.cap), or ISPD text,
+    whose header tells the format. Solutions are ISPD text (ispd2008), a routing guide (.guide) or
+    ISPD 2024's output (.PR_output). Reading OUT gives the same again; a format that cannot hold it
+    is refused.
     """
-    loaded = Problem.read(problem)
-    loaded.write(out, format)
+    known: Sequence[str] = FORMATS if solution is None else ROUTE_FORMATS
+    if format is not None and format not in known:
+        what = "a problem" if solution is None else "--solution"
+        raise InputError(f"--format: expected {', '.join(known)} for {what}, found {format}")
+    loaded = problem.read()
+    if solution is not None:
+        Solution.read(solution, loaded).write(out, cast(RouteFormat | None, format))
+        click.echo(f"{len(loaded.nets)} nets in {out}")
+        return
+    loaded.write(out, cast(Format, format or "ispd2008"))
     columns, rows, layers = loaded.grid
     click.echo(f"{columns}x{rows}x{layers}, {len(loaded.nets)} nets in {out}")
 
 
 @cli.command()
-@click.argument("problem", type=Path)
+@problem_argument
 @overrides_argument
 @click.option(
     "--router",
@@ -162,7 +175,7 @@ def convert(problem: Path, out: Path, format: Format) -> None:
 @click.option("--out", type=Path, help="File for the solution; without it, none is written.")
 @json_option
 def route(
-    problem: Path,
+    problem: ProblemFile,
     overrides: tuple[str, ...],
     router: str,
     checkpoint: Path | None,
@@ -186,7 +199,7 @@ def route(
         raise InputError(f"--checkpoint: expected a learner with it: --router {expected}")
     if checkpoint and (config or overrides):
         raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
-    loaded = Problem.read(problem)
+    loaded = problem.read()
     if out is not None:
         check_writable(out)
     with contextlib.ExitStack() as stack:
@@ -200,6 +213,8 @@ def route(
         started = time.perf_counter()
         solution, report = solve(solver, loaded)
         solution = solution.pruned() if prune else solution
+        if loaded.chip is not None and loaded.chip.contest is not None:
+            solution = with_pins_covered(solution)
         seconds = time.perf_counter() - started
     if out is not None:
         solution.write(out)
@@ -239,14 +254,19 @@ def _report(
     from policies.results.rows import solution_row
 
     fields = {"router": router, **solution_row(solution, seconds), **report}
+    disconnected = evaluate(solution.problem, solution).disconnected
+    chip = solution.problem.chip
+    if chip is not None and chip.contest is not None:
+        cost = asdict(contest_cost(solution))
+        disconnected = cost.pop("open")
+        fields |= {f"ispd2024_{name}": value for name, value in cost.items()}
     if as_json:
-        click.echo(json.dumps(fields))
+        click.echo(json.dumps({**fields, "open_nets": disconnected}))
         return
     width = max(map(len, fields))
     for name, value in fields.items():
         if value is not None:
             click.echo(f"{name:>{width}}  {value}")
-    disconnected = evaluate(solution.problem, solution).disconnected
     if disconnected:
         shown = " ".join(disconnected[:10])
         more = len(disconnected) - 10
@@ -254,19 +274,21 @@ def _report(
 
 
 @cli.command("evaluate")
-@click.argument("problem", type=Path)
+@problem_argument
 @click.argument("solution", type=Path)
 @json_option
-def evaluate_command(problem: Path, solution: Path, as_json: bool) -> None:
+def evaluate_command(problem: ProblemFile, solution: Path, as_json: bool) -> None:
     """Evaluate a solution file by the rules of the ISPD 2008 contest's evaluator.
 
     Overflow and wirelength are those of the routes as they are; beside them stand those without
-    dead ends and loops, which join nothing (pruned).
+    dead ends and loops, which join nothing (pruned). Of a routing guide, the shortest ways inside
+    it are judged. For a problem of the ISPD 2024 contest its cost stands there as well. A pin with
+    shapes in several Gcells may be reached in any of them.
     """
-    loaded = Problem.read(problem)
-    routes = Solution.read(solution, loaded)
+    loaded = problem.read()
+    routes = Solution.read(solution, loaded).at_reached_pins()
     started = time.perf_counter()
-    evaluate(loaded, routes)
+    evaluate(routes.problem, routes)
     _report(None, routes, time.perf_counter() - started, as_json)
 
 
@@ -348,6 +370,8 @@ def plot(paths: tuple[Path, ...], out: Path | None) -> None:
         click.echo(path)
 
 
+cli.add_command(report)
+cli.add_command(guide)
 cli.add_command(view)
 cli.add_command(animate)
 

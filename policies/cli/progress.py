@@ -40,7 +40,8 @@ def training_bar(
 
         def watch(episodes: "Sequence[Episode]") -> None:
             kept.update((episode.problem, episode) for episode in episodes if episode.best)
-            brief = f"{_best(kept)}; last reward {episodes[-1].reward:.0f}"
+            last = f"last reward {episodes[-1].reward:.0f}"
+            brief = f"{_best(kept)}; {last}" if kept else last
             bar.update(task, advance=len(episodes), description=brief)
 
         yield watch

@@ -158,6 +158,79 @@ def _known(value: float | None, form: str, unknown: str = "?") -> str:
     return unknown if value is None else format(value, form)
 
 
+def show_report(found: Mapping[str, Any], title: str) -> None:
+    """Prints what :func:`policies.results.report.report` returns."""
+    detours = found["detours"]
+    beyond = detours["wires"] - detours["bound"]
+    share = f" ({100 * beyond / detours['bound']:.2f} %)" if detours["bound"] else ""
+    lines = [
+        f"{title}: grid {'x'.join(map(str, found['grid']))}, {found['nets']} nets",
+        f"overflow {found['overflow']} on {found['overflowed_edges']} edges, "
+        f"at most {found['max_overflow']}",
+        f"wirelength {found['wirelength']}: {found['wires']} without vias, {found['vias']} vias",
+        f"detours: {beyond} edges{share} above the lower bound {detours['bound']}, "
+        f"in {detours['nets_with']} nets",
+        f"open nets: {len(found['open_nets'])}",
+    ]
+    click.echo("\n".join(map(_wrapped, lines)))
+    if found["open_nets"]:
+        click.echo(_wrapped(" ".join(found["open_nets"][:_MOST_OPEN]), "  "))
+        if (more := len(found["open_nets"]) - _MOST_OPEN) > 0:
+            click.echo(f"  and {more} more")
+    click.echo()
+    _print(
+        "Layers",
+        {
+            "layer": [row["layer"] for row in found["layers"]],
+            "wires go": [row["direction"] for row in found["layers"]],
+            **{
+                heading: [str(row[key]) for row in found["layers"]]
+                for heading, key in (("wires", "wires"), ("vias up", "vias_up"))
+            },
+            "use\n%": [
+                f"{100 * row['demand'] / row['capacity']:.1f}" if row["capacity"] else ""
+                for row in found["layers"]
+            ],
+            "overflow": [str(row["overflow"]) for row in found["layers"]],
+        },
+        ["layer"],
+    )
+    spots = found["hot_spots"]
+    if spots:
+        columns = {
+            "layer": [row["layer"] for row in spots],
+            "Gcells": ["-".join(f"({x},{y})" for x, y in (r["from"], r["to"])) for r in spots],
+            "at": [f"({row['at'][0]}, {row['at'][1]})" for row in spots],
+            "demand": [f"{row['demand']}/{row['capacity']}" for row in spots],
+            "nets": [str(row["nets"]) for row in spots],
+            "such as": [" ".join(row["names"][:3])[:_NAME] for row in spots],
+        }
+        _print("Fullest edges: demand/capacity, and the nets that meet there", columns, ["layer"])
+    if detours["worst"]:
+        rows = detours["worst"]
+        columns = {"net": [row["net"] for row in rows]}
+        for key in ("wires", "bound", "detour"):
+            columns[key] = [str(row[key]) for row in rows]
+        columns["bound is"] = ["exact" if row["exact"] else "low" for row in rows]
+        _print("Longest detours, in edges inside layers", columns, ["net"])
+    rows = found["histogram"]
+    columns = {"use %": [_bin(row["from"], row["to"]) for row in rows]}
+    for key in ("horizontal", "vertical"):
+        columns[key] = [str(row[key]) for row in rows]
+    _print("Edges with capacity by use", columns, ["use %"])
+
+
+_MOST_OPEN = 50
+"""Open nets that a report names; JSON has all."""
+
+
+def _bin(start: int, end: int | None) -> str:
+    """The name of a bin of a histogram."""
+    if end is None:
+        return f"> {start}"
+    return str(start) if start == end else f"{start} to < {end}"
+
+
 def show_speed(report: Mapping[str, Any]) -> None:
     """Prints what :func:`policies.bench.run` measured, a few lines for each figure."""
     machine = report["machine"].items()

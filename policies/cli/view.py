@@ -5,16 +5,17 @@ from pathlib import Path
 
 import click
 
-from marouting import InputError, Problem, Solution
+from marouting import InputError, Solution
 from marouting.files import check_writable, write_text
+from policies.cli.source import ProblemFile, problem_argument
 from policies.results.run_folder import solution_name
 
 
 @click.command()
-@click.argument("problem", type=Path)
+@problem_argument
 @click.argument("solutions", nargs=-1, required=True, type=Path, metavar="SOLUTION...")
 @click.option("--out", type=Path, required=True, help="HTML file for the page.")
-def view(problem: Path, solutions: tuple[Path, ...], out: Path) -> None:
+def view(problem: ProblemFile, solutions: tuple[Path, ...], out: Path) -> None:
     """Make a page with the routes of PROBLEM in 3-D and heat maps of its congestion.
 
     The page is one file that any browser shows without a network. SOLUTION is a solution file, a
@@ -23,9 +24,9 @@ def view(problem: Path, solutions: tuple[Path, ...], out: Path) -> None:
     """
     from policies.figures.view import page
 
-    loaded = Problem.read(problem)
+    loaded = problem.read()
     found: dict[str, Solution] = {}
-    for file in (file for path in solutions for file in _files(path, problem)):
+    for file in (file for path in solutions for file in _files(path, problem.path)):
         name = base = solution_name(file, problem.stem)
         while name in found:
             name = f"{base} ({len(found) + 1})"

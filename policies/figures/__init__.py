@@ -6,6 +6,7 @@ Gcell (0, 0) lies at the lower left, and layers count from 1 as in the problem f
 """
 
 from policies.figures.charts import by_problem, decrease_histogram, reward_curves, scaling
+from policies.figures.congestion import congestion_map
 from policies.figures.routes import (
     comparison,
     edges_before_after,
@@ -21,6 +22,7 @@ __all__ = [
     "ColumnData",
     "by_problem",
     "comparison",
+    "congestion_map",
     "decrease_histogram",
     "edges_before_after",
     "heat_maps",

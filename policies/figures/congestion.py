@@ -6,12 +6,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from marouting.problem.grid import AXES
 from marouting.problem.problem import Problem
-from marouting.problem.solution import Solution
-from policies.figures.style import MAGENTA
+from marouting.problem.solution import Solution, evaluate
+from policies.figures.style import MAGENTA, literal
 from policies.results.utilisation import MOST_FIELDS
 
 MOST_NETS = 1000
@@ -106,6 +107,60 @@ def draw_congestion(axes: Axes, problem: Problem, solution: Solution, across: fl
     axes.set(xlim=(-0.5, problem.grid[0] - 0.5), ylim=(-0.5, problem.grid[1] - 0.5))
     place = axes.inset_axes((1 + 0.1 / across, 0, 0.18 / across, 1))
     axes.figure.colorbar(scale, cax=place, **_label(values))
+
+
+def congestion_map(problem: Problem, solution: Solution, title: str) -> Figure:
+    """The use of every Gcell's fullest edge, over all layers and layer by layer.
+
+    Args:
+        problem: the problem, which gives the capacities.
+        solution: the routes.
+        title: text at the top, before overflow and wirelength.
+
+    Returns:
+        A large panel for all layers, and a small one for each.
+    """
+    judged = evaluate(problem, solution)
+    values, side = congestion(problem, solution)
+    layers, wide, high = values.shape
+    scale = _colours(values)
+    across = min(4, -(-layers // 3))
+    down = -(-layers // across)
+    figure = Figure(figsize=(6.4 + 2.1 * across, max(5.4, 2 * down)), layout="constrained")
+    figure.suptitle(
+        literal(
+            f"{title}: overflow {judged.overflow}, wirelength {judged.wirelength} "
+            f"({judged.vias} vias), {len(judged.disconnected)} open nets"
+        ),
+        fontsize=12,
+    )
+    parts: Any = figure.subfigures(1, 2, width_ratios=(6, 2.1 * across))
+    large, small = parts
+    names = problem.chip_or_default.layers
+    panels = [large.subplots()]
+    panels += list(np.ravel(small.subplots(down, across, squeeze=False)))
+    maps = [np.fmax.reduce(values, axis=0), *values]
+    for number, axes in enumerate(panels):
+        if number >= len(maps):
+            axes.set_axis_off()
+            continue
+        axes.imshow(
+            np.minimum(maps[number], 1e9).T,
+            origin="lower",
+            extent=(-0.5, wide * side - 0.5, -0.5, high * side - 0.5),
+            cmap=scale.cmap,
+            vmin=0,
+            vmax=scale.get_clim()[1],
+            interpolation="nearest",
+        )
+        axes.set(xlim=(-0.5, problem.grid[0] - 0.5), ylim=(-0.5, problem.grid[1] - 0.5))
+        if number:
+            axes.set_title(literal(names[number - 1]), fontsize=9)
+            axes.tick_params(labelsize=7)
+        else:
+            axes.set(xlabel="column of Gcells", ylabel="row of Gcells", title="all layers")
+    figure.colorbar(scale, ax=panels[0], shrink=0.8, location="left", pad=0.02, **_label(values))
+    return figure
 
 
 def draw_congestion_3d(axes: Any, problem: Problem, solution: Solution) -> None:

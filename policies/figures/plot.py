@@ -335,7 +335,7 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
             written += reward_figures(path, out or path.parent / "figures")
         elif path.suffix == ".json":
             written.append(scaling_figure(path, out or path.parent / "figures"))
-        elif path.suffix == ".gr":
+        elif path.suffix in (".gr", ".def", ".cap"):
             groups.append((path, []))
         elif groups:
             groups[-1][1].append(path)

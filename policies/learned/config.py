@@ -29,6 +29,14 @@ class TrainOptions:
     Attributes:
         episodes: episodes per problem; one is a walk through all two-pin tasks of all nets.
         shared: whether one network learns all problems; otherwise each problem has its own.
+        games: how many games are played side by side, each of which draws a problem at every
+            episode, as environments do: a new one of a scenario's split ``train`` or of a generator
+            with ``seed: null``, or one of a set; ``shared`` only. ``episodes`` and
+            ``evaluate_every`` then count the episodes of all games together, and the network is
+            evaluated on the scenario's split ``validation``, on problems of the generator that are
+            never drawn, or on the set. None: every problem has games of its own.
+        validation: how many problems of the validation split, the first ones, or of the generator
+            a network is evaluated on; None: all of the split, 10 of the generator.
         best: which episode's routes are the solution, the earliest of the best: ``routes``, by
             tasks joined, then overflow, then wirelength; or ``reward``, by tasks joined, then
             reward (the authors' code).
@@ -47,6 +55,8 @@ class TrainOptions:
 
     episodes: int = 1000
     shared: bool = False
+    games: int | None = None
+    validation: int | None = None
     best: Literal["routes", "reward"] = "routes"
     evaluate_every: int = 10
     device: str = "cpu"
@@ -59,6 +69,14 @@ class TrainOptions:
     def __post_init__(self) -> None:
         check("episodes", 1 <= self.episodes <= MOST, f"a number from 1 to {MOST}")
         check("evaluate_every", 1 <= self.evaluate_every <= MOST, f"a number from 1 to {MOST}")
+        games, shown = self.games, self.validation
+        check("games", games is None or 1 <= games <= 10_000, "a number from 1 to 10000")
+        what = (
+            "null: a network for each of the problems that games draw cannot be, see train.shared"
+        )
+        check("games", games is None or self.shared, what)
+        check("validation", shown is None or 1 <= shown <= 10_000, "a number from 1 to 10000")
+        check("validation", shown is None or games is not None, "null without train.games")
         check("threads", 1 <= self.threads <= 1024, "a number from 1 to 1024")
         check("checkpoint_seconds", self.checkpoint_seconds >= 0, "a number from 0")
 

@@ -1,7 +1,9 @@
 """What a learner is: the trainer above knows no more of DQN, PPO or any other than this.
 
-A learner plays a :class:`marouting.player.Player` and learns from what comes of it. It has L
-networks: one for each problem, or one that all problems share.
+A learner plays a :class:`marouting.player.Player` and learns from what comes of it. The player's
+actions and masks are in the order of the observation's own moves, if it has one
+(:func:`marouting.game.observation.move_order_of`); no learner need know. It has L networks: one for
+each problem, or one that all problems share.
 """
 
 import abc

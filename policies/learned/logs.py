@@ -10,6 +10,9 @@ TensorBoard shows, for each problem and as means over all problems:
 ``speed``                   moves trained per second, over the moves of all problems
 ==========================  ======================================================================
 
+Where every episode draws its problem, the episodes of all problems are one curve, ``train``, and
+there is no best one.
+
 A mean is over all problems, at the same episode; that of the gaps is over the problems that have
 the reference's overflow and no open task. The speed is that of this process: a resumed training
 shows it from there on.
@@ -43,6 +46,9 @@ from policies.results.statistics import gap
 CURVES = ("reward", "joined", "overflow", "wirelength", "steps", "epsilon", "loss")
 """The fields of an episode that TensorBoard shows."""
 
+DRAWN = "train"
+"""TensorBoard's name of what episodes of drawn problems give."""
+
 SPEED = "speed/steps_per_second"
 """TensorBoard's name of the speed."""
 
@@ -60,6 +66,7 @@ class Logs:
         tensorboard: whether to write event files too.
         problems: the names of all problems.
         reference: overflow and wirelength of the best known solutions, by the problem's name.
+        drawn: whether every episode draws its problem.
 
     Raises:
         InputError: the folder cannot be written to.
@@ -72,6 +79,8 @@ class Logs:
         tensorboard: bool,
         problems: Sequence[str],
         reference: Mapping[str, tuple[int, int]],
+        *,
+        drawn: bool = False,
     ) -> None:
         self._episodes = _Lines(folder / METRICS, logged[0])
         self._walks = _Lines(folder / EVALUATIONS, logged[1])
@@ -80,7 +89,7 @@ class Logs:
             # The lines hold all that was logged: a resumed run's events are made anew from them,
             # without those that a killed run wrote after its last checkpoint.
             shutil.rmtree(folder / "tensorboard", ignore_errors=True)
-            self._events = Events(folder / "tensorboard", problems, reference)
+            self._events = Events(folder / "tensorboard", problems, reference, drawn=drawn)
             for episode in read_episodes(folder / METRICS):
                 self._events.show(episode)
             for walk in read_walks(folder / EVALUATIONS):
@@ -163,20 +172,26 @@ class Events:
         folder: the folder for them.
         problems: the names of all problems.
         reference: overflow and wirelength of the best known solutions, by the problem's name.
+        drawn: whether every episode draws its problem.
 
     Raises:
         InputError: the folder cannot be written to.
     """
 
     def __init__(
-        self, folder: Path, problems: Sequence[str], reference: Mapping[str, tuple[int, int]]
+        self,
+        folder: Path,
+        problems: Sequence[str],
+        reference: Mapping[str, tuple[int, int]],
+        *,
+        drawn: bool = False,
     ) -> None:
         from torch.utils.tensorboard import SummaryWriter
 
         self._named = functools.partial(naming, folder, "cannot be written")
         with self._named():
             self._writer = SummaryWriter(str(folder))
-        self._problems, self._reference = problems, reference
+        self._problems, self._reference, self._drawn = problems, reference, drawn
         self._best: dict[str, Episode] = {}
         # What waits for the other problems: by episode, and the latest evaluation of each problem.
         self._waiting: dict[int, list[dict[str, float]]] = defaultdict(list)
@@ -213,6 +228,9 @@ class Events:
             self._best[name] = episode
         fields = {curve: getattr(episode, curve) for curve in CURVES}
         values = {curve: value for curve, value in fields.items() if value is not None}
+        if self._drawn:  # of problems of which most are seen once, there is one curve
+            self._add(values, DRAWN, episode.episode)
+            return
         values |= self._figures("best", self._best.get(name, episode))
         self._add(values, name, episode.episode)
         waiting = self._waiting[episode.episode]

@@ -4,7 +4,7 @@ import contextlib
 import functools
 import os
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,21 +16,31 @@ from torch import nn
 from marouting import EnvOptions, InputError, Problem, Solution
 from marouting.config import MOST, build, piece
 from marouting.game.engine import Engine
+from marouting.game.observation import has_move_order, move_order_of
 from marouting.options import ORDERS
 from marouting.player import Player
+from marouting.source import Draws
 from policies.learned.checkpoint import checked, read_checkpoint
 from policies.learned.learner import best_moves, play_steps
 
 
-def player_of(env: EnvOptions, problems: list[Problem]) -> Player:
-    """What plays problems as a configuration's ``env`` says.
+def player_of(env: EnvOptions, problems: Sequence[Problem] | Draws) -> Player:
+    """What plays problems as a configuration's ``env`` says, by the observation's own moves.
+
+    Args:
+        env: the options.
+        problems: the problems, or what games draw theirs from.
 
     Raises:
         InputError: the problems do not go together.
     """
-    engine = Engine(problems, env, turn_order=env.turn_order or ORDERS[env.agents])
+    draws = problems if isinstance(problems, Draws) else None
+    room = draws.episodes.room if draws else None
+    held = problems.problems.tolist() if isinstance(problems, Draws) else problems
+    engine = Engine(held, env, room=room, turn_order=env.turn_order or ORDERS[env.agents])
+    observation, reward = env.observation.make(), env.reward.make()
     everyone = env.agents == "multi"
-    return Player(engine, env.observation.make(), env.reward.make(), everyone=everyone)
+    return Player(engine, observation, reward, everyone=everyone, draws=draws, turned=True)
 
 
 def _check_weights(weights: Mapping[str, Any], module: nn.Module) -> None:
@@ -76,6 +86,7 @@ class TrainedPolicy:
     ) -> None:
         self.module, self.masking = module, masking
         self.obs_shape, self.env, self.origin = obs_shape, env, origin
+        self._observation = env.observation.make()
 
     @staticmethod
     def load(path: str | os.PathLike[str], name: str | None = None) -> "TrainedPolicy":
@@ -130,10 +141,19 @@ class TrainedPolicy:
         return int(self.moves(observation[None], mask[None])[0])
 
     def moves(self, observations: NDArray[np.float32], masks: NDArray[np.int8]) -> NDArray[np.int8]:
-        """(K,) int8 best moves for observations (K, *S) and masks (K, 6)."""
+        """(K,) int8 best moves for observations (K, *S) and masks (K, A) as environments show them.
+
+        Masks and moves are those of the grid, also where the network chooses among an observation's
+        own moves.
+        """
         with torch.no_grad():
             ratings = self.module(torch.from_numpy(observations))
-        return best_moves(ratings, masks if self.masking else None)
+        if not has_move_order(self._observation):
+            return best_moves(ratings, masks if self.masking else None)
+        order = move_order_of(self._observation, observations, masks.shape[1])
+        turned = np.take_along_axis(masks, order, -1)
+        best = best_moves(ratings, turned if self.masking else None)
+        return np.take_along_axis(order, best[:, None].astype(np.int64), -1)[:, 0].astype(np.int8)
 
     def check(self, problem: Problem) -> Player:
         """What plays a problem, in the game that the policy was trained in.

@@ -17,11 +17,12 @@ from typing import Any
 
 import torch
 
-from marouting import InputError
+from marouting import InputError, Problem, Solution
 from marouting.config import check, check_same, plain, yaml_text
 from marouting.files import FILE_NAME, is_file_name, write_text, writing
+from marouting.generator import GeneratorOptions
 from marouting.scenarios import get
-from marouting.source import fixed_problems, load_problems
+from marouting.source import Draws, Episodes, fixed_problems, load_problems
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
 from policies.learned.logs import Logs
@@ -73,6 +74,50 @@ def _save(state: Mapping[str, Any], path: Path) -> None:
             raise OSError(0, reason.splitlines()[0]) from None
 
 
+def problems_of(
+    config: Config, kept: Mapping[str, Problem] | None = None
+) -> tuple[dict[str, Problem], Draws | None]:
+    """The problems of a training by name, and what its games draw theirs from.
+
+    Args:
+        config: what to do.
+        kept: the problems that its run folder holds, where the training goes on.
+
+    Returns:
+        The problems that each have games of their own, and None; or those that the network is
+        evaluated on, and what all games draw from. They are in an order that does not depend on
+        where they come from.
+
+    Raises:
+        InputError: they cannot be read, or the training cannot use them.
+    """
+    train, env = config.train, config.env
+    generated = isinstance(env.problem, GeneratorOptions) and env.problem.seed is None
+    if train.games is None:
+        found, episodes = fixed_problems(env) if kept is None else kept, None
+    elif env.scenario is not None and env.split == "train":
+        found = get(env.scenario).problems("validation")
+        shown = len(found) if train.validation is None else train.validation
+        what = f"at most {len(found)}, those of the split, found {shown}"
+        check("train.validation", shown <= len(found), what)
+        found = dict(list(found.items())[:shown])
+        episodes = Episodes(None, env.scenario)
+    elif env.scenario is None and generated:
+        shown = _GENERATED if train.validation is None else train.validation
+        episodes = Episodes(env.problem, held_out=shown)
+        found = dict(map(episodes.problem, range(shown)))
+    else:
+        check("train.validation", train.validation is None, "null: it is the set itself")
+        found = fixed_problems(env) if kept is None else kept
+        episodes = Episodes.of(dict(sorted(found.items())))
+    draws = None if episodes is None else Draws(episodes, config.seed, train.games or 1)
+    return dict(sorted((found if kept is None else kept).items())), draws
+
+
+_GENERATED = 10
+"""Problems that a network is evaluated on that learns from a generator without a seed."""
+
+
 class Run:
     """A training in a run folder.
 
@@ -101,10 +146,8 @@ class Run:
             self._check_same()
         else:
             self._check_new()
-        own = str(self.folder / "problems")
-        problems = load_problems(own) if resume else fixed_problems(config.env)
-        # In an order that does not depend on where they come from.
-        self.problems = dict(sorted(problems.items()))
+        kept = load_problems(str(self.folder / "problems")) if resume else None
+        self.problems, draws = problems_of(config, kept)
         if reference is None and config.env.scenario is not None:
             best = get(config.env.scenario).reference
             reference = {name: best(problem)[:2] for name, problem in self.problems.items()}
@@ -112,18 +155,19 @@ class Run:
         for name in self.problems:
             fits = is_file_name(name, f".{config.learner.name}_policy.solution")
             check(f"problem {name[:80]!r}", fits, FILE_NAME)
-        self.trainer = Trainer(self.problems, config)
+        self.trainer = Trainer(self.problems, config, draws)
         self._seconds = 0.0
         self._logged = self._evaluated = 0
         if resume:
             self._load()
         else:
             _ = self.trainer.replayed  # raises an error now, not when there is a folder
-            kept = {path.stem for path in (self.folder / "problems").glob("*.gr")}
-            if kept - self.problems.keys():
+            others = {path.stem for path in (self.folder / "problems").glob("*.gr")}
+            others -= self.problems.keys()
+            if others:
                 raise InputError(
                     f"{self.folder / 'problems'}: expected no problems but this run's, "
-                    f"found {min(kept - self.problems.keys())}.gr"
+                    f"found {min(others)}.gr"
                 )
             with working_in(self.folder):
                 self._check_new()
@@ -172,7 +216,7 @@ class Run:
     @property
     def episodes(self) -> tuple[int, int]:
         """The episodes finished so far, and their number in all, of all problems together."""
-        total = self.config.train.episodes * len(self.problems)
+        total = self.config.train.episodes * len(self.trainer.episodes)
         return int(self.trainer.episodes.sum()), total
 
     @property
@@ -182,7 +226,7 @@ class Run:
             return []
         logged = read_episodes(self.folder / METRICS, self._logged)
         episodes = {(episode.problem, episode.episode): episode for episode in logged}
-        places = zip(self.trainer.names, self.trainer.best_episode.tolist(), strict=True)
+        places = zip(self.trainer.names, self.trainer.best_episode.tolist(), strict=False)
         return [episodes[place] for place in places if place in episodes]
 
     def execute(self, watch: Callable[[Sequence[Episode]], Any] | None = None) -> list[Row]:
@@ -208,6 +252,7 @@ class Run:
                 config.train.tensorboard,
                 tuple(self.problems),
                 self.reference,
+                drawn=trainer.player.draws is not None,
             ) as logs,
             _holding_interrupts() as interrupts,
         ):
@@ -241,16 +286,23 @@ class Run:
         rows = []
         each = self._seconds / len(self.problems)
         learner = self.config.learner.name
-        for name, solution in self.trainer.solutions().items():
+        best = self.trainer.solutions()
+        for name, problem in self.problems.items():
             start = time.perf_counter()
-            astar = AStarRouter().route(self.problems[name])
+            astar = AStarRouter().route(problem)
             seconds = time.perf_counter() - start
-            walked = self.trainer.policy_of(name).solve(self.problems[name])
-            for router, routed, spent, origin in (
+            policy = self.trainer.policy_of(name)
+            start = time.perf_counter()
+            walked = policy.solve(problem)
+            # What a network has not been trained on costs no more than the walk.
+            walk = each if best else time.perf_counter() - start
+            routes: list[tuple[str, Solution, float, str | None]] = [
                 ("astar", astar, seconds, None),
-                (learner, solution, each, self.trainer.origin(name)),
-                (f"{learner}_policy", walked.solution, each, walked.report["from"]),
-            ):
+                (f"{learner}_policy", walked.solution, walk, walked.report["from"]),
+            ]
+            if name in best:
+                routes.insert(1, (learner, best[name], each, self.trainer.origin(name)))
+            for router, routed, spent, origin in routes:
                 routed.write(solution_file(self.folder, name, router))
                 row = {"problem": name, "router": router, **solution_row(routed, spent)}
                 rows.append(row if origin is None else {**row, "from": origin})

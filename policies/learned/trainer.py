@@ -4,7 +4,8 @@ One loop serves both ways to play, and every learner. With ``agents: single`` ea
 net whose turn it is, one transition per step (the paper); with ``agents: multi`` all its nets move
 at once, and the network that the nets share learns from all their transitions. Either way every
 problem has its own network and random numbers; playing them together only saves time. A problem
-that has trained its episodes leaves. With ``shared: true`` there is one network for all problems.
+that has trained its episodes leaves. With ``shared: true`` there is one network for all problems,
+and with ``games`` as well, every episode may be that of another problem.
 """
 
 import functools
@@ -19,20 +20,22 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
-from marouting.config import plain
+from marouting.config import check, plain
 from marouting.game.engine import Metrics
 from marouting.game.observation import state_space_of
 from marouting.game.saved import checked_demand
 from marouting.game.state import NOBODY, Dynamic
 from marouting.options import PLAYED
 from marouting.player import Saved, StepBuffers
-from policies.learned.burn_in import guide, read_solutions
+from marouting.source import Draws
+from policies.learned.burn_in import GUIDES, guide, read_solutions
 from policies.learned.checkpoint import ANY, FINITE, POLICY_FORMAT, TRAINING_FORMAT, checked
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
 from policies.learned.memory.before import Before
 from policies.learned.policy import TrainedPolicy, player_of, policy_origin
+from policies.learned.rows import COUNT
 from policies.learned.streams import keys
 from policies.learned.threads import use_threads
 from policies.results.rows import LARGEST
@@ -46,11 +49,13 @@ _STEPS = 200
 
 
 class Trainer:
-    """Trains a learner on M problems of one grid shape.
+    """Trains a learner on M problems of one grid shape, or on problems that games draw.
 
     Args:
-        problems: the problems by name.
+        problems: the problems by name. Where games draw theirs, those that the network is evaluated
+            on.
         config: what to do.
+        draws: what games draw their problems from; None: every problem has games of its own.
 
     Attributes:
         config: what to do.
@@ -58,7 +63,7 @@ class Trainer:
         names: their names.
         learner: what learns.
         player: the games: of each problem that still trains, its copies one after another.
-        episodes: (M,) int64, episodes finished.
+        episodes: (M,) int64, episodes finished; where games draw their problems (1,), of all games.
         walks: the evaluations made since :meth:`run` last yielded.
         places: which problems the networks and games belong to that still train.
 
@@ -67,7 +72,9 @@ class Trainer:
             not fit the game.
     """
 
-    def __init__(self, problems: Mapping[str, Problem], config: Config) -> None:
+    def __init__(
+        self, problems: Mapping[str, Problem], config: Config, draws: Draws | None = None
+    ) -> None:
         self.config, self.problems, self.names = config, dict(problems), tuple(problems)
         train, learner = config.train, config.learner
         use_threads(train.threads)
@@ -78,21 +85,30 @@ class Trainer:
                 f"learner: expected a class derived from {Learner.__module__}.Learner, "
                 f"found {learner.name}"
             )
+        drawn = draws is not None
+        check("train.games", drawn or train.games is None, "null: this training's problems stay")
         self._whole = player_of(config.env, list(problems.values()))
-        engine, count = self._whole.engine, len(self.names)
-        self._copies = int(getattr(learner.options, "copies", 1))
-        each = [problem for problem in problems.values() for _ in range(self._copies)]
-        self.player = player_of(config.env, each)
+        engine, count = self._whole.engine, 1 if drawn else len(self.names)
+        if draws is not None:
+            self._copies = len(draws.counts)
+            self.player = player_of(config.env, draws)
+        else:
+            self._copies = int(getattr(learner.options, "copies", 1))
+            each = [problem for problem in problems.values() for _ in range(self._copies)]
+            self.player = player_of(config.env, each)
         b = self.player.buffers
+        shapes = [p.buffers.obs.shape[2:] for p in (self._whole, self.player)]
+        what = f"the same shape for all problems, found {shapes[0]} and {shapes[1]}"
+        check("observation", shapes[0] == shapes[1], what)
         self.learner: Learner = learner.cls.start(
             Setup(
                 names=SHARED if train.shared else self.names,
                 game_names=tuple(
                     f"{name}#{copy}" if copy else name
-                    for name in self.names
+                    for name in (SHARED if drawn else self.names)
                     for copy in range(self._copies)
                 ),
-                games=len(each),
+                games=len(b.over),
                 rows=b.obs.shape[1],
                 obs_shape=b.obs.shape[2:],
                 state_shape=state_space_of(
@@ -106,11 +122,15 @@ class Trainer:
             ),
             learner.options,
         )
-        # What stays of each problem, and of each network.
+        guide_ = self.learner.burn_in
+        alone = not drawn or self.learner.fill == 0 or guide_ in GUIDES
+        check("burn_in", alone, f"{' or '.join(GUIDES)} with train.games, found {guide_}")
         self.episodes = np.zeros(count, np.int64)
-        self.score = np.full((count, 3), np.inf)  # of the best episode: less is better
-        self.best_episode = np.full(count, NOBODY, np.int64)
-        self.best_used = engine.dynamic.used.copy()
+        # What stays of each problem, unless each is played once, and of each network.
+        best = 0 if drawn else count
+        self.score = np.full((best, 3), np.inf)  # of the best episode: less is better
+        self.best_episode = np.full(best, NOBODY, np.int64)
+        self.best_used = engine.dynamic.used[:best].copy()
         networks = 1 if train.shared else count
         self.policy_score = np.full((networks, 3), np.inf)  # of the best network
         self.policy_episode = np.zeros(networks, np.int64)  # after which it was evaluated
@@ -118,7 +138,9 @@ class Trainer:
         self._evaluated = np.zeros(networks, np.int64)  # episodes at the last evaluation
         self.walks: list[Walk] = []
         self.places = np.arange(count)
-        self._before = np.zeros((2, len(each)))  # loss and steps of the network before the episode
+        self._before = np.zeros(
+            (2, len(b.over))
+        )  # loss and steps of the network before the episode
         self._tell_episodes()
 
     @property
@@ -171,7 +193,8 @@ class Trainer:
             if moves is None:
                 chance.epsilon_greedy(b, nothing, masking)
             else:
-                b.actions.reshape(-1)[:] = moves.moves(game, b.agents.reshape(-1))
+                asked = moves.moves(game, b.agents.reshape(-1))
+                b.actions[:] = player.actions_of(asked.reshape(b.actions.shape))
             b.actions[filled] = NOBODY
             before = Before.of(player)
             player.step()
@@ -212,8 +235,10 @@ class Trainer:
             reward = float(player.buffers.total[g])
             if not abs(reward) <= LARGEST:  # nor NaN
                 raise InputError(f"reward: expected finite rewards, found {reward} in an episode")
-            score = _score(metrics, reward if self.config.train.best == "reward" else None)
-            best = bool(score < tuple(self.score[problem].tolist()))
+            best = False
+            if player.draws is None:
+                score = _score(metrics, reward if self.config.train.best == "reward" else None)
+                best = bool(score < tuple(self.score[problem].tolist()))
             if best:
                 self.score[problem] = score
                 self.best_episode[problem] = self.episodes[problem]
@@ -222,7 +247,7 @@ class Trainer:
             loss = (float(losses[g]) - float(self._before[0, g])) / max(int(steps), 1)
             finished.append(
                 Episode(
-                    problem=self.names[problem],
+                    problem=player.draws.names[g] if player.draws else self.names[problem],
                     episode=int(self.episodes[problem]),
                     reward=reward,
                     epsilon=self.learner.exploration(int(self.episodes[problem])),
@@ -251,38 +276,41 @@ class Trainer:
         self.walks = []
         for network in np.unique(self._networks(problems)).tolist():
             taught = np.arange(len(self.names)) if train.shared else np.array([network])
-            episodes = int(self.episodes[taught].min())
+            played = np.broadcast_to(self.episodes, len(self.names))[taught]
+            episodes = int(played.min())
             last = episodes >= train.episodes
             due = episodes >= self._evaluated[network] + train.evaluate_every
             if episodes == self._evaluated[network] or not (due or last):
                 continue
             self._evaluated[network] = episodes
             row = 0 if train.shared else int(np.searchsorted(self.places, network))
-            walked = {int(m): self._walk(int(m), row) for m in taught}
-            score = tuple(np.sum([_score(of, None) for of in walked.values()], axis=0).tolist())
+            walked = self._walk(taught, row)
+            score = tuple(np.sum([_score(of, None) for of in walked], axis=0).tolist())
             best = bool(score < tuple(self.policy_score[network].tolist()))
             self.walks += [
-                Walk(self.names[m], int(self.episodes[m]), best=best, **asdict(metrics))
-                for m, metrics in walked.items()
+                Walk(self.names[m], seen, best=best, **asdict(metrics))
+                for m, seen, metrics in zip(taught.tolist(), played.tolist(), walked, strict=True)
             ]
             if best:
                 self.policy_score[network] = score
                 self.policy_episode[network] = episodes
                 self._policies[network] = self.learner.networks.flat[row].detach().cpu()
 
-    def _walk(self, problem: int, network: int) -> Metrics:
-        """What a network gets in one episode of a problem without exploration."""
-        player = self._whole.part(np.array([problem]))
+    def _walk(self, problems: NDArray[np.int64], network: int) -> list[Metrics]:
+        """What a network gets in one episode of each problem without exploration."""
+        player = self._whole.part(problems)
         player.reset()
         self.learner.walk(player, network)
-        return player.engine.metrics(0)
+        return [player.engine.metrics(m) for m in range(len(problems))]
 
     def solutions(self) -> dict[str, Solution]:
-        """The best episode's routes of every problem that has finished one."""
+        """The best episode's routes of every problem that has finished one.
+
+        There are none where games draw their problems.
+        """
         return {
-            name: self._whole.engine.solution(m, self.best_used[m])
-            for m, name in enumerate(self.names)
-            if self.best_episode[m] != NOBODY
+            self.names[m]: self._whole.engine.solution(m, self.best_used[m])
+            for m in np.flatnonzero(self.best_episode != NOBODY).tolist()
         }
 
     def policy_of(self, problem: str) -> TrainedPolicy:
@@ -311,6 +339,7 @@ class Trainer:
             # Records have no counterpart in torch: their bytes do.
             **{f"game.{k}": _bytes(v) for k, v in engine.dynamic._asdict().items()},
             **{f"buffers.{k}": _bytes(v) for k, v in buffers._asdict().items()},
+            **({"draws": self.player.draws.counts} if self.player.draws else {}),
         }
 
     def policy(self) -> dict[str, Any]:
@@ -379,6 +408,7 @@ class Trainer:
             **dict.fromkeys(("episodes", "policy_episode", "_evaluated"), (0, most)),
             **dict.fromkeys(("buffers.reward", "buffers.total"), (-LARGEST, LARGEST)),
             "best_episode": (NOBODY, most - 1),
+            "draws": COUNT,
         }
         arrays = {
             name: checked(
@@ -393,10 +423,13 @@ class Trainer:
         if (best >= played).any() or ((best == NOBODY) != (played == 0)).any():
             raise InputError(f"{where}: best_episode: expected one of the episodes")
         dynamic, buffers = self.player.engine.dynamic, self.player.buffers
-        saved = Saved(_records("game", dynamic, arrays), _records("buffers", buffers, arrays))
+        game, seen = _records("game", dynamic, arrays), _records("buffers", buffers, arrays)
+        saved = Saved(game, seen, arrays.get("draws"))
         try:
+            if saved.counts is not None:
+                self.player.go_to(saved.counts)
             self.player.check_saved(saved)
-            for m in range(len(self.names)):
+            for m in range(len(self.best_used)):
                 _ = checked_demand(self._whole.engine.static, arrays["best_used"][m], m)
         except ValueError as error:
             raise InputError(f"{where}: {error}") from None
@@ -404,7 +437,7 @@ class Trainer:
         self.player.restore(saved)
         for name in (*_OWN, "policies"):
             own[name][...] = arrays[name]
-        gone = np.setdiff1d(np.arange(len(self.names)), self.places)
+        gone = np.setdiff1d(np.arange(len(self.episodes)), self.places)
         over = (saved.dynamic.games["active"] == 0).reshape(-1, self._copies)
         if (self.running[:, None] & over).any() or (self.episodes[gone] < most).any():
             raise InputError(f"{where}: expected games of all problems with episodes to train")

@@ -2,14 +2,15 @@
 
 =====================  ==========================================================================
 config.yaml            the whole configuration, defaults included
-problems/NAME.gr       the problems
+problems/NAME.gr       the problems; where games draw theirs, those that networks are evaluated on
 metrics.jsonl          a line of JSON for every episode
 evaluations.jsonl      a line of JSON for every evaluation without exploration
 tensorboard/           the same for TensorBoard
 checkpoint.pt          everything needed to resume the training
 policy.pt              only the networks, the best by evaluation, when the training is finished
 solutions/NAME.*       the routes of the learner's best episode (``dqn``, say), of its saved policy
-                       (``dqn_policy``) and of sequential A* (``astar``)
+                       (``dqn_policy``) and of sequential A* (``astar``); where games draw their
+                       problems, there is no best episode
 result.json            a row for each problem and router (:mod:`policies.results.rows`)
 figures/               pictures
 =====================  ==========================================================================
@@ -58,7 +59,7 @@ class Episode:
 
     Attributes:
         problem: the problem's name.
-        episode: counted from 0.
+        episode: counted from 0; through all games where these draw their problems.
         reward: summed over all moves.
         joined: two-pin tasks joined.
         tasks: two-pin tasks in all.
@@ -69,7 +70,7 @@ class Episode:
         loss: mean loss of the gradient steps taken during the episode; None if it is no finite
             number any more.
         updates: gradient steps of the problem's network so far.
-        best: whether no earlier episode was better.
+        best: whether no earlier episode was better; false where games draw their problems.
     """
 
     problem: Name
@@ -95,7 +96,8 @@ class Walk:
 
     Attributes:
         problem: the problem's name.
-        episodes: episodes of the problem that the network had been trained on.
+        episodes: episodes of the problem that the network had been trained on; all of them where
+            games draw their problems.
         joined: two-pin tasks joined.
         tasks: two-pin tasks in all.
         overflow: of the routes, joined or not.
@@ -135,10 +137,17 @@ def _read_lines(path: Path, schema: type[Line], size: int | None = None) -> list
 
 
 def read_rewards(metrics: Path) -> dict[str, list[float]]:
-    """The reward of every episode in a ``metrics.jsonl``, by problem; raises InputError."""
+    """The reward of every episode in a ``metrics.jsonl``, by problem; raises InputError.
+
+    Where games drew their problems, the episodes of all of them are one curve, ``all``.
+    """
     curves: dict[str, list[float]] = defaultdict(list)
-    for episode in read_episodes(metrics):
+    episodes = read_episodes(metrics)
+    for episode in episodes:
         curves[episode.problem].append(episode.reward)
     if not curves:
         raise InputError(f"{metrics}: expected at least one episode")
+    counted = all(episode.episode == n for n, episode in enumerate(episodes))
+    if len(curves) > 1 and counted:  # otherwise the second problem would begin with episode 0
+        return {"all": [episode.reward for episode in episodes]}
     return curves

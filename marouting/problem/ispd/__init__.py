@@ -1,4 +1,6 @@
-"""The text formats of the ISPD benchmarks: three formats for problems, one for solutions.
+"""The text formats of the ISPD benchmarks, for problems and for solutions.
+
+Three formats for problems are so much alike that one reader and one writer serve them:
 
 ==================== ====================== ===================== ================
 ..                   ``ispd2008``           ``ispd98``            ``ispd98-flat``
@@ -31,6 +33,11 @@ capacities 24 and 28 are the twelve and fourteen tracks of the flat file.
 BoxRouter publish them: one layer with both capacities, in tracks. The values that the file lacks
 are those that NTHU-Route 2.0 (Chang et al., 2008) assumes. A grid of two numbers identifies it.
 
+:mod:`~marouting.problem.ispd.ispd2024` reads the problems of the ISPD 2024 contest;
+:mod:`marouting.problem.lefdef` those of the ISPD 2018 and 2019 contests, LEF/DEF designs. Solutions
+are ISPD solution text (:mod:`~marouting.problem.ispd.solution_text`), routing guides, or ISPD
+2024's output (:mod:`~marouting.problem.ispd.routes_text`).
+
 Readers return plain records and know neither Problem nor Solution, which read and write through
 this package. Files are read line by line and nothing is allocated for what a header merely
 promises. Tokens are separated by any white space, blank lines are ignored, and keywords may be in
@@ -38,14 +45,27 @@ any case. Anything wrong raises :class:`~marouting.errors.InputError` with one l
 file and the line. Written files have one form only, so equal objects give equal bytes.
 """
 
-from marouting.problem.ispd.problem_text import FORMATS, Format, read_problem, write_problem
-from marouting.problem.ispd.solution_text import read_solution, write_solution
+from marouting.problem.ispd.ispd2024 import read_contest
+from marouting.problem.ispd.problem_text import (
+    FORMATS,
+    Format,
+    ProblemRecord,
+    read_problem,
+    write_problem,
+)
+from marouting.problem.ispd.routes_text import RoutesRecord, write_routes
+from marouting.problem.ispd.solution_text import SolutionRecord, read_solution, write_solution
 
 __all__ = [
     "FORMATS",
     "Format",
+    "ProblemRecord",
+    "RoutesRecord",
+    "SolutionRecord",
+    "read_contest",
     "read_problem",
     "read_solution",
     "write_problem",
+    "write_routes",
     "write_solution",
 ]

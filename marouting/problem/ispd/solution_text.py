@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from marouting.errors import InputError
 from marouting.files import write_text
 from marouting.problem.ispd.lines import NUMBER, Record, is_number, reading, unexpected
+from marouting.problem.ispd.routes_text import RoutesRecord, read_routes
 
 _POINT = rf"\( ?({NUMBER}) ?, ?({NUMBER}) ?, ?({NUMBER}) ?\)"
 _segment = re.compile(f"{_POINT} ?- ?{_POINT}").fullmatch
@@ -32,17 +33,22 @@ class SolutionRecord(Record):
     points: NDArray[np.int64]
 
 
-def read_solution(path: str | os.PathLike[str], nets: Iterable[tuple[str, int]]) -> SolutionRecord:
-    """Reads ISPD solution text.
+def read_solution(
+    path: str | os.PathLike[str], nets: Iterable[tuple[str, int]], layers: Sequence[str] = ()
+) -> SolutionRecord | RoutesRecord:
+    """Reads routes in any of the formats.
 
-    A net without a block has no segments.
+    A first line of one word is a net's name, with which the formats of
+    :mod:`~marouting.problem.ispd.routes_text` begin; all others are ISPD solution text. A net
+    without a block has no segments.
 
     Args:
         path: the file.
         nets: name and id of each of the problem's nets; names are unique.
+        layers: names of the layers, lowest first.
 
     Returns:
-        The segments in file order.
+        The segments or boxes in file order.
 
     Raises:
         InputError: the file cannot be read, is not of this format, or names a net twice, an
@@ -55,7 +61,10 @@ def read_solution(path: str | os.PathLike[str], nets: Iterable[tuple[str, int]])
         ids.append(id_)
     net, numbers, points = array("q"), array("q"), array("q")
     with reading(path) as lines:
-        while header := lines.next():
+        header = lines.next()
+        if len(header) == 1:
+            return read_routes(lines, os.fspath(path), header, known, layers)
+        while header:
             if len(header) not in (2, 3) or not all(map(is_number, header[1:])):
                 raise unexpected("a net's name, id and (optional) number of segments", header)
             name, found = header[0], int(header[1])
@@ -73,6 +82,7 @@ def read_solution(path: str | os.PathLike[str], nets: Iterable[tuple[str, int]])
                 net.append(index)
                 numbers.append(lines.number)
                 points.extend(map(int, match.groups()))
+            header = lines.next()
     return SolutionRecord(
         os.fspath(path),
         {"segments": numbers},

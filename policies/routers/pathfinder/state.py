@@ -78,7 +78,7 @@ class ProblemArrays(NamedTuple):
 
     size: NDArray[np.int64]  # (3,) columns, rows, layers
     position: NDArray[np.int32]  # (G, 3) x, y, z of each Gcell
-    capacity: NDArray[np.int32]  # (E,) in tracks
+    capacity: NDArray[np.int32]  # (E,) in tracks; negative where there must be no wires
     demand: NDArray[np.int32]  # (N, Z) tracks that a net takes from an edge in a layer
     first: NDArray[np.int64]  # (N + 1,) a net's pins are pin[first[net] : first[net + 1]]
     pin: NDArray[np.int64]  # (pins,) their Gcells
@@ -138,6 +138,20 @@ def make_parameters(options: PathfinderOptions) -> Parameters:
     return Parameters(via=round(options.via_weight * UNIT), **values)
 
 
+def _capacity(problem: Problem) -> NDArray[np.int32]:
+    """(E,) the capacity of every edge; -1 for wires along an axis on which a layer has none.
+
+    A chip's layers with wires along x, together with those along y, lead everywhere. Where they do
+    not, such wires are overflow as any other.
+    """
+    chip = problem.chip
+    if chip is None or not chip.wires.any(axis=0).all():
+        return problem.capacity
+    capacity = problem.capacity.reshape(-1, problem.grid[2], AXES).copy()
+    capacity[:, :, :VIA_AXIS][:, ~chip.wires] = -1
+    return capacity.reshape(-1)
+
+
 def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemArrays, Routing]:
     """The problem as arrays, and a routing without any trees."""
     first, pin = problem.flat_pin_gcells
@@ -147,7 +161,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
     arrays = ProblemArrays(
         size=np.array(problem.grid, np.int64),
         position=grid.position,
-        capacity=problem.capacity,
+        capacity=_capacity(problem),
         demand=problem.net_demand,
         first=first,
         pin=pin,

@@ -1,0 +1,59 @@
+"""sb3-contrib's MaskablePPO for all nets of many games, which are stepped in arrays.
+
+Every net of every game is an environment, and all share one policy. Needs ``pip install
+sb3-contrib``. MaskablePPO also takes ``gymnasium.make(marouting.ENVIRONMENT_ID, …)`` as it is.
+"""
+
+import time
+
+import numpy as np
+import torch
+from sb3_contrib import MaskablePPO
+from stable_baselines3.common.vec_env import VecNormalize
+
+from marouting import scenarios
+from marouting.integrations.sb3 import RoutingVecEnv
+
+torch.set_num_threads(1)
+problem = scenarios.get("two-pin-8x8-v0").test[0]
+env = VecNormalize(RoutingVecEnv([problem] * 16, reward="normalised"), norm_reward=False)
+test = RoutingVecEnv([problem], reward="normalised")
+model = MaskablePPO(
+    "MlpPolicy",
+    env,
+    n_steps=64,
+    batch_size=2048,
+    n_epochs=4,
+    learning_rate=lambda left: 2e-3 * left,
+    gamma=0.95,
+    gae_lambda=0.9,
+    ent_coef=0.01,
+    policy_kwargs={"net_arch": [128, 128], "activation_fn": torch.nn.ReLU},
+    device="cpu",
+    seed=0,
+)
+
+
+def joined():
+    """The share of the nets that the policy joins without exploration."""
+    obs, ended, success = test.reset(), np.zeros(test.num_envs, bool), 0
+    while not ended.all():
+        obs = env.normalize_obs(obs)
+        moves, _ = model.predict(obs, action_masks=test.action_masks(), deterministic=True)
+        obs, _, dones, infos = test.step(moves)
+        for row in np.flatnonzero(dones & ~ended):
+            success += infos[row]["is_success"]
+        ended |= dones
+    return success / test.num_envs
+
+
+def report(known, _):
+    """Prints how it stands after every second rollout; the training ends when enough is joined."""
+    if known["self"].num_timesteps % (2 * model.n_steps * env.num_envs):
+        return True
+    print(model.num_timesteps, round(time.process_time()), share := joined(), flush=True)
+    return share < 0.95
+
+
+print("steps processor_seconds joined")
+model.learn(1_500_000, callback=report)

@@ -1,0 +1,230 @@
+"""Predicted demand: what agents are expected to take of the edges that they have still to reach.
+
+As in RUDY (Spindler and Johannes, "Fast and accurate routing demand estimation for efficient
+routability-driven placement", DATE 2007) each open task is expected to take one edge across every
+column and every row of the box around its two ends, with equal chances in all rows (columns) of the
+box and in all layers that have capacity in that direction. An agent's present task counts from
+where the agent is.
+
+The maps follow from the state of the games and are brought up to date before they are read: only
+agents that have moved are counted again.
+"""
+
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.game.engine import Engine
+from marouting.game.state import NOBODY, Dynamic, Static, Status
+from marouting.game.tasks import is_later
+from marouting.kernels import compiled, inlined, place, wide
+from marouting.memory import EXPECTED, check_memory
+from marouting.problem.grid import AXES, VIA_AXIS
+
+_BITS = 20
+"""Expected demand is counted in parts of 2**-20. Sums of integers are the same in any order, so it
+makes no difference how a state has come about."""
+
+
+class Maps(NamedTuple):
+    """What is known about M problems beyond their state, brought up to date before it is read."""
+
+    lanes: NDArray[np.int32]  # (M, 2, Z) 1 for layers with capacity along x, along y
+    lane_count: NDArray[np.int32]  # (M, 2) their number, at least 1
+    track: NDArray[np.float32]  # (M, Z) mean demand of the agents on an edge, for the state
+    counted: NDArray[np.int32]  # (M, N, 3) Gcell, target and task of agents in the maps, or NOBODY
+    corner: NDArray[np.int64]  # (M, G, 2) what ``expected`` is the sum of, over lower x and y
+    expected: NDArray[np.int64]  # (M, G, 2) expected demand on a Gcell's edges towards +x and +y
+    heads: NDArray[np.int32]  # (M, G) active agents
+    later: NDArray[np.uint8]  # (M, T) tasks in the maps that agents have still to begin
+    changed: NDArray[np.int32]  # (M, 2) first and last column in which ``corner`` has changed
+
+
+_maps: WeakKeyDictionary[Engine, tuple[Maps, NDArray[np.int64]]] = WeakKeyDictionary()
+"""The maps of every engine that is observed, and (M,) which of the problems that have been in its
+places they are of. They follow from its state, so nobody saves them."""
+
+
+def maps_of(engine: Engine) -> Maps:
+    """The maps of an engine, new ones if it has none yet."""
+    found = _maps.get(engine)
+    if found is None:
+        grid = engine.grid
+        m, n = engine.nets.shape
+        layers = grid.shape[VIA_AXIS]
+        check_memory(EXPECTED * m * grid.gcells, "expected demand of {} grids of {}", m, grid)
+        maps = Maps(
+            lanes=np.zeros((m, VIA_AXIS, layers), np.int32),
+            lane_count=np.zeros((m, VIA_AXIS), np.int32),
+            track=np.zeros((m, layers), np.float32),
+            counted=np.zeros((m, n, 3), np.int32),
+            corner=np.zeros((m, grid.gcells, 2), np.int64),
+            expected=np.zeros((m, grid.gcells, 2), np.int64),
+            heads=np.zeros((m, grid.gcells), np.int32),
+            later=np.zeros((m, engine.most_tasks), np.uint8),
+            changed=np.zeros((m, 2), np.int32),
+        )
+        found = _maps[engine] = maps, np.full(m, NOBODY, np.int64)
+    maps, of = found
+    new = np.flatnonzero(of != engine.replaced)
+    if len(new):
+        _begin_maps(engine, maps, new)
+        of[new] = engine.replaced[new]
+    return maps
+
+
+def _begin_maps(engine: Engine, maps: Maps, new: NDArray[np.integer]) -> None:
+    """Fills in the maps of some problems (K,), in which nobody is counted yet."""
+    static = engine.static
+    capacity = static.capacity[new].reshape(len(new), -1, engine.grid.shape[VIA_AXIS], AXES)
+    lanes = (capacity[..., :VIA_AXIS].max(axis=1) > 0).transpose(0, 2, 1)
+    lanes = lanes | ~lanes.any(axis=2, keepdims=True)
+    track = static.demand[new].sum(axis=1) / (engine.tasks[new] > 0).sum(axis=1)[:, None]
+    maps.lanes[new], maps.lane_count[new] = lanes, lanes.sum(axis=2)
+    maps.track[new] = np.where(track > 0, track, 1)
+    maps.counted[new] = NOBODY
+    for array in (maps.corner, maps.expected, maps.heads, maps.later):
+        array[new] = 0
+
+
+@inlined
+def position(static: Static, cell: int) -> tuple[int, int, int]:
+    """x, y and z of a Gcell."""
+    at = static.position[cell]
+    return wide(at[0]), wide(at[1]), wide(at[2])
+
+
+@inlined
+def grid_of(static: Static) -> tuple[int, int, int]:
+    """Columns, rows and layers of the grid."""
+    x, y, z = position(static, len(static.position) - 1)
+    return x + 1, y + 1, z + 1
+
+
+@inlined
+def share_of(static: Static, maps: Maps, m: int, n: int, axis: int, z: int, across: int) -> int:
+    """What a net is expected to take of each edge along an axis in a layer of a task's box.
+
+    Args:
+        static: the static state of the games.
+        maps: see :class:`Maps`.
+        m: the problem.
+        n: the agent.
+        axis: 0 or 1.
+        z: the layer.
+        across: the size of the box across the axis, in Gcells.
+    """
+    demand = wide(maps.lanes[m, axis, z]) * wide(static.demand[m, n, z])
+    return (demand << _BITS) // (across * wide(maps.lane_count[m, axis]))
+
+
+@inlined
+def count_task(static: Static, maps: Maps, m: int, n: int, near: int, far: int, sign: int) -> None:
+    """Adds a task from one Gcell to another to the corners (``sign`` 1), or takes it off (−1)."""
+    columns, rows, layers = grid_of(static)
+    x0, x1 = wide(static.position[near, 0]), wide(static.position[far, 0])
+    y0, y1 = wide(static.position[near, 1]), wide(static.position[far, 1])
+    x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
+    if x0 == x1 and y0 == y1:
+        return
+    maps.changed[m, 0] = min(maps.changed[m, 0], x0)
+    maps.changed[m, 1] = max(maps.changed[m, 1], x1)
+    for z in range(layers):
+        if x0 < x1:
+            share = sign * share_of(static, maps, m, n, 0, z, y1 - y0 + 1)
+            maps.corner[m, place((x0 * rows + y0) * layers + z), 0] += share
+            maps.corner[m, place((x1 * rows + y0) * layers + z), 0] -= share
+            if y1 + 1 < rows:
+                maps.corner[m, place((x0 * rows + y1 + 1) * layers + z), 0] -= share
+                maps.corner[m, place((x1 * rows + y1 + 1) * layers + z), 0] += share
+        if y0 < y1:
+            share = sign * share_of(static, maps, m, n, 1, z, x1 - x0 + 1)
+            maps.corner[m, place((x0 * rows + y0) * layers + z), 1] += share
+            maps.corner[m, place((x0 * rows + y1) * layers + z), 1] -= share
+            if x1 + 1 < columns:
+                maps.corner[m, place(((x1 + 1) * rows + y0) * layers + z), 1] -= share
+                maps.corner[m, place(((x1 + 1) * rows + y1) * layers + z), 1] += share
+
+
+@inlined
+def count_agent(static: Static, maps: Maps, m: int, n: int, later: bool, sign: int) -> None:
+    """Adds an agent's present task and those noted as later to the maps, or takes them off."""
+    cell, target = place(maps.counted[m, n, 0]), place(maps.counted[m, n, 1])
+    maps.heads[m, cell] += sign
+    count_task(static, maps, m, n, cell, target, sign)
+    if later:
+        for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+            if not maps.later[m, task - static.first[m, 0]]:
+                continue
+            near, far = place(static.tasks[task, 0]), place(static.tasks[task, 1])
+            count_task(static, maps, m, n, near, far, sign)
+
+
+@compiled
+def refresh(static: Static, dynamic: Dynamic, maps: Maps, m: int, without: int) -> None:
+    """Brings the maps of a problem up to date: agents that have moved are counted again.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        maps: see :class:`Maps`.
+        m: the problem.
+        without: an agent that is not counted, or NOBODY.
+    """
+    columns, rows, layers = grid_of(static)
+    maps.changed[m, 0], maps.changed[m, 1] = columns, NOBODY
+    for n in range(dynamic.agents.shape[1]):
+        agent = dynamic.agents[m, n]
+        active = agent.status == Status.ACTIVE and n != without
+        cell = wide(agent.cell) if active else wide(NOBODY)
+        target, task = wide(agent.target), wide(agent.task)
+        before = wide(maps.counted[m, n, 0])
+        same = task == maps.counted[m, n, 2]
+        if static.extended is not None and active:
+            for t in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+                noted = maps.later[m, t - static.first[m, 0]] != 0
+                same &= noted == is_later(static, dynamic, m, n, wide(t))
+        if cell == before and (cell == NOBODY or (same and target == maps.counted[m, n, 1])):
+            continue
+        later = not (same and active and before != NOBODY)
+        # Two turns instead of two calls, which would compile the counting twice.
+        for sign in range(-1, 2, 2):
+            if sign == 1:
+                maps.counted[m, n, 0] = cell
+                maps.counted[m, n, 1] = target
+                maps.counted[m, n, 2] = task
+                for t in range(later * static.first[m, n], later * static.first[m, n + 1]):
+                    noted = active and is_later(static, dynamic, m, n, wide(t))
+                    maps.later[m, t - static.first[m, 0]] = noted
+            if maps.counted[m, n, 0] != NOBODY:
+                count_agent(static, maps, m, n, later, sign)
+    # To the left of a box that has changed nothing changes, and to the right of it neither.
+    column = rows * layers
+    for x in range(wide(maps.changed[m, 0]), wide(maps.changed[m, 1]) + 1):
+        for y in range(rows):
+            for z in range(layers):
+                cell = place(x * column + y * layers + z)
+                for axis in range(VIA_AXIS):
+                    total = maps.corner[m, cell, axis]
+                    if x > 0:
+                        total += maps.expected[m, place(cell - column), axis]
+                    if y > 0:
+                        total += maps.expected[m, place(cell - layers), axis]
+                    if x > 0 and y > 0:
+                        total -= maps.expected[m, place(cell - column - layers), axis]
+                    maps.expected[m, cell, axis] = total
+
+
+@inlined
+def squashed(number: Any) -> Any:
+    """float32, q / (1 + |q|)."""
+    return number / (np.float32(1) + abs(number))
+
+
+@inlined
+def slack_of(maps: Maps, m: int, cell: int, axis: int, remaining: int, track: Any) -> Any:
+    """float32 remaining capacity less expected demand, in tracks."""
+    expected = np.float32(maps.expected[m, cell, axis]) * np.float32(2.0**-_BITS)
+    return (np.float32(remaining) - expected) / track

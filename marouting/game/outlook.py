@@ -1,0 +1,558 @@
+"""What a learned router looks at: every move's way to the end, all open pins, a folded window.
+
+Like the window of :mod:`marouting.game.window`, it is mirrored in x and in y so that the target
+lies towards +x and +y, and one shape fits every grid, number of layers and capacity. It takes
+longer to compute and is much smaller: the layers are folded into one, and two searches tell for
+every move how much farther than the best it leads.
+
+A row consists of these blocks; s(q) = q / (1 + |q|), and a net's track is its demand on an edge of
+the layer, at least 1.
+
+=======  ===  =====================================================================================
+numbers  16   as in :mod:`marouting.game.window`
+detour   12   for +x, −x, +y, −y of the frame, up and down: s(d), where d is by how much the
+              cheapest way to the end that begins with the move is dearer than the cheapest of all;
+              1 where there is none. First with the capacity there is, then with predicted slack
+crossed  8    of the edges towards +x, −x, +y, −y: s(tracks of remaining capacity, rounded down) of
+              the four, then s(predicted slack in tracks) of the four; −1 off the grid
+pins     35   of the target, then of up to four other open pins, the nearest to the agent first:
+              1; its distance in x and y of the frame and in z, in eighths and within −2 to 2;
+              s(cost of the cheapest way from there to the end); the distance of where that way
+              ends in x and y of the frame, likewise. 0 for pins that there are not
+room_x        s(tracks of remaining capacity) of the edges along x that touch the window, the
+              largest in all layers; 0 off the grid
+room_y        the same along y
+slack_x       s(predicted slack in tracks), likewise
+slack_y       the same along y
+own           1 for Gcells of the window where, in any layer, the net uses an edge
+open          1 for Gcells of the window where, in any layer, an open task has its target
+=======  ===  =====================================================================================
+
+**The cheapest way** leads from a Gcell to one that ends the task: with ``target: tree`` any Gcell
+of the net's tree, otherwise the target. Every edge costs 1, those of the present walk included. One
+without room for the net costs 32 more if overflow is allowed, and cannot be crossed otherwise. With
+the predicted slack, an edge that would be left with less than nothing costs up to 4 more, 1 per
+track. Ways stay within ``margin`` Gcells of the box around the task's ends and the net's other open
+pins.
+
+Predicted demand is explained in :mod:`marouting.game.expected`; that of the agent itself is left
+out. Moves are those of the grid; :func:`marouting.game.window.mirrored` translates them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from marouting.config import check
+from marouting.game.edges import demand_of, uses
+from marouting.game.engine import Engine, check_rows
+from marouting.game.expected import (
+    Maps,
+    grid_of,
+    maps_of,
+    position,
+    refresh,
+    slack_of,
+    squashed,
+)
+from marouting.game.rules import is_agent
+from marouting.game.state import NOBODY, Dynamic, Option, Static
+from marouting.game.tasks import holds, is_later, is_on
+from marouting.game.window import MOST_RADIUS, move_order, write_numbers
+from marouting.kernels import compiled, inlined, place, wide
+from marouting.problem.grid import AXES, MOVES, VIA_AXIS
+from marouting.problem.net import is_whole
+from marouting.problem.problem import Problem
+
+_NUMBERS, _DETOURS, _CROSSED, _PIN, _PINS = 16, 12, 8, 7, 5
+_FIXED = _NUMBERS + _DETOURS + _CROSSED + _PIN * _PINS
+DETOURS = _NUMBERS
+"""Where the block ``detour`` begins in a row."""
+
+_UNIT = 4  # the cost of an edge, so that the cost of scarcity has steps below it
+_OVERFLOW = 32 * _UNIT
+_SCARCE = 4 * _UNIT
+_BUCKETS = 256  # more than any edge costs
+_FARTHEST = 2**30
+
+
+class Ways(NamedTuple):
+    """Working arrays of the searches, and what the last ones have found."""
+
+    cost: NDArray[np.int32]  # (M, 2, G) of the cheapest way to the end, in parts of _UNIT
+    end: NDArray[np.int32]  # (M, G) the Gcell that it ends in, with the capacity there is
+    low: NDArray[np.int32]  # (M, 2) the box that was searched, in x and y
+    high: NDArray[np.int32]  # (M, 2)
+    head: NDArray[np.int32]  # (256,) the first entry of each bucket
+    after: NDArray[np.int32]  # (entries,) the next entry of the bucket
+    entry: NDArray[np.int32]  # (entries,) the Gcell of an entry
+
+
+_ways: WeakKeyDictionary[Engine, Ways] = WeakKeyDictionary()
+
+
+def ways_of(engine: Engine) -> Ways:
+    """The working arrays for an engine, new ones if it has none yet."""
+    ways = _ways.get(engine)
+    if ways is None:
+        m, cells = len(engine.games), engine.grid.gcells
+        entries = (MOVES + 1) * cells
+        ways = _ways[engine] = Ways(
+            cost=np.full((m, 2, cells), _FARTHEST, np.int32),
+            end=np.zeros((m, cells), np.int32),
+            low=np.zeros((m, 2), np.int32),
+            high=np.zeros((m, 2), np.int32),
+            head=np.full(_BUCKETS, NOBODY, np.int32),
+            after=np.zeros(entries, np.int32),
+            entry=np.zeros(entries, np.int32),
+        )
+    return ways
+
+
+@dataclass(frozen=True)
+class OutlookObservation:
+    """What a learned router looks at; see :mod:`marouting.game.outlook`.
+
+    Attributes:
+        radius: Gcells that are seen in each direction of x and y, 0 to 32.
+        margin: Gcells by which ways may leave the box around the open pins, from 1.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
+
+    radius: int = 2
+    margin: int = 3
+
+    def __post_init__(self) -> None:
+        for name, least, most in (("radius", 0, MOST_RADIUS), ("margin", 1, 2**16)):
+            value = getattr(self, name)
+            within = is_whole(value) and least <= value <= most
+            check(name, within, f"{least} to {most}, found {value!r}")
+
+    @cached_property
+    def layout(self) -> dict[str, slice]:
+        """Where each block of a row is."""
+        side = 2 * self.radius + 1
+        sizes = {
+            "numbers": _NUMBERS,
+            "detour": _DETOURS,
+            "crossed": _CROSSED,
+            "pins": _PIN * _PINS,
+            **dict.fromkeys(("room_x", "room_y", "slack_x", "slack_y"), (side + 1) * side),
+            "own": side * side,
+            "open": side * side,
+        }
+        ends = np.cumsum(list(sizes.values())).tolist()
+        return {
+            name: slice(end - size, end)
+            for (name, size), end in zip(sizes.items(), ends, strict=True)
+        }
+
+    @property
+    def size(self) -> int:
+        """Numbers in a row."""
+        return self.layout["open"].stop
+
+    def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
+        """The box of a row, the same for all problems; see :class:`.observation.Observation`."""
+        del problems, overflow
+        low, high = np.full(self.size, -1, np.float32), np.ones(self.size, np.float32)
+        low[5:8], high[5:8] = -4, 4
+        low[self.layout["pins"]], high[self.layout["pins"]] = -2, 2
+        for name in ("detour", "own", "open"):
+            low[self.layout[name]] = 0
+        return Box(low, high, dtype=np.float32)
+
+    def write(
+        self,
+        engine: Engine,
+        problems: NDArray[np.integer],
+        agents: NDArray[np.integer],
+        out: NDArray[np.float32],
+    ) -> None:
+        """Fills ``out`` (K, ``size``); see :class:`marouting.game.observation.Observation`.
+
+        Raises:
+            ValueError: there are no such agents.
+        """
+        check_rows(problems, agents, out, self.size)
+        known = engine.static, engine.dynamic, maps_of(engine), ways_of(engine)
+        if not _write(*known, self.radius, self.margin, problems, agents, out):
+            raise ValueError(f"expected agents of the games, found {problems}, {agents}")
+
+    def move_order(self, obs: NDArray[np.float32]) -> NDArray[np.int64]:
+        """The moves on the grid that the moves of the frame are, for what learns in the frame.
+
+        Args:
+            obs: (K, size) float32, what agents saw.
+
+        Returns:
+            (K, 6) int64; see :func:`marouting.game.window.move_order`.
+        """
+        return move_order(obs)
+
+
+# --- the cheapest ways ----------------------------------------------------------------------------
+
+
+@inlined
+def _edge_cost(
+    static: Static,
+    dynamic: Dynamic,
+    maps: Maps,
+    m: int,
+    n: int,
+    cell: int,
+    move: int,
+    scarcity: bool,
+) -> int:
+    """What it costs a net to cross the edge that a move from a Gcell of the grid crosses.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        maps: see :class:`marouting.game.expected.Maps`.
+        m: the problem.
+        n: the agent.
+        cell: the Gcell.
+        move: the move, which stays on the grid.
+        scarcity: whether predicted slack counts.
+    """
+    axis = move // 2
+    if axis == VIA_AXIS:
+        return wide(_UNIT)
+    edge = place(static.edge[cell, move])
+    demand = wide(demand_of(static, m, n, cell, move))
+    # As if the net did not use the edge yet: so nothing changes while the agent walks.
+    remaining = wide(dynamic.remaining[m, edge]) + demand * uses(dynamic.used, m, n, edge)
+    cost = wide(_UNIT)
+    if remaining < demand:
+        cost = wide(_UNIT + _OVERFLOW) if static.overflow_allowed else wide(_FARTHEST)
+    elif scarcity:
+        at = place(edge // AXES)
+        track = np.float32(max(demand, 1))
+        left = slack_of(maps, m, at, axis, remaining, track) - np.float32(1)
+        if left < 0:
+            cost += min(wide(np.float32(-_UNIT) * left), wide(_SCARCE))
+    return cost
+
+
+@inlined
+def _put(ways: Ways, size: int, key: int, cell: int) -> None:
+    """Puts a Gcell into the bucket of a cost, as the entry number ``size``."""
+    bucket = key & (_BUCKETS - 1)
+    ways.entry[size] = cell
+    ways.after[size] = ways.head[bucket]
+    ways.head[bucket] = size
+
+
+@compiled
+def find_ways(
+    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
+) -> None:
+    """Finds what the cheapest ways cost from every Gcell of the box to the end of the task.
+
+    While only this agent moves, they stay the same until its next task begins.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        maps: up to date, without the agent.
+        ways: filled.
+        m: the problem.
+        n: the agent.
+        margin: Gcells around the open pins.
+    """
+    agent = dynamic.agents[m, n]
+    columns, rows, layers = grid_of(static)
+    for axis in range(VIA_AXIS):
+        low = high = wide(static.position[agent.target, axis])
+        for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+            if task != agent.task and not is_later(static, dynamic, m, n, wide(task)):
+                continue
+            for end in range(task != agent.task, 2):
+                at = wide(static.position[static.tasks[task, end], axis])
+                low, high = min(low, at), max(high, at)
+        ways.low[m, axis], ways.high[m, axis] = low - margin, high + margin
+    x0, x1 = max(wide(ways.low[m, 0]), 0), min(wide(ways.high[m, 0]), columns - 1)
+    y0, y1 = max(wide(ways.low[m, 1]), 0), min(wide(ways.high[m, 1]), rows - 1)
+    tree = is_on(static, Option.TREE_TARGET)
+    for kind in range(2):
+        size, waiting, key = wide(0), wide(0), wide(0)
+        for x in range(x0, x1 + 1):
+            for y in range(y0, y1 + 1):
+                for z in range(layers):
+                    cell = place((x * rows + y) * layers + z)
+                    ends = cell == agent.target
+                    if tree:
+                        ends = holds(static, dynamic, m, Option.TREE, n, cell) != 0
+                    ways.cost[m, kind, cell] = _FARTHEST
+                    if ends:
+                        ways.cost[m, kind, cell] = 0
+                        ways.end[m, cell] = cell
+                        _put(ways, size, wide(0), cell)
+                        size, waiting = size + 1, waiting + 1
+        while waiting > 0:
+            bucket = key & (_BUCKETS - 1)
+            while ways.head[bucket] != NOBODY:
+                first = place(ways.head[bucket])
+                ways.head[bucket] = ways.after[first]
+                waiting -= 1
+                cell = place(ways.entry[first])
+                if ways.cost[m, kind, cell] != key:
+                    continue  # a cheaper way has come first
+                for move in range(MOVES):
+                    if not static.exits[cell] >> move & 1:
+                        continue
+                    ahead = place(static.neighbour[cell, move])
+                    x, y, _ = position(static, ahead)
+                    if not (x0 <= x <= x1 and y0 <= y <= y1):
+                        continue
+                    cost = key + _edge_cost(static, dynamic, maps, m, n, cell, move, kind == 1)
+                    if cost < ways.cost[m, kind, ahead]:
+                        ways.cost[m, kind, ahead] = cost
+                        if kind == 0:
+                            ways.end[m, ahead] = ways.end[m, cell]
+                        _put(ways, size, cost, ahead)
+                        size, waiting = size + 1, waiting + 1
+            key += 1
+
+
+# --- rows -----------------------------------------------------------------------------------------
+
+
+@inlined
+def _away(far: int) -> Any:
+    """float32, a distance in eighths, within −2 to 2."""
+    return np.float32(min(max(far, -16), 16)) / np.float32(8)
+
+
+@inlined
+def _write_moves(
+    static: Static,
+    dynamic: Dynamic,
+    maps: Maps,
+    ways: Ways,
+    m: int,
+    n: int,
+    out: Any,
+    row: int,
+) -> None:
+    """Writes the blocks ``detour`` and ``crossed``."""
+    agent = dynamic.agents[m, n]
+    cell, target = place(agent.cell), place(agent.target)
+    layer = place(static.position[cell, VIA_AXIS])
+    for kind in range(2):
+        least = wide(_FARTHEST)
+        for turn in range(2):
+            for way in range(MOVES):
+                axis = way // 2
+                back = wide(0)
+                if axis != VIA_AXIS:
+                    back = wide(static.position[target, axis] < static.position[cell, axis])
+                move = way ^ back
+                whole = wide(_FARTHEST)
+                if static.exits[cell] >> move & 1:
+                    ahead = place(static.neighbour[cell, move])
+                    x, y, _ = position(static, ahead)
+                    inside = ways.low[m, 0] <= x <= ways.high[m, 0]
+                    if inside and ways.low[m, 1] <= y <= ways.high[m, 1]:
+                        cost = _edge_cost(static, dynamic, maps, m, n, cell, move, kind == 1)
+                        whole = min(cost + wide(ways.cost[m, kind, ahead]), whole)
+                if turn == 0:
+                    least = min(least, whole)
+                elif whole == _FARTHEST:
+                    out[row, _NUMBERS + MOVES * kind + way] = 1
+                else:
+                    dearer = np.float32(whole - least) / np.float32(_UNIT)
+                    out[row, _NUMBERS + MOVES * kind + way] = squashed(dearer)
+    for way in range(2 * VIA_AXIS):
+        axis = way // 2
+        move = way ^ wide(static.position[target, axis] < static.position[cell, axis])
+        room = left = np.float32(-1)
+        if static.exits[cell] >> move & 1:
+            edge = place(static.edge[cell, move])
+            track = np.float32(max(static.demand[m, n, layer], 1))
+            remaining = wide(dynamic.remaining[m, edge])
+            room = squashed(np.floor(np.float32(remaining) / track))
+            left = squashed(slack_of(maps, m, place(edge // AXES), axis, remaining, track))
+        out[row, _NUMBERS + _DETOURS + way] = room
+        out[row, _NUMBERS + _DETOURS + 2 * VIA_AXIS + way] = left
+
+
+@inlined
+def _write_pins(
+    static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int, radius: int, out: Any, row: int
+) -> None:
+    """Writes the block ``pins``, and sets what is 1 in the block ``open``."""
+    agent = dynamic.agents[m, n]
+    cell, target = place(agent.cell), place(agent.target)
+    x, y, z = position(static, cell)
+    sign_x = 1 if static.position[target, 0] >= x else -1
+    sign_y = 1 if static.position[target, 1] >= y else -1
+    first, side = _NUMBERS + _DETOURS + _CROSSED, 2 * radius + 1
+    opened = out.shape[1] - side * side
+    for k in range(_PIN * _PINS):
+        out[row, first + k] = 0
+    count, last, last_task = wide(0), wide(NOBODY), wide(NOBODY)
+    begin, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
+    while count < _PINS:
+        # The nearest of those not written yet; ties go to the task listed first.
+        best, found = wide(_FARTHEST), wide(NOBODY)
+        pin = target
+        if count > 0:
+            for task in range(begin, end):
+                if not is_later(static, dynamic, m, n, wide(task)):
+                    continue
+                at = place(static.tasks[task, 1])
+                px, py, pz = position(static, at)
+                far = abs(px - x) + abs(py - y) + abs(pz - z)
+                fresh = far > last or (far == last and task > last_task)
+                if fresh and far < best:
+                    best, found, pin = far, wide(task), at
+            if found == NOBODY:
+                break
+            last, last_task = best, found
+        px, py, pz = position(static, pin)
+        at = first + _PIN * count
+        out[row, at] = 1
+        out[row, at + 1] = _away(sign_x * (px - x))
+        out[row, at + 2] = _away(sign_y * (py - y))
+        out[row, at + 3] = _away(pz - z)
+        cost = np.float32(ways.cost[m, 0, pin]) / np.float32(_UNIT)
+        out[row, at + 4] = squashed(cost)
+        if ways.cost[m, 0, pin] < _FARTHEST:
+            px, py, _ = position(static, place(ways.end[m, pin]))
+        out[row, at + 5] = _away(sign_x * (px - x))
+        out[row, at + 6] = _away(sign_y * (py - y))
+        count += 1
+    for task in range(begin, end):
+        if task == agent.task or is_later(static, dynamic, m, n, wide(task)):
+            pin = target if task == agent.task else place(static.tasks[task, 1])
+            px, py, _ = position(static, pin)
+            i, j = sign_x * (px - x) + radius, sign_y * (py - y) + radius
+            if 0 <= i < side and 0 <= j < side:
+                out[row, opened + i * side + j] = 1
+
+
+@inlined
+def _write_folded(
+    static: Static,
+    dynamic: Dynamic,
+    maps: Maps,
+    m: int,
+    n: int,
+    radius: int,
+    out: Any,
+    row: int,
+) -> None:
+    """Writes the blocks of the folded window; in ``open`` zeros."""
+    columns, rows, layers = grid_of(static)
+    agent = dynamic.agents[m, n]
+    cell, target = place(agent.cell), place(agent.target)
+    x, y, _ = position(static, cell)
+    right, up = static.position[target, 0] >= x, static.position[target, 1] >= y
+    side = 2 * radius + 1
+    edges = side * (side + 1)
+    for axis in range(VIA_AXIS):
+        along_x, along_y = wide(axis == 0), wide(axis == 1)
+        p = wide(_FIXED + axis * edges)
+        for i in range(-radius - along_x, radius + 1):
+            gx = x + i if right else x - i - along_x
+            in_x = 0 <= gx < columns - along_x
+            for j in range(-radius - along_y, radius + 1):
+                gy = y + j if up else y - j - along_y
+                room = left = np.float32(0)
+                if in_x and 0 <= gy < rows - along_y:
+                    room = left = np.float32(-1)
+                    for z in range(layers):
+                        at = place((gx * rows + gy) * layers + z)
+                        remaining = dynamic.remaining[m, AXES * at + axis]
+                        track = np.float32(max(static.demand[m, n, z], 1))
+                        here = squashed(np.floor(np.float32(remaining) / track))
+                        room = max(room, here)
+                        here = squashed(slack_of(maps, m, at, axis, remaining, track))
+                        left = max(left, here)
+                out[row, p] = room
+                out[row, p + 2 * edges] = left
+                p += 1
+    p = wide(_FIXED + 4 * edges)
+    for i in range(-radius, radius + 1):
+        gx = x + i if right else x - i
+        for j in range(-radius, radius + 1):
+            gy = y + j if up else y - j
+            own = wide(0)
+            if 0 <= gx < columns and 0 <= gy < rows:
+                for z in range(layers):
+                    at = place((gx * rows + gy) * layers + z)
+                    for move in range(MOVES):
+                        edge = place(static.edge[at, move])
+                        own |= uses(dynamic.used, m, n, edge) & (static.exits[at] >> move)
+            out[row, p] = own & 1
+            out[row, p + side * side] = 0
+            p += 1
+
+
+@inlined
+def write_outlook(
+    static: Static,
+    dynamic: Dynamic,
+    maps: Maps,
+    ways: Ways,
+    m: int,
+    n: int,
+    radius: int,
+    out: Any,
+    row: int,
+) -> None:
+    """Fills a row of ``out`` (K, size) for an agent.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        maps: up to date, without the agent.
+        ways: found for the agent's present task.
+        m: the problem.
+        n: the agent.
+        radius: of the window.
+        out: the rows.
+        row: which to fill.
+    """
+    write_numbers(static, dynamic, m, n, out, row)
+    _write_moves(static, dynamic, maps, ways, m, n, out, row)
+    _write_folded(static, dynamic, maps, m, n, radius, out, row)
+    _write_pins(static, dynamic, ways, m, n, radius, out, row)
+
+
+@compiled
+def _write(
+    static: Static,
+    dynamic: Dynamic,
+    maps: Maps,
+    ways: Ways,
+    radius: int,
+    margin: int,
+    problems: Any,
+    agents: Any,
+    out: Any,
+) -> bool:
+    """Fills ``out`` (K, size); returns whether there are such agents."""
+    for i in range(len(problems)):
+        m, n = wide(problems[i]), wide(agents[i])
+        if not is_agent(dynamic, m, n):
+            return False
+        if n == NOBODY:
+            for f in range(out.shape[1]):
+                out[i, f] = 0
+            continue
+        m, n = place(m), place(n)
+        refresh(static, dynamic, maps, m, n)
+        find_ways(static, dynamic, maps, ways, m, n, wide(margin))
+        write_outlook(static, dynamic, maps, ways, m, n, wide(radius), out, i)
+    return True

@@ -1,0 +1,158 @@
+"""Many games at once with the interface of Gymnasium's vectors: what ``gymnasium.make_vec`` gives.
+
+Each game is that of :class:`marouting.env.single.GlobalRoutingSingle`, played through arrays.
+"""
+
+from typing import Any
+
+import numpy as np
+from gymnasium import Space
+from gymnasium.spaces import Box, Dict
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from marouting.config import check
+from marouting.env.base import METADATA
+from marouting.game.state import NOBODY
+from marouting.options import game_options
+from marouting.render import ansi, rgb_array, scene_of
+from marouting.source import Source
+from marouting.vector import BatchEnv, Info
+
+
+class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
+    """Games for one player each, side by side; all arrays that it gives are the caller's.
+
+    A game that is over starts its next episode in the following step, which ignores its action
+    (``AutoresetMode.NEXT_STEP``).
+
+    Args:
+        num_envs: how many games.
+        problem: what each of them plays, see :data:`marouting.source.Source`.
+        render_mode: ``ansi``, ``rgb_array`` or None.
+        **options: the other fields of :class:`marouting.options.GameOptions`, and ``threads`` and
+            ``seed`` of :class:`marouting.vector.BatchEnv`.
+
+    Raises:
+        InputError: an option or the problem cannot be used.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        problem: Source = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        rules = {key: value for key, value in options.items() if key not in ("threads", "seed")}
+        self._options = game_options({**rules, "render_mode": render_mode})
+        check("agents_persist", not self._options.agents_persist, "false: only one player")
+        check("render_mode", render_mode != "human", "ansi, rgb_array or None, for many games")
+        problem = self._options.problem if problem is None else problem
+        self._observation = self._options.observation.make()
+        options["observation"] = self._observation
+        self._batch = BatchEnv(num_envs, problem=problem, everyone=False, **options)
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self.metadata = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
+        space: Space[Any] = self._batch.single_observation_space
+        if self._options.mask_in_observation:
+            mask = Box(0, 1, (self._options.actions,), np.int8)
+            space = Dict({self._options.observation_key: space, self._options.mask_key: mask})
+        self.single_observation_space = space
+        self.single_action_space = self._batch.single_action_space
+        self.observation_space = batch_space(space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._games = np.arange(num_envs)
+        self._movers = np.zeros(num_envs, np.int32)
+        self._over = np.zeros(num_envs, np.bool_)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, Info]:
+        """Starts the episodes of all games, or of those in ``options["reset_mask"]``.
+
+        Args:
+            seed: decides which problems are played, if there are several.
+            options: see :meth:`marouting.vector.BatchEnv.reset`.
+        """
+        super().reset(seed=seed)
+        obs, info = self._batch.reset(seed=seed, options=options)
+        self._over = info["over"].copy()
+        return self._seen(obs, info)
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
+        """Moves the net whose turn it is in every game.
+
+        Args:
+            actions: (M,) integers.
+
+        Returns:
+            (M, *S) observations, (M,) rewards, terminations and truncations, and infos in the form
+            of Gymnasium's vectors: of each key of a game's info an array, and ``_key``, (M,) bool,
+            which games have it.
+
+        Raises:
+            ResetNeeded: :meth:`reset` has not been called.
+            ValueError: there is not one action for each game, or one is none.
+        """
+        moves = np.asarray(actions)
+        moves = moves.reshape(-1, 1) if moves.ndim == 1 else moves
+        if moves.size and moves.min() < 0:
+            raise ValueError(f"actions: expected 0 to {self._options.actions - 1}, found {actions}")
+        obs, reward, _, _, batch = self._batch.step(moves)
+        self._over = over = batch["over"].copy()
+        seen, infos = self._seen(obs, batch)
+        games = np.flatnonzero(over)
+        joined = np.zeros(self.num_envs, np.bool_)
+        for m in games.tolist():
+            figures = vars(self._batch.engine.metrics(m))
+            joined[m] = figures["joined"] == figures["tasks"]
+            last = {
+                "metrics": dict(figures),
+                **figures,
+                "open": figures["tasks"] - figures["joined"],
+                "is_success": bool(joined[m] and not figures["overflow"]),
+            }
+            infos = self._add_info(infos, last, m)
+        return seen, reward[:, 0].astype(np.float64), over & joined, over & ~joined, infos
+
+    def _seen(self, obs: NDArray[np.float32], batch: Info) -> tuple[Any, Info]:
+        """Observations and infos of the nets to move, and of those that moved last."""
+        now, mask, seen = batch["agents"][:, 0], batch["action_mask"][:, 0].copy(), obs[:, 0].copy()
+        self._movers = np.where(now == NOBODY, self._movers, now)
+        if self._over.any():  # nobody is to move: shown is the net that moved last
+            games = np.flatnonzero(self._over)
+            out, which = seen[games], (games, self._movers[games])
+            self._observation.write(self._batch.engine, *which, out)
+            seen[games], mask[games] = out, self._batch.engine.masks(*which)
+        everywhere = np.ones(self.num_envs, np.bool_)
+        nets = self._batch.engine.nets[self._games, self._movers]
+        infos: Info = {
+            self._options.mask_key: mask,
+            f"_{self._options.mask_key}": everywhere,
+            "net": np.array([f"net_{net}" for net in nets.tolist()], object),
+            "_net": everywhere.copy(),
+        }
+        if not self._options.mask_in_observation:
+            return seen, infos
+        keys = self._options.observation_key, self._options.mask_key
+        return dict(zip(keys, (seen, mask.copy()), strict=True)), infos
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """(M, A) bool, the moves of the nets to move that cross an edge."""
+        return self._batch.engine.masks(*self._batch.engine.pairs(everyone=False)).astype(np.bool_)
+
+    def render(self) -> Any:
+        """A picture of every game according to ``render_mode``, in a tuple."""
+        if self.render_mode is None:
+            return None
+        draw = ansi if self.render_mode == "ansi" else rgb_array
+        return tuple(draw(scene_of(self._batch.engine, m)) for m in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Ends the threads."""
+        del kwargs
+        self._batch.close()

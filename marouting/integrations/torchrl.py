@@ -1,0 +1,143 @@
+"""TorchRL: an environment on :class:`marouting.vector.BatchEnv`, M games in a batch.
+
+TorchRL's ``PettingZooWrapper`` plays one game at a time and cannot read infos whose keys change::
+
+    from marouting.integrations.torchrl import RoutingEnv
+
+    env = RoutingEnv(marouting.generate(16, nets=10), reward="normalised")
+    env.rollout(100)["nets", "reward"]  # (16, 100, 10, 1)
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from marouting.vector import BatchEnv, Info
+
+GROUP = "nets"
+"""The group of all agents."""
+
+
+class RoutingEnv(EnvBase):
+    """M games, in each of which every net is an agent of one group, ``nets``.
+
+    Agents stay to the end of their game: once all tasks of one have ended, it sees zeros, its mask
+    has a single move, which does nothing, and it is paid nothing. A game ends, ``terminated``, when
+    all its agents are done.
+
+    ======================================  ===================  ==================================
+    ``("nets", "observation")``             (M, N, *S) float32   what agents see
+    ``("nets", "action_mask")``             (M, N, A) bool       moves that cross an edge
+    ``("nets", "action")``                  (M, N) int64         moves
+    ``("nets", "reward")``                  (M, N, 1) float32    what the step paid
+    ``done``, ``terminated``                (M, 1) bool          whether the game is over
+    ``("info", "joined")``                  (M, 1) float32       share of the tasks that are joined
+    ``("info", "overflow")``                (M, 1) float32       overflow
+    ``("info", "wirelength")``              (M, 1) float32       wirelength
+    ``state``                               (M, X, Y, …)         the global state, with ``state``
+    ======================================  ===================  ==================================
+
+    Args:
+        problems: see :class:`marouting.vector.BatchEnv`.
+        state: whether there is the global state, for critics that see it.
+        device: where tensors are; the games are on the processor.
+        **options: the other arguments of :class:`marouting.vector.BatchEnv`.
+
+    Attributes:
+        batch: the games, to be read.
+        group_map: the agents of the group.
+
+    Raises:
+        InputError: an option or a problem cannot be used.
+    """
+
+    def __init__(
+        self, problems: Any = None, *, state: bool = False, device: Any = None, **options: Any
+    ) -> None:
+        self.batch = batch = BatchEnv(problems, autoreset=False, **options)
+        m, n = batch.num_problems, batch.num_agents
+        super().__init__(device=device, batch_size=[m])
+        self.group_map = {GROUP: [f"agent_{i}" for i in range(n)]}
+        self._state = state
+        self._seed_to_be: int | None = None
+        box, actions = batch.single_observation_space, int(batch.single_action_space.n)
+        low, high = (torch.from_numpy(b).expand(m, n, *box.shape) for b in (box.low, box.high))
+        seen = {
+            "observation": Bounded(low, high, (m, n, *box.shape), dtype=torch.float32),
+            "action_mask": Categorical(2, (m, n, actions), dtype=torch.bool),
+        }
+        info = {key: Unbounded((m, 1)) for key in ("joined", "overflow", "wirelength")}
+        specs = {GROUP: Composite(seen, shape=(m, n)), "info": Composite(info, shape=(m,))}
+        if state:
+            space = batch.single_state_space
+            specs["state"] = Unbounded((m, *space.shape), dtype=torch.float32)
+        self.observation_spec = Composite(specs, shape=(m,), device=device)
+        moves = Composite({"action": Categorical(actions, (m, n))}, shape=(m, n))
+        self.action_spec = Composite({GROUP: moves}, shape=(m,), device=device)
+        paid = Composite({"reward": Unbounded((m, n, 1))}, shape=(m, n))
+        self.reward_spec = Composite({GROUP: paid}, shape=(m,), device=device)
+        flag = {key: Categorical(2, (m, 1), dtype=torch.bool) for key in ("done", "terminated")}
+        self.done_spec = Composite(flag, shape=(m,), device=device)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        """Starts all games, or those that ``_reset`` marks."""
+        del kwargs
+        which = None if tensordict is None else tensordict.get("_reset", None)
+        options = None if which is None else {"reset_mask": which.cpu().numpy().reshape(-1)}
+        obs, info = self.batch.reset(seed=self._seed_to_be, options=options)
+        self._seed_to_be = None
+        over = np.zeros((self.batch.num_problems, 1), np.bool_)
+        return self._tensors({"done": over, "terminated": over.copy(), **self._seen(obs, info)})
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Moves all agents."""
+        obs, reward, _, _, info = self.batch.step(tensordict[GROUP, "action"].cpu().numpy())
+        # A game that is over stays so until it is reset.
+        over = (self.batch.engine.games["active"] == 0)[:, None]
+        seen = self._seen(obs, info)
+        seen[GROUP]["reward"] = reward[..., None].copy()
+        return self._tensors({"done": over, "terminated": over.copy(), **seen})
+
+    def _set_seed(self, seed: int | None) -> None:
+        """Takes a seed for the next reset."""
+        self._seed_to_be = seed
+
+    def _seen(self, obs: NDArray[np.float32], info: Info) -> dict[str, Any]:
+        """What agents see, as arrays of the caller's own."""
+        batch, active = self.batch, info["active"]
+        mask = info["action_mask"].astype(np.bool_)
+        mask[~active] = np.arange(mask.shape[2]) == 0
+        obs = obs.copy()
+        obs[~active] = 0
+        tasks = batch.engine.tasks.sum(axis=1)
+        figures = {"joined": info["joined"] / tasks}
+        figures |= {key: info[key] for key in ("overflow", "wirelength")}
+        columns = {key: np.asarray(v, np.float32)[:, None].copy() for key, v in figures.items()}
+        seen: dict[str, Any] = {
+            GROUP: {"observation": obs, "action_mask": mask},
+            "info": columns,
+        }
+        if self._state:
+            seen["state"] = batch.state().copy()
+        return seen
+
+    def _tensors(self, arrays: dict[str, Any]) -> TensorDictBase:
+        m, n = self.batch.num_problems, self.batch.num_agents
+        sizes = {GROUP: [m, n], "info": [m]}
+        return TensorDict(
+            {
+                key: TensorDict(
+                    {inner: torch.from_numpy(array) for inner, array in value.items()}, sizes[key]
+                )
+                if isinstance(value, dict)
+                else torch.from_numpy(value)
+                for key, value in arrays.items()
+            },
+            [m],
+            device=self.device,
+        )

@@ -1,0 +1,179 @@
+"""Routes as boxes of a chip's layers, which is how routing guides give them, and back."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.kernels import compiled
+from marouting.memory import USED, check_memory
+from marouting.problem.chip import Chip, Places
+from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.net import FieldError
+from marouting.problem.problem import Problem
+from marouting.problem.segments import longest_runs
+
+
+class Boxes(NamedTuple):
+    """Boxes that nets' routes cover.
+
+    Attributes:
+        net: (n,) int64, the index of each box's net, ascending.
+        box: (n, 4) int64, lower left and upper right corner in chip coordinates.
+        layer: (n,) int64, from 0.
+    """
+
+    net: NDArray[np.int64]
+    box: NDArray[np.int64]
+    layer: NDArray[np.int64]
+
+
+def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The edges between Gcells that a net's boxes touch.
+
+    A guide is a region and says no more. Two Gcells of it that lie above each other are joined, and
+    two neighbours of one box if the edge between them has capacity. Guides also count on neighbours
+    in different boxes, and on short wires where there are no tracks, such as those across their
+    layer's direction: where parts of a net touch in no other way, the former, and then the latter,
+    join them, no more than are needed.
+
+    Args:
+        problem: the problem.
+        boxes: corners in either order are not accepted: the lower left one comes first.
+
+    Returns:
+        (k,) twice: net and edge, ordered by net, then edge, each pair once.
+
+    Raises:
+        FieldError: a box is empty or reaches off the chip; ``row`` tells which, ``field`` is
+            ``"segments"``.
+        InputError: the Gcells would take too much memory.
+    """
+    chip = problem.chip_or_default
+    net, box, layer = boxes
+    wrong = (box[:, :2] >= box[:, 2:]).any(axis=1)
+    low, high = np.array([chip.x[0], chip.y[0]]), np.array([chip.x[-1], chip.y[-1]])
+    wrong |= (box[:, :2] < low).any(axis=1) | (box[:, 2:] > high).any(axis=1)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise FieldError(
+            f"expected a box on the chip, from {tuple(low.tolist())} to {tuple(high.tolist())}, "
+            f"found {tuple(box[row].tolist())}",
+            "segments",
+            row,
+        )
+    first = [np.searchsorted(at, box[:, i], "right") - 1 for i, at in enumerate((chip.x, chip.y))]
+    last = [np.searchsorted(at, box[:, i + 2], "left") for i, at in enumerate((chip.x, chip.y))]
+    wide, high_ = last[0] - first[0], last[1] - first[1]
+    sizes = wide * high_
+    gcells = int(sizes.sum())  # a line of text may cover millions
+    check_memory(USED * gcells, "boxes of {} Gcells", gcells)
+    index = np.repeat(np.arange(len(net)), sizes)
+    place = np.arange(len(index)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    _, rows, layers = problem.grid
+    x, y = first[0][index] + place // high_[index], first[1][index] + place % high_[index]
+    size = int(np.prod(problem.grid))
+    keys = net[index] * size + (x * rows + y) * layers + layer[index]
+    covered = np.unique(keys)
+    position = np.stack(np.unravel_index(covered % size, problem.grid), axis=1)
+    inside = (x + 1 < last[0][index], y + 1 < last[1][index])  # the next Gcell is of the same box
+    ends, axes, costs = [], [], []
+    for axis in range(AXES):
+        at = np.flatnonzero(position[:, axis] + 1 < problem.grid[axis])
+        other = np.searchsorted(covered, covered[at] + problem.strides[axis])
+        other = np.minimum(other, len(covered) - 1)
+        both = covered[other] == covered[at] + problem.strides[axis]
+        at, other = at[both], other[both]
+        ends.append(np.stack((at, other)))
+        axes.append(np.full(len(at), axis))
+        cost = np.zeros(len(at), np.int64)
+        if axis != VIA_AXIS:
+            in_box = np.isin(covered[at], keys[inside[axis]])
+            usable = problem.capacity_of(AXES * (covered[at] % size) + axis) > 0
+            cost = np.where(usable, 1 - in_box, 2)
+        costs.append(cost)
+    near, far = np.concatenate(ends, axis=1)
+    needed = np.concatenate(costs)
+    kept = needed == 0
+    part = np.arange(len(covered))
+    for level in range(3):
+        _mark_joins(near, far, np.flatnonzero(needed == level), part, kept)
+    uses = np.sort(AXES * covered[near[kept]] + np.concatenate(axes)[kept])
+    return np.divmod(uses, AXES * size)
+
+
+@compiled
+def _mark_joins(near: Any, far: Any, order: Any, part: Any, kept: Any) -> None:
+    """Joins vertices by edges and marks the edges that joined two parts.
+
+    Args:
+        near: (n,) one end of every edge.
+        far: (n,) the other.
+        order: the edges to be looked at, in this order.
+        part: (vertices,) leads from each vertex to one of its part; changed.
+        kept: (n,) receives True for edges that joined two parts.
+    """
+    for edge in order:
+        a, b = near[edge], far[edge]
+        while part[a] != a:
+            part[a] = part[part[a]]
+            a = part[a]
+        while part[b] != b:
+            part[b] = part[part[b]]
+            b = part[b]
+        if a != b:
+            part[max(a, b)] = min(a, b)
+            kept[edge] = True
+
+
+def boxes_of(problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]) -> Boxes:
+    """Boxes that cover routes and pins, connected wherever the routes are.
+
+    Every longest straight segment is a box. Every via lies in a box of both layers. Every pin's
+    Gcell is covered in its own layer and in the next higher one, so that the pin can be left by a
+    via, and so is what the pin touches of Gcells beside it.
+
+    Args:
+        problem: the problem.
+        net: (k,) the net of each edge.
+        edge: (k,) edges of the grid, each once per net.
+
+    Returns:
+        The boxes, ordered by net, layer, column and row.
+    """
+    chip: Chip = problem.chip_or_default
+    size, layers = int(np.prod(problem.grid)), problem.grid[2]
+    wire = edge % AXES != VIA_AXIS
+    run_net, ends = longest_runs(problem, net[wire], edge[wire])
+    near = edge // AXES
+    far = near + problem.strides[edge % AXES]
+    in_wires = np.concatenate((net, net))[np.tile(wire, 2)] * size
+    in_wires += np.concatenate((near[wire], far[wire]))
+    first, pins = problem.flat_pin_gcells
+    pin_net = np.repeat(np.arange(len(problem.nets)), np.diff(first))
+    if chip.places is not None:
+        beside_net, beside = _beside_pins(problem, chip.places)
+        pin_net, pins = np.concatenate((pin_net, beside_net)), np.concatenate((pins, beside))
+    below_top = pins % layers + 1 < layers
+    single_net = np.concatenate((net[~wire], net[~wire], pin_net, pin_net[below_top]))
+    single = np.concatenate((near[~wire], far[~wire], pins, pins[below_top] + 1))
+    alone = np.setdiff1d(single_net * size + single, in_wires)
+    box_net = np.concatenate((run_net, alone // size))
+    corners = np.concatenate((ends, np.repeat((alone % size)[:, None], 2, axis=1)))
+    x, y, z = np.unravel_index(corners, problem.grid)
+    box = np.stack(
+        (chip.x[x[:, 0]], chip.y[y[:, 0]], chip.x[x[:, 1] + 1], chip.y[y[:, 1] + 1]), axis=1
+    )
+    order = np.lexsort((y[:, 0], x[:, 0], z[:, 0], box_net))
+    return Boxes(box_net[order], box[order], z[order, 0])
+
+
+def _beside_pins(problem: Problem, places: Places) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(k,) twice: net and Gcell of a pin's places next to the one that the problem has it in."""
+    pin = np.repeat(np.arange(len(places.first) - 1), np.diff(places.first))
+    net = np.repeat(np.arange(len(problem.nets)), np.diff(places.first_pin))[pin]
+    position = np.stack(np.unravel_index(places.gcell, problem.grid), axis=1)
+    own = np.stack(np.unravel_index(problem.gcell_of_pins, problem.grid), axis=1)[pin]
+    distance = np.abs(position - own)
+    beside = (distance[:, VIA_AXIS] == 0) & (distance.sum(axis=1) == 1)
+    return net[beside], places.gcell[beside]

@@ -1,0 +1,201 @@
+"""The cost by which the ISPD 2024 contest judges routes."""
+
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.errors import InputError
+from marouting.problem.chip import Contest, Places
+from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.problem import Problem
+from marouting.problem.solution import Solution, joined_parts
+
+SLOPE = 0.5
+"""Of the exponential in the cost of overflow."""
+
+WITHOUT = 1.5
+"""What half a track of demand weighs, in tracks of overflow, where there is no capacity."""
+
+_LEAST = 0.001
+"""What is less is no capacity."""
+
+
+@dataclass(frozen=True)
+class ContestCost:
+    """The cost of a solution by the rules of the ISPD 2024 contest; less is better.
+
+    Attributes:
+        total: the sum of the three parts.
+        wirelength: of the wires, by their length.
+        vias: of the vias.
+        overflow: over all Gcells of all layers with wires, used or not, the layer's cost times
+            exp(SLOPE · (demand - capacity)).
+        open: names of the nets that the contest takes for open: a pin that no wire or via of the
+            net's reaches, parts that do not touch, or a wire that its layer cannot have.
+    """
+
+    total: float
+    wirelength: float
+    vias: float
+    overflow: float
+    open: tuple[str, ...]
+
+
+def contest_of(problem: Problem) -> Contest:
+    """The contest's costs of a problem; raises InputError for one that is none of its."""
+    if problem.chip is None or problem.chip.contest is None:
+        raise InputError("problem: expected one of the ISPD 2024 contest, from a .cap file")
+    return problem.chip.contest
+
+
+def contest_cost(solution: Solution) -> ContestCost:
+    """Judges a solution as the contest's evaluator does.
+
+    In tracks, a wire takes 1 of the edge that it crosses. A via takes a half of each of the two
+    edges beside its lower Gcell, or 1 of the only one, unless a wire of the net ends there or
+    passes: so a stack of vias costs capacity in every layer that it only passes. An edge's demand
+    and capacity are those of its lower Gcell. An edge that a net lists several times counts once
+    here, and each time in the contest.
+
+    Args:
+        solution: of a problem of the contest.
+
+    Raises:
+        InputError: its problem is none of the contest's.
+    """
+    problem = solution.problem
+    contest = contest_of(problem)
+    assert problem.chip is not None
+    columns, rows, layers = problem.grid
+    size, (net, edge) = columns * rows * layers, solution.uses
+    near, axis = edge // AXES, edge % AXES
+    layer = near % layers
+    via = axis == VIA_AXIS
+    allowed = via | problem.chip.wires[layer, np.minimum(axis, 1)]
+    refused = np.unique(net[~allowed])
+    wire = allowed & ~via
+    far = near + problem.strides[axis]
+    wires = np.bincount(near[wire], minlength=size).reshape(problem.grid)
+    wired = np.concatenate((net[wire] * size + near[wire], net[wire] * size + far[wire]))
+    stacked = np.setdiff1d(net[via] * size + near[via], wired) % size
+    demand = 2 * wires + _via_demand(problem, contest, stacked)  # in half tracks
+    lengths = (contest.x_length, contest.y_length)
+    wirelength = sum(
+        float(lengths[a] @ wires[..., contest.axis == a].sum(axis=(1 - a, 2))[:-1]) for a in (0, 1)
+    )
+    over = np.where(
+        contest.capacity > _LEAST,
+        demand / 2 - contest.capacity,
+        np.where(demand > 0, WITHOUT * demand, -np.inf),
+    )
+    with np.errstate(over="ignore"):
+        by_layer = np.exp(SLOPE * over[..., 1:]).sum(axis=(0, 1))
+        overflow = float(by_layer @ contest.overflow_cost[1:])
+    parts = (
+        wirelength * contest.wire_cost,
+        int(np.count_nonzero(via)) * contest.via_cost,
+        min(overflow, sys.float_info.max / 4),
+    )
+    open_nets = np.union1d(refused, _open_nets(problem, wired, net[via], near[via]))
+    names = tuple(problem.nets[index].name for index in open_nets.tolist())
+    return ContestCost(sum(parts), *parts, names)
+
+
+def with_pins_covered(solution: Solution) -> Solution:
+    """The solution with a via at each pin of nets that have several pins and no edges.
+
+    The contest counts a net as open unless a wire or via of its own reaches every pin, also where
+    all pins lie in one Gcell.
+    """
+    problem = solution.problem
+    first = _places_of(problem).first_pin
+    net, edge = solution.uses
+    without = np.setdiff1d(np.flatnonzero(np.diff(first) > 1), net)
+    start, gcell = problem.flat_pin_gcells
+    without = without[np.diff(start)[without] == 1]
+    layers = problem.grid[2]
+    if layers < 2 or not len(without):
+        return solution
+    pin = gcell[start[without]]
+    below = np.where(pin % layers + 1 < layers, pin, pin - 1)
+    nets, edges = np.append(net, without), np.append(edge, AXES * below + VIA_AXIS)
+    order = np.lexsort((edges, nets))
+    return Solution.of_uses(problem, nets[order], edges[order])
+
+
+def _via_demand(
+    problem: Problem, contest: Contest, stacked: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """(X, Y, Z) half tracks that stacked vias take; ``stacked`` are Gcells, with repetitions."""
+    demand = np.zeros(problem.grid, np.int64)
+    position = np.stack(np.unravel_index(stacked, problem.grid), axis=1)
+    for a in (0, 1):
+        own = position[contest.axis[position[:, 2]] == a]
+        before, last = own.copy(), problem.grid[a] - 1
+        if last == 0:
+            continue
+        before[:, a] -= 1
+        at = own[:, a]
+        # Along the layer, a Gcell at the border has one edge, which takes it all.
+        np.add.at(demand, tuple(before[at > 0].T), np.where(at[at > 0] == last, 2, 1))
+        np.add.at(demand, tuple(own[at < last].T), np.where(at[at < last] == 0, 2, 1))
+    return demand
+
+
+def _open_nets(
+    problem: Problem,
+    wired: NDArray[np.int64],
+    via_net: NDArray[np.int64],
+    via: NDArray[np.int64],
+) -> NDArray[np.int64]:
+    """(open,) the nets whose pins are not joined.
+
+    Neighbouring Gcells of one net are joined if wires or vias of it lie in both, whether or not an
+    edge of it joins them.
+
+    Args:
+        problem: the problem.
+        wired: nets · G + Gcells at the ends of wires, with repetitions.
+        via_net: (vias,) the net of each via.
+        via: (vias,) its lower Gcell.
+    """
+    assert problem.chip is not None
+    size = int(np.prod(problem.grid))
+    lower = via_net * size + via
+    covered = np.unique(np.concatenate((wired, lower, lower + 1)))
+    position = np.stack(np.unravel_index(covered % size, problem.grid), axis=1)
+    ends = []
+    for axis in range(AXES):
+        possible = position[:, axis] + 1 < problem.grid[axis]
+        if axis != VIA_AXIS:
+            possible &= problem.chip.wires[position[:, VIA_AXIS], axis]
+        at = np.flatnonzero(possible)
+        other = np.searchsorted(covered, covered[at] + problem.strides[axis])
+        other = np.minimum(other, len(covered) - 1)
+        both = covered[other] == covered[at] + problem.strides[axis]
+        ends.append(np.stack((at[both], other[both])))
+    near, far = np.concatenate(ends, axis=1)
+    part = joined_parts(near, far, len(covered))
+    places = _places_of(problem)
+    pins = len(places.first) - 1
+    pin = np.repeat(np.arange(pins), np.diff(places.first))
+    net = np.repeat(np.arange(len(problem.nets)), np.diff(places.first_pin))
+    reached = net[pin] * size + places.gcell
+    at = np.minimum(np.searchsorted(covered, reached), max(0, len(covered) - 1))
+    touched = covered[at] == reached if len(covered) else np.zeros(len(at), np.bool_)
+    begins = np.zeros(len(covered), np.bool_)  # parts that a net's first pin lies in
+    begins[part[at[touched & (places.first_pin[net[pin]] == pin)]]] = True
+    joined = np.zeros(pins, np.bool_)
+    joined[places.first_pin[:-1]] = True
+    touched[touched] = begins[part[at[touched]]]
+    joined[pin[touched]] = True
+    return np.unique(net[~joined])
+
+
+def _places_of(problem: Problem) -> Places:
+    """The places of the pins of a problem of the contest, which has some."""
+    assert problem.chip is not None
+    assert problem.chip.places is not None
+    return problem.chip.places

@@ -1,0 +1,250 @@
+"""From a design's shapes, tracks and nets to a global routing problem."""
+
+import math
+import os
+from array import array
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.errors import InputError
+from marouting.memory import NET, PIN, check_memory
+from marouting.problem.capacities import as_adjustments
+from marouting.problem.chip import Chip, Places
+from marouting.problem.grid import MAX_GCELLS
+from marouting.problem.ispd.problem_text import ProblemRecord
+from marouting.problem.lefdef.shapes import Shapes, moved_pins, read_shapes
+from marouting.problem.lefdef.texts import Design, Layer, Library, Tracks, read_def, read_library
+from marouting.problem.lefdef.tracks import capacity_of_layer, places
+from marouting.problem.net import MAX_NUMBER, Net, Pin
+
+TRACKS_PER_GCELL = 15
+"""The side of a Gcell in tracks, where neither a GCELLGRID nor a tile says another."""
+
+
+def read_design(
+    path: str | os.PathLike[str],
+    lef: Sequence[str | os.PathLike[str]],
+    tile: tuple[int, int] | None = None,
+) -> ProblemRecord:
+    """Reads a design.
+
+    Args:
+        path: the DEF file.
+        lef: its LEF files, technology first.
+        tile: width and height of a Gcell in the DEF's units; None: as the DEF says, or 15 tracks.
+
+    Returns:
+        The fields of a problem, :attr:`marouting.Problem.chip` among them.
+
+    Raises:
+        InputError: a file cannot be read, or the design cannot be routed as it is; or klayout is
+            not installed.
+    """
+    library = Library()
+    for file in lef:
+        read_library(file, library)
+    if not library.layers:
+        names = ", ".join(os.fspath(file) for file in lef)
+        raise InputError(f"{names}: expected at least one routing layer")
+    design = read_def(path, library)
+    x, y = _lines(design, library.layers, tile)
+    layers = library.layers
+    columns, rows = len(x) - 1, len(y) - 1
+    grid = (columns, rows, len(layers))
+    if math.prod(grid) > MAX_GCELLS:
+        raise InputError(
+            f"{design.file}: expected at most {MAX_GCELLS} Gcells in all, "
+            f"found {columns}x{rows}x{len(layers)}"
+        )
+    check_memory(NET * len(design.nets) + PIN * len(design.connections), "{}", design.file)
+    shapes = read_shapes(path, lef, design.units, [layer.name for layer in layers])
+    capacity = np.zeros(grid, np.int64)
+    for z, layer in enumerate(layers):
+        capacity[..., z] = _capacity(design, layer, shapes.all[shapes.all[:, 0] == z], x, y)
+    axis = np.array([layer.axis for layer in layers])
+    fields = as_adjustments(capacity, axis, np.ones(len(layers), np.bool_))
+    pins = _pin_gcells(design, shapes, x, y, len(layers))
+    origin = (int(x[0]), int(y[0]))
+    side = (_usual(np.diff(x)), _usual(np.diff(y)))
+    at = np.array(origin) + pins.gcell[:, :2] * np.array(side) + np.array(side) // 2
+    located = [Pin(*row) for row in np.column_stack((at, pins.gcell[:, 2] + 1)).tolist()]
+    bounds = design.first.tolist()
+    chip = Chip(
+        tuple(layer.name for layer in layers),
+        x,
+        y,
+        np.stack((axis == 0, axis == 1), axis=1),
+        pins.places,
+    )
+    where = {
+        name: array("q", [design.die_line])
+        for name in ("grid", "origin", "tile", "vertical_capacity", "horizontal_capacity")
+    }
+    return ProblemRecord(
+        design.file,
+        {
+            **where,
+            "nets": design.lines,
+            "pins": np.repeat(np.array(design.lines), np.diff(bounds)).tolist(),
+        },
+        {
+            "grid": grid,
+            "origin": origin,
+            "tile": side,
+            "nets": tuple(
+                Net(name, number, tuple(located[bounds[number] : bounds[number + 1]]))
+                for number, name in enumerate(design.nets)
+            ),
+            "min_width": (1,) * len(layers),
+            "min_spacing": (0,) * len(layers),
+            "via_spacing": (0,) * len(layers),
+            "chip": chip,
+            **fields._asdict(),
+        },
+    )
+
+
+def _usual(sizes: NDArray[np.int64]) -> int:
+    """The commonest of some sizes, and of equally common ones the least."""
+    values, counts = np.unique(sizes, return_counts=True)
+    return int(values[counts.argmax()])
+
+
+def _lines(
+    design: Design, layers: Sequence[Layer], tile: tuple[int, int] | None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The lines between Gcells along x and along y, with the borders of the die."""
+    assert design.die is not None
+    found = []
+    for axis in (0, 1):
+        low, high = design.die[axis], design.die[axis + 2]
+        own = [line for line in design.gcells if line.axis == axis]
+        if tile is None and own:
+            inner = places(own, low, high, design.file)
+        else:
+            side = tile[axis] if tile else TRACKS_PER_GCELL * _step(design, layers, axis)
+            if not 1 <= side <= MAX_NUMBER:
+                raise InputError(f"tile: expected sides from 1 to {MAX_NUMBER}, found {tile}")
+            count = max(1, (high - low) // side)
+            if count > MAX_GCELLS:
+                raise InputError(f"tile: expected at most {MAX_GCELLS} Gcells, found {count}")
+            inner = low + side * np.arange(1, count, dtype=np.int64)
+        found.append(np.array([low, *inner.tolist(), high]))
+    return found[0], found[1]
+
+
+def _step(design: Design, layers: Sequence[Layer], axis: int) -> int:
+    """The least distance between tracks at places along an axis, in the design's units."""
+    steps = [tracks.step for tracks in design.tracks if tracks.axis == axis]
+    steps = steps or [_pitch(design, layer, axis) for layer in layers]
+    return min(steps)
+
+
+def _pitch(design: Design, layer: Layer, axis: int) -> int:
+    """A layer's pitch in the design's units; raises InputError if it has none."""
+    pitch = round(layer.pitch[axis] * design.units)
+    if pitch < 1:
+        raise InputError(f"{design.file}: expected TRACKS or a PITCH of layer {layer.name}")
+    return pitch
+
+
+def _capacity(
+    design: Design,
+    layer: Layer,
+    boxes: NDArray[np.int64],
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+) -> NDArray[np.int64]:
+    """(X, Y) the capacity of a layer's edges; ``boxes`` (k, 5) are all shapes in it."""
+    assert design.die is not None
+    across = 1 - layer.axis  # the axis along which tracks have their places
+    low, high = design.die[across], design.die[across + 2]
+    own = [t for t in design.tracks if t.axis == across and (layer.name in t.layers)]
+    if not own:
+        pitch = _pitch(design, layer, across)
+        offset = layer.offset[across] * design.units if layer.offset else pitch / 2
+        own = [Tracks(across, low + round(offset), (high - low) // pitch + 1, pitch, (), 1)]
+    tracks = places(own, low, high, design.file)
+    spacing = layer.spacing
+    if spacing is None:
+        spacing = max(0.0, layer.pitch[across] - layer.width)
+    halo = round((layer.width + 2 * spacing) * design.units)
+    if layer.axis == 0:
+        return capacity_of_layer(tracks, x, y, boxes[:, [1, 3, 2, 4]], halo)
+    return capacity_of_layer(tracks, y, x, boxes[:, [2, 4, 1, 3]], halo).T
+
+
+class _Pins(NamedTuple):
+    gcell: NDArray[np.int64]  # (connections, 3) column, row, layer
+    places: Places
+
+
+def _pin_gcells(
+    design: Design, shapes: Shapes, x: NDArray[np.int64], y: NDArray[np.int64], layers: int
+) -> _Pins:
+    """The Gcell of every connection, and all that the pin lies in."""
+    owner, boxes = _pin_boxes(design, shapes)
+    first = [np.searchsorted(at, boxes[:, 1 + i], "right") - 1 for i, at in enumerate((x, y))]
+    last = [np.searchsorted(at, boxes[:, 3 + i], "left") - 1 for i, at in enumerate((x, y))]
+    first = [column.clip(0) for column in first]
+    last = [
+        np.minimum(np.maximum(b, a), len(at) - 2)
+        for a, b, at in zip(first, last, (x, y), strict=True)
+    ]
+    on_die = (boxes[:, 1] < x[-1]) & (boxes[:, 3] > x[0])
+    on_die &= (boxes[:, 2] < y[-1]) & (boxes[:, 4] > y[0])
+    wide = np.where(on_die, last[0] - first[0] + 1, 0)
+    high = np.where(on_die, last[1] - first[1] + 1, 0)
+    sizes = wide * high
+    index = np.repeat(np.arange(len(boxes)), sizes)
+    check_memory(PIN * len(index), "pins in {} Gcells", len(index))
+    place = np.arange(len(index)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    column = first[0][index] + place // high[index]
+    row = first[1][index] + place % high[index]
+    sides = np.minimum(boxes[index, 3], x[column + 1]) - np.maximum(boxes[index, 1], x[column])
+    area = sides * (np.minimum(boxes[index, 4], y[row + 1]) - np.maximum(boxes[index, 2], y[row]))
+    rows = len(y) - 1
+    size = (len(x) - 1) * rows * layers
+    keys, same = np.unique(
+        owner[index] * size + (column * rows + row) * layers + boxes[index, 0], return_inverse=True
+    )
+    total = np.zeros(len(keys), np.int64)
+    np.add.at(total, same, area)
+    pin, gcell = np.divmod(keys, size)
+    connections = np.arange(len(design.connections))
+    if len(missing := np.setdiff1d(connections, pin)):
+        net = int(np.searchsorted(design.first, missing[0], "right")) - 1
+        component, name = design.connections[missing[0]]
+        raise InputError(
+            f"{design.file}:{design.lines[net]}: net {design.nets[net]}: expected pin {name} of "
+            f"{component} to have a shape in a routing layer, on the die"
+        )
+    order = np.lexsort((gcell, -total, pin))  # of equal areas the lowest Gcell counts
+    best = order[np.searchsorted(pin[order], connections)]
+    position = np.stack((gcell // layers // rows, gcell // layers % rows, gcell % layers), axis=1)
+    bounds = np.searchsorted(pin, np.arange(len(connections) + 1))
+    return _Pins(position[best], Places(np.array(design.first), bounds, gcell))
+
+
+def _pin_boxes(design: Design, shapes: Shapes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(boxes,) the connection that each box belongs to, and (boxes, 5) the boxes on the chip."""
+    alike: dict[tuple[int, int, str], list[tuple[int, int, int]]] = defaultdict(list)
+    for number, names in enumerate(design.connections):
+        # klayout's names are without the backslashes that keep brackets from being a bus.
+        component, pin = (name.replace("\\", "") for name in names)
+        if component == "PIN":
+            alike[shapes.top, 0, pin].append((number, 0, 0))
+        elif component in shapes.places:
+            cell, turn, x, y = shapes.places[component]
+            alike[cell, turn, pin].append((number, x, y))
+    owners, boxes = [np.empty(0, np.int64)], [np.empty((0, 5), np.int64)]
+    for (cell, turn, pin), rows in alike.items():
+        table = np.array(rows)
+        moved = moved_pins(shapes, cell, turn, pin, table[:, 1:])
+        owners.append(np.repeat(table[:, 0], moved.shape[1]))
+        boxes.append(moved.reshape(-1, 5))
+    return np.concatenate(owners), np.concatenate(boxes)

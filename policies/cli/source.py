@@ -1,0 +1,72 @@
+"""The argument PROBLEM of commands, and the options that tell where the rest of a problem is."""
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from marouting import Problem
+
+
+@dataclass(frozen=True)
+class ProblemFile:
+    """The file that a command is given as PROBLEM, and what its format needs beside it.
+
+    Attributes:
+        path: the file.
+        lef: the LEF files of a ``.def`` file.
+        tile: the size of a Gcell of a ``.def`` file.
+        net: the ``.net`` file of a ``.cap`` file.
+    """
+
+    path: Path
+    lef: tuple[Path, ...] = ()
+    tile: tuple[int, int] | None = None
+    net: Path | None = None
+
+    @property
+    def stem(self) -> str:
+        """The problem's name."""
+        return self.path.stem
+
+    def read(self) -> Problem:
+        """The problem; raises InputError if it cannot be read."""
+        return Problem.read(self.path, lef=self.lef, tile=self.tile, net=self.net)
+
+
+def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
+    """Gives a command the argument PROBLEM, as a :class:`ProblemFile`, and its options."""
+
+    @click.argument("problem", type=Path)
+    @click.option(
+        "--lef",
+        type=Path,
+        multiple=True,
+        help="LEF file of a .def file, technology first; may be given several times.  "
+        "[default: the file beside it of the same name]",
+    )
+    @click.option(
+        "--tile",
+        type=click.Tuple([int, int]),
+        help="Width and height of a Gcell of a .def file, in its units.  "
+        "[default: its GCELLGRID, or 15 tracks]",
+    )
+    @click.option(
+        "--net",
+        type=Path,
+        help="The .net file of a .cap file.  [default: the file beside it of the same name]",
+    )
+    @functools.wraps(command)
+    def with_file(
+        problem: Path,
+        lef: tuple[Path, ...],
+        tile: tuple[int, int] | None,
+        net: Path | None,
+        **rest: Any,
+    ) -> None:
+        command(problem=ProblemFile(problem, lef, tile, net), **rest)
+
+    return with_file

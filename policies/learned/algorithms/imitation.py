@@ -1,0 +1,302 @@
+"""Imitation: a network learns the moves that are best in the end, in games that it plays itself.
+
+The teacher knows a solution of every problem, from negotiated congestion, and the **regret** of
+every move: by how much the cheapest routing that begins with it is dearer than the cheapest of all
+(:mod:`marouting.search.regrets`). It answers for any state, also where the pupil has gone wrong, so
+the pupil learns in states that it gets into by itself (Ross, Gordon, Bagnell, "A reduction of
+imitation learning and structured prediction to no-regret online learning", AISTATS 2011).
+
+For a state with the regrets r the network's chances p of the moves have the loss
+
+    −log Σ_{r = 0} p + ``regret`` · Σ p min(r, 4)
+
+All best moves are as good as each other: which of them it prefers, the network is not told.
+
+The network is meant to be shared by nets and problems: ``train.shared: true``, and ``train.games``
+to draw a new problem for every episode. The games: ``agents: single``, ``target: tree``.
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from marouting import Problem, Solution
+from marouting.config import MOST, Named, check, piece_field, take_pieces
+from marouting.game.observation import has_move_order, move_order_of
+from marouting.game.state import NOBODY
+from marouting.kernels import compiled
+from marouting.player import Player
+from marouting.problem.grid import MOVES
+from marouting.search.regrets import MASKED, Regrets
+from policies.learned.exploration import Exploration
+from policies.learned.learner import Learner, Setup
+from policies.learned.memory.before import Before
+from policies.learned.networks.adam import Adam
+from policies.learned.networks.stack import Stack, View
+from policies.learned.rows import COUNT
+from policies.learned.streams import uniform, uniforms
+from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
+
+_MOST_REGRET = 100.0
+"""Larger regrets are remembered as this one; −1 stands for a move that is masked."""
+
+_SEEN_REGRET = 4.0
+"""Larger ones do not count more in the loss."""
+
+_SURE = 1e3
+"""By how much the score of a move that is to be made exceeds all others."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImitationOptions:
+    """What imitation is told.
+
+    Attributes:
+        network: gives the scores of the six moves. By default a multilayer perceptron with layers
+            of 160 and 128.
+        learning_rate: Adam's.
+        anneal: whether the learning rate falls to 0 with the last episode, as half a cosine.
+        memory: states that are remembered; the oldest go first.
+        batch: states of a gradient step.
+        reuse: how often a state is learned from, on average.
+        regret: weight of the expected regret in the loss.
+        taught: share of the episodes that the teacher plays, and in which the pupil looks on. Until
+            ``batch`` states are known the teacher plays them all.
+        drawn: share of the episodes in which the pupil draws its moves by their chances. In the
+            rest it makes those with the highest.
+        helped: share of the moves in its own episodes that the teacher makes for it.
+        passes: of negotiated congestion over the nets of a problem, for the teacher's solution.
+        masking: whether only moves that cross an edge are chosen.
+    """
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
+
+    network: Named = piece_field("network", "mlp", hidden=(160, 128))
+    learning_rate: float = 1e-3
+    anneal: bool = True
+    memory: int = 300_000
+    batch: int = 1024
+    reuse: float = 3.0
+    regret: float = 0.1
+    taught: float = 0.15
+    drawn: float = 0.4
+    helped: float = 0.05
+    passes: int = 200
+    masking: bool = True
+
+    def __post_init__(self) -> None:
+        take_pieces(self)
+        check("learning_rate", self.learning_rate > 0, "a number above 0")
+        check("memory", 1 <= self.memory <= MOST, f"a number from 1 to {MOST}")
+        check("batch", 1 <= self.batch <= self.memory, f"a number from 1 to memory, {self.memory}")
+        check("reuse", self.reuse >= 0, "a number from 0")
+        check("regret", self.regret >= 0, "a number from 0")
+        for name in ("taught", "drawn", "helped"):
+            check(name, 0 <= getattr(self, name) <= 1, "a number from 0 to 1")
+        check("passes", 1 <= self.passes <= MOST, f"a number from 1 to {MOST}")
+        check("masking", self.masking, "true: the teacher knows no other moves")
+
+
+class Imitation(Learner):
+    """Imitation in torch, on any device, for any network and observation."""
+
+    Options = ImitationOptions
+    rows: ClassVar[tuple[str, ...]] = (
+        *Learner.rows, "store", "kept", "owed", "progress", "begun", "last", "keys",
+        "coming", "table", "attach", "pins", "many", "low", "high",
+    )  # fmt: skip
+    parts: ClassVar[tuple[str, ...]] = ("networks", "adam", "explore")
+
+    def __init__(self, setup: Setup, options: ImitationOptions) -> None:
+        super().__init__(setup, options)
+        o, player, games = options, setup.player, setup.games
+        check("train.shared", len(setup.names) == 1, "true, for imitation")
+        check("agents", not player.everyone, "single, for imitation")
+        check("rip_up", setup.actions == MOVES, "all, conflicts or price, for imitation")
+        self.path = f"torch, batched on {setup.device}"
+        seeds = setup.network_keys("weights").astype(np.int64).tolist()
+        self.networks = Stack(
+            lambda: o.network.make(setup.obs_shape, setup.actions), seeds, self.device
+        )
+        self.adam = Adam(self.networks.flat)
+        self.explore = Exploration(setup.game_keys("explore"))
+        self.keys = setup.network_keys("sample")
+        self.features = int(np.prod(setup.obs_shape))
+        store = np.zeros((1, o.memory, self.features + MOVES), np.float16)
+        self.store = torch.from_numpy(store)
+        self.kept = np.zeros(1, np.int64)
+        self.owed = np.zeros(1)  # gradient steps
+        self.progress = np.zeros(1)  # episodes played, as a share of all
+        self.begun = np.zeros((1, games), np.int64)  # episodes that each game has begun
+        self.last = np.full((1, games), NOBODY, np.int64)  # who moved last in each game
+        self.regrets = Regrets(player.engine)
+        for name, array in self.regrets.lessons._asdict().items():
+            if name in self.rows:
+                setattr(self, name, array[None])  # the same memory
+        self._solutions: dict[int, tuple[Problem, Solution]] = {}
+        self._solver = PathfinderRouter(PathfinderOptions(passes=o.passes, seconds=None))
+        self._out = np.zeros((games, MOVES), np.int32)
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """See :meth:`policies.learned.rows.Rows.limits`."""
+        engine = self.setup.player.engine
+        agents, cells = engine.nets.shape[1], engine.grid.gcells
+        return {
+            **super().limits(),
+            **dict.fromkeys(("kept", "owed", "begun", "coming"), COUNT),
+            **dict.fromkeys(("table", "attach"), (0.0, float(MASKED))),
+            "progress": (0.0, 1.0),
+            "last": (NOBODY, agents - 1.0),
+            "pins": (0.0, cells - 1.0),
+            "many": (0.0, float(self.regrets.lessons.pins.shape[1])),
+        }
+
+    @property
+    def stored(self) -> NDArray[np.int64]:
+        """(1,) states ever remembered."""
+        return self.kept
+
+    def set_episodes(self, episodes: NDArray[np.int64]) -> None:
+        """See :meth:`policies.learned.learner.Learner.set_episodes`."""
+        self.progress[:] = min(float(episodes.mean()) / self.setup.episodes, 1.0)
+
+    def observe(self, player: Player, before: Before) -> None:
+        """Learns nothing from moves of which it does not know the regret."""
+
+    # --- play ---------------------------------------------------------------------------------
+
+    def play(self, player: Player, steps: int) -> None:
+        """See :meth:`policies.learned.learner.Learner.play`."""
+        now, view = player.buffers, self.networks.row(0)
+        chance = np.zeros(now.acted.shape, np.float32)
+        for _ in range(steps):
+            self._expect(player)
+            regrets = self._regrets(player)
+            with torch.no_grad():
+                seen = torch.from_numpy(now.obs[:, 0]).to(self.device)
+                scores = view(seen[None])[0].cpu().numpy()
+            self.explore.sample(now, self._led(scores, regrets)[:, None], True, chance)
+            self._remember(now.obs[:, 0], regrets, now.active[:, 0])
+            self.last[0] = now.agents[:, 0]
+            player.step()
+            while self.owed[0] >= 1:
+                self.learn()
+                self.owed -= 1
+            if now.over.any():
+                return
+
+    def _expect(self, player: Player) -> None:
+        """Makes room for the nets that have still to walk, by the teacher's solution."""
+        engine, last = player.engine, self.last[0]
+        games = engine.games
+        new = (games["agent"] != last) & (games["agent"] != NOBODY) & (games["round"] == 0)
+        for m in np.flatnonzero(new | (games["steps"] == 0)).tolist():
+            n, solution = int(games["agent"][m]), self._solution(m, engine.problems[m])
+            if games["steps"][m] == 0:
+                self.begun[0, m] += 1
+                self.regrets.lessons.coming[m] = 0
+                self.regrets.expect(m, np.flatnonzero(engine.tasks[m]), solution, 1)
+            self.regrets.expect(m, np.array([n]), solution, -1)
+
+    def _solution(self, m: int, problem: Problem) -> Solution:
+        """The teacher's solution of the problem that game m plays."""
+        known = self._solutions.get(m)
+        if known is None or known[0] is not problem:
+            known = self._solutions[m] = problem, self._solver.route(problem)
+        return known[1]
+
+    def _regrets(self, player: Player) -> NDArray[np.int32]:
+        """(M, 6) regrets of the moves, in the order of the player's actions."""
+        now, out = player.buffers, self._out
+        self.regrets.write(np.arange(len(out), dtype=np.int32), now.agents[:, 0], out)
+        if not has_move_order(player.observation):
+            return out
+        order = move_order_of(player.observation, now.obs[:, 0], MOVES)
+        return np.take_along_axis(out, order, -1)
+
+    def _led(self, scores: NDArray[np.float32], regrets: NDArray[np.int32]) -> NDArray[np.float32]:
+        """(M, 6) scores by which the moves are drawn: the teacher's, or the pupil's."""
+        o = self.options
+        ways, helps = np.zeros((2, len(scores)))
+        _draw(self.explore.keys[0], self.begun[0], _EPISODE, ways)
+        _draw(self.explore.keys[0], self.explore.counters[0], _HELP, helps)
+        taught = (ways < o.taught) | (helps < o.helped) | (self.kept[0] < o.batch)
+        sure = np.where(regrets < MASKED, scores, -np.inf).argmax(axis=1)
+        greedy = np.where(np.arange(MOVES) == sure[:, None], _SURE, np.float32(0))
+        own = np.where((ways < o.taught + o.drawn)[:, None], scores, greedy)
+        led: NDArray[np.float32] = np.where(
+            taught[:, None], np.where(regrets == 0, _SURE, np.float32(0)), own
+        ).astype(np.float32)
+        return led
+
+    def _remember(
+        self, obs: NDArray[np.float32], regrets: NDArray[np.int32], active: NDArray[np.bool_]
+    ) -> None:
+        """Stores the states in which there is a choice."""
+        o = self.options
+        choice = active & ((regrets < MASKED).sum(axis=1) > 1)
+        count = int(choice.sum())
+        places = (self.kept[0] + np.arange(count)) % o.memory
+        store = self.store[0].numpy()
+        store[places, : self.features] = obs[choice].reshape(count, -1)
+        given = regrets[choice]
+        store[places, self.features :] = np.where(
+            given < MASKED, np.minimum(given, _MOST_REGRET), -1
+        )
+        self.kept += count
+        if self.kept[0] >= o.batch:
+            self.owed += count * o.reuse / o.batch
+
+    # --- learning -----------------------------------------------------------------------------
+
+    def learn(self) -> None:
+        """One gradient step on a sample of the memory."""
+        o, view = self.options, self.networks.row(0)
+        lanes = torch.arange(o.batch)
+        key = torch.from_numpy(self.keys.view(np.int64))
+        draws = uniforms(key, torch.from_numpy(self.updates), lanes)[0]
+        places = (draws * min(int(self.kept[0]), o.memory)).long()
+        rows = self.store[0].index_select(0, places).to(self.device).float()
+        obs = rows[:, : self.features].view(o.batch, *self.setup.obs_shape)
+        loss = imitation_loss(view, obs, rows[:, self.features :], o.regret)
+        gradient = torch.empty_like(self.networks.flat)
+        view.gradient(loss, gradient)
+        rate = o.learning_rate
+        if o.anneal:
+            rate *= (1 + float(np.cos(np.pi * self.progress[0]))) / 2
+        self.adam.step(self.networks.flat, gradient, torch.ones(1, 1, device=self.device), rate)
+        self.loss += loss.detach().double()
+        self.updates += 1
+
+
+_EPISODE, _HELP = 8, 9
+"""Lanes of random numbers that moves do not use."""
+
+
+@compiled
+def _draw(keys: Any, counters: Any, lane: int, out: Any) -> None:
+    """Fills ``out`` (M,) with a random number for each game."""
+    for m in range(len(out)):
+        out[m] = uniform(keys[m], counters[m], lane)
+
+
+def imitation_loss(view: View, obs: Tensor, regrets: Tensor, weight: float) -> Tensor:
+    """The loss of the module's docstring.
+
+    Args:
+        view: gives the scores of moves.
+        obs: (B, *S) float32 states.
+        regrets: (B, 6) float32, −1 for masked moves.
+        weight: of the expected regret.
+    """
+    # (6, B): torch is several times as fast over the long axis.
+    regrets = regrets.t()
+    scores = view(obs[None])[0].t().masked_fill(regrets < 0, -1e9)
+    chances = torch.log_softmax(scores, dim=0)
+    best = torch.logsumexp(chances.masked_fill(regrets != 0, -1e9), dim=0)
+    expected = (chances.exp() * regrets.clamp(0, _SEEN_REGRET)).sum(dim=0)
+    return (weight * expected - best).mean()

@@ -1,0 +1,195 @@
+"""A network walks whole games in one compiled loop, copies of a problem side by side.
+
+It plays the game in turn order with the observation ``outlook``. While one net walks, the predicted
+demand of the others and the cheapest ways stay as they are, so they are found once a task; this is
+what makes it many times as fast as the same policy through the player.
+
+An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.game.engine import Engine
+from marouting.game.expected import Maps, maps_of, refresh
+from marouting.game.outlook import (
+    DETOURS,
+    OutlookObservation,
+    Ways,
+    find_ways,
+    ways_of,
+    write_outlook,
+)
+from marouting.game.rules import free_moves, move_player, pass_turn, settle_agent
+from marouting.game.state import NOBODY, Dynamic, Static
+from marouting.kernels import allocating, compiled, inlined, place, wide
+from marouting.problem.grid import MOVES, VIA_AXIS
+from policies.learned.compiled.gradient import forward
+from policies.learned.streams import uniform
+
+
+class Walk(NamedTuple):
+    """What a walk needs beside the games."""
+
+    sizes: tuple[int, ...]  # units of all layers, the inputs first
+    weights: NDArray[np.float32]  # flat, as the parameters of the network lie one after another
+    radius: int
+    margin: int
+    warmth: NDArray[
+        np.float32
+    ]  # (M,) 0: the best move; otherwise moves are drawn at this temperature
+    keys: NDArray[np.uint64]  # (M,) of random numbers
+    counters: NDArray[np.int64]  # (M,)
+    rows: NDArray[np.float32]  # (M, F) working
+    scores: NDArray[np.float32]  # (M · units) working
+    game: NDArray[np.int64]  # (M,) working: the game of each row
+    playing: NDArray[np.bool_]  # (M,) which games are played
+
+
+def make_walk(
+    engine: Engine,
+    observation: OutlookObservation,
+    sizes: tuple[int, ...],
+    weights: NDArray[np.float32],
+    warmth: NDArray[np.float32],
+    keys: NDArray[np.uint64],
+) -> Walk:
+    """The working arrays of a walk; see :class:`Walk`."""
+    count = len(engine.games)
+    return Walk(
+        sizes=sizes,
+        weights=weights,
+        radius=observation.radius,
+        margin=observation.margin,
+        warmth=warmth,
+        keys=keys,
+        counters=np.zeros(count, np.int64),
+        rows=np.zeros((count, observation.size), np.float32),
+        scores=np.zeros(count * sum(sizes[1:]), np.float32),
+        game=np.zeros(count, np.int64),
+        playing=np.ones(count, np.bool_),
+    )
+
+
+def walk(engine: Engine, given: Walk, steps: int, stops: bool) -> bool:
+    """Plays games on.
+
+    Args:
+        engine: the games, in turn order.
+        given: who walks.
+        steps: of each game, at most.
+        stops: whether a game stops when its nets have walked, instead of beginning a rip-up.
+
+    Returns:
+        Whether all games have stopped or are over.
+    """
+    static, dynamic = engine.static, engine.dynamic
+    return bool(_walk(static, dynamic, maps_of(engine), ways_of(engine), given, steps, stops))
+
+
+def walk_on(engine: Engine, given: Walk) -> None:
+    """Begins the next rip-up in games that have stopped."""
+    _walk_on(engine.static, engine.dynamic, given)
+
+
+@compiled
+def _walk_on(static: Static, dynamic: Dynamic, given: Walk) -> None:
+    for m in range(len(given.playing)):
+        if given.playing[m] and dynamic.games[m].active == 0:
+            pass_turn(static, dynamic, wide(m))
+
+
+@inlined
+def _in_frame(rows: Any, row: int, move: int) -> int:
+    """A move of the grid as a move of the frame of a row, or the other way round."""
+    axis = move // 2
+    return move ^ wide(axis < VIA_AXIS and rows[row, min(axis, VIA_AXIS - 1)] < 0)
+
+
+@inlined
+def _choose(given: Walk, m: int, row: int, free: int, at: int, late: bool) -> int:
+    """The move on the grid that a row takes; its scores begin at ``at``.
+
+    A draw adds to every score −log(−log(u)) times the temperature, for u in (0, 1) (Gumbel).
+    """
+    if late:
+        cheapest = wide(0)
+        for way in range(1, MOVES):
+            if given.rows[row, DETOURS + way] < given.rows[row, DETOURS + cheapest]:
+                cheapest = wide(way)
+        return _in_frame(given.rows, row, cheapest)
+    best, most = wide(0), np.float32(-np.inf)
+    for way in range(MOVES):
+        move = _in_frame(given.rows, row, wide(way))
+        if free != 0 and not free >> move & 1:
+            continue
+        score = given.scores[at + way]
+        if given.warmth[m] > 0:
+            u = uniform(given.keys[m], given.counters[m], way)
+            noise = -np.log(-np.log(max(u, 1e-12)))
+            score += np.float32(given.warmth[m] * noise)
+        if score > most:
+            best, most = move, score
+    return best
+
+
+@allocating
+def _walk(
+    static: Static,
+    dynamic: Dynamic,
+    maps: Maps,
+    ways: Ways,
+    given: Walk,
+    steps: int,
+    stops: bool,
+) -> bool:
+    for _ in range(steps):
+        count = wide(0)
+        for m in range(len(given.game)):
+            n = wide(dynamic.games[m].agent)
+            if not given.playing[m] or n == NOBODY or dynamic.games[m].active == 0:
+                continue
+            _look(static, dynamic, maps, ways, given, wide(m), place(n), count)
+            given.game[count] = m
+            count += 1
+        if count == 0:
+            return True
+        at = forward(given.sizes, given.weights, given.rows.reshape(-1), count, given.scores)
+        for row in range(count):
+            m = place(given.game[row])
+            n = place(dynamic.games[m].agent)
+            free = free_moves(static, dynamic, m, n)
+            late = 4 * wide(dynamic.agents[m, n].steps) >= static.max_steps
+            move = _choose(given, m, wide(row), free, at + row * given.sizes[-1], late)
+            given.counters[m] += 1
+            _step(static, dynamic, m, n, move, stops)
+    return False
+
+
+@compiled
+def _look(
+    static: Static,
+    dynamic: Dynamic,
+    maps: Maps,
+    ways: Ways,
+    given: Walk,
+    m: int,
+    n: int,
+    row: int,
+) -> None:
+    """Writes what an agent sees; finds ways if its task begins."""
+    if dynamic.agents[m, n].steps == 0:
+        refresh(static, dynamic, maps, m, n)
+        find_ways(static, dynamic, maps, ways, m, n, given.margin)
+    write_outlook(static, dynamic, maps, ways, m, n, given.radius, given.rows, row)
+
+
+@compiled
+def _step(static: Static, dynamic: Dynamic, m: int, n: int, move: int, stops: bool) -> None:
+    """The move of an agent, and what follows from it."""
+    move_player(static, dynamic, m, move)
+    settle_agent(static, dynamic, m, n)
+    if not stops or dynamic.games[m].active > 0:
+        pass_turn(static, dynamic, m)

@@ -1,0 +1,195 @@
+"""The generalist: one network for all nets and problems, and a search by rip-up rounds.
+
+The router plays copies of the problem side by side, in the game that the network was trained in.
+The first copy makes the best moves in the default order of the nets, the others draw theirs, in
+orders of their own. Then the best copies go through rip-up rounds (:mod:`marouting.game.rounds`),
+with drawn moves: a net and some of those in its way walk again, and what is worse is undone. The
+result is the best copy when the time is over.
+
+The moves are ordinary moves of the environment and the rounds ordinary rounds; all that is special
+is that they are compiled (:mod:`policies.learned.compiled.walk`).
+"""
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting import EnvOptions, Problem, Solution
+from marouting.config import check
+from marouting.game.engine import Engine
+from marouting.game.options import MOST_NEIGHBOURS, MOST_ROUNDS
+from marouting.game.outlook import DETOURS, OutlookObservation
+from marouting.problem.grid import MOVES
+from policies.learned.compiled.walk import Walk, make_walk, walk, walk_on
+from policies.learned.networks.mlp import MLP
+from policies.learned.policy import Routed, TrainedPolicy
+from policies.learned.streams import keys
+
+SHIPPED = Path(__file__).with_name("generalist.pt")
+"""The weights that are shipped."""
+
+_SURE = 8.0
+"""How much a Gcell of detour lowers a move's score without a network; see ``mind``."""
+
+_STEPS = 16
+"""Moves of every copy between two looks at the clock: less than a millisecond."""
+
+Mind = Literal["network", "ways", "chance"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeneralistOptions:
+    """What the generalist is told.
+
+    Attributes:
+        weights: a file of a trained policy with the observation ``outlook``; None: the one that is
+            shipped with the package, see ``generalist.md`` beside it.
+        seconds: limit of processor time, without loading and compiling. It may be exceeded until
+            the copies have routed for the first time. None: no limit.
+        rounds: the most rip-up rounds; 0 for a single shot.
+        copies: copies of the problem that are played.
+        keep: how many of them go through rip-up rounds.
+        warmth: the temperature at which moves are drawn.
+        neighbours: the most nets that walk again with a net because they stand in its way.
+        seed: seed of the random numbers.
+        mind: who chooses the moves: ``network``; or, to see what the search does without learning,
+            ``ways``, whose moves lead along the cheapest way, or ``chance``.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
+
+    weights: str | None = None
+    seconds: float | None = 1.0
+    rounds: int = MOST_ROUNDS
+    copies: int = 4
+    keep: int = 2
+    warmth: float = 1.0
+    neighbours: int = 2
+    seed: int = 0
+    mind: Mind = "network"
+
+    def __post_init__(self) -> None:
+        positive = self.seconds is None or self.seconds >= 0
+        check("seconds", positive, "a number from 0, or null")
+        check("rounds", 0 <= self.rounds <= MOST_ROUNDS, f"a number from 0 to {MOST_ROUNDS}")
+        check("copies", 1 <= self.copies <= 4096, "a number from 1 to 4096")
+        check("keep", 1 <= self.keep <= self.copies, f"a number from 1 to copies, {self.copies}")
+        check("warmth", self.warmth >= 0, "a number from 0")
+        many = f"a number from 0 to {MOST_NEIGHBOURS}"
+        check("neighbours", 0 <= self.neighbours <= MOST_NEIGHBOURS, many)
+        check("seed", 0 <= self.seed < 2**63, "a number from 0")
+
+
+class GeneralistRouter:
+    """Routes a problem by a trained network and rip-up rounds.
+
+    Args:
+        options: the options; None for the defaults.
+
+    Attributes:
+        options: the options.
+
+    Raises:
+        InputError: the weights cannot be used.
+    """
+
+    Options = GeneralistOptions
+
+    def __init__(self, options: GeneralistOptions | None = None) -> None:
+        self.options = options = GeneralistOptions() if options is None else options
+        self._observation = OutlookObservation()
+        env = EnvOptions(overflow="allowed", target="tree", next_task="nearest", mask_visited=True)
+        self._sizes: tuple[int, ...] = (self._observation.size, MOVES)
+        self._weights = np.zeros((self._sizes[0] + 1) * MOVES, np.float32)
+        if options.mind == "ways":
+            first = np.arange(MOVES)
+            self._weights[(DETOURS + first) * MOVES + first] = -_SURE
+        if options.mind == "network":
+            weights = str(SHIPPED) if options.weights is None else options.weights
+            policy = TrainedPolicy.load(weights)
+            self._observation, self._sizes, self._weights = _read(policy, weights)
+            env = policy.env
+        rules = replace(env, turn_order="sequential", rip_up="all")
+        neighbours = options.neighbours if options.rounds else 0
+        self._rules = replace(rules, rip_up_rounds=options.rounds, rip_up_neighbours=neighbours)
+
+    def route(self, problem: Problem) -> Solution:
+        """Routes a problem; in the solution every net is joined whose pins any way joins."""
+        return self.solve(problem).solution
+
+    def solve(self, problem: Problem) -> Routed:
+        """Routes a problem like :meth:`route`, and tells how.
+
+        The report has ``copies``, ``moves``, all that agents have made, and ``rounds``, the most
+        rip-up rounds that a copy has been through.
+        """
+        o, began = self.options, time.thread_time()
+        engine = Engine([problem] * o.copies, self._rules)
+        if o.copies > 1:
+            engine.set_order(_orders(engine, o.seed))
+        warmth = np.full(o.copies, o.warmth, np.float32)
+        warmth[0] = 0
+        names = [str(copy) for copy in range(o.copies)]
+        own = keys(o.seed, names, "walk")
+        given = make_walk(engine, self._observation, self._sizes, self._weights, warmth, own)
+        while not walk(engine, given, _STEPS, True):
+            pass
+        warmth[:] = o.warmth
+        self._rip_up(engine, given, began)
+        best = _ranking(engine)[0]
+        moves, rounds = int(given.counters.sum()), int(engine.games["round"].max())
+        report = {"copies": o.copies, "moves": moves, "rounds": rounds}
+        return Routed(engine.solution(int(best)), report)
+
+    def _rip_up(self, engine: Engine, given: Walk, began: float) -> None:
+        """Rip-up rounds of the best copies, until the time is over."""
+        o = self.options
+        given.playing[_ranking(engine)[o.keep :]] = False
+
+        def in_time() -> bool:
+            return o.seconds is None or time.thread_time() - began < o.seconds
+
+        if o.rounds and in_time():
+            walk_on(engine, given)
+            over = False
+            while not over and in_time():
+                over = walk(engine, given, _STEPS, False)
+            while not walk(engine, given, _STEPS, True):
+                pass
+
+
+def _read(
+    policy: TrainedPolicy, where: str
+) -> tuple[OutlookObservation, tuple[int, ...], NDArray[np.float32]]:
+    """A policy's observation, and its network's layers and weights; raises InputError."""
+    seen, module = policy.env.observation.make(), policy.module
+    check(f"{where}: observation", isinstance(seen, OutlookObservation), "outlook")
+    fits = isinstance(module, MLP) and module.activation == "relu" and not module.dueling
+    check(f"{where}: network", fits, "an mlp with activation relu, not dueling")
+    assert isinstance(seen, OutlookObservation)
+    assert isinstance(module, MLP)
+    flat = [weights.detach().numpy().reshape(-1) for weights in module.parameters()]
+    return seen, module.sizes, np.concatenate(flat)
+
+
+def _orders(engine: Engine, seed: int) -> NDArray[np.int32]:
+    """Turn orders: that of the rules for the first copy, random ones for the others."""
+    orders = engine.static.order.copy()
+    rng = np.random.default_rng(seed)
+    for order in orders[1:]:
+        agents = int((order >= 0).sum())
+        order[:agents] = rng.permutation(order[:agents])
+    return orders
+
+
+def _ranking(engine: Engine) -> NDArray[np.int64]:
+    """The copies, best first: by open tasks, overflow and wirelength."""
+    games = engine.games
+    return np.lexsort((games["wirelength"], games["overflow"], -games["joined"]))

@@ -1,0 +1,164 @@
+"""Imitation and the generalist: a network learns from regrets, and routes what it never saw."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from marouting import InputError, evaluate, generate
+from marouting.config import build
+from policies.learned.algorithms.imitation import imitation_loss
+from policies.learned.config import Config
+from policies.learned.generalist import GeneralistOptions, GeneralistRouter
+from policies.learned.run import Run, problems_of
+from policies.learned.trainer import Trainer
+from policies.results.run_folder import POLICY
+from policies.routers.pathfinder import PathfinderRouter
+
+ENV: dict[str, Any] = {
+    "agents": "single",
+    "observation": {"kind": "outlook", "radius": 1},
+    "overflow": "allowed",
+    "target": "tree",
+    "next_task": "nearest",
+    "mask_visited": True,
+    "rip_up_rounds": 1,
+}
+SOURCE: dict[str, Any] = {
+    "grid": [6, 6, 2],
+    "nets": 12,
+    "max_pins": 4,
+    "capacity": 4,
+    "reduced_edges": 0,
+    "seed": None,
+    "least": {"grid": [4, 4, 2], "nets": 6, "max_pins": 2, "capacity": 2},
+}
+LEARNER: dict[str, Any] = {
+    "kind": "imitation",
+    "network": {"hidden": [32]},
+    "memory": 8000,
+    "batch": 256,
+}
+
+
+def config(**changed: Any) -> Config:
+    train = {"shared": True, "games": 4, "episodes": 40, "validation": 3, "evaluate_every": 20}
+    return build(
+        Config,
+        {
+            "env": {**ENV, "problem": SOURCE, **changed.get("env", {})},
+            "learner": {**LEARNER, **changed.get("learner", {})},
+            "train": {**train, **changed.get("train", {})},
+        },
+    )
+
+
+def trainer(given: Config) -> Trainer:
+    problems, draws = problems_of(given)
+    return Trainer(problems, given, draws)
+
+
+def finish(training: Trainer) -> list[Any]:
+    return [episode for episodes in training.run() for episode in episodes]
+
+
+def test_it_goes_on_from_a_state() -> None:
+    whole = trainer(config())
+    expected = finish(whole)
+    first, found = trainer(config()), []
+    for episodes in first.run():
+        found += episodes
+        if len(found) >= 17:
+            break
+    state = first.state()
+    for part in ("training", "trainer"):
+        state[part] = {name: tensor.clone() for name, tensor in state[part].items()}
+    second = trainer(config())
+    second.load_state(state, "memory")
+    assert found + finish(second) == expected
+    assert torch.equal(second.learner.networks.flat, whole.learner.networks.flat)
+    assert whole.learner.updates[0] > 50
+
+
+def test_what_it_learns_routes_larger_problems(tmp_path: Path) -> None:
+    """Better than without learning, on problems of another size than it was trained on."""
+    train = {"episodes": 240, "evaluate_every": 80, "figures": False, "tensorboard": False}
+    given = replace(config(train=train), out=str(tmp_path / "run"))
+    Run(given).execute()
+    weights = str(tmp_path / "run" / POLICY)
+    problems = generate(4, (8, 8, 2), nets=20, max_pins=4, seed=5)
+    total = {}
+    for mind in ("network", "ways"):
+        options = build(
+            GeneralistOptions,
+            {"weights": weights, "mind": mind, "rounds": 0, "copies": 1, "keep": 1},
+        )
+        figures = [evaluate(p, GeneralistRouter(options).route(p)) for p in problems]
+        assert all(each.connected for each in figures)
+        total[mind] = np.sum([(each.overflow, each.wirelength) for each in figures], axis=0)
+    assert tuple(total["network"]) < tuple(total["ways"])
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"train": {"shared": False, "games": None, "validation": None}}, "train.shared"),
+        ({"env": {"agents": "multi"}}, "single"),
+        ({"env": {"target": "pin"}}, "target"),
+        ({"env": {"rip_up": "agents"}}, "rip_up"),
+        ({"learner": {"masking": False}}, "masking"),
+        ({"learner": {"batch": 10_000}}, "batch"),
+        ({"learner": {"taught": 2}}, "taught"),
+    ],
+)
+def test_other_games_are_refused(changed: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        trainer(config(**changed))
+
+
+def test_the_loss_by_hand() -> None:
+    """Two best moves among three; the others are masked."""
+
+    def scores(obs: torch.Tensor) -> torch.Tensor:
+        return obs
+
+    obs = torch.tensor([[0.0, 0.0, 0.0, 9.0, 9.0, 9.0]])
+    regrets = torch.tensor([[0.0, 0.0, 7.0, -1.0, -1.0, -1.0]])
+    view: Any = scores
+    loss = imitation_loss(view, obs, regrets, 0.5)
+    assert loss.item() == pytest.approx(-np.log(2 / 3) + 0.5 * 4 / 3)
+
+
+@pytest.mark.parametrize("mind", ["ways", "chance"])
+def test_the_search_without_learning(mind: str) -> None:
+    problem = generate(1, nets=20, max_pins=4, seed=5)[0]
+    single = GeneralistOptions(mind=mind, rounds=0, copies=1, keep=1)  # type: ignore[arg-type]
+    longer = GeneralistOptions(mind=mind, rounds=2, copies=3, seconds=None)  # type: ignore[arg-type]
+    first, more, again = (
+        GeneralistRouter(options).solve(problem) for options in (single, longer, longer)
+    )
+    figures = [evaluate(problem, routed.solution) for routed in (first, more, again)]
+    assert all(each.connected for each in figures)
+    assert figures[1] == figures[2]
+    assert more.report["rounds"] == 2
+    worst, best = ((each.overflow, each.wirelength) for each in figures[:2])
+    assert best < worst
+    best_known = evaluate(problem, PathfinderRouter().route(problem))
+    assert best >= (best_known.overflow, best_known.wirelength)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"mind": "ways", "copies": 0},
+        {"mind": "ways", "keep": 9},
+        {"mind": "ways", "seconds": -1},
+    ],
+)
+def test_options_out_of_range(given: dict[str, Any]) -> None:
+    with pytest.raises(InputError):
+        GeneralistOptions(**given)

@@ -1,0 +1,286 @@
+"""What is made for single libraries; each test runs where its library is installed."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+from marouting import ENVIRONMENT_ID, InputError, PaperObservation, generate, global_routing_v0
+from marouting.vector import BatchEnv
+
+
+class Seen(PaperObservation):
+    """Known to nobody, like any subclass: games are played in parts."""
+
+
+PROBLEM = generate(1, grid=(4, 4, 2), nets=4, max_pins=3, seed=3)[0]
+
+
+# Gymnasium's vectors ------------------------------------------------------------------------------
+
+
+def assert_same(mine: object, theirs: object) -> None:
+    if isinstance(theirs, dict):
+        assert isinstance(mine, dict)
+        assert set(mine) == set(theirs)
+        for key in theirs:
+            assert_same(mine[key], theirs[key])
+        return
+    found, expected = np.asarray(mine), np.asarray(theirs)
+    assert found.dtype == expected.dtype
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"mask_in_observation": True, "mask_key": "mask"},
+        {"turn_order": "round_robin"},
+        {"overflow": "allowed", "reward": {"overflow_price": 2}},
+        {"observation": Seen(), "reward": "team"},
+    ],
+)
+def test_the_vector_is_that_of_single_environments(options: dict[str, object]) -> None:
+    """In all that it gives, down to the types."""
+    options = {"problem": PROBLEM, "max_steps": 6, **options}
+    plain = gymnasium.make_vec(ENVIRONMENT_ID, 3, vectorization_mode="sync", **options)
+    quick = gymnasium.make_vec(ENVIRONMENT_ID, 3, **options)
+    assert type(quick).__name__ == "GlobalRoutingVector"
+    assert quick.metadata["autoreset_mode"] == plain.metadata["autoreset_mode"]
+    assert quick.single_observation_space == plain.single_observation_space
+    assert quick.action_space == plain.action_space
+    rng = np.random.default_rng(0)
+    ends = 0
+    for mine, theirs in zip(quick.reset(seed=1), plain.reset(seed=1), strict=True):
+        assert_same(mine, theirs)
+    for _ in range(150):
+        moves = rng.integers(6, size=3)
+        found, expected = quick.step(moves), plain.step(moves)
+        for mine, theirs in zip(found, expected, strict=True):
+            assert_same(mine, theirs)
+        assert quick.observation_space.contains(found[0])
+        ends += int((found[2] | found[3]).sum())
+    assert ends >= 6
+    quick.close()
+    plain.close()
+
+
+def test_the_vector_says_what_it_cannot_use() -> None:
+    for options, message in (
+        ({"render_mode": "human"}, "render_mode: expected ansi, rgb_array or None"),
+        ({"agents_persist": True}, "agents_persist: expected false"),
+        ({"frameskip": 4}, "frameskip: unknown key"),
+    ):
+        with pytest.raises(InputError, match=message):
+            gymnasium.make_vec(ENVIRONMENT_ID, 2, **options)
+    env = gymnasium.make_vec(ENVIRONMENT_ID, 2, problem=PROBLEM, render_mode="ansi")
+    env.reset()
+    with pytest.raises(ValueError, match="expected 0 to 5"):
+        env.step(np.array([0, -1]))
+    pictures = env.render()
+    assert pictures is not None
+    assert len(pictures) == 2
+
+
+def test_some_games_of_a_batch_begin_again() -> None:
+    env = BatchEnv([PROBLEM] * 3, threads=2, max_steps=5)
+    assert env.num_envs == 3
+    assert env.single_action_space == gymnasium.spaces.Discrete(6)
+    first, info = env.reset(seed=1)
+    first, start = first.copy(), info["action_mask"].copy()
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        obs, _, _, _, info = env.step(rng.integers(6, size=(3, env.num_agents)))
+    kept = obs.copy()
+    obs, info = env.reset(options={"reset_mask": np.array([True, False, True])})
+    np.testing.assert_array_equal(obs[[0, 2]], first[[0, 2]])
+    np.testing.assert_array_equal(info["action_mask"][[0, 2]], start[[0, 2]])
+    np.testing.assert_array_equal(obs[1], kept[1])
+    assert info["steps"][1] > 0 == info["steps"][0]
+    with pytest.raises(ValueError, match="reset_mask: expected 3 booleans"):
+        env.reset(options={"reset_mask": [True]})
+    env.close()
+    env.step(rng.integers(6, size=(3, env.num_agents)))
+    env.close()
+
+
+# Stable-Baselines3 --------------------------------------------------------------------------------
+
+
+def test_sb3_steps_the_games_of_the_parallel_environment() -> None:
+    """Two games side by side, each against one of its own: rewards, ends, observations, masks."""
+    pytest.importorskip("stable_baselines3")
+    from marouting.integrations.sb3 import RoutingVecEnv
+
+    env = RoutingVecEnv([PROBLEM] * 2, max_steps=6, reward="normalised")
+    plain = [
+        global_routing_v0.parallel_env(
+            PROBLEM, max_steps=6, reward="normalised", agents_persist=True
+        )
+        for _ in range(2)
+    ]
+    names = plain[0].possible_agents
+    assert env.num_envs == 2 * len(names)
+    obs = env.reset()
+    seen = [game.reset() for game in plain]
+    rng = np.random.default_rng(0)
+    paid, moves_made = np.zeros(env.num_envs), np.zeros(env.num_envs)
+    ends = 0
+    for _ in range(120):
+        masks = np.stack(env.env_method("action_masks"))
+        for row in range(env.num_envs):
+            game, agent = divmod(row, len(names))
+            there, infos = seen[game]
+            active = infos[names[agent]]["active"]
+            np.testing.assert_array_equal(obs[row], there[names[agent]] if active else np.zeros(12))
+            assert masks[row].tolist() == infos[names[agent]]["action_mask"].astype(bool).tolist()
+        moves = rng.integers(6, size=env.num_envs)
+        was_active = [seen[r // len(names)][1][names[r % len(names)]]["active"] for r in range(8)]
+        obs, rewards, dones, infos = env.step(moves)
+        for game, one in enumerate(plain):
+            rows = range(game * len(names), (game + 1) * len(names))
+            there, pay, ended, _, told = one.step(
+                dict(zip(names, moves[list(rows)].tolist(), strict=True))
+            )
+            for row, name in zip(rows, names, strict=True):
+                assert rewards[row] == np.float32(pay[name])
+                paid[row] += pay[name]
+                moves_made[row] += was_active[row]
+                over = was_active[row] and not (one.agents and told[name]["active"])
+                assert dones[row] == over
+                if not over:
+                    assert infos[row] == {}
+                    continue
+                ends += 1
+                episode = infos[row]["episode"]
+                assert episode["r"] == pytest.approx(paid[row], abs=1e-5)
+                assert episode["l"] == moves_made[row]
+                if not one.agents:
+                    joined = bool(ended[name])
+                    assert infos[row]["is_success"] == joined
+                    assert infos[row]["TimeLimit.truncated"] == (not joined)
+                np.testing.assert_array_equal(
+                    infos[row]["terminal_observation"][:3], there[name][:3]
+                )
+            if not one.agents:
+                paid[list(rows)] = moves_made[list(rows)] = 0
+                seen[game] = one.reset()
+            else:
+                seen[game] = there, told
+    assert ends >= 20
+    env.close()
+
+
+def test_sb3_with_one_player_for_a_game() -> None:
+    pytest.importorskip("stable_baselines3")
+    from marouting.integrations.sb3 import RoutingVecEnv
+
+    env = RoutingVecEnv([PROBLEM] * 2, max_steps=6, everyone=False)
+    plain = [gymnasium.make(ENVIRONMENT_ID, problem=PROBLEM, max_steps=6) for _ in range(2)]
+    obs = env.reset()
+    seen = [one.reset() for one in plain]
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        np.testing.assert_array_equal(obs, [there for there, _ in seen])
+        masks = [info["action_mask"].astype(bool) for _, info in seen]
+        np.testing.assert_array_equal(env.env_method("action_masks"), masks)
+        moves = rng.integers(6, size=2)
+        obs, rewards, dones, infos = env.step(moves)
+        for m, one in enumerate(plain):
+            there, pay, terminated, truncated, told = one.step(int(moves[m]))
+            assert rewards[m] == np.float32(pay)
+            assert dones[m] == (terminated or truncated)
+            if dones[m]:
+                assert infos[m]["TimeLimit.truncated"] == truncated
+                assert infos[m]["is_success"] == told["is_success"]
+                np.testing.assert_array_equal(infos[m]["terminal_observation"], there)
+                seen[m] = one.reset()
+            else:
+                seen[m] = there, told
+
+
+@pytest.mark.parametrize("everyone", [True, False])
+def test_sb3_learners_take_it(everyone: bool) -> None:
+    pytest.importorskip("sb3_contrib")
+    from sb3_contrib import MaskablePPO
+    from sb3_contrib.common.maskable.utils import is_masking_supported
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecMonitor
+
+    from marouting.integrations.sb3 import RoutingVecEnv
+
+    for learner in (PPO, MaskablePPO):
+        env = RoutingVecEnv([PROBLEM] * 2, everyone=everyone, reward="normalised", max_steps=6)
+        assert is_masking_supported(env)
+        model = learner("MlpPolicy", env, n_steps=64, batch_size=64, device="cpu").learn(600)
+        assert len(model.ep_info_buffer) > 5
+        assert len(model.ep_success_buffer) > 5
+    learner("MlpPolicy", VecMonitor(env), n_steps=64, batch_size=64, device="cpu").learn(200)
+
+
+# TorchRL and BenchMARL ----------------------------------------------------------------------------
+
+
+def test_torchrl_steps_the_games_of_the_parallel_environment() -> None:
+    pytest.importorskip("torchrl")
+    import torch
+    from torchrl.envs.utils import check_env_specs
+
+    from marouting.integrations.torchrl import RoutingEnv
+
+    options = {"max_steps": 6, "reward": "normalised"}
+    env = RoutingEnv([PROBLEM] * 2, state=True, **options)
+    check_env_specs(env)
+    plain = [global_routing_v0.parallel_env(PROBLEM, agents_persist=True, **options) for _ in "ab"]
+    names = plain[0].possible_agents
+    td = env.reset()
+    seen = [one.reset() for one in plain]
+    rng = np.random.default_rng(0)
+    ends = 0
+    for _ in range(60):
+        for m, (one, (there, infos)) in enumerate(zip(plain, seen, strict=True)):
+            for n, name in enumerate(names):
+                active = infos[name]["active"]
+                expected = there[name] if active else np.zeros(12)
+                np.testing.assert_array_equal(td["nets", "observation"][m, n], expected)
+                mask = td["nets", "action_mask"][m, n].tolist()
+                assert mask == infos[name]["action_mask"].astype(bool).tolist()
+            np.testing.assert_array_equal(td["state"][m], one.state())
+        moves = rng.integers(6, size=(2, len(names)))
+        td["nets", "action"] = torch.from_numpy(moves)
+        td = env.step(td)["next"]
+        over = []
+        for m, one in enumerate(plain):
+            there, pay, *_, infos = one.step(dict(zip(names, moves[m].tolist(), strict=True)))
+            assert td["nets", "reward"][m, :, 0].tolist() == np.float32(list(pay.values())).tolist()
+            metrics = one.metrics()
+            assert td["info", "joined"][m].item() == np.float32(
+                metrics["joined"] / metrics["tasks"]
+            )
+            assert td["info", "wirelength"][m].item() == metrics["wirelength"]
+            over.append(not one.agents)
+            seen[m] = there, infos
+        assert td["done"].flatten().tolist() == td["terminated"].flatten().tolist() == over
+        if any(over):
+            ends += 1
+            td["_reset"] = td["done"].clone()
+            td = env.reset(td)
+            seen = [one.reset() if o else s for one, o, s in zip(plain, over, seen, strict=True)]
+    assert ends >= 4
+
+
+def test_benchmarl_takes_the_task() -> None:
+    pytest.importorskip("benchmarl")
+    from marouting.config import config_file
+    from marouting.integrations.benchmarl import RoutingTask
+
+    task = RoutingTask.TOY_4X4.get_from_yaml(str(config_file("configs/benchmarl/toy_4x4.yaml")))
+    env = task.get_env_fun(3, continuous_actions=False, seed=0, device="cpu")()
+    assert env.batch_size == (3,)
+    assert set(task.observation_spec(env).keys(True, True)) == {("nets", "observation")}
+    assert set(task.action_mask_spec(env).keys(True, True)) == {("nets", "action_mask")}
+    assert set(task.state_spec(env).keys()) == {"state"}
+    assert task.group_map(env) == {"nets": [f"agent_{n}" for n in range(5)]}
+    steps = env.rollout(100, break_when_all_done=True)
+    assert steps.shape[1] <= task.max_steps(env)
+    assert set(task.log_info(steps)) == {"collection/info/joined", "collection/info/overflow"}

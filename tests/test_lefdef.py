@@ -1,0 +1,512 @@
+"""LEF/DEF designs as problems: capacities and pins worked by hand; files that cannot be used."""
+
+import json
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+
+import pytest
+
+from marouting import InputError, Problem, Solution, evaluate
+from policies.cli.main import status
+
+pytest.importorskip("klayout.db")
+
+ISPD18 = Path(__file__).resolve().parents[2] / "shared" / "data" / "ispd18"
+needs_ispd18 = pytest.mark.skipif(not ISPD18.exists(), reason="needs the design in ../shared/data")
+
+LEF = """\
+VERSION 5.8 ;
+UNITS
+  DATABASE MICRONS 1000 ;
+END UNITS
+LAYER M1
+  TYPE ROUTING ;
+  DIRECTION HORIZONTAL ;
+  PITCH 0.1 ;
+  WIDTH 0.04 ;
+  SPACINGTABLE
+    PARALLELRUNLENGTH 0
+    WIDTH 0 0.04
+    WIDTH 0.1 0.08 ;
+  PROPERTY LEF58_TYPE "TYPE ;
+    x ;" ;
+END M1
+LAYER V1
+  TYPE CUT ;
+END V1
+LAYER M2
+  TYPE ROUTING ;
+  DIRECTION VERTICAL ;
+  PITCH 0.1 0.1 ;
+  WIDTH 0.04 ;
+  SPACING 0.04 ;
+END M2
+MACRO CELL
+  CLASS CORE ;
+  FOREIGN CELL 0 0 ;
+  ORIGIN 0 0 ;
+  SIZE 0.4 BY 0.4 ;
+  PIN A
+    DIRECTION INPUT ;
+    PORT
+      LAYER M1 ;
+        RECT 0.02 0.02 0.08 0.08 ;
+    END
+  END A
+  PIN Z
+    PORT
+      LAYER M1 ;
+        RECT 0.3 0.3 0.36 0.36 ;
+    END
+  END Z
+  OBS
+    LAYER M2 ;
+      RECT 0.1 0.1 0.3 0.3 ;
+  END
+END CELL
+END LIBRARY
+"""
+DEF = """\
+VERSION 5.8 ; # a comment
+DESIGN chip ;
+UNITS DISTANCE MICRONS 1000 ;
+DIEAREA ( 0 0 ) ( 1000 1000 ) ;
+TRACKS Y 50 DO 10 STEP 100 LAYER M1 ;
+TRACKS X 50 DO 10 STEP 100 LAYER M1 M2 ;
+GCELLGRID X 0 DO 3 STEP 400 ;
+GCELLGRID Y 0 DO 3 STEP 400 ;
+COMPONENTS 1 ;
+- u1 CELL + PLACED ( 200 100 ) N ;
+END COMPONENTS
+PINS 1 ;
+- in + NET n1 + DIRECTION INPUT + USE SIGNAL
+  + LAYER M2 ( -20 0 ) ( 20 100 ) + PLACED ( 900 0 ) N ;
+END PINS
+NETS 2 ;
+- n1 ( PIN in ) ( u1 A ) + USE SIGNAL ;
+- n2 ( u1 Z ) ;
+END NETS
+END DESIGN
+"""
+SPECIAL = """\
+SPECIALNETS 1 ;
+- VDD ( * VDD ) + ROUTED M1 100 + SHAPE STRIPE ( 0 850 ) ( 1000 850 ) ;
+END SPECIALNETS
+"""
+BLOCKED = """\
+BLOCKAGES 1 ;
+- LAYER M2 RECT ( 800 0 ) ( 1000 1000 ) ;
+END BLOCKAGES
+"""
+
+
+def design(folder: Path, text: str = DEF, lef: str = LEF) -> Path:
+    """The path of a DEF file, with its LEF file beside it."""
+    (folder / "chip.lef").write_text(lef)
+    (folder / "chip.def").write_text(text)
+    return folder / "chip.def"
+
+
+def capacities(problem: Problem, layer: int, axis: int) -> list[list[int]]:
+    """By row, lowest first, the capacities of a layer's edges from each Gcell."""
+    columns, rows, _ = problem.grid
+    table = problem.capacity.reshape(*problem.grid, 3)[..., layer, axis]
+    return table[: columns - (axis == 0), : rows - (axis == 1)].T.tolist()
+
+
+def test_what_a_design_says(tmp_path: Path) -> None:
+    problem = Problem.read(design(tmp_path))
+    # The die cuts the last Gcells short: lines at 0 400 800 1000, middles at 200 600 900.
+    assert problem.grid == (3, 3, 2)
+    assert (problem.origin, problem.tile) == ((0, 0), (400, 400))
+    assert problem.chip is not None
+    assert problem.chip.layers == ("M1", "M2")
+    assert problem.chip.x.tolist() == problem.chip.y.tolist() == [0, 400, 800, 1000]
+    # Wires keep 0.02 + 0.04 from shapes. Pin A, 220-280 by 120-180, blocks track 150 between
+    # columns 0 and 1; pin Z, 500-560 by 400-460, blocks 350 and 450 between all.
+    assert capacities(problem, 0, 0) == [[2, 3], [3, 3], [2, 2]]
+    # The obstruction, 300-500 by 200-400, blocks 250 350 450 550 between rows 0 and 1. Pin in,
+    # 880-920 by 0-100, is nowhere near the middle of row 0.
+    assert capacities(problem, 1, 1) == [[2, 2, 2], [4, 4, 2]]
+    assert capacities(problem, 0, 1) == [[0] * 3] * 2
+    assert capacities(problem, 1, 0) == [[0] * 2] * 3
+    # Pins stand in the middle of their Gcells.
+    assert [net.name for net in problem.nets] == ["n1", "n2"]
+    assert problem.nets[0].pins == ((1000, 200, 2), (200, 200, 1))
+    assert problem.nets[1].pins == ((600, 600, 1),)
+
+
+def test_special_nets_and_blockages(tmp_path: Path) -> None:
+    text = DEF.replace("NETS 2", f"{SPECIAL}{BLOCKED}NETS 2")
+    problem = Problem.read(design(tmp_path, text))
+    # The stripe, 800-900 high, blocks 750 850 950 of M1; the blockage 750 850 950 of M2.
+    assert capacities(problem, 0, 0) == [[2, 3], [2, 2], [0, 0]]
+    assert capacities(problem, 1, 1) == [[2, 1, 0], [4, 3, 0]]
+
+
+@pytest.mark.parametrize(("array", "left"), [("", [2, 0, 2]), (" DO 2 BY 1 STEP 100 0", [2, 0, 1])])
+def test_vias_of_special_nets(tmp_path: Path, array: str, left: list[int]) -> None:
+    square = "( -50 -50 ) ( 50 50 )"
+    vias = f"VIAS 1 ;\n- v + RECT M1 {square} + RECT V1 {square} + RECT M2 {square} ;\nEND VIAS\n"
+    special = SPECIAL.replace("( 0 850 ) ( 1000 850 )", f"( 700 700 ) v{array}")
+    special = special.replace("M1 100", "M1 0")
+    text = DEF.replace("COMPONENTS 1", f"{vias}COMPONENTS 1").replace("NETS 2", f"{special}NETS 2")
+    problem = Problem.read(design(tmp_path, text))
+    # 650-750 wide and high: it blocks 650 and 750 of both layers; the second one, 750-850, 850.
+    assert capacities(problem, 0, 0) == [[2, 3], [1, 1], [2, 2]]
+    assert capacities(problem, 1, 1)[0] == left
+
+
+@pytest.mark.parametrize("name", ["a/u1[0]", r"a/u1\[0\]", "u1<3>", r"u\/1"])
+def test_names_with_brackets(tmp_path: Path, name: str) -> None:
+    plain = Problem.read(design(tmp_path))
+    text, lef = DEF.replace("u1", name), LEF
+    assert Problem.read(design(tmp_path, text, lef)) == plain
+    for old, new in (("u1 A", "u1 A[1]"), ("u1 A", r"u1 A\[1\]")):
+        pin = new.removeprefix("u1 ")
+        lef = LEF.replace("PIN A", f"PIN {pin}").replace("END A", f"END {pin}")
+        assert Problem.read(design(tmp_path, DEF.replace(old, new), lef)) == plain
+
+
+def test_a_polygon_blocks_what_it_covers(tmp_path: Path) -> None:
+    corner = "POLYGON 0.1 0.1 0.3 0.1 0.3 0.12 0.12 0.12 0.12 0.3 0.1 0.3 ;"
+    lef = LEF.replace("RECT 0.1 0.1 0.3 0.3 ;", corner)
+    problem = Problem.read(design(tmp_path, lef=lef))
+    # Its foot, 300-500 by 200-220, blocks as much as before; its stem alone, higher up, 350 only.
+    assert capacities(problem, 1, 1) == [[2, 2, 2], [4, 4, 2]]
+    shifted = DEF.replace("( 200 100 ) N", "( 200 -100 ) N")
+    # Now the foot, 0-20 high and 60 around it, lies below the middle of row 0, and the stem,
+    # 300-320 by 20-200, reaches above it: tracks 250 and 350.
+    problem = Problem.read(design(tmp_path, shifted.replace("( u1 A )", "( u1 Z )"), lef))
+    assert capacities(problem, 1, 1) == [[2, 4, 2], [4, 4, 2]]
+
+
+@pytest.mark.parametrize(
+    ("orient", "place"),
+    {
+        "N": (50, 50),
+        "S": (350, 350),
+        "W": (350, 50),
+        "E": (50, 350),
+        "FN": (350, 50),
+        "FS": (50, 350),
+        "FW": (50, 50),
+        "FE": (350, 350),
+    }.items(),
+)
+def test_orientations(tmp_path: Path, orient: str, place: tuple[int, int]) -> None:
+    """The middle of pin A is at 50, 50 of a macro of 400 by 400."""
+    problem = Problem.read(
+        design(tmp_path, DEF.replace("( 200 100 ) N", f"( 200 100 ) {orient}")), tile=(50, 50)
+    )
+    x, y = 200 + place[0], 100 + place[1]
+    assert problem.chip is not None
+    assert problem.chip.places is not None
+    first, gcell = problem.chip.places.first, problem.chip.places.gcell
+    found = {(g // 2 // 20, g // 2 % 20) for g in gcell[first[1] : first[2]].tolist()}
+    # Pin A is 60 wide: it reaches 5 into the Gcells around those of 50.
+    assert {(i, j) for i, j in found} == {
+        (i, j)
+        for i in range((x - 30) // 50, -(-(x + 30) // 50))
+        for j in range((y - 30) // 50, -(-(y + 30) // 50))
+    }
+
+
+def test_gcells_by_tile_and_by_tracks(tmp_path: Path) -> None:
+    problem = Problem.read(design(tmp_path), tile=(300, 500))
+    assert problem.chip is not None
+    assert problem.chip.x.tolist() == [0, 300, 600, 1000]  # the last one takes what is left
+    assert problem.chip.y.tolist() == [0, 500, 1000]
+    text = "\n".join(line for line in DEF.split("\n") if not line.startswith("GCELLGRID"))
+    many = text.replace("1000 1000", "3100 4600")
+    problem = Problem.read(design(tmp_path, many))
+    assert problem.chip is not None
+    assert problem.chip.x.tolist() == [0, 1500, 3100]
+    assert problem.chip.y.tolist() == [0, 1500, 3000, 4600]
+    # Without tracks, by the pitch: the first half a pitch from the border.
+    bare = "\n".join(line for line in many.split("\n") if not line.startswith("TRACKS"))
+    assert Problem.read(design(tmp_path, bare)).chip.x.tolist() == [0, 1500, 3100]  # type: ignore[union-attr]
+    bare = "\n".join(line for line in DEF.split("\n") if not line.startswith("TRACKS"))
+    assert Problem.read(design(tmp_path, bare)) == Problem.read(design(tmp_path))
+
+
+def test_lef_files_elsewhere(tmp_path: Path) -> None:
+    whole = Problem.read(design(tmp_path))
+    head, macro = LEF.split("MACRO")
+    (tmp_path / "tech.lef").write_text(f"{head}END LIBRARY\n")
+    (tmp_path / "cells.lef").write_text(f"MACRO{macro}")
+    (tmp_path / "chip.lef").unlink()
+    lef = [tmp_path / "tech.lef", tmp_path / "cells.lef"]
+    assert Problem.read(tmp_path / "chip.def", lef=lef) == whole
+    with pytest.raises(InputError, match=r"chip\.lef: cannot be read"):
+        Problem.read(tmp_path / "chip.def")
+
+
+def test_a_guide_by_hand(tmp_path: Path) -> None:
+    problem = Problem.read(design(tmp_path))
+    n = problem.topology.number
+    # Net n1 from pin in, (2, 0) in M2, down to M1, along row 0 to pin A.
+    solution = Solution(
+        problem,
+        [[3 * n(2, 0, 0) + 2, 3 * n(0, 0, 0), 3 * n(1, 0, 0)], []],  # type: ignore[list-item]
+    )
+    solution.write(tmp_path / "chip.guide")
+    assert (tmp_path / "chip.guide").read_text() == (
+        "n1\n(\n0 0 1000 400 M1\n0 0 400 400 M2\n800 0 1000 400 M2\n)\n"
+        "n2\n(\n400 400 800 800 M1\n400 400 800 800 M2\n)\n"
+    )
+    assert Solution.read(tmp_path / "chip.guide", problem) == solution
+
+
+def test_boxes_that_only_touch(tmp_path: Path) -> None:
+    """As in the contest's guides: boxes side by side are joined, with capacity if there is some."""
+    problem = Problem.read(design(tmp_path))
+    file = tmp_path / "chip.guide"
+    # M1 in three boxes; M2 has no wires from one column to the next.
+    file.write_text(
+        "n1\n(\n0 0 400 400 M1\n400 0 800 400 M1\n800 0 1000 400 M1\n0 0 1000 400 M2\n)\n"
+    )
+    found = Solution.read(file, problem)
+    judged = evaluate(problem, found)
+    assert (judged.wirelength, judged.vias, judged.overflow) == (3, 1, 0)
+    file.write_text("n1\n(\n0 0 400 400 M1\n0 0 400 400 M2\n400 0 1000 400 M2\n)\n")
+    judged = evaluate(problem, Solution.read(file, problem))
+    assert (judged.wirelength, judged.vias, judged.overflow) == (3, 1, 2)  # against the direction
+    assert judged.connected
+
+
+def test_a_pin_is_reached_where_any_part_of_it_lies(tmp_path: Path) -> None:
+    lef = LEF.replace("RECT 0.3 0.3 0.36 0.36", "RECT 0.15 0.3 0.36 0.36")
+    text = DEF.replace("( PIN in ) ( u1 A )", "( u1 A ) ( u1 Z )").replace("- n2 ( u1 Z )", "- n2")
+    problem = Problem.read(design(tmp_path, text, lef))
+    assert [net.name for net in problem.nets] == ["n1"]  # a net without pins is left out
+    # Z, 350-560 by 400-460, is mostly in column 1 and also in column 0, above pin A.
+    assert problem.nets[0].pins == ((200, 200, 1), (600, 600, 1))
+    guide = tmp_path / "chip.guide"
+    guide.write_text("n1\n(\n0 0 400 400 M1\n0 400 400 800 M1\n0 0 400 800 M2\n)\n")
+    solution = Solution.read(guide, problem)
+    assert not evaluate(problem, solution).connected
+    judged = solution.at_reached_pins()
+    assert evaluate(judged.problem, judged).connected
+    assert judged.problem.nets[0].pins == ((200, 200, 1), (200, 600, 1))
+    assert (judged.uses[1] == solution.uses[1]).all()
+    assert judged.at_reached_pins() == judged
+    # Both Gcells of Z are in a guide of ours.
+    solution.write(guide)
+    assert "0 400 400 800 M1" in guide.read_text()
+    assert "400 400 800 800 M1" in guide.read_text()
+
+
+# --- the command line -----------------------------------------------------------------------------
+
+
+def test_commands_take_designs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    design(tmp_path)
+    (tmp_path / "chip.lef").rename(tmp_path / "other.lef")
+    given = ["chip.def", "--lef", "other.lef", "--tile", "250", "250"]
+    assert status(["convert", *given, "chip.gr"]) == 0
+    assert "4x4x2, 2 nets" in capsys.readouterr().out
+    problem = Problem.read("chip.def", lef=["other.lef"], tile=(250, 250))
+    assert Problem.read("chip.gr") == problem
+    assert status(["route", *given, "--router", "pathfinder", "--out", "r.guide", "--json"]) == 0
+    routed = json.loads(capsys.readouterr().out)
+    assert routed["open_nets"] == []
+    assert status(["evaluate", *given, "r.guide", "--json"]) == 0
+    judged = json.loads(capsys.readouterr().out)
+    keys = ("overflow", "wirelength", "vias", "open_nets")
+    assert [judged[key] for key in keys] == [routed[key] for key in keys]
+    # Solutions go through convert both ways, to ISPD text, which .gr files have as well.
+    assert status(["convert", *given, "r.solution", "--solution", "r.guide"]) == 0
+    assert status(["convert", "chip.gr", "r.PR_output", "--solution", "r.solution"]) == 0
+    again = ["guide", *given, "r.PR_output", "--out", "again.guide"]
+    assert status(again) == 0
+    assert Path("again.guide").read_text() == Path("r.guide").read_text()
+    assert status(["report", *given, "r.guide"]) == 0
+    assert "overflow 0 on 0 edges" in capsys.readouterr().out
+    assert status(["convert", *given, "x.gr", "--format", "guide"]) == 2
+    assert "--format: expected ispd2008" in capsys.readouterr().err
+    assert status(["convert", "chip.gr", "x.gr", "--tile", "5", "5"]) == 2
+    assert "expected no tile for it, only for .def" in capsys.readouterr().err
+
+
+def test_without_the_extra_it_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("klayout", "klayout.db"):
+        monkeypatch.setitem(sys.modules, name, None)
+    file = design(tmp_path)
+    assert status(["convert", str(file), str(tmp_path / "chip.gr")]) == 2
+    assert capsys.readouterr().err == (
+        f"marouting: {file}: designs need more packages: pip install 'marouting[lefdef]'\n"
+    )
+
+
+# --- real designs ---------------------------------------------------------------------------------
+
+
+@needs_ispd18
+def test_the_contests_own_guide_joins_all_its_nets() -> None:
+    problem = Problem.read(ISPD18 / "ispd18_test1.input.def")
+    assert problem.grid == (65, 67, 9)  # as in the guide
+    assert problem.chip is not None
+    assert (problem.chip.x[-2:].tolist(), problem.chip.y[-2:].tolist()) == (
+        [384000, 390800],
+        [376200, 383040],
+    )
+    assert len(problem.nets) == 3153
+    guide = Solution.read(ISPD18 / "ispd18_test1.input.guide", problem).at_reached_pins()
+    judged = evaluate(guide.problem, guide)
+    assert judged.connected
+    assert judged.tasks > 10_000
+    # Most of its wires are where there are tracks.
+    assert 0 < judged.overflow < 0.03 * judged.wirelength
+
+
+# --- files that cannot be used --------------------------------------------------------------------
+
+BAD_DEF = [
+    ("END DESIGN\n", "", 19, "expected 'END DESIGN', found the end of the file"),
+    ("END NETS\nEND DESIGN\n", "", 18, "file ends inside NETS, which begins in line 16, after 2"),
+    ("- n2 ( u1 Z ) ;", "- n2 ( u1 Z )", 20, "file ends inside a statement, expected ';'"),
+    ("NETS 2 ;", "NETS 3 ;", 19, "NETS: expected 3, as line 16 says, found 2"),
+    ("NETS 2 ;", "NETS 10000000 ;", 19, "NETS: expected 10000000, as line 16 says, found 2"),
+    ("NETS 2 ;", "NETS -2 ;", 16, "the number of NETS, a whole number from 0"),
+    ("NETS 2 ;", "NETS ;", 16, "'NETS' and their number"),
+    ("COMPONENTS 1", "COMPONENTS 9999999999", 9, "a number from"),
+    ("- u1 CELL", "- u1 CELLO", 10, "component u1: did you mean CELL? expected a macro"),
+    ("+ PLACED ( 200 100 ) N", "+ UNPLACED", 17, "expected component u1 to have a place"),
+    ("( 200 100 ) N", "( 200 x ) N", 10, "the place of component u1, a number"),
+    ("( 200 100 ) N", "( 200 100 ) R90", 10, "'( x y ) orientation' of component u1"),
+    ("( 200 100 ) N", "( 20000 100 ) N", 17, "net n1: expected pin A of u1 to have a shape"),
+    ("( u1 A )", "( u2 A )", 17, "net n1: expected a component, found u2"),
+    ("( u1 A )", "( u1 B )", 17, "net n1: expected pin B of u1 to have a shape in a routing"),
+    ("( u1 A )", "( PIN out )", 17, "net n1: expected a pin of PINS, found out"),
+    ("( u1 A )", "( u1", 17, "'( component pin )' of net n1"),
+    ("( u1 A ) + USE SIGNAL", "( u1 )", 17, "'( component pin )' of net n1"),
+    ("- n2 (", "- n1 (", 18, "net n1: expected a name no earlier net has"),
+    ("LAYER M2 ( -20", "LAYER V1 ( -20", 17, "expected pin in of PIN to have a shape"),
+    (
+        "LAYER M1 ;\nTRACKS X",
+        "LAYER M3 ;\nTRACKS X",
+        5,
+        "layer M3: expected a routing layer of the LEF files",
+    ),
+    ("DO 10 STEP 100 LAYER M1 ;", "DO 10 STEP -100 LAYER M1 ;", 5, "a step, a whole number"),
+    ("DO 10 STEP 100 LAYER M1 ;", "DO -10 STEP 100 LAYER M1 ;", 5, "a count, a whole number"),
+    ("DO 10 STEP 100 LAYER M1 ;", "LAYER M1 ;", 5, "'TRACKS X|Y first DO count STEP step'"),
+    ("( 1000 1000 )", "( 0 1000 )", 4, "'DIEAREA' and two corners or more"),
+    ("( 1000 1000 )", "( 1e30 1000 )", 4, "a corner of the die, a number from"),
+    ("MICRONS 1000", "MICRONS 0", 3, "units, a whole number from 1"),
+    ("UNITS DISTANCE MICRONS 1000 ;\n", "", 19, "expected UNITS DISTANCE MICRONS before the end"),
+    ("DIEAREA ( 0 0 ) ( 1000 1000 ) ;\n", "", 19, "expected a DIEAREA before the end"),
+    ("- n1 ( PIN in ) ( u1 A ) + USE SIGNAL ;\n- n2 ( u1 Z ) ;\n", "- n1 ;\n- n2 ;\n", 20, "net"),
+    ("VERSION 5.8", "\x00 5.8", 1, "a statement of DEF"),
+    ("VERSION 5.8", '"a', 1, "file ends inside a text in quotes, which begins in line 1"),
+    ("PINS 1 ;", "BEGINEXT x", 20, "file ends, expected 'ENDEXT' for what begins in line 12"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "line", "what"), BAD_DEF)
+def test_a_spoiled_design(tmp_path: Path, old: str, new: str, line: int, what: str) -> None:
+    assert old in DEF
+    file = design(tmp_path, DEF.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        Problem.read(file)
+    message = str(caught.value)
+    assert what in message
+    if not message.startswith(f"{file}:{line}: "):
+        assert "inside a text in quotes" in what or "statement, expected" in what, message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "what"),
+    [
+        ("END LIBRARY\n", "", 50, "'END LIBRARY', found the end of the file"),
+        ("END CELL\n", "", 50, "file ends inside macro CELL, which begins in line 27"),
+        ("  WIDTH 0.04 ;\n  SPACING 0.04 ;\n", "", 24, "layer M2: expected a WIDTH"),
+        ("WIDTH 0.04 ;\n  SPACING ", "WIDTH -1 ;\n  SPACING ", 24, "the width of layer M2, above"),
+        ("PITCH 0.1 0.1", "PITCH 0", 23, "the pitch of layer M2, above 0"),
+        ("PITCH 0.1 0.1", "PITCH x", 23, "the pitch of layer M2, a number"),
+        ("SIZE 0.4 BY 0.4", "SIZE -0.4 BY 0.4", 31, "the size of macro CELL, above 0"),
+        ("  DIRECTION VERTICAL ;\n", "", 25, "layer M2: expected DIRECTION HORIZONTAL or"),
+        ("LAYER M2\n", "LAYER M1\n", 26, "'M1', found 'M2'"),
+        ("END M2", "END M3", 26, "'M2', found 'M3'"),
+    ],
+)
+def test_a_spoiled_library(tmp_path: Path, old: str, new: str, line: int, what: str) -> None:
+    assert old in LEF
+    file = design(tmp_path, lef=LEF.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        Problem.read(file)
+    message = str(caught.value)
+    assert what in message
+    assert message.startswith(f"{file.with_suffix('.lef')}:")
+    assert abs(int(message.removeprefix(f"{file.with_suffix('.lef')}:").split(":")[0]) - line) <= 1
+
+
+@pytest.mark.parametrize("lef", [False, True])
+def test_files_cut_anywhere(tmp_path: Path, lef: bool) -> None:
+    lines = (LEF if lef else DEF).splitlines(keepends=True)
+    for keep in range(len(lines)):
+        cut = "".join(lines[:keep])
+        file = design(tmp_path, *((DEF, cut) if lef else (cut, LEF)))
+        with pytest.raises(InputError) as caught:
+            Problem.read(file)
+        name = file.with_suffix(".lef") if lef else file
+        assert str(caught.value).startswith(f"{name}:{max(1, keep)}: ")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("DO 3 STEP 400", "DO 999999999 STEP 1", ""),  # a thousand of them are on the die
+        ("( 1000 1000 )", "( 999999999 999999999 )", ""),
+        ("DO 10 STEP 100 LAYER M1 ;", "DO 999999999 STEP 1 LAYER M1 ;", ""),
+        (
+            "( 1000 1000 ) ;\nTRACKS Y 50 DO 10 STEP 100",
+            "( 9999999 9999999 ) ;\nTRACKS Y 50 DO 999999999 STEP 1",
+            ":5: expected at most 1048576 tracks or lines on the die, found 9999949",
+        ),
+        (
+            "NETS 2 ;",
+            "VIAS 1 ;\n- v + VIARULE r + ROWCOL 99999 99999 ;\nEND VIAS\nNETS 2 ;",
+            ":17: expected at most 1000000 in an array",
+        ),
+        (
+            "NETS 2 ;",
+            "SPECIALNETS 1 ;\n- v + ROUTED M1 0 ( 0 0 ) v1 DO 9999 BY 9999 STEP 1 1 ;\n"
+            "END SPECIALNETS\nNETS 2 ;",
+            ":17: expected at most 1000000 in an array",
+        ),
+    ],
+)
+def test_a_promise_costs_little(tmp_path: Path, old: str, new: str, what: str) -> None:
+    assert old in DEF
+    Problem.read(design(tmp_path))
+    file = design(tmp_path, DEF.replace(old, new, 1))
+    start = time.perf_counter()
+    tracemalloc.start()
+    try:
+        if what:
+            with pytest.raises(InputError, match=what):
+                Problem.read(file)
+        else:
+            Problem.read(file)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 5e7
+    assert time.perf_counter() - start < 10
+
+
+def test_what_klayout_refuses_is_one_line(tmp_path: Path) -> None:
+    file = design(tmp_path, DEF.replace("+ LAYER M2 ( -20 0 )", "+ LAYER M2 ( -20 )"))
+    with pytest.raises(InputError) as caught:
+        Problem.read(file)
+    assert str(caught.value).startswith(f"{file}: klayout: ")
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,308 @@
+"""The observation ``outlook``, number by number, and the loop that walks with it."""
+
+from typing import Any
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference import Edge, all_edges, between, contested, edge_number
+from seeing import Gcell, expected, gcell, open_tasks, squash
+
+import marouting
+from marouting import Engine, InputError, Problem
+from marouting.game.outlook import OutlookObservation
+from marouting.game.state import NOBODY, Status
+from marouting.game.window import mirrored
+from policies.learned.compiled.walk import make_walk, walk, walk_on
+
+FAR = (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)
+
+
+def edge_costs(
+    engine: Engine, m: int, n: int, taken: dict[Edge, Any] | None
+) -> dict[Edge, float | None]:
+    """What every edge costs net n; None for one that it cannot cross."""
+    problem = engine.problems[m]
+    costs: dict[Edge, float | None] = {}
+    for edge in all_edges(problem):
+        costs[edge] = 1.0
+        if edge[0][2] != edge[1][2]:
+            continue
+        number = edge_number(problem, edge)
+        demand = int(engine.static.demand[m, n, edge[0][2]])
+        own = np.unpackbits(engine.dynamic.used[m, n], bitorder="little")[number]
+        remaining = int(engine.dynamic.remaining[m, number]) + demand * int(own)
+        if remaining < demand:
+            costs[edge] = 33.0 if engine.static.overflow_allowed else None
+        elif taken is not None:
+            left = (remaining - float(taken[edge])) / max(demand, 1) - 1
+            # In quarters, rounded down.
+            costs[edge] = 1 + min(int(max(-4 * left + 1e-6, 0)), 16) / 4
+    return costs
+
+
+def ways(engine: Engine, m: int, n: int, costs: dict[Edge, float | None], margin: int) -> Any:
+    """(Gcell: cost of the cheapest way to the end) inside the box, and the box."""
+    problem, agent, static = engine.problems[m], engine.agents[m, n], engine.static
+    tasks = open_tasks(engine, m, n)
+    both = [gcell(engine, int(g)) for g in static.tasks[agent["task"]]]
+    ends = [*both, gcell(engine, agent["target"]), *(far for _, far in tasks[1:])]
+    low, high = np.min(ends, axis=0)[:2] - margin, np.max(ends, axis=0)[:2] + margin
+    graph: nx.Graph[Gcell] = nx.Graph()
+    inside = [
+        cell
+        for cell in np.ndindex(*problem.grid)
+        if (low <= cell[:2]).all() and (cell[:2] <= high).all()
+    ]
+    graph.add_nodes_from(inside)
+    for (a, b), cost in costs.items():
+        if cost is not None and a in graph and b in graph:
+            graph.add_edge(a, b, weight=cost)
+    found = [gcell(engine, agent["target"])]
+    if engine.rules.target == "tree":
+        tree = np.unpackbits(engine.more.tree[m, n], bitorder="little")
+        found = [gcell(engine, int(g)) for g in np.flatnonzero(tree)]
+    found = [cell for cell in found if cell in graph]
+    return nx.multi_source_dijkstra_path_length(graph, set(found)), graph, found
+
+
+def row_of(engine: Engine, seen: OutlookObservation, m: int, n: int) -> dict[str, Any]:
+    """What agent n of problem m ought to see, but for the block ``numbers``."""
+    problem, agent, r = engine.problems[m], engine.agents[m, n], seen.radius
+    here, target = gcell(engine, agent["cell"]), gcell(engine, agent["target"])
+    sign = [1 if target[axis] >= here[axis] else -1 for axis in (0, 1)]
+    others = [k for k in range(engine.nets.shape[1]) if k != n]
+    taken = expected(engine, m, others)
+    tasks = open_tasks(engine, m, n)
+    static, dynamic = engine.static, engine.dynamic
+
+    def beside(step: tuple[int, int, int], start: Gcell = here) -> Gcell | None:
+        """The Gcell a step of the frame away."""
+        x, y, z = start[0] + sign[0] * step[0], start[1] + sign[1] * step[1], start[2] + step[2]
+        there = x, y, z
+        return there if all(0 <= a < s for a, s in zip(there, problem.grid, strict=True)) else None
+
+    def figures(edge: Edge) -> tuple[float, float]:
+        """Tracks of remaining capacity and of predicted slack."""
+        number, track = edge_number(problem, edge), max(int(static.demand[m, n, edge[0][2]]), 1)
+        remaining = int(dynamic.remaining[m, number])
+        return squash(remaining // track), squash((remaining - taken[edge]) / track)
+
+    detours = []
+    for scarce in (None, taken):
+        costs = edge_costs(engine, m, n, scarce)
+        cost, graph, ends = ways(engine, m, n, costs, seen.margin)
+        whole = []
+        for step in FAR:
+            ahead = beside(step)
+            crossing = costs[between(here, ahead)] if ahead is not None else None
+            there = ahead in graph and ahead in cost and crossing is not None
+            whole.append(crossing + cost[ahead] if there else np.inf)
+        detours += [1.0 if w == np.inf else squash(w - min(whole)) for w in whole]
+        if scarce is None:
+            plain, roads, arrivals = cost, graph, ends
+    crossed = []
+    for step in FAR[:4]:
+        ahead = beside(step)
+        crossed.append((-1.0, -1.0) if ahead is None else figures(between(here, ahead)))
+    later = sorted(
+        ((sum(abs(a - b) for a, b in zip(far, here, strict=True)), k, far)
+         for k, (_, far) in enumerate(tasks[1:])),
+    )[:4]  # fmt: skip
+    pins, nearest = np.zeros((5, 5)), []
+    for k, pin in enumerate([target, *(far for *_, far in later)]):
+        away = np.subtract(pin, here) * [*sign, 1]
+        pins[k, :4] = [1, *np.clip(away, -16, 16) / 8]
+        pins[k, 4] = squash(plain[pin]) if pin in plain else 1
+        # Where cheapest ways end, as far as it is seen; there may be several.
+        nearest.append(
+            {
+                tuple((np.clip(np.subtract(end, here) * [*sign, 1], -16, 16) / 8)[:2].tolist())
+                for end in arrivals
+                if pin in plain and nx.dijkstra_path_length(roads, pin, end) <= plain[pin] + 1e-9
+            }
+        )
+    found = {
+        "detour": np.array(detours),
+        "crossed": np.array(crossed).T.reshape(-1),
+        "pins": pins,
+        "ends": nearest,
+    }
+    side, layers = 2 * r + 1, range(problem.grid[2])
+    for axis, name in enumerate("xy"):
+        shape = (side + (axis == 0), side + (axis == 1))
+        room, slack = np.zeros((2, *shape))
+        for i, j in np.ndindex(*shape):
+            end = (i - r, j - r, -here[2])
+            start = (end[0] - (axis == 0), end[1] - (axis == 1), end[2])
+            near, beyond = beside(start), beside(end)
+            if near is not None and beyond is not None:
+                both = [figures(between((*near[:2], z), (*beyond[:2], z))) for z in layers]
+                room[i, j], slack[i, j] = np.max(both, axis=0)
+        found[f"room_{name}"], found[f"slack_{name}"] = room.reshape(-1), slack.reshape(-1)
+    used = {
+        cell[:2]
+        for edge in all_edges(problem)
+        if np.unpackbits(dynamic.used[m, n], bitorder="little")[edge_number(problem, edge)]
+        for cell in edge
+    }
+    own, opened = np.zeros((2, side, side))
+    for i, j in np.ndindex(side, side):
+        place = beside((i - r, j - r, -here[2]))
+        if place is not None:
+            own[i, j] = place[:2] in used
+            opened[i, j] = place[:2] in [far[:2] for _, far in tasks]
+    return found | {"own": own.reshape(-1), "open": opened.reshape(-1)}
+
+
+rules = st.fixed_dictionaries(
+    {
+        "overflow": st.sampled_from(["forbidden", "allowed"]),
+        "target": st.sampled_from(["pin", "tree"]),
+        "next_task": st.sampled_from(["listed", "nearest"]),
+        "rip_up_rounds": st.sampled_from([0, 2]),
+        "mask_visited": st.booleans(),
+    }
+)
+
+
+@settings(deadline=None, max_examples=15)
+@given(
+    contested(max_nets=4),
+    st.builds(OutlookObservation, st.integers(0, 2), st.integers(1, 4)),
+    rules,
+    st.sampled_from(["round_robin", "sequential"]),
+    st.integers(0, 1000),
+)
+def test_every_number_is_as_the_oracle_says(
+    problem: Problem, seen: OutlookObservation, rules: dict[str, Any], order: str, seed: int
+) -> None:
+    engine = Engine([problem, problem], turn_order=order, max_steps=7, **rules)
+    rng = np.random.default_rng(seed)
+    space = seen.space([problem], rules["overflow"] == "allowed")
+    for _ in range(3):
+        who = engine.pairs(everyone=True)
+        rows = np.full((len(who[0]), seen.size), np.nan, np.float32)
+        seen.write(engine, *who, rows)
+        for row, m, n in zip(rows, *who, strict=True):
+            if n == NOBODY:
+                continue
+            assert space.contains(row)
+            if engine.agents[m, n]["status"] != Status.ACTIVE or rng.random() < 0.6:
+                continue  # the oracle takes its time
+            answers = row_of(engine, seen, m, n)
+            pins = row[seen.layout["pins"]].reshape(5, 7)
+            for mine, ends in zip(pins[:, 5:].tolist(), answers.pop("ends"), strict=False):
+                assert not ends or tuple(mine) in ends
+            for name, answer in answers.items():
+                mine = pins[:, :5] if name == "pins" else row[seen.layout[name]]
+                np.testing.assert_allclose(mine, answer, atol=3e-5, err_msg=name)
+        for _ in range(rng.choice([1, 2, 5, 30])):
+            engine.step(rng.integers(-1, 6, engine.nets.shape))
+
+
+def test_the_layout_of_a_row() -> None:
+    seen = OutlookObservation(radius=1)
+    assert list(seen.layout) == [
+        "numbers", "detour", "crossed", "pins", "room_x", "room_y", "slack_x", "slack_y", "own",
+        "open",
+    ]  # fmt: skip
+    assert seen.layout["pins"] == slice(36, 71)
+    assert seen.layout["room_x"] == slice(71, 83)
+    assert seen.size == 71 + 4 * 12 + 2 * 9
+
+
+@pytest.mark.parametrize("given_", [{"radius": -1}, {"radius": 33}, {"margin": 0}, {"margin": 1.5}])
+def test_options_out_of_range(given_: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=next(iter(given_))):
+        OutlookObservation(**given_)
+
+
+def test_the_first_numbers_are_those_of_the_window() -> None:
+    problem = marouting.generate(1, nets=10, max_pins=4)[0]
+    engine = Engine([problem], target="tree")
+    who = engine.pairs(everyone=True)
+    window, seen = marouting.WindowObservation(), OutlookObservation()
+    rows = [np.zeros((len(who[0]), each.size), np.float32) for each in (window, seen)]
+    window.write(engine, *who, rows[0])
+    seen.write(engine, *who, rows[1])
+    np.testing.assert_array_equal(rows[0][:, :16], rows[1][:, :16])
+
+
+# --- the loop -------------------------------------------------------------------------------------
+
+GAME: dict[str, Any] = {
+    "turn_order": "sequential",
+    "overflow": "allowed",
+    "target": "tree",
+    "next_task": "nearest",
+    "mask_visited": True,
+}
+
+
+def test_the_loop_walks_as_the_network_does() -> None:
+    """The same moves as by the observation, a product of matrices and the engine's steps."""
+    problems = marouting.generate(2, nets=15, max_pins=4, capacity=3, seed=3)
+    seen = OutlookObservation(radius=1)
+    sizes = (seen.size, 16, 6)
+    rng = np.random.default_rng(0)
+    weights = rng.normal(size=17 * 6 + (seen.size + 1) * 16).astype(np.float32) * 0.3
+    first, second = np.split(weights, [(seen.size + 1) * 16])
+    engine = Engine(problems, rip_up_rounds=1, rip_up_neighbours=1, **GAME)
+    loop = Engine(problems, rip_up_rounds=1, rip_up_neighbours=1, **GAME)
+    cold = np.zeros(2, np.float32)
+    given = make_walk(loop, seen, sizes, weights, cold, np.zeros(2, np.uint64))
+    while not walk(loop, given, 7, False):
+        pass
+    rows, steps = np.zeros((2, seen.size), np.float32), 0
+    while (engine.games["agent"] != NOBODY).any():
+        who = np.arange(2, dtype=np.int32), engine.games["agent"].copy()
+        seen.write(engine, *who, rows)
+        hidden = np.maximum(rows @ first[:-16].reshape(-1, 16) + first[-16:], 0)
+        scores = hidden @ second[:-6].reshape(16, 6) + second[-6:]
+        masks, moves = engine.masks(*who), np.full(2, NOBODY)
+        for m, n in zip(*who, strict=True):
+            if n == NOBODY:
+                continue
+            late = 4 * engine.agents[m, n]["steps"] >= engine.max_steps
+            by = -rows[m, seen.layout["detour"]][:6] if late else scores[m]
+            grid = mirrored(np.arange(6), np.tile(rows[m], (6, 1)))
+            free = [w for w in range(6) if late or masks[m, grid[w]]]
+            moves[m] = grid[max(free, key=lambda w, by=by: by[w])]
+        engine.step(moves)
+        steps += 1
+    assert steps > 50
+    for m in range(2):
+        assert engine.metrics(m) == loop.metrics(m)
+        assert engine.metrics(m).joined == engine.metrics(m).tasks
+    np.testing.assert_array_equal(engine.dynamic.used, loop.dynamic.used)
+
+
+def test_the_loop_stops_when_nets_have_walked_and_goes_on() -> None:
+    problem = marouting.generate(1, nets=10, max_pins=3)[0]
+    engine = Engine([problem] * 2, rip_up_rounds=3, **GAME)
+    seen = OutlookObservation()
+    weights = np.zeros((seen.size + 1) * 6, np.float32)
+    given = make_walk(
+        engine,
+        seen,
+        (seen.size, 6),
+        weights,
+        np.ones(2, np.float32),
+        np.arange(2).astype(np.uint64),
+    )
+    assert walk(engine, given, 10**6, True)
+    assert (engine.games["active"] == 0).all()
+    assert (engine.games["round"] == 0).all()
+    before = [engine.metrics(m).wirelength for m in range(2)]
+    given.playing[1] = False
+    walk_on(engine, given)
+    assert walk(engine, given, 10**6, True)
+    assert engine.games["round"].tolist() == [1, 0]
+    walk_on(engine, given)
+    assert walk(engine, given, 10**6, False)
+    assert engine.games["agent"].tolist()[0] == NOBODY
+    assert engine.metrics(0).wirelength <= before[0]
+    assert engine.metrics(1).wirelength == before[1]
