@@ -164,9 +164,10 @@ def set_costs(
                             present,
                             kind,
                         )
-                        lattice.line[axis, at + 1] = min(lattice.line[axis, at + 1], cost)
                         if cost >= limit or problem.capacity[edge] < 0:
                             cost = wide(CLOSED)
+                        else:
+                            lattice.line[axis, at + 1] = min(lattice.line[axis, at + 1], cost)
                     set_cost(lattice, point, axis, cost)
                 point += 1
     for axis in range(VIA_AXIS):
