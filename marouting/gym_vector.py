@@ -79,7 +79,9 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         super().reset(seed=seed)
         obs, info = self._batch.reset(seed=seed, options=options)
         self._over = info["over"].copy()
-        return self._seen(obs, info)
+        begun = (options or {}).get("reset_mask", ~self._over)
+        seen, infos = self._seen(obs, info)
+        return seen, self._named(infos, info, begun)
 
     def step(
         self, actions: Any
@@ -103,8 +105,10 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         if moves.size and moves.min() < 0:
             raise ValueError(f"actions: expected 0 to {self._options.actions - 1}, found {actions}")
         obs, reward, _, _, batch = self._batch.step(moves)
-        self._over = over = batch["over"].copy()
+        begun, self._over = self._over, batch["over"].copy()
+        over = self._over
         seen, infos = self._seen(obs, batch)
+        infos = self._named(infos, batch, begun)
         games = np.flatnonzero(over)
         joined = np.zeros(self.num_envs, np.bool_)
         for m in games.tolist():
@@ -140,6 +144,12 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
             return seen, infos
         keys = self._options.observation_key, self._options.mask_key
         return dict(zip(keys, (seen, mask.copy()), strict=True)), infos
+
+    def _named(self, infos: Info, batch: Info, begun: NDArray[np.bool_]) -> Info:
+        """Infos that name the problems of episodes that have just begun, if these are drawn."""
+        for m in np.flatnonzero(begun).tolist() if "problem" in batch else ():
+            infos = self._add_info(infos, {"problem": batch["problem"][m]}, m)
+        return infos
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(M, A) bool, the moves of the nets to move that cross an edge."""

@@ -1456,7 +1456,10 @@ def test_mean_interval_of_few() -> None:
 def test_share_interval_is_wilsons(of: tuple[int, int]) -> None:
     hits, count = of
     expected = stats.binomtest(hits, count).proportion_ci(method="wilson")
-    assert share_interval(hits / count, count) == pytest.approx((expected.low, expected.high))
+    low, high = share_interval(hits / count, count)
+    assert (low, high) == pytest.approx((expected.low, expected.high))
+    assert (low == 0) == (hits == 0)  # exactly: no 5.55e-15
+    assert (high == 1) == (hits == count)
 
 
 # --- the yardstick --------------------------------------------------------------------------------

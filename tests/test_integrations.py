@@ -1,5 +1,11 @@
 """What is made for single libraries; each test runs where its library is installed."""
 
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
@@ -63,6 +69,25 @@ def test_the_vector_is_that_of_single_environments(options: dict[str, object]) -
     assert ends >= 6
     quick.close()
     plain.close()
+
+
+def test_the_vector_draws_problems() -> None:
+    options = {"scenario": "toy-4x4-v0", "max_steps": 4}
+    env = gymnasium.make_vec(ENVIRONMENT_ID, 3, **options)
+    plain = gymnasium.make_vec(ENVIRONMENT_ID, 3, vectorization_mode="sync", **options)
+    _, first = env.reset(seed=5)
+    _, expected = plain.reset(seed=5)
+    assert first["problem"].dtype == expected["problem"].dtype
+    played = set(first["problem"])
+    assert len(played) == 3
+    for _ in range(200):
+        *_, infos = env.step(np.zeros(3, np.int64))
+        if "problem" in infos:
+            found = infos["problem"][infos["_problem"]].tolist()
+            assert not played & set(found)
+            played |= set(found)
+    assert len(played) > 6
+    assert env.reset(seed=5)[1]["problem"].tolist() == first["problem"].tolist()
 
 
 def test_the_vector_says_what_it_cannot_use() -> None:
@@ -284,3 +309,47 @@ def test_benchmarl_takes_the_task() -> None:
     steps = env.rollout(100, break_when_all_done=True)
     assert steps.shape[1] <= task.max_steps(env)
     assert set(task.log_info(steps)) == {"collection/info/joined", "collection/info/overflow"}
+
+
+# Recipes ------------------------------------------------------------------------------------------
+
+RECIPES = Path(__file__).resolve().parents[1] / "docs" / "examples" / "libraries"
+RUNS = {
+    "sb3_gymnasium ppo": "stable_baselines3",
+    "sb3_gymnasium dqn": "stable_baselines3",
+    "sb3_supersuit": "stable_baselines3",
+    "sb3_masked": "sb3_contrib",
+    "torchrl_ippo": "torchrl",
+    "benchmarl_task ippo": "benchmarl",
+    "benchmarl_task iql": "benchmarl",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("run", RUNS)
+def test_a_recipe_joins_the_nets(run: str) -> None:
+    if importlib.util.find_spec(RUNS[run]) is None:
+        pytest.skip(f"{RUNS[run]} is not installed")
+    name, *words = run.split()
+    done = subprocess.run(
+        [sys.executable, RECIPES / f"{name}.py", *words],
+        capture_output=True,
+        text=True,
+        timeout=900,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    *_, (_, seconds, joined) = re.findall(r"^(\d+) (\d+) ([\d.]+)$", done.stdout, re.MULTILINE)
+    assert float(joined) >= 0.95
+    assert int(seconds) <= 300
+
+
+def test_every_recipe_is_listed_and_short() -> None:
+    page = (RECIPES.parents[1] / "libraries.md").read_text(encoding="utf-8")
+    files = {file.stem: file for file in RECIPES.glob("*.py")}
+    assert set(files) == {run.split()[0] for run in RUNS}
+    for name, file in files.items():
+        assert f"(examples/libraries/{name}.py)" in page
+        assert len(file.read_text(encoding="utf-8").splitlines()) <= 60, name
+    for link in re.findall(r"\]\(([^)#]+)\)", page):
+        assert link.startswith("https://") or (RECIPES.parents[1] / link).exists(), link

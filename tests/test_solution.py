@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -11,7 +12,17 @@ from hypothesis import given, settings
 from reference import Gcell, gcell_of, pin_gcells, plain_evaluation
 from strategies import solved_problems
 
-from marouting import Adjustment, Evaluation, InputError, Net, Pin, Problem, Solution, evaluate
+from marouting import (
+    Adjustment,
+    Evaluation,
+    InputError,
+    Net,
+    Pin,
+    Problem,
+    Solution,
+    evaluate,
+    sequential_astar,
+)
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.net import MAX_NUMBER
 
@@ -65,6 +76,21 @@ def test_hand_worked_figures() -> None:
     demand = np.zeros(ROW.topology.edges, np.int64)
     demand[[x_edge(0, 0), x_edge(1, 0), x_edge(1, 1)]] = 6, 2, 4
     np.testing.assert_array_equal(solution.edge_demand, demand)
+
+
+def test_paths_are_no_problems(tmp_path: Path) -> None:
+    solution = Solution.of_uses(ROW, np.empty(0, np.int64), np.empty(0, np.int64))
+    solution.write(tmp_path / "row.solution")
+    path: Any = "row.gr"
+    for call in (
+        lambda: evaluate(path, solution),
+        lambda: Solution.read(tmp_path / "row.solution", path),
+        lambda: sequential_astar(path),
+    ):
+        with pytest.raises(InputError, match=r"^problem: expected a Problem, .* found 'row.gr'$"):
+            call()
+    with pytest.raises(InputError, match=r"^solution: expected a Solution, .* found 'row.gr'$"):
+        evaluate(ROW, path)
 
 
 def test_a_missing_edge_disconnects_its_net() -> None:

@@ -1,6 +1,6 @@
 """Stable-Baselines3 and sb3-contrib: a ``VecEnv`` on :class:`marouting.vector.BatchEnv`.
 
-It steps many games in arrays, which is a hundred times as quick as SuperSuit's vectors of single
+It steps many games in arrays, twenty times as quick as SuperSuit's vectors of single
 environments::
 
     from sb3_contrib import MaskablePPO

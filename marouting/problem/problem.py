@@ -389,6 +389,12 @@ def check_tile(tile: tuple[int, int]) -> None:
         )
 
 
+def check_problem(problem: object) -> None:
+    """Raises InputError unless it is a problem: the path of one is easily given instead."""
+    if not isinstance(problem, Problem):
+        raise InputError(f"problem: expected a Problem, as Problem.read gives, found {problem!r}")
+
+
 def check_choice(name: str, value: object, choices: Any) -> None:
     """Raises InputError unless the value is one of the choices of a Literal type."""
     if value not in get_args(choices):

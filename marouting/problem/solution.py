@@ -20,7 +20,7 @@ from marouting.problem.boxes import Boxes, boxes_of, edges_in_boxes
 from marouting.problem.chip import Places
 from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS
 from marouting.problem.net import MAX_NUMBER, FieldError
-from marouting.problem.problem import Problem
+from marouting.problem.problem import Problem, check_problem
 from marouting.problem.segments import (
     covered_edges,
     edges_between,
@@ -208,6 +208,7 @@ class Solution:
             InputError: the file cannot be read, is of none of these formats, or does not fit the
                 problem; the message names the file, the line, and what was expected.
         """
+        check_problem(problem)
         layers = problem.chip_or_default.layers
         record = ispd.read_solution(path, ((net.name, net.id) for net in problem.nets), layers)
         try:
@@ -369,8 +370,14 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
         Its quality.
 
     Raises:
-        InputError: the solution belongs to a problem with another grid or other nets.
+        InputError: the solution belongs to a problem with another grid or other nets, or these are
+            no problem and solution.
     """
+    check_problem(problem)
+    if not isinstance(solution, Solution):
+        raise InputError(
+            f"solution: expected a Solution, as Solution.read gives, found {solution!r}"
+        )
     own = solution.problem
     if own is not problem and (own.grid, own.origin, own.tile, own.nets) != (
         problem.grid,

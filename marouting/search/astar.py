@@ -22,7 +22,7 @@ from marouting.game.state import NOBODY, Crossing, Dynamic, Static, Status
 from marouting.game.tasks import begin_task
 from marouting.kernels import compiled, wide
 from marouting.memory import PLAYED, SEARCH, TABLES, check_memory
-from marouting.problem.problem import Problem, check_choice
+from marouting.problem.problem import Problem, check_choice, check_problem
 from marouting.problem.solution import Solution
 from marouting.search.bounded import SearchBuffers, path_to_goals, search_buffers, shortest_path
 from marouting.search.plain import add_goal, clear_goals
@@ -170,6 +170,7 @@ def sequential_astar(
         InputError: there is no such order, target or decomposition, or the grid takes too much
             memory.
     """
+    check_problem(problem)
     check_choice("target", target, Target)
     grid = problem.topology
     check_memory(grid.gcells * (TABLES + PLAYED + SEARCH), "A* on a grid of {}", grid)

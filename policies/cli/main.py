@@ -361,7 +361,7 @@ def plot(paths: tuple[Path, ...], out: Path | None) -> None:
     """Draw figures of runs, experiments and files.
 
     Draws run folders, experiment folders, metrics.jsonl files, files of marouting bench --out, and
-    .gr files, each with the solution files that follow it, or with sequential A*'s solution if none
+    problems, each with the solution files that follow it, or with sequential A*'s solution if none
     follows. Prints the paths of the pictures.
     """
     from policies.figures.plot import plot as draw

@@ -305,8 +305,8 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
 
     Args:
         paths: folders of runs and experiments; ``metrics.jsonl`` files; files that ``marouting
-            bench`` wrote; ``.gr`` files, each drawn with the solution files that follow it, or with
-            sequential A*'s solution if none follows.
+            bench`` wrote; problems in any format, each drawn with the solution files that follow
+            it, or with sequential A*'s solution if none follows.
         out: the folder for the figures; None stands for ``figures`` in a folder that is drawn, or
             beside a file that is drawn.
 
@@ -335,12 +335,12 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
             written += reward_figures(path, out or path.parent / "figures")
         elif path.suffix == ".json":
             written.append(scaling_figure(path, out or path.parent / "figures"))
-        elif path.suffix in (".gr", ".def", ".cap"):
+        elif _is_problem(path):
             groups.append((path, []))
         elif groups:
             groups[-1][1].append(path)
         else:
-            raise InputError(f"{path}: expected a .gr file before a solution of it")
+            raise InputError(f"{path}: expected a problem before a solution of it")
     for path, files in groups:
         problem = Problem.read(path)
         solutions = {
@@ -351,6 +351,17 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
         folder = _of(out or path.parent / "figures", path)
         written += problem_figures(problem, solutions, folder)
     return written
+
+
+def _is_problem(path: Path) -> bool:
+    """Whether a file is a problem, by its name or because it begins with the size of the grid."""
+    if path.suffix in (".gr", ".def", ".cap"):
+        return True
+    try:
+        with path.open("rb") as file:
+            return file.read(256).split()[:1] == [b"grid"]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _of(folder: Path, problem: Path) -> Path:

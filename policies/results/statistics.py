@@ -81,7 +81,9 @@ def share_interval(share: float, count: int) -> tuple[float, float]:
     z = float(ndtri((1 + CONFIDENCE) / 2))
     centre = (share + z * z / (2 * count)) / (1 + z * z / count)
     half = z * math.sqrt(share * (1 - share) / count + (z / (2 * count)) ** 2) / (1 + z * z / count)
-    return max(centre - half, 0.0), min(centre + half, 1.0)
+    # At the ends the bounds are exact, and rounding would show: 5.55e-15 in place of 0.
+    low = 0.0 if share == 0 else max(centre - half, 0.0)
+    return low, 1.0 if share == 1 else min(centre + half, 1.0)
 
 
 def by_router(rows: Sequence[Row]) -> dict[str, dict[tuple[str, str], list[Row]]]:

@@ -15,16 +15,17 @@ from marouting import scenarios
 from marouting.integrations.sb3 import RoutingVecEnv
 
 torch.set_num_threads(1)
-problem = scenarios.get("two-pin-8x8-v0").test[0]
-env = VecNormalize(RoutingVecEnv([problem] * 16, reward="normalised"), norm_reward=False)
-test = RoutingVecEnv([problem], reward="normalised")
+problem = scenarios.get("toy-4x4-v0").test[0]
+options = {"reward": "normalised", "max_steps": 20}
+env = VecNormalize(RoutingVecEnv([problem] * 32, **options), norm_reward=False)
+test = RoutingVecEnv([problem], **options)
 model = MaskablePPO(
     "MlpPolicy",
     env,
-    n_steps=64,
-    batch_size=2048,
+    n_steps=32,
+    batch_size=512,
     n_epochs=4,
-    learning_rate=lambda left: 2e-3 * left,
+    learning_rate=1e-3,
     gamma=0.95,
     gae_lambda=0.9,
     ent_coef=0.01,
@@ -56,4 +57,4 @@ def report(known, _):
 
 
 print("steps processor_seconds joined")
-model.learn(1_500_000, callback=report)
+model.learn(500_000, callback=report)
