@@ -139,6 +139,7 @@ class Saved(NamedTuple):
     dynamic: Dynamic
     buffers: StepBuffers
     counts: NDArray[np.int64] | None = None  # (M,) see Draws; None where problems stay
+    seeds: NDArray[np.object_] | None = None  # (M,) likewise
 
 
 class Player:
@@ -288,18 +289,24 @@ class Player:
     def save(self) -> Saved:
         """A copy of the state of all games, for :meth:`restore`."""
         buffers = StepBuffers._make(array.copy() for array in self.buffers)
-        counts = None if self.draws is None else self.draws.counts.copy()
-        return Saved(self.engine.save(), buffers, counts)
+        saved = Saved(self.engine.save(), buffers)
+        if self.draws is None:
+            return saved
+        return saved._replace(counts=self.draws.counts.copy(), seeds=self.draws.seeds.copy())
 
-    def go_to(self, counts: NDArray[np.int64]) -> None:
-        """Puts the problems in place that games play when they have begun (M,) episodes.
+    def go_to(self, counts: NDArray[np.int64], seeds: NDArray[np.object_] | None = None) -> None:
+        """Puts the problems in place that games play when they have begun some episodes.
+
+        Args:
+            counts: (M,) how many.
+            seeds: (M,) see :class:`marouting.source.Draws`; None: those that the games have.
 
         Raises:
             ValueError: the problems of these games stay, or the shape does not fit.
         """
         if self.draws is None or counts.shape != self.draws.counts.shape:
             raise ValueError(f"counts: expected those of other games, found shape {counts.shape}")
-        self._replace(self.draws.go_to(counts))
+        self._replace(self.draws.go_to(counts, seeds))
 
     def check_saved(self, saved: Saved) -> None:
         """Raises ValueError unless a state can be one of these games, wherever it is from.
@@ -331,7 +338,8 @@ class Player:
     def restore(self, saved: Saved) -> None:
         """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
         if saved.counts is not None or self.draws is not None:
-            self.go_to(np.zeros(0, np.int64) if saved.counts is None else saved.counts)
+            counts = np.zeros(0, np.int64) if saved.counts is None else saved.counts
+            self.go_to(counts, saved.seeds)
         self.engine.restore(saved.dynamic)
         for name in StepBuffers._fields:
             getattr(self.buffers, name)[...] = getattr(saved.buffers, name)
@@ -367,7 +375,7 @@ class Player:
     def _draw(self, which: NDArray[np.bool_]) -> None:
         """Before episodes begin, where ``which`` (M,) is true: puts their problems in place."""
         if self.draws is not None:
-            self._replace(self.draws.go_to(self.draws.counts + which))
+            self._replace(self.draws.begin_next(which))
 
     def _replace(self, games: list[int]) -> None:
         """Puts the drawn problems of some games in place of the others."""

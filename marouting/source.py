@@ -2,7 +2,7 @@
 
 import copy
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -238,6 +238,7 @@ class Draws:
 
     Attributes:
         episodes: the problems to draw from.
+        seeds: (M,) objects, the seed of each game.
         counts: (M,) int64, the episodes that each game has begun.
         problems: (M,) objects, the problem that each game plays; before its first episode, the one
             that it will play.
@@ -251,8 +252,7 @@ class Draws:
         whole = is_whole(games) and 1 <= games <= MOST_PROBLEMS
         check("games", whole, f"a number from 1 to {MOST_PROBLEMS}, found {games!r}")
         self.episodes = episodes
-        # In an array, because parts share it.
-        self._seed = np.array(_checked_seed(seed), object)
+        self.seeds = np.full(games, _checked_seed(seed), object)
         self.counts = np.zeros(games, np.int64)
         self._games = np.arange(games)
         self._numbers = np.array([self._number(m) for m in range(games)])
@@ -263,31 +263,46 @@ class Draws:
     def part(self, which: NDArray[np.integer] | slice) -> "Draws":
         """The draws of some of the games (indices); with a slice, the two share their arrays."""
         part = copy.copy(self)
-        for name in ("counts", "names", "problems", "_games", "_numbers"):
+        for name in ("seeds", "counts", "names", "problems", "_games", "_numbers"):
             setattr(part, name, getattr(self, name)[which])
         return part
 
     def begin(self, seed: int, which: NDArray[np.bool_]) -> None:
-        """Takes another seed, and begins with the first episodes of the games in ``which`` (M,).
+        """Begins with another seed, and the first episodes, in the games in ``which`` (M,).
+
+        The next episodes play their problems; until then those of the last ones stay in place.
 
         Raises:
             InputError: it is no seed.
         """
-        self._seed[...] = _checked_seed(seed)
-        self.counts[which] = 0
+        self.seeds[which], self.counts[which] = _checked_seed(seed), 0
 
-    def go_to(self, counts: NDArray[np.integer]) -> list[int]:
+    def go_to(
+        self, counts: NDArray[np.integer], seeds: NDArray[np.object_] | None = None
+    ) -> list[int]:
         """Goes to where each game has begun some number of episodes.
 
         Args:
             counts: (M,) the numbers.
+            seeds: (M,) the seeds of the games; None: those that they have.
 
         Returns:
             The games that play another problem now than before.
         """
+        if seeds is not None:
+            self.seeds[:] = seeds
+        self.counts[:] = counts
+        return self._place(range(len(counts)))
+
+    def begin_next(self, which: NDArray[np.bool_]) -> list[int]:
+        """Goes on to the next episodes of the games in ``which`` (M,); returns as :meth:`go_to`."""
+        self.counts += which
+        return self._place(np.flatnonzero(which).tolist())
+
+    def _place(self, games: Iterable[int]) -> list[int]:
+        """Puts the problems of games in place; returns those where it is another one."""
         changed = []
-        for m in np.flatnonzero(counts != self.counts).tolist():
-            self.counts[m] = counts[m]
+        for m in games:
             number = self._number(m)
             if number != self._numbers[m]:
                 self._numbers[m] = number
@@ -298,7 +313,7 @@ class Draws:
     def _number(self, m: int) -> int:
         """The number of the problem that game m plays now, or will play first."""
         episode = max(int(self.counts[m]) - 1, 0)
-        rng = np.random.default_rng([int(self._seed), int(self._games[m]), episode])
+        rng = np.random.default_rng([self.seeds[m], int(self._games[m]), episode])
         return self.episodes.number(rng)
 
 

@@ -183,6 +183,23 @@ def test_a_copy_in_mid_episode_goes_on_with_the_same_problems(look: str) -> None
     assert all(map(same, played(env), expected))
 
 
+def test_a_copy_knows_the_seeds_that_games_have_begun_with() -> None:
+    env = BatchEnv(3, problem=SET, seed=1, max_steps=4)
+    env.reset(seed=5)
+    env.reset(seed=7, options={"reset_mask": np.array([False, True, False])})
+    kept, now = env.save(), env.engine.problems
+    names, problems = list(env.reset()[1]["problem"]), env.engine.problems
+    env.restore(kept)
+    for twin in (env, pickle.loads(pickle.dumps(env))):
+        assert twin.engine.problems == now
+        assert list(twin.reset()[1]["problem"]) == names
+        assert twin.engine.problems == problems
+        assert env.reset(seed=9)[1]["problem"][0] == BatchEnv(
+            3, problem=SET, seed=9, max_steps=4
+        ).reset()[1]["problem"][0]  # fmt: skip
+        env.restore(kept)
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -78,7 +78,8 @@ class Observation(Protocol):
         """Writes what K agents see.
 
         Args:
-            engine: the games, to be read; see :class:`marouting.game.engine.Engine`.
+            engine: the games, to be read; see :class:`marouting.game.engine.Engine`. Its problems
+                may change between episodes.
             problems: (K,) int32, the problem of each agent. ``engine.agents[problems, agents]`` are
                 the agents' records, ``engine.dynamic.remaining[problems]`` (K, E) the remaining
                 capacities.
