@@ -541,10 +541,10 @@ KINDS: dict[str, Kind] = {
         f"problem, {format}": Kind(functools.partial(problems, format=format), 200, 20_000)
         for format in PROBLEMS
     },
-    "problem, LEF/DEF": Kind(designs, 150, 20_000),
-    "problem, ispd2024": Kind(contests, 200, 20_000),
+    "problem, LEF/DEF": Kind(designs, 150, 5_000),
+    "problem, ispd2024": Kind(contests, 200, 5_000),
     "solution": Kind(solutions, 200, 20_000),
-    "guide": Kind(guides, 200, 20_000),
+    "guide": Kind(guides, 200, 5_000),
     "configuration of a training": Kind(trainings, 100, 10_000),
     "configuration of an experiment": Kind(experiments, 60, 4_000),
     "overrides": Kind(overrides, 100, 10_000),

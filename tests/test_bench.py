@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from policies.bench import SECTIONS, Bench
+from policies.bench import SECTIONS, Bench, negotiation
 from policies.bench.measure import rate
 from policies.bench.training import operations
 from policies.cli import main as cli
@@ -47,6 +47,36 @@ def test_the_command_prints_and_stores(tmp_path: Path, capsys: pytest.CaptureFix
     assert row["ratio"] == pytest.approx(row["value"] / row["against"])
     assert cli.status(["bench", "search", "--repeats", "1"]) == 0
     assert "sequential A*" in " ".join(capsys.readouterr().out.split())
+
+
+def test_negotiation_is_compared_over_seeds() -> None:
+    rows = [
+        {"router": router, "family": "a", "problem": problem, "seed": seed, "seconds": 1.0}
+        | {"overflow": overflow, "wirelength": 100}
+        for router, found in (("before", ((10, 30), (20, 40))), ("now", ((9, 27), (18, 36))))
+        for seed, sums in enumerate(found)
+        for problem, overflow in enumerate(sums)
+    ]
+    lines = "".join(negotiation.summary(rows)).splitlines()[2:]
+    assert lines == [
+        "| a | 1 | before | 50.0 ± 14.1 | 200 |",
+        "| a | 1 | now | 45.0 ± 12.7 (-10.0%) | 200 |",
+    ]
+
+
+@pytest.mark.slow
+def test_negotiation_against_another_checkout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """This one, in a process of its own; with next to no time, results are those of one pass."""
+    monkeypatch.setitem(negotiation.GENERATED["c"], "count", 2)
+    file = tmp_path / "rows.json"
+    folder = str(Path(__file__).resolve().parents[1])
+    arguments = ["--against", folder, "--families", "c", "--seeds", "1", "--seconds", "0"]
+    negotiation.main([*arguments, "--out", str(file)], standalone_mode=False)
+    rows = json.loads(file.read_text())
+    assert [row["router"] for row in rows] == ["before", "now"] * 2
+    assert all(row["connected"] for row in rows)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from marouting import InputError, Problem, Solution, evaluate, scenarios, sequential_astar
-from marouting.config import build
+from marouting.config import build, plain
 from policies.benchmark import run
 from policies.benchmark.contenders import Budget, from_text, load_contenders
 from policies.benchmark.leaderboard import read_groups
@@ -31,7 +31,7 @@ from policies.benchmark.result import Outcome, Result, Task, read_result
 from policies.benchmark.score import Figures, score
 from policies.benchmark.statistics import interquartile_mean, interval, summarise
 from policies.cli.main import status
-from policies.learned.config import Config
+from policies.learned.config import Config, load_config
 from policies.learned.trainer import Trainer
 
 SCENARIO = "toy-4x4-v0"
@@ -356,6 +356,18 @@ def test_the_configurations_that_travel_with_the_package(name: str) -> None:
         one, many = ["dqn-single"], ["dqn-multi", "dqn-multi-rounds", "dqn-double-dueling"]
         assert names == [*one, *many, "ippo", "mappo"]
         assert {contender.budget for contender in contenders} == {"500 episodes"}
+
+
+def test_the_ablation_adds_one_thing_at_a_time_and_has_the_grown_learner() -> None:
+    contenders, config = load_contenders("configs/benchmark/ablation.yaml", (), None)
+    assert config.seeds == 3
+    rows = {contender.entry.name: contender.entry.options for contender in contenders}
+    assert list(rows) == sorted(rows)  # in the order in which things are added
+    grown = plain(load_config("configs/grown.yaml"))
+    options = rows["f-rounds"]
+    for part in ("env", "learner"):
+        assert options[part] == {key: grown[part][key] for key in options[part]}
+    assert options["train"]["episodes"] == grown["train"]["episodes"]
 
 
 # --- runs -----------------------------------------------------------------------------------------

@@ -86,7 +86,8 @@ def test_it_goes_on_from_a_state() -> None:
 def test_what_it_learns_routes_larger_problems(tmp_path: Path) -> None:
     """Better than without learning, on problems of another size than it was trained on."""
     train = {"episodes": 240, "evaluate_every": 80, "figures": False, "tensorboard": False}
-    given = replace(config(train=train), out=str(tmp_path / "run"))
+    learner = {"reuse": 12, "learning_rate": 0.003}
+    given = replace(config(train=train, learner=learner), out=str(tmp_path / "run"))
     Run(given).execute()
     weights = str(tmp_path / "run" / POLICY)
     problems = generate(4, (8, 8, 2), nets=20, max_pins=4, seed=5)

@@ -255,9 +255,10 @@ def test_the_toy_case_of_the_contest() -> None:
     assert (cost.wirelength, cost.vias) == pytest.approx((wirelength, vias), rel=1e-12)
     assert cost.overflow == pytest.approx(overflow, rel=1e-12)
     assert set(cost.open) == opened == set()
-    # By hand: 5 distances of 3300 and 6 of 3000, but the file gives five distances between
-    # columns where the grid has four, so that the first two rows are 3300 apart as well.
-    assert wirelength == pytest.approx(0.014 * (7 * 3300 + 4 * 3000) - 0.014 * 300)
+    # By hand: five edges from column to column, 3300 each, and six from row to row: five of 3000,
+    # and one between the first two rows, which are 3300 apart, since the file gives five distances
+    # between columns where the grid has four.
+    assert wirelength == pytest.approx(0.014 * (5 * 3300 + 5 * 3000 + 3300))
     judged = solution.at_reached_pins()
     assert evaluate(judged.problem, judged).connected
 

@@ -1,6 +1,7 @@
 """LEF/DEF designs as problems: capacities and pins worked by hand; files that cannot be used."""
 
 import json
+import re
 import sys
 import time
 import tracemalloc
@@ -212,6 +213,20 @@ def test_orientations(tmp_path: Path, orient: str, place: tuple[int, int]) -> No
         for i in range((x - 30) // 50, -(-(x + 30) // 50))
         for j in range((y - 30) // 50, -(-(y + 30) // 50))
     }
+
+
+def test_macros_with_an_origin(tmp_path: Path) -> None:
+    """What stands at ORIGIN's opposite in the LEF file is at the place of the component."""
+
+    def moved(match: re.Match[str]) -> str:
+        left, low, right, high = (float(number) for number in match.groups())
+        return f"RECT {left - 0.1:.3f} {low - 0.2:.3f} {right - 0.1:.3f} {high - 0.2:.3f} ;"
+
+    lef = re.sub(r"RECT (\S+) (\S+) (\S+) (\S+) ;", moved, LEF)
+    lef = lef.replace("ORIGIN 0 0", "ORIGIN 0.1 0.2")
+    for orient in ("N", "FS", "E"):
+        text = DEF.replace("( 200 100 ) N", f"( 200 100 ) {orient}")
+        assert Problem.read(design(tmp_path, text, lef)) == Problem.read(design(tmp_path, text))
 
 
 def test_gcells_by_tile_and_by_tracks(tmp_path: Path) -> None:

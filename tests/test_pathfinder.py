@@ -7,6 +7,7 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
+import networkx
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -281,7 +282,8 @@ def test_limit_of_time_leaves_every_net_joined() -> None:
     """Even without any time the first pass is completed, and passes are those without a limit."""
     problem = generate(1, nets=80, max_pins=5)[0]  # far too much for its grid
     routed = router(seconds=0.0).solve(problem)
-    check_routed(problem, routed)
+    best = min((done.overflow, done.wirelength) for done in routed.history)
+    assert figures(problem, routed.solution) <= best  # less in the middle of a squeezing pass
     full = router(passes=200).solve(problem)
     assert 1 <= routed.iterations < full.iterations == 200
     assert routed.history == full.history[: routed.iterations]
@@ -289,16 +291,93 @@ def test_limit_of_time_leaves_every_net_joined() -> None:
 
 def test_kinds_of_passes() -> None:
     problem = congested()
-    routed = router(passes=60).solve(problem)
+    routed = router(passes=200).solve(problem)
     kinds = [done.kind for done in routed.history]
     assert kinds[0] == "relax"
-    assert set(kinds) == {"relax", "negotiate", "squeeze"}
+    assert set(kinds) == {"relax", "negotiate", "squeeze", "repair"}
     for before, done in itertools.pairwise(routed.history):
-        assert done.routed <= len(problem.nets)
+        if done.kind != "repair":
+            assert done.routed <= len(problem.nets)
         if done.kind == "negotiate":
             assert before.overflow > 0
         if done.kind == "squeeze":  # never worse
             assert (done.overflow, done.wirelength) <= (before.overflow, before.wirelength)
+
+
+tight = st.sampled_from(
+    [
+        {"grid": (8, 8, 2), "nets": 60, "max_pins": 2, "capacity": 3},
+        {"grid": (6, 6, 2), "nets": 30, "max_pins": 5, "capacity": 4},
+        {"grid": (5, 5, 3), "nets": 30, "max_pins": 6, "capacity": 2},
+    ]
+)
+
+
+@settings(deadline=None, max_examples=15)
+@given(tight, st.integers(0, 2**31), st.integers(0, 2**31), st.integers(1, 60))
+def test_more_passes_are_never_worse(
+    options: dict[str, Any], which: int, seed: int, passes: int
+) -> None:
+    """And repairing passes make no solution worse, from the best one before them on."""
+    [problem] = generate(1, **options, seed=which)
+    longer = router(seed=seed, passes=120, patience=1, repairs=5).solve(problem)
+    shorter = router(seed=seed, passes=passes, patience=1, repairs=5).solve(problem)
+    assert shorter.history == longer.history[:passes]
+    assert figures(problem, longer.solution) <= figures(problem, shorter.solution)
+    best = (problem.topology.edges * len(problem.nets), 0.0)
+    for done in longer.history:
+        if done.kind == "repair":
+            assert (done.overflow, done.wirelength) <= best
+        best = min(best, (done.overflow, done.wirelength))
+
+
+@settings(deadline=None, max_examples=5)
+@given(st.integers(0, 2**31), st.integers(0, 2**31))
+def test_more_time_is_never_worse(which: int, seed: int) -> None:
+    """Wherever the clock interrupts a pass."""
+    [problem] = generate(1, (12, 12, 2), nets=70, max_pins=5, capacity=4, seed=which)
+    ranks = [
+        figures(problem, router(seed=seed, seconds=seconds).route(problem))
+        for seconds in (0.0, 0.03, 0.1)
+    ]
+    assert ranks == sorted(ranks, reverse=True)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**31), st.integers(2, 9), st.integers(2, 9), st.integers(0, 60))
+def test_one_net_finds_the_way_of_least_overflow(
+    seed: int, columns: int, rows: int, percent: int
+) -> None:
+    """And the shortest of these, by networkx: bounds of the search may not cut it off."""
+    rng = np.random.default_rng(seed)
+    ends = ((0, 0), (columns - 1, rows - 1))
+    graph = networkx.grid_2d_graph(columns, rows)
+    walls = []
+    for (x, y), (i, j) in graph.edges:
+        blocked = bool(rng.integers(100) < percent)
+        graph.edges[(x, y), (i, j)]["cost"] = 1 + 1000 * blocked
+        if blocked:
+            walls.append(Adjustment(x, y, 1, i, j, 1, 0))
+    problem = plane({"net": list(ends)}, (columns, rows), adjustments=tuple(walls))
+    least = networkx.shortest_path_length(graph, *ends, weight="cost")
+    routed = router(patience=1, repairs=1).route(problem)
+    assert figures(problem, routed) == divmod(least, 1000)
+
+
+def test_repairing_finds_shorter_ways_than_rounds_alone() -> None:
+    """Two-pin nets that do not fit: rounds end some edges above the shortest wirelength."""
+    before = after = 0
+    for problem in generate(2, (16, 16, 2), nets=100, max_pins=2, capacity=3, seed=5):
+        routed = router(passes=300, patience=2).solve(problem)
+        kinds = [done.kind for done in routed.history]
+        if "repair" not in kinds:
+            continue  # every net has its shortest tree
+        first = kinds.index("repair")
+        rank = figures(problem, routed.solution)
+        rounds = min((done.overflow, done.wirelength) for done in routed.history[:first])
+        assert rank <= rounds
+        before, after = before + int(rounds[1]), after + rank[1]
+    assert after < before
 
 
 def test_is_a_router() -> None:
@@ -326,7 +405,10 @@ def test_is_a_router() -> None:
         ({"stuck": 0}, "stuck: expected a number from 1"),
         ({"least_gain": 2.0}, "least_gain: expected a number from 0 to 1"),
         ({"again": -0.5}, "again: expected a number from 0 to 1"),
+        ({"least_fall": 1.5}, "least_fall: expected a number from 0 to 1"),
         ({"patience": 0}, "patience: expected a number from 1"),
+        ({"repairs": 0}, "repairs: expected a number from 1"),
+        ({"persistence": 0}, "persistence: expected a number from 1"),
         ({"passes": 0}, "passes: expected a number from 1"),
         ({"seconds": -1.0}, "seconds: expected a number from 0, or null"),
         ({"seed": -1}, "seed: expected a number from 0"),

@@ -235,25 +235,26 @@ def _begin(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, m
                             z = layers - 1 - k if back else k
                             cell = place((x * rows + y) * layers + z)
                             now = wide(table[joined, cell])
+                            # Written out: a loop over the axes takes twice as long.
                             least = now
-                            stride = rows * layers
-                            for axis in range(AXES):
-                                at = z
-                                low, high = wide(0), layers - 1
-                                if axis == 0:
-                                    at, low, high = x, x0, x1
-                                elif axis == 1:
-                                    at, low, high = y, y0, y1
-                                    stride = layers
-                                else:
-                                    stride = wide(1)
-                                if at < high:
-                                    ahead = wide(table[joined, cell + stride])
-                                    least = min(least, ahead + wide(cost[cell, axis]))
-                                if at > low:
-                                    behind = place(cell - stride)
-                                    ahead = wide(table[joined, behind])
-                                    least = min(least, ahead + wide(cost[behind, axis]))
+                            if x < x1:
+                                far = place(cell + rows * layers)
+                                least = min(least, wide(table[joined, far]) + cost[cell, 0])
+                            if x > x0:
+                                far = place(cell - rows * layers)
+                                least = min(least, wide(table[joined, far]) + cost[far, 0])
+                            if y < y1:
+                                far = place(cell + layers)
+                                least = min(least, wide(table[joined, far]) + cost[cell, 1])
+                            if y > y0:
+                                far = place(cell - layers)
+                                least = min(least, wide(table[joined, far]) + cost[far, 1])
+                            if z < layers - 1:
+                                far = place(cell + 1)
+                                least = min(least, wide(table[joined, far]) + cost[cell, 2])
+                            if z > 0:
+                                far = place(cell - 1)
+                                least = min(least, wide(table[joined, far]) + cost[far, 2])
                             if least < now:
                                 table[joined, cell] = least
                                 changed = True

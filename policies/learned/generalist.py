@@ -12,7 +12,6 @@ is that they are compiled (:mod:`policies.learned.compiled.walk`).
 
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -29,9 +28,6 @@ from policies.learned.networks.mlp import MLP
 from policies.learned.policy import Routed, TrainedPolicy
 from policies.learned.streams import keys
 
-SHIPPED = Path(__file__).with_name("generalist.pt")
-"""The weights that are shipped."""
-
 _SURE = 8.0
 """How much a Gcell of detour lowers a move's score without a network; see ``mind``."""
 
@@ -46,8 +42,8 @@ class GeneralistOptions:
     """What the generalist is told.
 
     Attributes:
-        weights: a file of a trained policy with the observation ``outlook``; None: the one that is
-            shipped with the package, see ``generalist.md`` beside it.
+        weights: a file of a trained policy with the observation ``outlook``, such as
+            ``configs/generalist.yaml`` trains; only a ``mind`` without a network needs none.
         seconds: limit of processor time, without loading and compiling. It may be exceeded until
             the copies have routed for the first time. None: no limit.
         rounds: the most rip-up rounds; 0 for a single shot.
@@ -71,7 +67,7 @@ class GeneralistOptions:
     copies: int = 4
     keep: int = 2
     warmth: float = 1.0
-    neighbours: int = 2
+    neighbours: int = 4
     seed: int = 0
     mind: Mind = "network"
 
@@ -112,7 +108,9 @@ class GeneralistRouter:
             first = np.arange(MOVES)
             self._weights[(DETOURS + first) * MOVES + first] = -_SURE
         if options.mind == "network":
-            weights = str(SHIPPED) if options.weights is None else options.weights
+            weights = options.weights
+            check("weights", weights is not None, "a policy that configs/generalist.yaml trains")
+            assert weights is not None
             policy = TrainedPolicy.load(weights)
             self._observation, self._sizes, self._weights = _read(policy, weights)
             env = policy.env

@@ -43,9 +43,6 @@ class Shapes(NamedTuple):
     all: Boxes
 
 
-TURNS = 8
-
-
 def turned(boxes: Boxes, turn: int) -> Boxes:
     """Boxes after a turn by ``turn % 4`` quarters, anticlockwise, of the plane.
 
@@ -104,28 +101,26 @@ def read_shapes(
         setattr(config, f"produce_{name}", False)
     config.produce_fills = config.produce_routing = False
     config.produce_lef_pins = config.produce_obstructions = True
-    layout = db.Layout()
-    try:
-        layout.read(os.fspath(path), options)
-        top = layout.top_cell()
-    except RuntimeError as error:  # klayout's only one; it names the file and the line
-        raise InputError(f"{os.fspath(path)}: klayout: {error}") from None
-    if top is None:
-        raise InputError(f"{os.fspath(path)}: expected components")
     kinds = {
         f"{name}{suffix}": (z, suffix in (".LEFPIN", ".PIN"))
         for z, name in enumerate(layers)
         for suffix in suffixes.values()
     }
-    known = [
-        (index, *kinds[info.name])
-        for index, info in zip(layout.layer_indexes(), layout.layer_infos(), strict=True)
-        if info.name in kinds
-    ]
+    layout = db.Layout()
     pins: dict[int, dict[str, Boxes]] = {}
     solid: dict[int, Boxes] = {}
-    for cell in layout.each_cell():
-        pins[cell.cell_index()], solid[cell.cell_index()] = _boxes_of(db, cell, known)
+    try:
+        layout.read(os.fspath(path), options)
+        top = layout.top_cell()
+        known = [
+            (index, *kinds[info.name])
+            for index, info in zip(layout.layer_indexes(), layout.layer_infos(), strict=True)
+            if info.name in kinds
+        ]
+        for cell in layout.each_cell():
+            pins[cell.cell_index()], solid[cell.cell_index()] = _boxes_of(db, cell, known)
+    except RuntimeError as error:  # klayout's only one; it names the file and the line
+        raise InputError(f"{os.fspath(path)}: klayout: {error}") from None
     places: dict[str, Place] = {}
     alike: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
     for instance in top.each_inst():

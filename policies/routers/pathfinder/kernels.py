@@ -21,6 +21,7 @@ from policies.routers.pathfinder.state import (
     Routing,
 )
 
+NO_LIMIT = 1 << 40  # more than any edge costs
 _MOST_OVERFLOW = 1000  # tracks of overflow beyond which more cost the same: costs have 32 bits
 
 
@@ -57,7 +58,7 @@ def edge_cost(
         FULL or more if the net should avoid the edge at all costs.
     """
     over = demand - remaining[edge]
-    if kind == SQUEEZE:
+    if kind >= SQUEEZE:
         return UNIT + FULL * min(max(over, 0), min(demand, _MOST_OVERFLOW))
     cost = UNIT + price[edge]
     if over > 0 and demand > 0:
@@ -117,6 +118,10 @@ def set_costs(
 ) -> None:
     """Gives the moves in a net's box their costs and clears the lattice's tree.
 
+    Two neighbouring columns of the box (or two rows) are as far apart as the cheapest of the edges
+    between them costs. Searches know by that how much a tree must still cost at least. Where
+    everything overflows, that is far more than the number of edges, and searches stay short.
+
     Args:
         problem: the problem.
         routing: holds remaining capacities and prices.
@@ -130,7 +135,7 @@ def set_costs(
     set_size(lattice, nx, ny, nz)
     for axis in range(AXES):
         for i in range(lattice.size[axis]):
-            lattice.line[axis, i] = i * (via if axis == VIA_AXIS else UNIT)
+            lattice.line[axis, i] = i * via if axis == VIA_AXIS else NO_LIMIT
     present, kind = routing.progress[0].present, routing.progress[0].kind
     point = wide(0)
     for x in range(nx):
@@ -159,10 +164,15 @@ def set_costs(
                             present,
                             kind,
                         )
+                        lattice.line[axis, at + 1] = min(lattice.line[axis, at + 1], cost)
                         if cost >= limit or problem.capacity[edge] < 0:
                             cost = wide(CLOSED)
                     set_cost(lattice, point, axis, cost)
                 point += 1
+    for axis in range(VIA_AXIS):
+        lattice.line[axis, 0] = 0
+        for i in range(1, lattice.size[axis]):
+            lattice.line[axis, i] += lattice.line[axis, i - 1]
 
 
 @compiled
@@ -333,8 +343,29 @@ def _list_part(
 
 
 @compiled
+def _other_end(lattice: Lattice, buffers: NetBuffers, key: int, move: int) -> int:
+    """The key to which a path of the tree leads that leaves another key by a move."""
+    point = key + lattice.stride[move]
+    while not buffers.pin[point] and _degree(lattice.tree[point]) == 2:
+        back, move = move ^ 1, 0
+        while move == back or not lattice.tree[point] >> move & 1:
+            move += 1
+        point += lattice.stride[move]
+    return point
+
+
+@compiled
+def _is_listed(points: Any, end: int, point: int) -> bool:
+    """Whether a point is among the first ``end`` of a list."""
+    listed = False
+    for i in range(end):
+        listed |= points[i] == point
+    return listed
+
+
+@compiled
 def mend(progress: Any, lattice: Lattice, search: Search, buffers: NetBuffers, root: int) -> int:
-    """Replaces each path between two keys of a tree by a cheapest one.
+    """Replaces each path between two keys of a tree, once, by a cheapest one.
 
     Keys are pins and the points where the tree branches.
 
@@ -363,6 +394,8 @@ def mend(progress: Any, lattice: Lattice, search: Search, buffers: NetBuffers, r
             continue
         if not buffers.pin[key] and _degree(lattice.tree[key]) < 3:
             continue  # no longer a branching point
+        if _is_listed(buffers.key, place // MOVES, _other_end(lattice, buffers, key, move)):
+            continue
         # Remove the path from this key to the next.
         point = key
         while True:

@@ -9,19 +9,18 @@ from marouting.config import MOST, check
 class PathfinderOptions:
     """Options of negotiated congestion.
 
-    Defaults without a publication were tuned on ibm01 (ISPD'98) with 20 s per trial. Halving or
-    doubling any of them changes the wirelength by less than 1 %.
+    Defaults without a publication were tuned on ibm01 (ISPD'98) with 20 s per trial, and on
+    generated problems that cannot be routed without overflow (docs/negotiation.md).
 
     Attributes:
         via_weight: cost of a via, in edges inside a layer. 1 matches the ISPD 2008 evaluator. Use
             a value just above 0 to compare with wirelengths that leave vias out, such as those
             published for ISPD'98.
         exact_pins: nets with at most this many pins get a cheapest tree, provided that their box
-            is small. The paper's problems have at most 5 pins per net. Each further pin triples
-            the time.
+            is small; in negotiating passes, which are many, only nets of at most 3 pins do. The
+            paper's problems have at most 5 pins per net. Each further pin triples the time.
         margin: Gcells by which a net's box extends beyond its pins and its previous tree on each
-            side. It grows by one each time the net is rerouted in a negotiating pass, until the
-            round ends. Where the box contains no route, it is doubled for that search.
+            side. Where the box contains no route, it is doubled for that search.
         present: factor by which one net too many raises the cost of an edge when a round begins
             (p in PathFinder).
         growth: factor by which ``present`` grows from one negotiating pass to the next, as in
@@ -30,14 +29,17 @@ class PathfinderOptions:
             edges (h in PathFinder).
         decay: share of the prices that is kept when the next round begins.
         stuck: a round stops negotiating after this many passes in a row without a decrease in
-            overflow. Tuned on generated problems that cannot be routed without overflow.
+            overflow.
+        least_fall: share by which the overflow has to fall to count as a decrease.
         least_gain: share of the wirelength that a squeezing pass has to save for the round to
             make another one.
         again: share of the nets that are rerouted even though their tree is already as short as
             possible, to make room for others.
-        patience: the search ends after this many rounds in a row without a better solution. On
-            the 121 published problems of Liao et al., 5 misses one optimum with some seeds; 10
-            misses none with any of four seeds.
+        patience: repairing begins after this many rounds in a row without a better solution.
+        repairs: repairing ends after this many passes in a row without a better solution.
+        persistence: when repairing ends, the search ends, too, if it has made this many times as
+            many passes as up to its best solution. Otherwise the next round begins. On the 121
+            published problems of Liao et al., no optimum is missed with any of four seeds.
         passes: the search ends after this many passes at the latest.
         seconds: limit of processor time, so that other work on the machine does not matter; None
             for no limit. The search continues until every net is joined even if that takes longer.
@@ -58,9 +60,12 @@ class PathfinderOptions:
     history: float = 0.3
     decay: float = 0.8
     stuck: int = 10
+    least_fall: float = 0.01
     least_gain: float = 0.0005
     again: float = 0.1
-    patience: int = 10
+    patience: int = 5
+    repairs: int = 30
+    persistence: int = 8
     passes: int = 100_000
     seconds: float | None = 50.0
     seed: int = 0
@@ -76,6 +81,9 @@ class PathfinderOptions:
         check("stuck", 1 <= self.stuck <= MOST, f"a number from 1 to {MOST}")
         check("least_gain", 0 <= self.least_gain <= 1, "a number from 0 to 1")
         check("again", 0 <= self.again <= 1, "a number from 0 to 1")
+        check("least_fall", 0 <= self.least_fall <= 1, "a number from 0 to 1")
+        check("repairs", 1 <= self.repairs <= MOST, f"a number from 1 to {MOST}")
+        check("persistence", 1 <= self.persistence <= MOST, f"a number from 1 to {MOST}")
         check("patience", 1 <= self.patience <= MOST, f"a number from 1 to {MOST}")
         check("passes", 1 <= self.passes <= MOST, f"a number from 1 to {MOST}")
         check("seconds", self.seconds is None or self.seconds >= 0, "a number from 0, or null")

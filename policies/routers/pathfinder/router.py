@@ -8,7 +8,7 @@ import numpy as np
 
 from marouting import Problem, Solution
 from policies.routers.pathfinder.options import PathfinderOptions
-from policies.routers.pathfinder.passes import advance, keep_best
+from policies.routers.pathfinder.passes import advance
 from policies.routers.pathfinder.state import (
     BOX_TOO_SMALL,
     DONE,
@@ -23,6 +23,7 @@ from policies.routers.pathfinder.state import (
     make_parameters,
     with_larger_pool,
 )
+from policies.routers.pathfinder.trees import keep_best
 
 
 class Pass(NamedTuple):
@@ -40,7 +41,8 @@ class Routed:
 
     Attributes:
         solution: the solution with the least overflow after any pass, and among those the least
-            wirelength, vias weighted by ``via_weight``.
+            wirelength, vias weighted by ``via_weight``. More time gives no worse one with the same
+            seed.
         iterations: number of passes over the nets.
         seconds: time taken.
         history: every pass, in order.
@@ -105,7 +107,10 @@ class PathfinderRouter:
             elif code == POOL_TOO_SMALL:
                 routing = with_larger_pool(routing, 2 * int(progress["need"]))
             if limit is not None and passes and time.thread_time() - worked >= limit:
-                keep_best(routing)
+                # These passes never make a solution worse. What others have found in mid-pass could
+                # be lost with more time, and more time must not be worse than less.
+                if KINDS[progress["kind"]] in ("squeeze", "repair"):
+                    keep_best(routing)
                 break
         net = np.repeat(np.arange(len(problem.nets)), np.diff(routing.best_first))
         solution = Solution.of_uses(problem, net, routing.best[: len(net)].astype(np.int64))

@@ -22,31 +22,38 @@ UNIT = 256
 FULL = 4096 * UNIT
 """Cost of one track of overflow where overflow is to be avoided; higher than any price."""
 
+EXACT_ALWAYS = 3
+"""Pins of the largest nets that get a cheapest tree in negotiating passes, too."""
+
 EXACT_LABELS = 1 << 17
 """Largest search for a cheapest tree, in labels: points in the box times 2^(pins - 1)."""
 
 FIRST_BOX = 4096
 """Points in the largest box that the working memory has room for at first."""
 
+MOST_TOGETHER = 5
+"""Nets that are ripped up together to repair a solution."""
+
 _HISTORY_ROWS = 64  # passes after which the compiled code returns, at the latest
 
-Kind = Literal["relax", "negotiate", "squeeze"]
-KINDS: tuple[Kind, ...] = ("relax", "negotiate", "squeeze")
-RELAX, NEGOTIATE, SQUEEZE = range(len(KINDS))
+Kind = Literal["relax", "negotiate", "squeeze", "repair"]
+KINDS: tuple[Kind, ...] = ("relax", "negotiate", "squeeze", "repair")
+RELAX, NEGOTIATE, SQUEEZE, REPAIR = range(len(KINDS))
 
 DONE, PAUSED, BOX_TOO_SMALL, POOL_TOO_SMALL = range(4)
 """Why a call of compiled code returned."""
 
 PROGRESS = np.dtype(
     [
-        ("kind", np.int64),  # of the current pass: RELAX, NEGOTIATE or SQUEEZE
+        ("kind", np.int64),  # of the current pass: RELAX, NEGOTIATE, SQUEEZE or REPAIR
         ("next", np.int64),  # index in Routing.order of the next net
         ("routed", np.int64),  # nets rerouted in this pass
         ("passes", np.int64),  # completed passes
         ("stuck", np.int64),  # passes since the overflow last fell in this round
         ("fewest", np.int64),  # least overflow in this round
-        ("since", np.int64),  # rounds since the last better solution
-        ("better", np.int64),  # 1 if this round has found a better solution
+        ("since", np.int64),  # rounds (in the end repairing passes) since the last better solution
+        ("began", np.int64),  # completed passes when this round began
+        ("found", np.int64),  # completed passes when the best solution was found
         ("overflow", np.int64),  # of all edges, in tracks
         ("length", np.int64),  # of all trees, in units of cost
         ("last_overflow", np.int64),  # before this pass
@@ -88,9 +95,12 @@ class Parameters(NamedTuple):
     history: float
     decay: float
     stuck: int
+    least_fall: float
     least_gain: float
     again: int  # in parts of 2^20
     patience: int
+    repairs: int
+    persistence: int
     passes: int
 
 
@@ -101,13 +111,13 @@ class Routing(NamedTuple):
     order: NDArray[np.int64]  # (routable nets,) the order of the nets in this pass
     remaining: NDArray[np.int64]  # (E,) capacity minus demand; negative where edges overflow
     price: NDArray[np.float64]  # (E,) price from past overflow, in units of cost
-    margin: NDArray[np.int64]  # (N,) margin of each net's box
     ideal: NDArray[np.int64]  # (N,) length of the net's shortest tree so far; -1: none yet
     edge: NDArray[np.int32]  # (2, pool) edges of the trees, in the pool in use
     start: NDArray[np.int64]  # (N,) a net's edges are edge[pool, start : start + length]
     length: NDArray[np.int64]  # (N,)
     best: NDArray[np.int32]  # (pool,) edges of the best solution
     best_first: NDArray[np.int64]  # (N + 1,) a net's are best[best_first[n] : best_first[n + 1]]
+    together: NDArray[np.int64]  # (MOST_TOGETHER, 3) nets ripped up together, their old trees
     history: NDArray[np.int64]  # (_HISTORY_ROWS, 4) kind, overflow, length, routed of new passes
 
 
@@ -173,13 +183,13 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         order=routable[np.argsort(extent[routable], kind="stable")],
         remaining=problem.capacity.astype(np.int64),
         price=np.zeros(grid.edges),
-        margin=np.full(nets, options.margin, np.int64),
         ideal=ideal,
         edge=np.empty((2, pool), np.int32),
         start=np.zeros(nets, np.int64),
         length=np.zeros(nets, np.int64),
         best=np.empty(pool, np.int32),
         best_first=np.zeros(nets + 1, np.int64),
+        together=np.zeros((MOST_TOGETHER, 3), np.int64),
         history=np.empty((_HISTORY_ROWS, 4), np.int64),
     )
     return arrays, routing
