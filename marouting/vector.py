@@ -303,7 +303,9 @@ class BatchEnv(EzPickle):
 
     def _info(self) -> Info:
         b, games = self._buffers, self.engine.games
-        drawn = {} if self._draws is None else {"problem": self._draws.names}
+        drawn = {}
+        if self._draws is not None and self._draws.episodes.many:
+            drawn["problem"] = self._draws.names
         return {
             **drawn,
             "agents": b.agents,
