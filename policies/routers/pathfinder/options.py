@@ -17,8 +17,8 @@ class PathfinderOptions:
             a value just above 0 to compare with wirelengths that leave vias out, such as those
             published for ISPD'98.
         exact_pins: nets with at most this many pins get a cheapest tree, provided that their box
-            is small; in negotiating passes, which are many, only nets of at most 3 pins do. The
-            paper's problems have at most 5 pins per net. Each further pin triples the time.
+            is small, and in negotiating passes, which are many, smaller still. The paper's problems
+            have at most 5 pins per net. Each further pin triples the time.
         margin: Gcells by which a net's box extends beyond its pins and its previous tree on each
             side. Where the box contains no route, it is doubled for that search.
         present: factor by which one net too many raises the cost of an edge when a round begins

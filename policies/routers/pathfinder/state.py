@@ -22,11 +22,11 @@ UNIT = 256
 FULL = 4096 * UNIT
 """Cost of one track of overflow where overflow is to be avoided; higher than any price."""
 
-EXACT_ALWAYS = 3
-"""Pins of the largest nets that get a cheapest tree in negotiating passes, too."""
-
 EXACT_LABELS = 1 << 17
 """Largest search for a cheapest tree, in labels: points in the box times 2^(pins - 1)."""
+
+NEGOTIATED_LABELS = 1 << 12
+"""The same in negotiating passes, which are many: good trees reach further than few best ones."""
 
 FIRST_BOX = 4096
 """Points in the largest box that the working memory has room for at first."""

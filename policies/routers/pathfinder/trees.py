@@ -23,10 +23,10 @@ from policies.routers.pathfinder.kernels import (
 from policies.routers.pathfinder.state import (
     BOX_TOO_SMALL,
     DONE,
-    EXACT_ALWAYS,
     EXACT_LABELS,
     FULL,
     NEGOTIATE,
+    NEGOTIATED_LABELS,
     POOL_TOO_SMALL,
     REPAIR,
     UNIT,
@@ -172,10 +172,8 @@ def reroute(
             return code
         set_costs(problem, routing, lattice, buffers.low, parameters.via, net, limit)
         search.tally[1] += points
-        exact = wide(parameters.exact_pins)
-        if progress.kind == NEGOTIATE:
-            exact = min(exact, EXACT_ALWAYS)
-        if pins == 2 or (pins <= exact and points << (pins - 1) <= EXACT_LABELS):
+        labels = NEGOTIATED_LABELS if progress.kind == NEGOTIATE else EXACT_LABELS
+        if pins == 2 or (pins <= parameters.exact_pins and points << (pins - 1) <= labels):
             cost = join_all(problem, progress, lattice, search, buffers.low, net)
         else:
             cost = grow(problem, progress, lattice, search, buffers, net)
