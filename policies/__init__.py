@@ -7,3 +7,7 @@ when they are first used.
 import policies.learned.algorithms
 import policies.learned.networks
 import policies.routers  # noqa: F401
+from marouting.registry import register
+
+# Here, because routers that do not learn come first.
+register("router", "learned", "policies.learned.generalist:GeneralistRouter")

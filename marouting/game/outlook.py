@@ -63,7 +63,7 @@ from marouting.game.expected import (
 )
 from marouting.game.rules import is_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static
-from marouting.game.tasks import holds, is_later, is_on
+from marouting.game.tasks import holds, is_later, is_on, next_nearest
 from marouting.game.window import MOST_RADIUS, move_order, write_numbers
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
@@ -400,25 +400,14 @@ def _write_pins(
     opened = out.shape[1] - side * side
     for k in range(_PIN * _PINS):
         out[row, first + k] = 0
-    count, last, last_task = wide(0), wide(NOBODY), wide(NOBODY)
     begin, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
-    while count < _PINS:
-        # The nearest of those not written yet; ties go to the task listed first.
-        best, found = wide(_FARTHEST), wide(NOBODY)
-        pin = target
+    pin, task, far = target, wide(NOBODY), wide(-1)
+    for count in range(_PINS):
         if count > 0:
-            for task in range(begin, end):
-                if not is_later(static, dynamic, m, n, wide(task)):
-                    continue
-                at = place(static.tasks[task, 1])
-                px, py, pz = position(static, at)
-                far = abs(px - x) + abs(py - y) + abs(pz - z)
-                fresh = far > last or (far == last and task > last_task)
-                if fresh and far < best:
-                    best, found, pin = far, wide(task), at
-            if found == NOBODY:
+            task, far = next_nearest(static, dynamic, m, n, far, task)
+            if task == NOBODY:
                 break
-            last, last_task = best, found
+            pin = place(static.tasks[task, 1])
         px, py, pz = position(static, pin)
         at = first + _PIN * count
         out[row, at] = 1
@@ -431,10 +420,9 @@ def _write_pins(
             px, py, _ = position(static, place(ways.end[m, pin]))
         out[row, at + 5] = _away(sign_x * (px - x))
         out[row, at + 6] = _away(sign_y * (py - y))
-        count += 1
-    for task in range(begin, end):
-        if task == agent.task or is_later(static, dynamic, m, n, wide(task)):
-            pin = target if task == agent.task else place(static.tasks[task, 1])
+    for other in range(begin, end):
+        if other == agent.task or is_later(static, dynamic, m, n, wide(other)):
+            pin = target if other == agent.task else place(static.tasks[other, 1])
             px, py, _ = position(static, pin)
             i, j = sign_x * (px - x) + radius, sign_y * (py - y) + radius
             if 0 <= i < side and 0 <= j < side:

@@ -122,6 +122,38 @@ def is_later(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> boo
 
 
 @compiled
+def next_nearest(
+    static: Static, dynamic: Dynamic, m: int, n: int, far: int, after: int
+) -> tuple[int, int]:
+    """The later task whose pin is next after another one, by their distance from the agent.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        m: the problem.
+        n: the agent.
+        far: the distance of the other one; -1 for the nearest pin of all.
+        after: the task of the other one, for ties go to the task listed first.
+
+    Returns:
+        The task and the distance of its pin; NOBODY if there is none.
+    """
+    cell = place(dynamic.agents[m, n].cell)
+    found, least = wide(NOBODY), wide(1 << 62)
+    for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+        if not is_later(static, dynamic, m, n, wide(task)):
+            continue
+        distance = wide(0)
+        for axis in range(AXES):
+            distance += abs(
+                static.position[static.tasks[task, 1], axis] - static.position[cell, axis]
+            )
+        if (distance, task) > (far, after) and distance < least:
+            found, least = wide(task), distance
+    return found, least
+
+
+@compiled
 def next_task(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """The task that an agent begins after its present one; NOBODY if there is none."""
     first, end = wide(static.first[m, n]), wide(static.first[m, n + 1])

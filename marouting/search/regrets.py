@@ -29,7 +29,7 @@ from marouting.game.engine import Engine
 from marouting.game.expected import grid_of, position
 from marouting.game.rules import free_moves, is_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static
-from marouting.game.tasks import holds, is_later
+from marouting.game.tasks import holds, next_nearest
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.solution import Solution
@@ -151,24 +151,13 @@ def _edge_cost(
 
 @compiled
 def _find_pins(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int) -> None:
-    """Finds the nearest open pins beside the agent's own; ties go to the task listed first."""
-    x, y, z = position(static, place(dynamic.agents[m, n].cell))
-    count, last, last_task = wide(0), wide(NOBODY), wide(NOBODY)
-    while count < PINS:
-        least, found = wide(_FAR), wide(NOBODY)
-        for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
-            if not is_later(static, dynamic, m, n, wide(task)):
-                continue
-            px, py, pz = position(static, place(static.tasks[task, 1]))
-            far = abs(px - x) + abs(py - y) + abs(pz - z)
-            if (far > last or (far == last and task > last_task)) and far < least:
-                least, found = far, wide(task)
-        if found == NOBODY:
-            break
-        last, last_task = least, found
-        lessons.pins[m, count] = static.tasks[found, 1]
-        count += 1
-    lessons.many[m] = count
+    """Finds the nearest open pins beside the agent's own."""
+    lessons.many[m] = 0
+    task, far = next_nearest(static, dynamic, m, n, wide(-1), wide(NOBODY))
+    while task != NOBODY and lessons.many[m] < PINS:
+        lessons.pins[m, lessons.many[m]] = static.tasks[task, 1]
+        lessons.many[m] += 1
+        task, far = next_nearest(static, dynamic, m, n, far, task)
 
 
 @compiled
