@@ -106,7 +106,13 @@ def test_what_it_learns_routes_larger_problems(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"train": {"shared": False, "games": None, "validation": None}}, "train.shared"),
+        (
+            {
+                "train": {"shared": False, "games": None, "validation": None},
+                "env": {"problem": {"nets": 5, "count": 2, "seed": 0}},
+            },
+            "train.shared",
+        ),
         ({"env": {"agents": "multi"}}, "single"),
         ({"env": {"target": "pin"}}, "target"),
         ({"env": {"rip_up": "agents"}}, "rip_up"),
@@ -152,13 +158,7 @@ def test_the_search_without_learning(mind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "given",
-    [
-        {},
-        {"mind": "ways", "copies": 0},
-        {"mind": "ways", "keep": 9},
-        {"mind": "ways", "seconds": -1},
-    ],
+    "given", [{"copies": 0}, {"keep": 9}, {"seconds": -1}, {"warmth": -1}, {"neighbours": -1}]
 )
 def test_options_out_of_range(given: dict[str, Any]) -> None:
     with pytest.raises(InputError):

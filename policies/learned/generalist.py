@@ -1,10 +1,11 @@
 """The generalist: one network for all nets and problems, and a search by rip-up rounds.
 
-The router plays copies of the problem side by side, in the game that the network was trained in.
-The first copy makes the best moves in the default order of the nets, the others draw theirs, in
-orders of their own. Then the best copies go through rip-up rounds (:mod:`marouting.game.rounds`),
-with drawn moves: a net and some of those in its way walk again, and what is worse is undone. The
-result is the best copy when the time is over.
+The router plays the problem in the game that the network was trained in: all nets walk, by the
+best moves. Then it goes through rip-up rounds (:mod:`marouting.game.rounds`), with drawn moves: a
+net and some of those in its way walk again, and what is worse is undone. With ``copies`` the
+problem is played several times side by side, all but the first with drawn moves and the nets in an
+order of their own, and the best of them go through the rounds. The result is the best copy when the
+time is over.
 
 The moves are ordinary moves of the environment and the rounds ordinary rounds; all that is special
 is that they are compiled (:mod:`policies.learned.compiled.walk`).
@@ -12,6 +13,7 @@ is that they are compiled (:mod:`policies.learned.compiled.walk`).
 
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -28,6 +30,9 @@ from policies.learned.networks.mlp import MLP
 from policies.learned.policy import Routed, TrainedPolicy
 from policies.learned.streams import keys
 
+SHIPPED = Path(__file__).with_name("generalist.pt")
+"""The weights that are shipped."""
+
 _SURE = 8.0
 """How much a Gcell of detour lowers a move's score without a network; see ``mind``."""
 
@@ -43,7 +48,8 @@ class GeneralistOptions:
 
     Attributes:
         weights: a file of a trained policy with the observation ``outlook``, such as
-            ``configs/generalist.yaml`` trains; only a ``mind`` without a network needs none.
+            ``configs/generalist.yaml`` trains; None: the one that is shipped with the package, see
+            ``generalist.md`` beside it.
         seconds: limit of processor time, without loading and compiling. It may be exceeded until
             the copies have routed for the first time. None: no limit.
         rounds: the most rip-up rounds; 0 for a single shot.
@@ -64,8 +70,8 @@ class GeneralistOptions:
     weights: str | None = None
     seconds: float | None = 1.0
     rounds: int = MOST_ROUNDS
-    copies: int = 4
-    keep: int = 2
+    copies: int = 1
+    keep: int = 1
     warmth: float = 1.0
     neighbours: int = 4
     seed: int = 0
@@ -108,9 +114,7 @@ class GeneralistRouter:
             first = np.arange(MOVES)
             self._weights[(DETOURS + first) * MOVES + first] = -_SURE
         if options.mind == "network":
-            weights = options.weights
-            check("weights", weights is not None, "a policy that configs/generalist.yaml trains")
-            assert weights is not None
+            weights = str(SHIPPED) if options.weights is None else options.weights
             policy = TrainedPolicy.load(weights)
             self._observation, self._sizes, self._weights = _read(policy, weights)
             env = policy.env

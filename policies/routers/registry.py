@@ -24,6 +24,7 @@ _LABELS = {
     "pathfinder": "negotiated congestion",
     "optimal": "optimum",
     "random": "random walks",
+    "learned": "generalist",
 }
 
 
