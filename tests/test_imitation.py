@@ -1,5 +1,6 @@
 """Imitation and the generalist: a network learns from regrets, and routes what it never saw."""
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ from marouting import InputError, evaluate, generate
 from marouting.config import build
 from policies.learned.algorithms.imitation import imitation_loss
 from policies.learned.config import Config
-from policies.learned.generalist import GeneralistOptions, GeneralistRouter
+from policies.learned.generalist import SHIPPED, GeneralistOptions, GeneralistRouter
+from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run, problems_of
 from policies.learned.trainer import Trainer
 from policies.results.run_folder import POLICY
@@ -163,3 +165,28 @@ def test_the_search_without_learning(mind: str) -> None:
 def test_options_out_of_range(given: dict[str, Any]) -> None:
     with pytest.raises(InputError):
         GeneralistOptions(**given)
+
+
+# --- the weights that are shipped -----------------------------------------------------------------
+
+
+def test_the_shipped_weights_route_what_they_never_saw() -> None:
+    """On grids of other shapes: all nets joined, no overflow, within a per cent of negotiation."""
+    router = GeneralistRouter(GeneralistOptions(seconds=None, rounds=2))
+    total = np.zeros(2)
+    for grid, capacity in (((9, 7, 2), 6), ((20, 5, 2), 9), ((13, 13, 4), 5)):
+        for problem in generate(2, grid, nets=25, max_pins=5, capacity=capacity, seed=77):
+            mine, best = (
+                evaluate(problem, each.route(problem)) for each in (router, PathfinderRouter())
+            )
+            assert mine.connected
+            assert (mine.overflow, best.overflow) == (0, 0)
+            total += mine.wirelength, best.wirelength
+    assert total[0] < 1.01 * total[1]
+
+
+def test_the_card_of_the_shipped_weights_is_theirs() -> None:
+    assert SHIPPED.stat().st_size < 2_000_000
+    card = SHIPPED.with_suffix(".md").read_text(encoding="utf-8")
+    assert hashlib.sha256(SHIPPED.read_bytes()).hexdigest() in card
+    assert TrainedPolicy.load(SHIPPED).origin.split()[2] in card  # after so many episodes
