@@ -72,7 +72,7 @@ class GeneralistOptions:
     rounds: int = MOST_ROUNDS
     copies: int = 1
     keep: int = 1
-    warmth: float = 1.0
+    warmth: float = 0.8
     neighbours: int = 4
     seed: int = 0
     mind: Mind = "network"
