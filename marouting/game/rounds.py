@@ -134,6 +134,8 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
         pin = place(static.tasks[task, 1])
         x, y = wide(static.position[pin, 0]), wide(static.position[pin, 1])
         left, right, low, high = min(left, x), max(right, x), min(low, y), max(high, y)
+    # Such edges lie close to each other: all other bytes of the nets need not be looked at.
+    begin, stop = wide(len(blocking)), wide(0)
     for byte in range(len(blocking)):
         blocking[byte] = 0
         for bit in range(8):
@@ -143,9 +145,10 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
                 near = left - 1 <= x <= right + 1 and low - 1 <= y <= high + 1
                 if uses(dynamic.used, m, n, edge) or (is_open and near):
                     blocking[byte] |= 1 << bit
+                    begin, stop = min(begin, wide(byte)), wide(byte + 1)
     for other in range(dynamic.used.shape[1]):
         count = wide(0)
-        for byte in range(len(blocking)):
+        for byte in range(begin, stop):
             bits = wide(dynamic.used[m, other, byte] & blocking[byte])
             while bits != 0:
                 bits &= bits - 1
