@@ -135,7 +135,7 @@ def test_some_games_of_a_batch_begin_again() -> None:
 def test_sb3_steps_the_games_of_the_parallel_environment() -> None:
     """Two games side by side, each against one of its own: rewards, ends, observations, masks."""
     pytest.importorskip("stable_baselines3")
-    from marouting.integrations.sb3 import RoutingVecEnv
+    from policies.integrations.sb3 import RoutingVecEnv
 
     env = RoutingVecEnv([PROBLEM] * 2, max_steps=6, reward="normalised")
     plain = [
@@ -198,7 +198,7 @@ def test_sb3_steps_the_games_of_the_parallel_environment() -> None:
 
 def test_sb3_with_one_player_for_a_game() -> None:
     pytest.importorskip("stable_baselines3")
-    from marouting.integrations.sb3 import RoutingVecEnv
+    from policies.integrations.sb3 import RoutingVecEnv
 
     env = RoutingVecEnv([PROBLEM] * 2, max_steps=6, everyone=False)
     plain = [gymnasium.make(ENVIRONMENT_ID, problem=PROBLEM, max_steps=6) for _ in range(2)]
@@ -232,7 +232,7 @@ def test_sb3_learners_take_it(everyone: bool) -> None:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecMonitor
 
-    from marouting.integrations.sb3 import RoutingVecEnv
+    from policies.integrations.sb3 import RoutingVecEnv
 
     for learner in (PPO, MaskablePPO):
         env = RoutingVecEnv([PROBLEM] * 2, everyone=everyone, reward="normalised", max_steps=6)
@@ -251,7 +251,7 @@ def test_torchrl_steps_the_games_of_the_parallel_environment() -> None:
     import torch
     from torchrl.envs.utils import check_env_specs
 
-    from marouting.integrations.torchrl import RoutingEnv
+    from policies.integrations.torchrl import RoutingEnv
 
     options = {"max_steps": 6, "reward": "normalised"}
     env = RoutingEnv([PROBLEM] * 2, state=True, **options)
@@ -297,7 +297,7 @@ def test_torchrl_steps_the_games_of_the_parallel_environment() -> None:
 def test_benchmarl_takes_the_task() -> None:
     pytest.importorskip("benchmarl")
     from marouting.config import config_file
-    from marouting.integrations.benchmarl import RoutingTask
+    from policies.integrations.benchmarl import RoutingTask
 
     task = RoutingTask.TOY_4X4.get_from_yaml(str(config_file("configs/benchmarl/toy_4x4.yaml")))
     env = task.get_env_fun(3, continuous_actions=False, seed=0, device="cpu")()

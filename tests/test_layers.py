@@ -21,15 +21,6 @@ UPSTAIRS = {"policies", "torch"}
 OPTIONAL = {"klayout", "matplotlib"}
 """What a design that is read, or a window that opens, may import, and nothing before."""
 
-LIBRARIES: dict[str, set[str]] = {
-    "__init__": set(),
-    "sb3": {"stable_baselines3"},
-    "torchrl": {"tensordict", "torch", "torchrl"},
-    "benchmarl": {"benchmarl", "torchrl"},
-}
-"""What each file of ``marouting.integrations`` may import beside the dependencies. Only users of
-that library import the file, and nothing else of the package may."""
-
 ROOMS = {
     "marouting": (
         ("_version", "errors", "files", "memory", "kernels", "registry", "config"),
@@ -44,10 +35,10 @@ ROOMS = {
         ("render",),
         ("env",),
         ("vector", "gym_vector", "global_routing_v0", "make"),
-        ("integrations",),
         ("",),  # the package's own __init__.py
     ),
     "policies": (
+        ("integrations",),
         ("routers",),
         ("results",),
         ("figures",),
@@ -165,15 +156,11 @@ def room_of(module: str) -> int | None:
     return found and found[0]
 
 
-def libraries_of(file: Path) -> set[str]:
-    """The libraries that a file of ``marouting.integrations`` is for; none for all other files."""
-    return LIBRARIES[file.stem] if file.parent == ROOT / "integrations" else set()
-
-
 def test_nothing_imports_the_integrations() -> None:
-    for module, others in import_graph("marouting").items():
-        inside = module.startswith("marouting.integrations")
-        assert inside or not any(o.startswith("marouting.integrations") for o in others), module
+    """Each needs a library of its own."""
+    for module, others in import_graph("policies").items():
+        inside = module.startswith("policies.integrations")
+        assert inside or not any(o.startswith("policies.integrations") for o in others), module
 
 
 def test_there_is_something_to_look_at() -> None:
@@ -185,7 +172,7 @@ def test_there_is_something_to_look_at() -> None:
 @pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(ROOT)))
 def test_nothing_from_upstairs(file: Path) -> None:
     tree = ast.parse(file.read_text(encoding="utf-8"))
-    assert not (UPSTAIRS - libraries_of(file)) & set(imports(tree))
+    assert not UPSTAIRS & set(imports(tree))
     assert not OPTIONAL & set(at_import(tree))
 
 
@@ -253,7 +240,6 @@ def test_dependencies_are_the_declared_ones() -> None:
     allowed = declared | OPTIONAL | {"marouting"} | sys.stdlib_module_names
     for file in FILES:
         named = {"?"} if file == ROOT / "registry.py" else set()  # it imports what users name
-        named |= libraries_of(file)
         assert set(imports(ast.parse(file.read_text("utf-8")))) <= allowed | named
 
 

@@ -10,6 +10,7 @@ from marouting.memory import USED, check_memory
 from marouting.problem.chip import Chip, Places
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.net import FieldError
+from marouting.problem.parts import root_of
 from marouting.problem.problem import Problem
 from marouting.problem.segments import longest_runs
 
@@ -114,13 +115,7 @@ def _mark_joins(near: Any, far: Any, order: Any, part: Any, kept: Any) -> None:
         kept: (n,) receives True for edges that joined two parts.
     """
     for edge in order:
-        a, b = near[edge], far[edge]
-        while part[a] != a:
-            part[a] = part[part[a]]
-            a = part[a]
-        while part[b] != b:
-            part[b] = part[part[b]]
-            b = part[b]
+        a, b = root_of(part, near[edge]), root_of(part, far[edge])
         if a != b:
             part[max(a, b)] = min(a, b)
             kept[edge] = True

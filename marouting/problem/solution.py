@@ -20,6 +20,7 @@ from marouting.problem.boxes import Boxes, boxes_of, edges_in_boxes
 from marouting.problem.chip import Places
 from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS
 from marouting.problem.net import MAX_NUMBER, FieldError
+from marouting.problem.parts import root_of
 from marouting.problem.problem import Problem, check_problem
 from marouting.problem.segments import (
     covered_edges,
@@ -507,13 +508,7 @@ def _join(near: Any, far: Any, part: Any) -> None:
         part: (vertices,) each its own number; receives the lowest number in its part.
     """
     for edge in range(len(near)):
-        a, b = near[edge], far[edge]
-        while part[a] != a:
-            part[a] = part[part[a]]
-            a = part[a]
-        while part[b] != b:
-            part[b] = part[part[b]]
-            b = part[b]
+        a, b = root_of(part, near[edge]), root_of(part, far[edge])
         part[max(a, b)] = min(a, b)
     for vertex in range(len(part)):  # the number there is lower, and has been through this
         part[vertex] = part[part[vertex]]

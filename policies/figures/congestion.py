@@ -89,14 +89,14 @@ def _label(values: NDArray[np.float64]) -> dict[str, Any]:
     return {"label": f"{label} (arrow: demand without capacity)", "extend": "max"}
 
 
-def draw_congestion(axes: Axes, problem: Problem, solution: Solution, across: float) -> None:
-    """Draws the fullest edge of all layers by Gcell; ``across`` is about the width in inches."""
-    values, side = congestion(problem, solution)
-    _, wide, high = values.shape
-    scale = _colours(values)
+def _show(
+    axes: Axes, problem: Problem, values: NDArray[np.float64], side: int, scale: ScalarMappable
+) -> None:
+    """Draws (squares along x, along y) values in percent, of squares of ``side`` Gcells."""
+    wide, high = values.shape
     axes.imshow(
         # Demand without capacity is infinite, which matplotlib would take for missing.
-        np.minimum(np.fmax.reduce(values, axis=0), 1e9).T,
+        np.minimum(values, 1e9).T,
         origin="lower",
         extent=(-0.5, wide * side - 0.5, -0.5, high * side - 0.5),
         cmap=scale.cmap,
@@ -105,6 +105,13 @@ def draw_congestion(axes: Axes, problem: Problem, solution: Solution, across: fl
         interpolation="nearest",
     )
     axes.set(xlim=(-0.5, problem.grid[0] - 0.5), ylim=(-0.5, problem.grid[1] - 0.5))
+
+
+def draw_congestion(axes: Axes, problem: Problem, solution: Solution, across: float) -> None:
+    """Draws the fullest edge of all layers by Gcell; ``across`` is about the width in inches."""
+    values, side = congestion(problem, solution)
+    scale = _colours(values)
+    _show(axes, problem, np.fmax.reduce(values, axis=0), side, scale)
     place = axes.inset_axes((1 + 0.1 / across, 0, 0.18 / across, 1))
     axes.figure.colorbar(scale, cax=place, **_label(values))
 
@@ -122,7 +129,7 @@ def congestion_map(problem: Problem, solution: Solution, title: str) -> Figure:
     """
     judged = evaluate(problem, solution)
     values, side = congestion(problem, solution)
-    layers, wide, high = values.shape
+    layers = len(values)
     scale = _colours(values)
     across = min(4, -(-layers // 3))
     down = -(-layers // across)
@@ -144,16 +151,7 @@ def congestion_map(problem: Problem, solution: Solution, title: str) -> Figure:
         if number >= len(maps):
             axes.set_axis_off()
             continue
-        axes.imshow(
-            np.minimum(maps[number], 1e9).T,
-            origin="lower",
-            extent=(-0.5, wide * side - 0.5, -0.5, high * side - 0.5),
-            cmap=scale.cmap,
-            vmin=0,
-            vmax=scale.get_clim()[1],
-            interpolation="nearest",
-        )
-        axes.set(xlim=(-0.5, problem.grid[0] - 0.5), ylim=(-0.5, problem.grid[1] - 0.5))
+        _show(axes, problem, maps[number], side, scale)
         if number:
             axes.set_title(literal(names[number - 1]), fontsize=9)
             axes.tick_params(labelsize=7)

@@ -15,7 +15,7 @@ from benchmarl.models.mlp import MlpConfig
 from torch import nn
 
 from marouting import scenarios
-from marouting.integrations.benchmarl import RoutingTask
+from policies.integrations.benchmarl import RoutingTask
 
 torch.set_num_threads(1)
 algorithm = sys.argv[1] if sys.argv[1:] else "ippo"

@@ -12,7 +12,7 @@ from sb3_contrib import MaskablePPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 from marouting import scenarios
-from marouting.integrations.sb3 import RoutingVecEnv
+from policies.integrations.sb3 import RoutingVecEnv
 
 torch.set_num_threads(1)
 problem = scenarios.get("toy-4x4-v0").test[0]

@@ -10,7 +10,7 @@ from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
 from marouting import scenarios
-from marouting.integrations.torchrl import RoutingEnv
+from policies.integrations.torchrl import RoutingEnv
 
 torch.set_num_threads(1)
 torch.manual_seed(0)

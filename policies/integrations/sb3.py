@@ -4,7 +4,7 @@ It steps many games in arrays, twenty times as quick as SuperSuit's vectors of s
 environments::
 
     from sb3_contrib import MaskablePPO
-    from marouting.integrations.sb3 import RoutingVecEnv
+    from policies.integrations.sb3 import RoutingVecEnv
 
     env = RoutingVecEnv(marouting.generate(16, nets=10), reward="normalised")
     MaskablePPO("MlpPolicy", env).learn(100_000)

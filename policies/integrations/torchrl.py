@@ -2,7 +2,7 @@
 
 TorchRL's ``PettingZooWrapper`` plays one game at a time and cannot read infos whose keys change::
 
-    from marouting.integrations.torchrl import RoutingEnv
+    from policies.integrations.torchrl import RoutingEnv
 
     env = RoutingEnv(marouting.generate(16, nets=10), reward="normalised")
     env.rollout(100)["nets", "reward"]  # (16, 100, 10, 1)

@@ -3,7 +3,7 @@
 ::
 
     from benchmarl.algorithms import IppoConfig
-    from marouting.integrations.benchmarl import RoutingTask
+    from policies.integrations.benchmarl import RoutingTask
 
     task = RoutingTask.TOY_4X4.get_task({"scenario": "toy-4x4-v0", "reward": "normalised"})
     task = RoutingTask.TOY_4X4.get_from_yaml("configs/benchmarl/toy_4x4.yaml")
@@ -20,7 +20,7 @@ from benchmarl.environments.common import Task, TaskClass
 from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
-from marouting.integrations.torchrl import GROUP, RoutingEnv
+from policies.integrations.torchrl import GROUP, RoutingEnv
 
 
 class RoutingClass(TaskClass):
