@@ -45,6 +45,14 @@ def pin_gcells(problem: Problem, net: int) -> list[Gcell]:
     return list(dict.fromkeys(cells))
 
 
+def lot(number: int, n: int, other: int) -> int:
+    """The lot of two agents in a round, from 1 to 1024."""
+    mixed = (number * 0x9E3779B1 ^ n * 0x85EBCA6B ^ other * 0xC2B2AE35) % 2**32
+    for _ in range(2):
+        mixed = (mixed ^ mixed >> 16) * 0x45D9F3B % 2**32
+    return 1 + mixed // 2**22
+
+
 def distance(a: Gcell, b: Gcell) -> int:
     """Manhattan distance over x, y and layer."""
     return sum(abs(i - j) for i, j in zip(a, b, strict=True))
@@ -253,10 +261,11 @@ class Game:
         return self.is_open(n), sum(self.history.get(edge, 0) for edge in self.edges_of(n))
 
     def in_the_way(self, n: int) -> list[int]:
-        """Those that use most of the full edges that matter to an agent."""
+        """Those that use full edges that matter to an agent, by their number and a lot."""
         cells = [cell for task in self.agents[n].tasks for cell in task]
-        low = [min(c[i] for c in cells) - 1 for i in (0, 1)]
-        high = [max(c[i] for c in cells) + 1 for i in (0, 1)]
+        beyond = 1 if self.is_open(n) else 0
+        low = [min(c[i] for c in cells) - beyond for i in (0, 1)]
+        high = [max(c[i] for c in cells) + beyond for i in (0, 1)]
 
         def near(edge: Edge) -> bool:
             return all(low[i] <= edge[0][i] <= high[i] for i in (0, 1))
@@ -264,11 +273,11 @@ class Game:
         edges = {
             edge
             for edge, users in self.users.items()
-            if self.full(edge) and (n in users or (self.is_open(n) and near(edge)))
+            if self.full(edge) and (n in users or near(edge))
         }
         counts = {o: len(edges & self.edges_of(o)) for o in range(len(self.agents)) if o != n}
-        ranked = sorted((o for o in counts if counts[o]), key=lambda o: (-counts[o], o))
-        return ranked[: self.rip_up_neighbours]
+        weights = {o: count * lot(self.round, n, o) for o, count in counts.items() if count}
+        return sorted(weights, key=lambda o: (-weights[o], o))[: self.rip_up_neighbours]
 
     def release(self, n: int) -> None:
         """A net and those in its way walk again."""

@@ -13,9 +13,12 @@ order, is the option ``rip_up``:
   the six moves keeps the routes as they are.
 
 With ``rip_up_neighbours: K`` up to K nets that stand in a net's way give their edges back with it,
-and walk again after it (``sequential``) or along with it (``round_robin``). They are those that use
-most of the full edges: of those that the net uses too, or, if it has a task open, of those in the
-box around its pins, and one Gcell beyond.
+and walk again after it (``sequential``) or along with it (``round_robin``). A net stands in its way
+by the number of full edges that it uses: of those that the other uses too, and of those in the box
+around the other's pins (and one Gcell beyond, if the other has a task open). Of all such nets those
+with the largest product of this number and a lot are taken. Lots are numbers from 1 to 1024 that
+follow from the round and the two nets (:func:`lot`), so that a net walks again with others in
+every round.
 
 When all of them have walked, the problem is judged by its open tasks, its overflow and its
 wirelength, in this order. If it is worse than before they gave their edges back, they get them all
@@ -46,6 +49,7 @@ _SHIFT = 24
 _OPEN = 1 << _SHIFT  # the price of an open task: more than that of any edges
 _MOST_OPEN = 4096  # so that a price, shifted once more, fits into 64 bits
 _LAST = (1 << _SHIFT) - 1
+_LOT = 0xFFFFFFFF
 
 
 @inlined
@@ -115,6 +119,33 @@ def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
     return True
 
 
+@inlined
+def lot(number: int, n: int, other: int) -> int:
+    """A number from 1 to 1024 that follows from a round and two agents, as if it were drawn."""
+    mixed = (number * 0x9E3779B1 ^ n * 0x85EBCA6B ^ other * 0xC2B2AE35) & _LOT
+    for _ in range(2):
+        mixed = (mixed ^ mixed >> 16) * 0x45D9F3B & _LOT
+    return 1 + (mixed >> 22)
+
+
+@inlined
+def _box(static: Static, m: int, n: int, joined: int) -> tuple[int, int, int, int]:
+    """First and last column and row of the box around a net's pins, within the grid."""
+    first, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
+    start = place(static.tasks[first, 0])
+    left, low = wide(static.position[start, 0]), wide(static.position[start, 1])
+    right, high = left, low
+    for task in range(first, end):
+        pin = place(static.tasks[task, 1])
+        x, y = wide(static.position[pin, 0]), wide(static.position[pin, 1])
+        left, right, low, high = min(left, x), max(right, x), min(low, y), max(high, y)
+    beyond = wide(joined < end - first)
+    last = len(static.position) - 1
+    columns, rows = wide(static.position[last, 0]), wide(static.position[last, 1])
+    left, low = max(left - beyond, 0), max(low - beyond, 0)
+    return left, min(right + beyond, columns), low, min(high + beyond, rows)
+
+
 @compiled
 def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """Fills ``again`` with a net and those that stand in its way; returns how many they are."""
@@ -125,27 +156,26 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     again[0], size = n, wide(1)
     if len(again) == 1:
         return size
-    first, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
-    is_open = dynamic.agents[m, n].joined < end - first
-    start = place(static.tasks[first, 0])
-    left, low = wide(static.position[start, 0]), wide(static.position[start, 1])
-    right, high = left, low
-    for task in range(first, end):
-        pin = place(static.tasks[task, 1])
-        x, y = wide(static.position[pin, 0]), wide(static.position[pin, 1])
-        left, right, low, high = min(left, x), max(right, x), min(low, y), max(high, y)
     # Such edges lie close to each other: all other bytes of the nets need not be looked at.
     begin, stop = wide(len(blocking)), wide(0)
     for byte in range(len(blocking)):
         blocking[byte] = 0
+        bits = wide(dynamic.used[m, n, byte])
         for bit in range(8):
-            edge = 8 * byte + bit
-            if edge < static.capacity.shape[1] and is_full(static, dynamic, m, edge):
-                x, y = static.position[edge // AXES, 0], static.position[edge // AXES, 1]
-                near = left - 1 <= x <= right + 1 and low - 1 <= y <= high + 1
-                if uses(dynamic.used, m, n, edge) or (is_open and near):
-                    blocking[byte] |= 1 << bit
-                    begin, stop = min(begin, wide(byte)), wide(byte + 1)
+            if bits >> bit & 1 and is_full(static, dynamic, m, 8 * byte + bit):
+                blocking[byte] |= 1 << bit
+                begin, stop = min(begin, wide(byte)), wide(byte + 1)
+    left, right, low, high = _box(static, m, n, dynamic.agents[m, n].joined)
+    last = len(static.position) - 1
+    rows, layers = wide(static.position[last, 1]) + 1, wide(static.position[last, 2]) + 1
+    for x in range(left, right + 1):
+        for y in range(low, high + 1):
+            first = AXES * layers * (x * rows + y)
+            for edge in range(first, first + AXES * layers):
+                if is_full(static, dynamic, m, edge):
+                    byte = edge // 8
+                    blocking[byte] |= 1 << edge % 8
+                    begin, stop = min(begin, wide(byte)), max(stop, wide(byte + 1))
     for other in range(dynamic.used.shape[1]):
         count = wide(0)
         for byte in range(begin, stop):
@@ -155,7 +185,8 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
                 count += 1
         if other == n or count == 0:
             continue
-        # Insert it among the others, those with most edges first.
+        count *= lot(wide(dynamic.games[m].round), n, wide(other))
+        # Insert it among the others, the largest first.
         at = size
         while at > 1 and counts[at - 1] < count:
             at -= 1
