@@ -19,7 +19,9 @@ WORKS = [scaling.STEP, scaling.ASTAR, scaling.EVALUATE]
 
 
 @settings(deadline=None, max_examples=40)
-@given(st.integers(2, 12), st.integers(1, 30), st.none() | st.integers(2, 5), st.integers(0, 2**31 - 1))
+@given(
+    st.integers(2, 12), st.integers(1, 30), st.none() | st.integers(2, 5), st.integers(0, 2**31 - 1)
+)
 def test_problems_lie_in_their_windows(side: int, nets: int, window: int | None, seed: int) -> None:
     problem = scaling.problem(side, nets, 3, window, seed)
     assert problem == scaling.problem(side, nets, 3, window, seed)

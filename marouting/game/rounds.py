@@ -29,7 +29,7 @@ An edge is full if it has no remaining capacity. In rip-up rounds agents wait
 (:attr:`marouting.game.state.Status.WAITING`), and all are terminated or truncated with the last.
 """
 
-from marouting.game.edges import use_edges, uses
+from marouting.game.edges import use_edges
 from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
 from marouting.game.tasks import (
     begin_net,
