@@ -69,5 +69,6 @@ def expected(engine: Engine, m: int, agents: list[int]) -> dict[Edge, Fraction]:
                 if inside and edge[0][2] in lanes[axis]:
                     choices = int(high[1 - axis] - low[1 - axis] + 1) * len(lanes[axis])
                     demand = int(engine.static.demand[m, n, edge[0][2]])
-                    taken[edge] += Fraction(demand, choices)
+                    # Counted in parts of 2**-20, rounded down.
+                    taken[edge] += Fraction((demand << 20) // choices, 1 << 20)
     return taken

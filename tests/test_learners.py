@@ -26,7 +26,7 @@ from marouting.problem.grid import MOVES
 from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.algorithms.ppo import PPO, PPOOptions, losses
 from policies.learned.compiled.dqn import FusedDQN, obstacle
-from policies.learned.compiled.small_gemm import small_gemm
+from policies.learned.compiled.small_gemm import small_gemm, sparse_row
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Before, Learner, Setup
 from policies.learned.memory.prioritised import Prioritised, SumTree
@@ -291,6 +291,20 @@ def test_products_of_matrices(
     expected = np.maximum(a.astype(float) @ b.astype(float) + start, floor)
     np.testing.assert_allclose(out[:-1].reshape(rows, columns), expected, atol=1e-4)
     assert out[-1] == 7
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(1, 70), st.sampled_from([1, 6, 16, 64, 100, 160]), st.integers(0, 9999))
+def test_a_row_with_zeros_comes_out_the_same(depth: int, columns: int, seed: int) -> None:
+    """To the last bit, whatever is passed over."""
+    rng = np.random.default_rng(seed)
+    a = (rng.normal(size=depth) * (rng.random(depth) < rng.random())).astype(np.float32)
+    b = rng.normal(size=(depth + 1) * columns + 1).astype(np.float32)
+    start, floor = 1 + depth * columns, np.float32(rng.choice([0, -np.inf]))
+    dense, sparse = np.full((2, columns + 1), 7, np.float32)
+    small_gemm(a, 0, depth, 1, b, 1, b, start, dense, 1, depth, columns, floor)
+    sparse_row(a, b, 1, start, sparse, columns, floor, np.zeros(depth, np.int64))
+    np.testing.assert_array_equal(sparse, dense)
 
 
 # --- memory ---------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from seeing import Gcell, expected, gcell, open_tasks, squash
 import marouting
 from marouting import Engine, InputError, Problem
 from marouting.game.outlook import OutlookObservation
+from marouting.game.rules import GIVE_WAY
 from marouting.game.state import NOBODY, Status
 from marouting.game.window import mirrored
 from policies.learned.compiled.walk import make_walk, walk, walk_on
@@ -37,9 +38,10 @@ def edge_costs(
         if remaining < demand:
             costs[edge] = 33.0 if engine.static.overflow_allowed else None
         elif taken is not None:
-            left = (remaining - float(taken[edge])) / max(demand, 1) - 1
-            # In quarters, rounded down.
-            costs[edge] = 1 + min(int(max(-4 * left + 1e-6, 0)), 16) / 4
+            # In float32 like the router's, so that both round the same quarters down.
+            slack = (np.float32(remaining) - np.float32(taken[edge])) / np.float32(max(demand, 1))
+            scarce = max(-4 * (slack - np.float32(1)), 0)
+            costs[edge] = 1 + min(int(scarce), 16) / 4
     return costs
 
 
@@ -242,21 +244,39 @@ GAME: dict[str, Any] = {
 }
 
 
-def test_the_loop_walks_as_the_network_does() -> None:
+@pytest.mark.parametrize("rip_up", ["all", "agents"])
+def test_the_loop_walks_as_the_network_does(rip_up: str) -> None:
     """The same moves as by the observation, a product of matrices and the engine's steps."""
+    more = {"rip_up": rip_up, "rip_up_rounds": 2, "rip_up_neighbours": 1}
     problems = marouting.generate(2, nets=15, max_pins=4, capacity=3, seed=3)
     seen = OutlookObservation(radius=1)
     sizes = (seen.size, 16, 6)
     rng = np.random.default_rng(0)
     weights = rng.normal(size=17 * 6 + (seen.size + 1) * 16).astype(np.float32) * 0.3
     first, second = np.split(weights, [(seen.size + 1) * 16])
-    engine = Engine(problems, rip_up_rounds=1, rip_up_neighbours=1, **GAME)
-    loop = Engine(problems, rip_up_rounds=1, rip_up_neighbours=1, **GAME)
+    engine, loop = Engine(problems, **GAME, **more), Engine(problems, **GAME, **more)
     cold = np.zeros(2, np.float32)
     given = make_walk(loop, seen, sizes, weights, cold, np.zeros(2, np.uint64))
     while not walk(loop, given, 7, False):
         pass
     rows, steps = np.zeros((2, seen.size), np.float32), 0
+    shortest: dict[tuple[int, int], int] = {}
+    answers: set[bool] = set()
+
+    def length(m: int, n: int) -> int:
+        return int(np.unpackbits(engine.dynamic.used[m, n]).sum())
+
+    def gives_way(m: int, n: int) -> bool:
+        game, edges = engine.games[m], engine.dynamic.used[m, n]
+        over = np.packbits(engine.dynamic.remaining[m] < 0, bitorder="little")
+        if engine.agents[m, n]["joined"] < engine.tasks[m, n]:
+            return True
+        if (game["turn"] + game["round"]) % 8 == 0:
+            return True
+        if game["overflow"] > 0:
+            return bool((edges & over[: len(edges)]).any())
+        return length(m, n) > shortest[m, n]
+
     while (engine.games["agent"] != NOBODY).any():
         who = np.arange(2, dtype=np.int32), engine.games["agent"].copy()
         seen.write(engine, *who, rows)
@@ -266,6 +286,10 @@ def test_the_loop_walks_as_the_network_does() -> None:
         for m, n in zip(*who, strict=True):
             if n == NOBODY:
                 continue
+            if engine.games[m]["asked"]:
+                answers.add(gives_way(m, n))
+                moves[m] = GIVE_WAY if gives_way(m, n) else 0
+                continue
             late = 4 * engine.agents[m, n]["steps"] >= engine.max_steps
             by = -rows[m, seen.layout["detour"]][:6] if late else scores[m]
             grid = mirrored(np.arange(6), np.tile(rows[m], (6, 1)))
@@ -273,10 +297,14 @@ def test_the_loop_walks_as_the_network_does() -> None:
             moves[m] = grid[max(free, key=lambda w, by=by: by[w])]
         engine.step(moves)
         steps += 1
+        for m, n in zip(*who, strict=True):
+            agent = engine.agents[m, n]
+            if agent["status"] != Status.ACTIVE and agent["joined"] == engine.tasks[m, n]:
+                shortest[m, n] = min(shortest.get((m, n), length(m, n)), length(m, n))
     assert steps > 50
+    assert answers == ({True, False} if rip_up == "agents" else set())
     for m in range(2):
         assert engine.metrics(m) == loop.metrics(m)
-        assert engine.metrics(m).joined == engine.metrics(m).tasks
     np.testing.assert_array_equal(engine.dynamic.used, loop.dynamic.used)
 
 

@@ -27,6 +27,8 @@ _BITS = 20
 """Expected demand is counted in parts of 2**-20. Sums of integers are the same in any order, so it
 makes no difference how a state has come about."""
 
+_NO_COLUMN = 2**31 - 1
+
 
 class Maps(NamedTuple):
     """What is known about M problems beyond their state, brought up to date before it is read."""
@@ -39,7 +41,7 @@ class Maps(NamedTuple):
     expected: NDArray[np.int64]  # (M, G, 2) expected demand on a Gcell's edges towards +x and +y
     heads: NDArray[np.int32]  # (M, G) active agents
     later: NDArray[np.uint8]  # (M, T) tasks in the maps that agents have still to begin
-    changed: NDArray[np.int32]  # (M, 2) first and last column in which ``corner`` has changed
+    changed: NDArray[np.int32]  # (M, 2) first and last column where ``corner`` has changed since
 
 
 _maps: WeakKeyDictionary[Engine, tuple[Maps, NDArray[np.int64]]] = WeakKeyDictionary()
@@ -64,7 +66,7 @@ def maps_of(engine: Engine) -> Maps:
             expected=np.zeros((m, grid.gcells, 2), np.int64),
             heads=np.zeros((m, grid.gcells), np.int32),
             later=np.zeros((m, engine.most_tasks), np.uint8),
-            changed=np.zeros((m, 2), np.int32),
+            changed=np.tile(np.array([_NO_COLUMN, NOBODY], np.int32), (m, 1)),
         )
         found = _maps[engine] = maps, np.full(m, NOBODY, np.int64)
     maps, of = found
@@ -163,43 +165,47 @@ def count_agent(static: Static, maps: Maps, m: int, n: int, later: bool, sign: i
 
 
 @compiled
-def refresh(static: Static, dynamic: Dynamic, maps: Maps, m: int, without: int) -> None:
-    """Brings the maps of a problem up to date: agents that have moved are counted again.
+def recount(static: Static, dynamic: Dynamic, maps: Maps, m: int, n: int, counts: bool) -> None:
+    """Counts an agent again if it has moved; afterwards :func:`sum_up` has to be called.
 
     Args:
         static: the static state of the games.
         dynamic: their dynamic state.
         maps: see :class:`Maps`.
         m: the problem.
-        without: an agent that is not counted, or NOBODY.
+        n: the agent.
+        counts: whether it is counted, if it is active.
     """
-    columns, rows, layers = grid_of(static)
-    maps.changed[m, 0], maps.changed[m, 1] = columns, NOBODY
-    for n in range(dynamic.agents.shape[1]):
-        agent = dynamic.agents[m, n]
-        active = agent.status == Status.ACTIVE and n != without
-        cell = wide(agent.cell) if active else wide(NOBODY)
-        target, task = wide(agent.target), wide(agent.task)
-        before = wide(maps.counted[m, n, 0])
-        same = task == maps.counted[m, n, 2]
-        if static.extended is not None and active:
-            for t in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
-                noted = maps.later[m, t - static.first[m, 0]] != 0
-                same &= noted == is_later(static, dynamic, m, n, wide(t))
-        if cell == before and (cell == NOBODY or (same and target == maps.counted[m, n, 1])):
-            continue
-        later = not (same and active and before != NOBODY)
-        # Two turns instead of two calls, which would compile the counting twice.
-        for sign in range(-1, 2, 2):
-            if sign == 1:
-                maps.counted[m, n, 0] = cell
-                maps.counted[m, n, 1] = target
-                maps.counted[m, n, 2] = task
-                for t in range(later * static.first[m, n], later * static.first[m, n + 1]):
-                    noted = active and is_later(static, dynamic, m, n, wide(t))
-                    maps.later[m, t - static.first[m, 0]] = noted
-            if maps.counted[m, n, 0] != NOBODY:
-                count_agent(static, maps, m, n, later, sign)
+    agent = dynamic.agents[m, n]
+    active = agent.status == Status.ACTIVE and counts
+    cell = wide(agent.cell) if active else wide(NOBODY)
+    target, task = wide(agent.target), wide(agent.task)
+    before = wide(maps.counted[m, n, 0])
+    same = task == maps.counted[m, n, 2]
+    if static.extended is not None and active:
+        for t in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+            noted = maps.later[m, t - static.first[m, 0]] != 0
+            same &= noted == is_later(static, dynamic, m, n, wide(t))
+    if cell == before and (cell == NOBODY or (same and target == maps.counted[m, n, 1])):
+        return
+    later = not (same and active and before != NOBODY)
+    # Two turns instead of two calls, which would compile the counting twice.
+    for sign in range(-1, 2, 2):
+        if sign == 1:
+            maps.counted[m, n, 0] = cell
+            maps.counted[m, n, 1] = target
+            maps.counted[m, n, 2] = task
+            for t in range(later * static.first[m, n], later * static.first[m, n + 1]):
+                noted = active and is_later(static, dynamic, m, n, wide(t))
+                maps.later[m, t - static.first[m, 0]] = noted
+        if maps.counted[m, n, 0] != NOBODY:
+            count_agent(static, maps, m, n, later, sign)
+
+
+@compiled
+def sum_up(static: Static, maps: Maps, m: int) -> None:
+    """Brings a problem's ``expected`` up to date with its ``corner``."""
+    _, rows, layers = grid_of(static)
     # To the left of a box that has changed nothing changes, and to the right of it neither.
     column = rows * layers
     for x in range(wide(maps.changed[m, 0]), wide(maps.changed[m, 1]) + 1):
@@ -215,6 +221,25 @@ def refresh(static: Static, dynamic: Dynamic, maps: Maps, m: int, without: int) 
                     if x > 0 and y > 0:
                         total -= maps.expected[m, place(cell - column - layers), axis]
                     maps.expected[m, cell, axis] = total
+    maps.changed[m, 0], maps.changed[m, 1] = _NO_COLUMN, NOBODY
+
+
+@compiled
+def refresh(static: Static, dynamic: Dynamic, maps: Maps, m: int, without: int) -> None:
+    """Brings the maps of a problem up to date: agents that have moved are counted again.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        maps: see :class:`Maps`.
+        m: the problem.
+        without: an agent that is not counted, or NOBODY.
+    """
+    for n in range(dynamic.agents.shape[1]):
+        # Most are done, and stand in no map: they are passed over without a call.
+        if dynamic.agents[m, n].status == Status.ACTIVE or maps.counted[m, n, 0] != NOBODY:
+            recount(static, dynamic, maps, m, wide(n), n != without)
+    sum_up(static, maps, m)
 
 
 @inlined

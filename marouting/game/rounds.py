@@ -231,9 +231,11 @@ def all_have_walked(static: Static, dynamic: Dynamic, m: int) -> bool:
         member = wide(dynamic.numbers[m, static.options[Option.AGAIN] + k])
         agent = dynamic.agents[m, member]
         # An agent that has ended a task either stands where it arrived, or at its next start.
-        goes_on = agent.ending == Ending.NONE or agent.steps == 0
-        goes_on |= next_task(static, dynamic, m, member) != NOBODY
-        if agent.status == Status.ACTIVE and goes_on:
+        if agent.status != Status.ACTIVE:
+            continue
+        if agent.ending == Ending.NONE or agent.steps == 0:
+            return False
+        if next_task(static, dynamic, m, member) != NOBODY:
             return False
     return True
 

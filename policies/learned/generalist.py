@@ -1,8 +1,9 @@
 """The generalist: one network for all nets and problems, and a search by rip-up rounds.
 
 The router plays the problem in the game that the network was trained in: all nets walk, by the
-best moves. Then it goes through rip-up rounds (:mod:`marouting.game.rounds`), with drawn moves: a
-net and some of those in its way walk again, and what is worse is undone. With ``copies`` the
+best moves. Then it goes through rip-up rounds (:mod:`marouting.game.rounds`), with drawn moves: net
+after net is asked whether it gives way, it and some of those in its way walk again, and what is
+worse is undone. With ``copies`` the
 problem is played several times side by side, all but the first with drawn moves and the nets in an
 order of their own, and the best of them go through the rounds. The result is the best copy when the
 time is over.
@@ -36,8 +37,8 @@ SHIPPED = Path(__file__).with_name("generalist.pt")
 _SURE = 8.0
 """How much a Gcell of detour lowers a move's score without a network; see ``mind``."""
 
-_STEPS = 16
-"""Moves of every copy between two looks at the clock: less than a millisecond."""
+_STEPS = 64
+"""Moves of every copy between two looks at the clock: half a millisecond on small grids."""
 
 Mind = Literal["network", "ways", "chance"]
 
@@ -72,8 +73,8 @@ class GeneralistOptions:
     rounds: int = MOST_ROUNDS
     copies: int = 1
     keep: int = 1
-    warmth: float = 0.8
-    neighbours: int = 4
+    warmth: float = 1.0
+    neighbours: int = 3
     seed: int = 0
     mind: Mind = "network"
 
@@ -118,7 +119,7 @@ class GeneralistRouter:
             policy = TrainedPolicy.load(weights)
             self._observation, self._sizes, self._weights = _read(policy, weights)
             env = policy.env
-        rules = replace(env, turn_order="sequential", rip_up="all")
+        rules = replace(env, turn_order="sequential", rip_up="agents")
         neighbours = options.neighbours if options.rounds else 0
         self._rules = replace(rules, rip_up_rounds=options.rounds, rip_up_neighbours=neighbours)
 

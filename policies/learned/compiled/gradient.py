@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.kernels import allocating, compiled
-from policies.learned.compiled.small_gemm import small_gemm
+from policies.learned.compiled.small_gemm import small_gemm, sparse_row
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
 from policies.learned.streams import uniform
 
@@ -113,6 +113,26 @@ def forward(sizes: Any, weights: Any, x: Any, batch: int, activations: Any) -> i
         small_gemm(x, 0, inputs, 1, weights, at, weights, bias, y, batch, inputs, outputs, floor)
         if i < last:
             place += batch * outputs
+        at += (inputs + 1) * outputs
+        x = y
+    return place
+
+
+@compiled
+def forward_one(sizes: Any, weights: Any, x: Any, activations: Any, places: Any) -> int:
+    """:func:`forward` for a single row (F,), of which and of whose activations many are zero.
+
+    ``places`` is int64, working, as long as the widest layer.
+    """
+    at, place = 0, 0
+    last = len(sizes) - 2
+    for i in range(last + 1):
+        inputs, outputs = sizes[i], sizes[i + 1]
+        y = activations[place : place + outputs]
+        floor = np.float32(0) if i < last else NO_FLOOR
+        sparse_row(x, weights, at, at + inputs * outputs, y, outputs, floor, places)
+        if i < last:
+            place += outputs
         at += (inputs + 1) * outputs
         x = y
     return place

@@ -26,15 +26,19 @@ _WIDE, _NARROW = (4, 16), (8, 4)
 """Rows and columns of tiles: eight sums of a register or less in flight, as many as it takes for
 none to wait for another, and half of the registers that AVX has."""
 
+_LONG = 64
+"""Columns of the tile of a single row: on it, reading B sets the pace."""
+
 _FLOAT, _INDEX, _LANE = ir.FloatType(), ir.IntType(64), ir.IntType(32)
 
 
-def _tile(rows: int, columns: int) -> Callable[..., None]:
+def _tile(rows: int, columns: int, listed: bool = False) -> Callable[..., None]:
     """The product of a tile: C[r, :] = max(floor, start + sum over k of A[r, k] · B[k, :]).
 
     The function takes, of each matrix, an array of one dimension, the place of its first number,
     and how far rows lie apart (those of C as those of B); for A also how far its columns do, so
-    that it may be transposed.
+    that it may be transposed. If ``listed`` it takes, instead of how far A's columns lie apart, an
+    array of those k that it sums over, of which ``depth`` are.
     """
     vector = ir.VectorType(_FLOAT, columns)
     anything = ir.Constant(vector, ir.Undefined)
@@ -66,6 +70,7 @@ def _tile(rows: int, columns: int) -> Callable[..., None]:
 
             _, a_at, a_row, a_column, _, b_at, b_row, _, start_at, _, c_at, depth, floor = given
             a, b, start, c = data(0), data(4), data(7), data(9)
+            listing = data(3) if listed else None
 
             def everywhere(number: Any) -> Any:
                 number = builder.insert_element(anything, number, ir.Constant(_LANE, 0))
@@ -76,9 +81,14 @@ def _tile(rows: int, columns: int) -> Callable[..., None]:
             for total in sums:
                 builder.store(builder.load(vector_at(start, start_at), align=4), total)
             with cgutils.for_range(builder, depth) as loop:
-                at = builder.add(b_at, builder.mul(loop.index, b_row))
+                k, column = loop.index, a_at
+                if listing is None:
+                    column = builder.add(a_at, builder.mul(k, a_column))
+                else:
+                    k = builder.load(builder.gep(listing, [k]))
+                    column = builder.add(a_at, k)
+                at = builder.add(b_at, builder.mul(k, b_row))
                 right = builder.load(vector_at(b, at), align=4)
-                column = builder.add(a_at, builder.mul(loop.index, a_column))
                 for r, total in enumerate(sums):
                     at = builder.add(column, builder.mul(a_row, ir.Constant(_INDEX, r)))
                     left = everywhere(builder.load(builder.gep(a, [at])))
@@ -100,7 +110,7 @@ def _tile(rows: int, columns: int) -> Callable[..., None]:
                 a,
                 index,
                 index,
-                index,
+                a_column if listed else index,
                 b,
                 index,
                 index,
@@ -119,6 +129,8 @@ def _tile(rows: int, columns: int) -> Callable[..., None]:
 
 _many_wide, _many_narrow = _tile(*_WIDE), _tile(*_NARROW)
 _one_wide, _one_narrow, _one = _tile(1, _WIDE[1]), _tile(1, _NARROW[1]), _tile(1, 1)
+_listed_long, _listed_wide = _tile(1, _LONG, listed=True), _tile(1, _WIDE[1], listed=True)
+_listed_one = _tile(1, 1, listed=True)
 
 
 @compiled
@@ -180,3 +192,39 @@ def small_gemm(
                 _one_narrow(a, x, a_row, a_column, b, w, n, start, s, c, y, k, floor)
             else:
                 _one(a, x, a_row, a_column, b, w, n, start, s, c, y, k, floor)
+
+
+@compiled
+def sparse_row(
+    a: Any, b: Any, b_at: int, start_at: int, c: Any, columns: int, floor: Any, places: Any
+) -> None:
+    """C = max(floor, A B + start) for a single row A with many zeros, which are passed over.
+
+    The numbers are those of :func:`small_gemm`: a zero changes no sum.
+
+    Args:
+        a: (depth,) A.
+        b: holds B, and start.
+        b_at: the place of B's first number.
+        start_at: the place of the numbers that C starts from.
+        c: filled with C, (columns,).
+        columns: see there.
+        floor: as in :func:`small_gemm`.
+        places: (depth,) int64 or more, working.
+    """
+    depth = 0
+    for k in range(len(a)):
+        places[depth] = k
+        depth += a[k] != 0
+    width = 1
+    if columns >= _WIDE[1]:
+        width = _LONG if columns >= _LONG else _WIDE[1]
+    for j in range(0, columns, width):
+        j = min(j, columns - width)
+        w, s, n = b_at + j, start_at + j, columns
+        if width == _LONG:
+            _listed_long(a, 0, 0, places, b, w, n, b, s, c, j, depth, floor)
+        elif width == _WIDE[1]:
+            _listed_wide(a, 0, 0, places, b, w, n, b, s, c, j, depth, floor)
+        else:
+            _listed_one(a, 0, 0, places, b, w, n, b, s, c, j, depth, floor)

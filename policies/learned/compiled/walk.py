@@ -5,6 +5,11 @@ demand of the others and the cheapest ways stay as they are, so they are found o
 what makes it many times as fast as the same policy through the player.
 
 An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way.
+
+An agent that is asked whether its net gives way (``rip_up: agents``) says so with a reason: a task
+of its own is open; or it uses an edge with overflow; or, if there is none in the problem, its net
+was shorter after an earlier walk, even one that was undone. Without a reason it says so in one
+round out of eight, in every round other agents.
 """
 
 from typing import Any, NamedTuple
@@ -13,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.game.engine import Engine
-from marouting.game.expected import Maps, maps_of, refresh
+from marouting.game.expected import Maps, maps_of, recount, refresh, sum_up
 from marouting.game.outlook import (
     DETOURS,
     OutlookObservation,
@@ -22,12 +27,15 @@ from marouting.game.outlook import (
     ways_of,
     write_outlook,
 )
-from marouting.game.rules import free_moves, move_player, pass_turn, settle_agent
-from marouting.game.state import NOBODY, Dynamic, Static
+from marouting.game.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
+from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
 from marouting.kernels import allocating, compiled, inlined, place, wide
 from marouting.problem.grid import MOVES, VIA_AXIS
-from policies.learned.compiled.gradient import forward
+from policies.learned.compiled.gradient import forward, forward_one
 from policies.learned.streams import uniform
+
+_ANYWAY = 8
+"""In one round out of these a net gives way without reason."""
 
 
 class Walk(NamedTuple):
@@ -44,8 +52,11 @@ class Walk(NamedTuple):
     counters: NDArray[np.int64]  # (M,)
     rows: NDArray[np.float32]  # (M, F) working
     scores: NDArray[np.float32]  # (M · units) working
+    places: NDArray[np.int64]  # (the most units of a layer) working
     game: NDArray[np.int64]  # (M,) working: the game of each row
     playing: NDArray[np.bool_]  # (M,) which games are played
+    shortest: NDArray[np.int64]  # (M, N) the fewest edges that have joined a whole net so far
+    counted: NDArray[np.bool_]  # (M,) whether the agents stand in the maps of predicted demand
 
 
 def make_walk(
@@ -68,8 +79,11 @@ def make_walk(
         counters=np.zeros(count, np.int64),
         rows=np.zeros((count, observation.size), np.float32),
         scores=np.zeros(count * sum(sizes[1:]), np.float32),
+        places=np.zeros(max(sizes), np.int64),
         game=np.zeros(count, np.int64),
         playing=np.ones(count, np.bool_),
+        shortest=np.full(engine.nets.shape, np.iinfo(np.int64).max),
+        counted=np.zeros(count, np.bool_),
     )
 
 
@@ -96,6 +110,7 @@ def walk_on(engine: Engine, given: Walk) -> None:
 
 @compiled
 def _walk_on(static: Static, dynamic: Dynamic, given: Walk) -> None:
+    given.counted[:] = False
     for m in range(len(given.playing)):
         if given.playing[m] and dynamic.games[m].active == 0:
             pass_turn(static, dynamic, wide(m))
@@ -146,17 +161,28 @@ def _walk(
     stops: bool,
 ) -> bool:
     for _ in range(steps):
-        count = wide(0)
+        count, answered = wide(0), False
         for m in range(len(given.game)):
             n = wide(dynamic.games[m].agent)
             if not given.playing[m] or n == NOBODY or dynamic.games[m].active == 0:
+                continue
+            if dynamic.games[m].asked:
+                move = GIVE_WAY if _gives_way(static, dynamic, given, wide(m), n) else 0
+                _step(static, dynamic, maps, given, wide(m), place(n), move, stops)
+                answered = True
                 continue
             _look(static, dynamic, maps, ways, given, wide(m), place(n), count)
             given.game[count] = m
             count += 1
         if count == 0:
+            if answered:
+                continue
             return True
-        at = forward(given.sizes, given.weights, given.rows.reshape(-1), count, given.scores)
+        if count == 1:
+            row = given.rows[0]
+            at = forward_one(given.sizes, given.weights, row, given.scores, given.places)
+        else:
+            at = forward(given.sizes, given.weights, given.rows.reshape(-1), count, given.scores)
         for row in range(count):
             m = place(given.game[row])
             n = place(dynamic.games[m].agent)
@@ -164,7 +190,7 @@ def _walk(
             late = 4 * wide(dynamic.agents[m, n].steps) >= static.max_steps
             move = _choose(given, m, wide(row), free, at + row * given.sizes[-1], late)
             given.counters[m] += 1
-            _step(static, dynamic, m, n, move, stops)
+            _step(static, dynamic, maps, given, m, n, move, stops)
     return False
 
 
@@ -181,15 +207,81 @@ def _look(
 ) -> None:
     """Writes what an agent sees; finds ways if its task begins."""
     if dynamic.agents[m, n].steps == 0:
-        refresh(static, dynamic, maps, m, n)
+        if given.counted[m]:
+            # Nobody else has moved since they were counted.
+            recount(static, dynamic, maps, m, n, False)
+            sum_up(static, maps, m)
+        else:
+            refresh(static, dynamic, maps, m, n)
+            given.counted[m] = True
         find_ways(static, dynamic, maps, ways, m, n, given.margin)
     write_outlook(static, dynamic, maps, ways, m, n, given.radius, given.rows, row)
 
 
 @compiled
-def _step(static: Static, dynamic: Dynamic, m: int, n: int, move: int, stops: bool) -> None:
+def _step(
+    static: Static,
+    dynamic: Dynamic,
+    maps: Maps,
+    given: Walk,
+    m: int,
+    n: int,
+    move: int,
+    stops: bool,
+) -> None:
     """The move of an agent, and what follows from it."""
+    asked = dynamic.games[m].asked
     move_player(static, dynamic, m, move)
     settle_agent(static, dynamic, m, n)
+    if dynamic.agents[m, n].status != Status.ACTIVE and _is_whole(static, dynamic, m, n):
+        given.shortest[m, n] = min(given.shortest[m, n], _length(dynamic, m, n))
     if not stops or dynamic.games[m].active > 0:
         pass_turn(static, dynamic, m)
+    if asked or dynamic.games[m].ripped:
+        # Who has given its edges back is expected to take some again.
+        for k in range(dynamic.games[m].again):
+            member = wide(dynamic.numbers[m, static.options[Option.AGAIN] + k])
+            recount(static, dynamic, maps, m, member, True)
+
+
+@inlined
+def _is_whole(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
+    """Whether all tasks of an agent are joined."""
+    return dynamic.agents[m, n].joined == static.first[m, n + 1] - static.first[m, n]
+
+
+@compiled
+def _length(dynamic: Dynamic, m: int, n: int) -> int:
+    """Edges that a net uses."""
+    edges = wide(0)
+    for byte in range(dynamic.used.shape[2]):
+        bits = wide(dynamic.used[m, n, byte])
+        while bits != 0:
+            bits &= bits - 1
+            edges += 1
+    return edges
+
+
+@compiled
+def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
+    """Whether a net uses an edge with overflow."""
+    for byte in range(dynamic.used.shape[2]):
+        bits = wide(dynamic.used[m, n, byte])
+        for bit in range(8):
+            if bits >> bit & 1 and dynamic.remaining[m, 8 * byte + bit] < 0:
+                return True
+    return False
+
+
+@compiled
+def _gives_way(static: Static, dynamic: Dynamic, given: Walk, m: int, n: int) -> bool:
+    """The answer of an agent that is asked; see the module's docstring."""
+    game = dynamic.games[m]
+    period = 1
+    while period < min(_ANYWAY, static.order.shape[1]) and static.order[m, period] != NOBODY:
+        period += 1
+    if not _is_whole(static, dynamic, m, n) or (wide(game.turn) + wide(game.round)) % period == 0:
+        return True
+    if game.overflow > 0:
+        return _is_over(dynamic, m, n)
+    return _length(dynamic, m, n) > given.shortest[m, n]
