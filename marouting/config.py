@@ -144,6 +144,15 @@ def yaml_text(data: Mapping[str, Any]) -> str:
     return text
 
 
+def yaml_line(value: Any) -> str:
+    """A value, or a key, as YAML in a single line."""
+    # In a list, where a text alone would be followed by the end of a document.
+    text: str = yaml.dump(
+        [value], Dumper=_Dumper, sort_keys=False, default_flow_style=True, width=MOST
+    )
+    return text.strip()[1:-1]
+
+
 def parse_yaml(text: str, name: str) -> Any:
     """Plain data from YAML text; raises InputError with ``name`` and the line."""
     try:
@@ -186,6 +195,30 @@ def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise InputError(f"{os.fspath(path)}: expected a mapping of keys to values")
     return data
+
+
+def lines_of(path: str | os.PathLike[str]) -> dict[tuple[str, ...], int]:
+    """The line of every value in a YAML file that :func:`read_yaml` reads.
+
+    Args:
+        path: a path as :func:`config_file` takes it.
+
+    Returns:
+        The line, from 1, by the keys that lead to the value; of mappings only what is in them.
+    """
+    lines: dict[tuple[str, ...], int] = {}
+
+    def walk(node: yaml.Node | None, above: tuple[str, ...], line: int) -> None:
+        if not isinstance(node, yaml.MappingNode) or not node.value:
+            lines[above] = line
+            return
+        loader.flatten_mapping(node)
+        for key, value in node.value:
+            walk(value, (*above, key.value), key.start_mark.line + 1)
+
+    loader = _Loader(read_text(config_file(path), MOST_TEXT))
+    walk(loader.get_single_node(), (), 1)
+    return lines
 
 
 Schema = TypeVar("Schema")

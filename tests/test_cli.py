@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import jsonschema
 import numpy as np
 import pytest
 import torch
@@ -25,7 +26,7 @@ from test_bad_files import GR
 
 import marouting
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
-from marouting.config import override, plain
+from marouting.config import override, plain, read_yaml
 from policies.benchmark.contenders import load_contenders
 from policies.cli.main import cli, status
 from policies.cli.tables import show, show_experiment, show_speed
@@ -381,6 +382,74 @@ def test_train_takes_problem_files(here: Path, capsys: pytest.CaptureFixture[str
         before = (here / out / "metrics.jsonl").read_bytes()
         printed(capsys, "train", "small.yaml", f"env.problem={source}", "--resume", out)
         assert (here / out / "metrics.jsonl").read_bytes() == before
+
+
+def test_resume_needs_no_configuration_and_leaves_a_finished_run_alone(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = printed(capsys, "train", "small.yaml", "out=run")
+    files = {path: path.read_bytes() for path in (here / "run").rglob("*") if path.is_file()}
+    assert status(["train", "--resume", "run"]) == 0
+    found = capsys.readouterr()
+    assert found.err == "run: is finished, nothing is changed\n"
+    assert found.out == first
+    assert files == {p: p.read_bytes() for p in (here / "run").rglob("*") if p.is_file()}
+    (here / "run" / "result.json").unlink()
+    assert status(["train", "--resume", "run"]) == 0
+    assert (here / "run" / "result.json").exists()
+
+
+@pytest.mark.usefixtures("here")
+def test_a_configuration_is_shown_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    """As a training reads it, with the line of every value."""
+    Path("own.yaml").write_text(
+        "env:\n  agents: multi\n  reward: team\n  problem:\n    <<: &all {nets: 7}\n    count: 2\n"
+        "learner: {kind: dqn, network: {hidden: [8]}}\n"
+    )
+    given = ("learner.gamma=0.5", "env.observation={kind: window, radius: 1}")
+    text = printed(capsys, "config", "--show", "own.yaml", *given)
+    Path("shown.yaml").write_text(text)
+    assert load_config("shown.yaml") == load_config("own.yaml", given)
+    words = [line.split() for line in text.splitlines()]
+    from_file = {line[0]: line[-1] for line in words if line[-1].startswith("own.yaml")}
+    assert from_file == {
+        "agents:": "own.yaml:2", "kind:": "own.yaml:7", "nets:": "own.yaml:5",
+        "count:": "own.yaml:6", "hidden:": "own.yaml:7",
+    }  # fmt: skip
+    assert sum(line[-2:] == ["command", "line"] for line in words) == 3
+    whole = only_object(printed(capsys, "config", "--show", "own.yaml", *given, "--json"))
+    assert whole["config"] == yaml.safe_load(text)
+    assert whole["origins"]["env.reward.kind"] == "own.yaml:3"
+    assert whole["origins"]["env.observation.radius"] == "command line"
+    assert whole["origins"]["seed"] == "default"
+
+
+@pytest.mark.parametrize("command", ["train", "experiment", "benchmark"])
+def test_the_schema_takes_what_a_command_takes(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    schema = only_object(printed(capsys, "config", "--schema", command))
+    file = {
+        "train": "configs/generalist.yaml",
+        "experiment": "configs/learned.yaml",
+        "benchmark": "configs/benchmark/baselines.yaml",
+    }[command]
+    data = read_yaml(file)
+    jsonschema.validate(data, schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**data, "sede": 1}, schema)
+
+
+def test_a_configuration_of_another_command_is_named(refused: Callable[..., str]) -> None:
+    for command, file, other in (
+        ("train", "configs/learned.yaml", "experiment"),
+        ("train", "configs/benchmark/baselines.yaml", "benchmark"),
+        ("experiment", "configs/generalist.yaml", "train"),
+    ):
+        line = refused(command, file)
+        assert f"{file}: expected a configuration for `marouting {command}`" in line
+        assert line.endswith(f"found one for `marouting {other}`")
+    assert "--show FILE" in refused("config")
 
 
 def test_resume_goes_by_the_folder_whatever_its_name(
@@ -966,6 +1035,7 @@ def test_too_much_memory_to_ask_for(refused: Callable[..., str]) -> None:
 def test_resume_of_nothing(refused: Callable[..., str]) -> None:
     assert "--resume nowhere" in refused("train", "small.yaml", "--resume", "nowhere")
     assert "--resume file" in refused("train", "small.yaml", "--resume", "file")
+    assert "CONFIG: expected a YAML file, or --resume" in refused("train")
 
 
 # --- checkpoints ----------------------------------------------------------------------------------

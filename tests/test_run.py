@@ -514,7 +514,8 @@ def test_a_run_killed_while_it_writes_goes_on_as_if_not(
         run.execute()
     monkeypatch.undo()
     assert left == 0
-    assert not (folder / "policy.pt").exists()
+    assert (folder / "policy.pt").exists() == (file == "result.json")
+    assert not (folder / "result.json").exists()
     Run(config, resume=True).execute()
     assert outcome(folder) == outcome(finished)
 

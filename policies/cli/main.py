@@ -292,21 +292,55 @@ def evaluate_command(problem: ProblemFile, solution: Path, as_json: bool) -> Non
     _report(None, routes, time.perf_counter() - started, as_json)
 
 
+@cli.command("config")
+@overrides_argument
+@click.option("--show", type=Path, metavar="FILE", help="The configuration to show.")
+@click.option(
+    "--schema",
+    type=click.Choice(["train", "experiment", "benchmark"]),
+    help="Print the JSON schema of this command's configurations instead, for editors.",
+)
+@json_option
+def config_command(
+    overrides: tuple[str, ...], show: Path | None, schema: str | None, as_json: bool
+) -> None:
+    """Show all values of a configuration, and where each of them is from.
+
+    FILE is the YAML file of a training, an experiment or a benchmark. What it does not say has its
+    default. KEY=VALUE changes a key of it.
+    """
+    from policies.cli.resolved import resolve, schema_of, text_of
+
+    if (show is None) == (schema is None):
+        raise InputError("expected either --show FILE or --schema COMMAND")
+    if schema is not None:
+        click.echo(json.dumps(schema_of(schema), indent=None if as_json else 1))
+        return
+    whole, origins = resolve(cast(Path, show), overrides)
+    if as_json:
+        by_key = {".".join(keys): origin for keys, origin in origins.items()}
+        click.echo(json.dumps({"config": whole, "origins": by_key}))
+    else:
+        click.echo(text_of(whole, origins), nl=False)
+
+
 @cli.command()
-@click.argument("config", type=Path)
+@click.argument("config", type=Path, required=False)
 @overrides_argument
 @click.option(
     "--resume",
     type=Path,
-    help="Run folder of a training to continue.  [default: a new training, in the folder `out`]",
+    help="Run folder of a training to continue; CONFIG may be left out.  "
+    "[default: a new training, in the folder `out`]",
 )
-def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None:
+def train(config: Path | None, overrides: tuple[str, ...], resume: Path | None) -> None:
     """Train a learner on the problems of CONFIG, a YAML file.
 
     KEY=VALUE changes a key of CONFIG, such as train.episodes=200. Everything is written to the run
     folder, the key `out`.
     """
     from policies.cli.progress import training_bar
+    from policies.cli.resolved import check_kind
     from policies.cli.tables import show
     from policies.learned.config import load_config
     from policies.learned.run import Run
@@ -314,10 +348,18 @@ def train(config: Path, overrides: tuple[str, ...], resume: Path | None) -> None
 
     if resume is not None and not (resume / "config.yaml").exists():
         raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
-    settings = load_config(config, overrides)
+    if config is None and resume is None:
+        raise InputError("CONFIG: expected a YAML file, or --resume with a run folder")
+    if config is not None:
+        check_kind(config, "train")
+    settings = load_config(config or cast(Path, resume) / "config.yaml", overrides)
     if resume is not None:
         settings = replace(settings, out=str(resume))
     run = Run(settings, resume=resume is not None)
+    if run.finished is not None:
+        click.echo(f"{resume}: is finished, nothing is changed", err=True)
+        show(run.finished, str(run.folder))
+        return
     if resume is not None and not (resume / CHECKPOINT).exists():
         click.echo(f"{resume}: no checkpoint yet, so the training starts again", err=True)
     click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
@@ -338,9 +380,11 @@ def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     command is given again.
     """
     from policies.cli.progress import problems_bar
+    from policies.cli.resolved import check_kind
     from policies.cli.tables import show_experiment
     from policies.experiment import Experiment, load_experiment
 
+    check_kind(config, "experiment")
     task = Experiment(load_experiment(config, overrides))
     with problems_bar(str(task.folder)) as watch:
         summary = task.execute(watch)

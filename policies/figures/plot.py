@@ -92,12 +92,15 @@ def problem_figures(
     return written
 
 
-def run_figures(run: Path, folder: Path | None = None) -> list[Path]:
+def run_figures(
+    run: Path, folder: Path | None = None, rows: Sequence[Row] | None = None
+) -> list[Path]:
     """Writes all figures of a run folder.
 
     Args:
         run: the run folder; of a training that is not finished, only the rewards are drawn.
         folder: the folder for the figures; None stands for ``figures`` in the run folder.
+        rows: those of ``result.json``; None to read them there.
 
     Returns:
         The pictures written.
@@ -107,8 +110,9 @@ def run_figures(run: Path, folder: Path | None = None) -> list[Path]:
     """
     folder = run / "figures" if folder is None else folder
     written = reward_figures(run / run_folder.METRICS, folder)
-    finished = (run / run_folder.RESULT).exists()
-    rows = run_folder.read_result(run) if finished else []
+    if rows is None:
+        finished = (run / run_folder.RESULT).exists()
+        rows = run_folder.read_result(run) if finished else []
     for path in sorted((run / "problems").glob("*.gr")):
         problem = Problem.read(path)
         solutions = {

@@ -38,6 +38,7 @@ from policies.results.run_folder import (
     RESULT,
     Episode,
     read_episodes,
+    read_result,
     solution_file,
 )
 from policies.routers.astar import AStarRouter
@@ -220,6 +221,15 @@ class Run:
         return int(self.trainer.episodes.sum()), total
 
     @property
+    def finished(self) -> list[Row] | None:
+        """The rows of ``result.json`` if the run is finished, else None; raises InputError."""
+        played, total = self.episodes
+        if played < total or not (self.folder / RESULT).exists():
+            return None
+        _ = self.best  # a folder whose files do not belong together is not taken for finished
+        return read_result(self.folder)
+
+    @property
     def best(self) -> list[Episode]:
         """The best episode so far of each problem that has one; raises InputError."""
         if not self._logged:
@@ -278,11 +288,13 @@ class Run:
         if config.train.figures:
             from policies.figures.plot import run_figures  # matplotlib: only if it is wanted
 
-            run_figures(self.folder)
+            run_figures(self.folder, rows=rows)
+        # The mark of a finished run, so it comes last.
+        write_text(self.folder / RESULT, json.dumps(rows, indent=1) + "\n")
         return rows
 
     def _results(self) -> list[Row]:
-        """Writes the solutions and ``result.json``."""
+        """Writes the solutions; returns the rows of ``result.json``."""
         rows = []
         each = self._seconds / len(self.problems)
         learner = self.config.learner.name
@@ -306,7 +318,6 @@ class Run:
                 routed.write(solution_file(self.folder, name, router))
                 row = {"problem": name, "router": router, **solution_row(routed, spent)}
                 rows.append(row if origin is None else {**row, "from": origin})
-        write_text(self.folder / RESULT, json.dumps(rows, indent=1) + "\n")
         return rows
 
 

@@ -1,0 +1,127 @@
+"""The whole of a configuration, defaults included, and where each of its values is from."""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+
+from marouting.config import (
+    build,
+    lines_of,
+    override,
+    parse_yaml,
+    plain,
+    read_yaml,
+    yaml_line,
+)
+from marouting.errors import InputError
+
+Origins = dict[tuple[str, ...], str]
+"""Where each value is from, by its key and the keys that lead there."""
+
+_COLUMN = 56
+"""Where the comments begin."""
+
+
+def kinds() -> dict[str, type[Any]]:
+    """The kinds of configuration by the command that takes them."""
+    from policies.benchmark.contenders import BenchmarkConfig
+    from policies.experiment.config import ExperimentConfig
+    from policies.learned.config import Config
+
+    return {"train": Config, "experiment": ExperimentConfig, "benchmark": BenchmarkConfig}
+
+
+def _known(raw: Mapping[str, Any]) -> dict[str, int]:
+    """How many keys of a configuration each command knows."""
+    return {kind: len(raw.keys() & schema.__dataclass_fields__) for kind, schema in kinds().items()}
+
+
+def check_kind(path: str | os.PathLike[str], command: str) -> None:
+    """Raises InputError if another command knows more keys of a file than this one."""
+    known = _known(read_yaml(path))
+    kind = max(known, key=lambda kind: known[kind])
+    if known[kind] > known[command]:
+        raise InputError(
+            f"{os.fspath(path)}: expected a configuration for `marouting {command}`, found one for "
+            f"`marouting {kind}`"
+        )
+
+
+def resolve(
+    path: str | os.PathLike[str], overrides: Sequence[str] = ()
+) -> tuple[dict[str, Any], Origins]:
+    """A configuration as a command gets it.
+
+    Args:
+        path: a YAML file, of a training, an experiment or a benchmark.
+        overrides: ``key=value``, as :func:`marouting.config.override` takes them.
+
+    Returns:
+        All its values as plain data, and where they are from: ``FILE:LINE``, ``command line`` or
+        ``default``.
+
+    Raises:
+        InputError: names the file or key, what was expected and what was found.
+    """
+    raw, name = read_yaml(path), os.fspath(path)
+    known = _known(raw)
+    schema = kinds()[max(known, key=lambda kind: known[kind])]
+    whole = plain(build(schema, override(raw, overrides), name))
+    given = {keys: f"{Path(name).name}:{line}" for keys, line in lines_of(path).items()}
+    for text in overrides:
+        key, _, value = text.partition("=")
+        keys = tuple(key.split("."))
+        given = {known: origin for known, origin in given.items() if known[: len(keys)] != keys}
+        for inner, _ in _leaves({key: parse_yaml(value, text)}):
+            given[(*keys, *inner[1:])] = "command line"
+    return whole, {keys: _origin(keys, given) for keys, _ in _leaves(whole)}
+
+
+def schema_of(command: str) -> dict[str, Any]:
+    """The JSON schema of a command's configurations."""
+    return TypeAdapter(kinds()[command]).json_schema(schema_generator=_Schema)
+
+
+class _Schema(GenerateJsonSchema):
+    """Of a piece, editors get to know that it is a name, or a mapping with the name as ``kind``."""
+
+    def function_plain_schema(self, schema: Any) -> JsonSchemaValue:
+        """The schema of a piece."""
+        del schema
+        kind = {"type": "object", "properties": {"kind": {"type": "string"}}}
+        return {"anyOf": [{"type": "string"}, kind]}
+
+
+def _leaves(data: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[Any]:
+    """The keys that lead to every value that is not itself a mapping, and the value."""
+    for key, value in data.items():
+        if isinstance(value, Mapping) and value:
+            yield from _leaves(value, (*above, str(key)))
+        else:
+            yield (*above, str(key)), value
+
+
+def _origin(keys: tuple[str, ...], given: Origins) -> str:
+    """Where a value is from; a piece's name may stand for the piece, as in ``reward: team``."""
+    piece = keys[:-1] if keys[-1] == "kind" else keys
+    return given.get(keys, given.get(piece, "default"))
+
+
+def text_of(whole: Mapping[str, Any], origins: Origins) -> str:
+    """YAML text in which a comment says of each value where it is from."""
+    lines: list[str] = []
+    above: tuple[str, ...] = ()
+    for keys, value in _leaves(whole):
+        shared = 0
+        while shared < min(len(above), len(keys)) - 1 and above[shared] == keys[shared]:
+            shared += 1
+        for depth in range(shared, len(keys) - 1):
+            lines.append(f"{'  ' * depth}{yaml_line(keys[depth])}:")
+        entry = f"{'  ' * (len(keys) - 1)}{yaml_line(keys[-1])}: {yaml_line(value)}"
+        lines.append(f"{entry:<{_COLUMN}}  # {origins[keys]}")
+        above = keys
+    return "\n".join(lines) + "\n"
