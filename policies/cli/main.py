@@ -294,11 +294,17 @@ def evaluate_command(problem: ProblemFile, solution: Path, as_json: bool) -> Non
 
 @cli.command("config")
 @overrides_argument
-@click.option("--show", type=Path, metavar="FILE", help="The configuration to show.")
+@click.option(
+    "--show",
+    type=Path,
+    metavar="FILE",
+    help="The configuration to show; without it, give --schema.",
+)
 @click.option(
     "--schema",
     type=click.Choice(["train", "experiment", "benchmark"]),
-    help="Print the JSON schema of this command's configurations instead, for editors.",
+    help="Print the JSON schema of this command's configurations, for editors; without it, give "
+    "--show.",
 )
 @json_option
 def config_command(
