@@ -365,6 +365,27 @@ def test_policy_file_plays(finished: Path) -> None:
         TrainedPolicy.load(finished / "policy.pt", "another")
 
 
+def test_the_network_that_is_saved_is_the_best_or_the_last(tmp_path: Path) -> None:
+    """The training is the same, whichever is saved."""
+    saved, best = {}, {}
+    for which in ("best", "last"):
+        Run(config_in(tmp_path / which, 13, policy=which, learning_rate=0.3)).execute()
+        saved[which] = torch.load(tmp_path / which / "policy.pt", weights_only=True)
+        final = torch.load(tmp_path / which / "checkpoint.pt", weights_only=True)
+        best[which] = {
+            walk["problem"]: walk["episodes"] for walk in walks(tmp_path / which) if walk["best"]
+        }
+        flat = [np.concatenate([np.ravel(w) for w in one.values()]) for one in final["weights"]]
+        same = [
+            np.array_equal(kept, row)
+            for kept, row in zip(flat, final["training"]["networks.flat"].numpy(), strict=True)
+        ]
+        assert all(same) == (which == "last")
+    assert best["best"] == best["last"]
+    assert saved["best"]["episodes"] == list(best["best"].values()) != [13, 13]
+    assert saved["last"]["episodes"] == [13, 13]
+
+
 def test_the_same_configuration_gives_the_same_run(finished: Path, tmp_path: Path) -> None:
     Run(config_in(tmp_path / "run")).execute()
     assert outcome(tmp_path / "run") == outcome(finished)

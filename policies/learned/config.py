@@ -41,7 +41,9 @@ class TrainOptions:
             tasks joined, then overflow, then wirelength; or ``reward``, by tasks joined, then
             reward (the authors' code).
         evaluate_every: episodes per problem between two evaluations of the network: it plays one
-            episode without exploration, and the best network is the policy that is saved.
+            episode without exploration.
+        policy: which network is saved: ``best``, that of the best evaluation, or ``last``, for a
+            learner whose steps get smaller to the end.
         device: ``cpu``, or ``cuda`` for the networks.
         threads: threads that share the networks of a training.
         checkpoint_seconds: seconds between checkpoints.
@@ -59,6 +61,7 @@ class TrainOptions:
     validation: int | None = None
     best: Literal["routes", "reward"] = "routes"
     evaluate_every: int = 10
+    policy: Literal["best", "last"] = "best"
     device: str = "cpu"
     threads: int = 1
     checkpoint_seconds: float = 60.0

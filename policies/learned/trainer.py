@@ -293,6 +293,7 @@ class Trainer:
             ]
             if best:
                 self.policy_score[network] = score
+            if best or train.policy == "last":
                 self.policy_episode[network] = episodes
                 self._policies[network] = self.learner.networks.flat[row].detach().cpu()
 
@@ -314,7 +315,7 @@ class Trainer:
         }
 
     def policy_of(self, problem: str) -> TrainedPolicy:
-        """The saved network of a problem: the best of all evaluations."""
+        """The saved network of a problem: that of the best evaluation, or of the last."""
         row = int(self._networks(np.array([self.names.index(problem)]))[0])
         setup, learner = self.learner.setup, self.config.learner
         module = learner.cls.network(learner.options, setup.obs_shape, setup.actions)
