@@ -314,7 +314,7 @@ tight = st.sampled_from(
 
 
 @settings(deadline=None, max_examples=15)
-@given(tight, st.integers(0, 2**31 - 1), st.integers(0, 2**31), st.integers(1, 60))
+@given(tight, st.integers(0, 2**31 - 1), st.integers(0, 2**31 - 1), st.integers(1, 60))
 def test_more_passes_are_never_worse(
     options: dict[str, Any], which: int, seed: int, passes: int
 ) -> None:
@@ -332,7 +332,7 @@ def test_more_passes_are_never_worse(
 
 
 @settings(deadline=None, max_examples=5)
-@given(st.integers(0, 2**31 - 1), st.integers(0, 2**31))
+@given(st.integers(0, 2**31 - 1), st.integers(0, 2**31 - 1))
 def test_more_time_is_never_worse(which: int, seed: int) -> None:
     """Wherever the clock interrupts a pass."""
     [problem] = generate(1, (12, 12, 2), nets=70, max_pins=5, capacity=4, seed=which)
