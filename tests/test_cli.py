@@ -445,8 +445,10 @@ def test_a_configuration_of_another_command_is_named(refused: Callable[..., str]
         ("train", "configs/learned.yaml", "experiment"),
         ("train", "configs/benchmark/baselines.yaml", "benchmark"),
         ("experiment", "configs/generalist.yaml", "train"),
+        ("benchmark", "configs/learned.yaml", "experiment"),
     ):
-        line = refused(command, file)
+        more = ["--scenario", "toy-4x4-v0", "--config"] if command == "benchmark" else []
+        line = refused(command, *more, file)
         assert f"{file}: expected a configuration for `marouting {command}`" in line
         assert line.endswith(f"found one for `marouting {other}`")
     assert "--show FILE" in refused("config")

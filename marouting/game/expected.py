@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.game.engine import Engine
+from marouting.game.places import grid_of
 from marouting.game.state import NOBODY, Dynamic, Static, Status
 from marouting.game.tasks import is_later
 from marouting.kernels import compiled, inlined, place, wide
@@ -41,7 +42,7 @@ class Maps(NamedTuple):
     expected: NDArray[np.int64]  # (M, G, 2) expected demand on a Gcell's edges towards +x and +y
     heads: NDArray[np.int32]  # (M, G) active agents
     later: NDArray[np.uint8]  # (M, T) tasks in the maps that agents have still to begin
-    changed: NDArray[np.int32]  # (M, 2) first and last column where ``corner`` has changed since
+    changed: NDArray[np.int32]  # (M, 2) first and last column with changes to be summed up
 
 
 _maps: WeakKeyDictionary[Engine, tuple[Maps, NDArray[np.int64]]] = WeakKeyDictionary()
@@ -89,20 +90,6 @@ def _begin_maps(engine: Engine, maps: Maps, new: NDArray[np.integer]) -> None:
     maps.counted[new] = NOBODY
     for array in (maps.corner, maps.expected, maps.heads, maps.later):
         array[new] = 0
-
-
-@inlined
-def position(static: Static, cell: int) -> tuple[int, int, int]:
-    """x, y and z of a Gcell."""
-    at = static.position[cell]
-    return wide(at[0]), wide(at[1]), wide(at[2])
-
-
-@inlined
-def grid_of(static: Static) -> tuple[int, int, int]:
-    """Columns, rows and layers of the grid."""
-    x, y, z = position(static, len(static.position) - 1)
-    return x + 1, y + 1, z + 1
 
 
 @inlined

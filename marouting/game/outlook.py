@@ -54,13 +54,12 @@ from marouting.game.edges import demand_of, uses
 from marouting.game.engine import Engine, check_rows
 from marouting.game.expected import (
     Maps,
-    grid_of,
     maps_of,
-    position,
     refresh,
     slack_of,
     squashed,
 )
+from marouting.game.places import grid_of, position
 from marouting.game.rules import is_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static
 from marouting.game.tasks import holds, is_later, is_on, next_nearest

@@ -30,6 +30,7 @@ An edge is full if it has no remaining capacity. In rip-up rounds agents wait
 """
 
 from marouting.game.edges import use_edges
+from marouting.game.places import grid_of
 from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
 from marouting.game.tasks import (
     begin_net,
@@ -121,7 +122,13 @@ def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
 
 @inlined
 def lot(number: int, n: int, other: int) -> int:
-    """A number from 1 to 1024 that follows from a round and two agents, as if it were drawn."""
+    """A number from 1 to 1024 that follows from a round and two agents, as if it were drawn.
+
+    Args:
+        number: of the round, from 1.
+        n: the agent that walks again.
+        other: one that stands in its way.
+    """
     mixed = (number * 0x9E3779B1 ^ n * 0x85EBCA6B ^ other * 0xC2B2AE35) & _LOT
     for _ in range(2):
         mixed = (mixed ^ mixed >> 16) * 0x45D9F3B & _LOT
@@ -140,10 +147,9 @@ def _box(static: Static, m: int, n: int, joined: int) -> tuple[int, int, int, in
         x, y = wide(static.position[pin, 0]), wide(static.position[pin, 1])
         left, right, low, high = min(left, x), max(right, x), min(low, y), max(high, y)
     beyond = wide(joined < end - first)
-    last = len(static.position) - 1
-    columns, rows = wide(static.position[last, 0]), wide(static.position[last, 1])
+    columns, rows, _ = grid_of(static)
     left, low = max(left - beyond, 0), max(low - beyond, 0)
-    return left, min(right + beyond, columns), low, min(high + beyond, rows)
+    return left, min(right + beyond, columns - 1), low, min(high + beyond, rows - 1)
 
 
 @compiled
@@ -166,8 +172,7 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
                 blocking[byte] |= 1 << bit
                 begin, stop = min(begin, wide(byte)), wide(byte + 1)
     left, right, low, high = _box(static, m, n, dynamic.agents[m, n].joined)
-    last = len(static.position) - 1
-    rows, layers = wide(static.position[last, 1]) + 1, wide(static.position[last, 2]) + 1
+    _, rows, layers = grid_of(static)
     for x in range(left, right + 1):
         for y in range(low, high + 1):
             first = AXES * layers * (x * rows + y)

@@ -69,14 +69,13 @@ from marouting.game.edges import uses
 from marouting.game.engine import Engine, check_rows
 from marouting.game.expected import (
     Maps,
-    grid_of,
     maps_of,
-    position,
     refresh,
     share_of,
     slack_of,
     squashed,
 )
+from marouting.game.places import grid_of, position
 from marouting.game.rules import free_moves, is_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
 from marouting.game.tasks import is_later

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from marouting.config import check
 from marouting.game.edges import demand_of, uses
 from marouting.game.engine import Engine
-from marouting.game.expected import grid_of, position
+from marouting.game.places import grid_of, position
 from marouting.game.rules import free_moves, is_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static
 from marouting.game.tasks import holds, next_nearest

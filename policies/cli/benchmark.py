@@ -121,6 +121,7 @@ def benchmark(
     from policies.benchmark.contenders import Budget, Contender, from_text, load_contenders
     from policies.benchmark.run import Benchmark
     from policies.cli.progress import problems_bar
+    from policies.cli.resolved import check_kind
     from policies.cli.tables import show_benchmark
 
     if not names:
@@ -133,6 +134,7 @@ def benchmark(
     given = None if budget is None else Budget.parse(budget)
     contenders: list[Contender] = []
     if config is not None:
+        check_kind(config, "benchmark")
         contenders, defaults = load_contenders(config, overrides, given)
         seeds = defaults.seeds if seeds is None else seeds
     elif overrides and len(routers) != 1:

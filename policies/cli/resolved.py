@@ -35,16 +35,18 @@ def kinds() -> dict[str, type[Any]]:
     return {"train": Config, "experiment": ExperimentConfig, "benchmark": BenchmarkConfig}
 
 
-def _known(raw: Mapping[str, Any]) -> dict[str, int]:
-    """How many keys of a configuration each command knows."""
-    return {kind: len(raw.keys() & schema.__dataclass_fields__) for kind, schema in kinds().items()}
+def _kind_of(raw: Mapping[str, Any], expected: str = "train") -> str:
+    """The command that knows most keys of a configuration; among equals the one expected."""
+    known = {
+        kind: len(raw.keys() & schema.__dataclass_fields__) for kind, schema in kinds().items()
+    }
+    return max(known, key=lambda kind: (known[kind], kind == expected))
 
 
 def check_kind(path: str | os.PathLike[str], command: str) -> None:
     """Raises InputError if another command knows more keys of a file than this one."""
-    known = _known(read_yaml(path))
-    kind = max(known, key=lambda kind: known[kind])
-    if known[kind] > known[command]:
+    kind = _kind_of(read_yaml(path), command)
+    if kind != command:
         raise InputError(
             f"{os.fspath(path)}: expected a configuration for `marouting {command}`, found one for "
             f"`marouting {kind}`"
@@ -68,9 +70,7 @@ def resolve(
         InputError: names the file or key, what was expected and what was found.
     """
     raw, name = read_yaml(path), os.fspath(path)
-    known = _known(raw)
-    schema = kinds()[max(known, key=lambda kind: known[kind])]
-    whole = plain(build(schema, override(raw, overrides), name))
+    whole = plain(build(kinds()[_kind_of(raw)], override(raw, overrides), name))
     given = {keys: f"{Path(name).name}:{line}" for keys, line in lines_of(path).items()}
     for text in overrides:
         key, _, value = text.partition("=")

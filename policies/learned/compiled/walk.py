@@ -8,8 +8,8 @@ An agent that has taken a quarter of its steps and not arrived goes on by the ch
 
 An agent that is asked whether its net gives way (``rip_up: agents``) says so with a reason: a task
 of its own is open; or it uses an edge with overflow; or, if there is none in the problem, its net
-was shorter after an earlier walk, even one that was undone. Without a reason it says so in one
-round out of eight, in every round other agents.
+was shorter after an earlier walk (one that was undone counts as well, but for the last net of it).
+Without a reason it says so in one round out of eight, in every round other agents.
 """
 
 from typing import Any, NamedTuple
