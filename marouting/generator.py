@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.memory import ADJUSTMENT, NET, PIN, check_memory
-from marouting.problem.grid import AXES
+from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.net import (
     MAX_NUMBER,
     Adjustment,
@@ -32,6 +33,12 @@ TILE = 10
 
 REDUCTION = 2
 """By how much capacity is reduced by default: the authors' 5 becomes 3."""
+
+_MACRO = 10
+"""The fewest columns and rows on which there is room for macros."""
+
+_FREE_LAYERS = 2
+"""How many of the highest layers macros leave free."""
 
 ReducedPer = Literal["problem", "set"]
 """Whose A* solutions decide which edges are reduced."""
@@ -76,6 +83,15 @@ class GeneratorOptions:
             own, drawn uniformly between ``least`` and the size above. It lies in a part of the
             grid, in whose rest no edge has capacity, and has fewer nets in proportion to the part's
             columns and rows.
+        rent: None: the pins of a net are anywhere. Otherwise nets are local, as on chips: the
+            distance l of a net's other pins from its first is as likely as l^(2 rent − 3), with
+            Rent's exponent, 0 to 1 (Cotter and Christie, "The analytical form of the length
+            distribution function for computer interconnection", IEEE Transactions on Circuits and
+            Systems 38(3), 1991). 0.6 to 0.75 are usual for logic.
+        macros: how many rectangles, of up to a fifth of the columns and rows, have no capacity but
+            in the two highest layers. No pins are in them.
+        hot_spots: around how many places half of the nets begin, as dense as a normal distribution
+            with a standard deviation of a sixteenth of the columns and rows.
 
     Raises:
         InputError: a value is out of range.
@@ -93,6 +109,9 @@ class GeneratorOptions:
     reduced_per: ReducedPer = "problem"
     seed: int | None = 0
     least: Least | None = None
+    rent: float | None = None
+    macros: int = 0
+    hot_spots: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "grid", whole_numbers("grid", self.grid, 3))
@@ -105,11 +124,19 @@ class GeneratorOptions:
             if getattr(self, name) < least:
                 raise InputError(f"{name}: expected at least {least}, found {getattr(self, name)}")
             check_numbers(name, [getattr(self, name)])
-        check_numbers("capacity and reduced_edges", (self.capacity, self.reduced_edges))
+        for name in ("capacity", "reduced_edges", "macros", "hot_spots"):
+            check_numbers(name, (getattr(self, name),))
         check_numbers("reduced_capacity", [n for n in (self.reduced_capacity,) if n is not None])
         check_choice("reduced_per", self.reduced_per, ReducedPer)
         if self.seed is not None and not (is_whole(self.seed) and self.seed >= 0):
             raise InputError(f"seed: expected a whole number from 0, found {self.seed!r}")
+        if self.rent is not None and not 0 <= self.rent <= 1:
+            raise InputError(f"rent: expected a number from 0 to 1, found {self.rent!r}")
+        if self.macros and (min(self.grid[:2]) < _MACRO or self.grid[2] < _FREE_LAYERS + 1):
+            raise InputError(
+                f"macros: expected 0 on a grid of {self.grid}: they need {_MACRO} columns and rows "
+                f"and {_FREE_LAYERS + 1} layers"
+            )
         if self.least is not None:
             self._check_least(self.least)
 
@@ -140,6 +167,9 @@ def generate(
     *,
     reduced_capacity: int | None = None,
     reduced_per: ReducedPer = "problem",
+    rent: float | None = None,
+    macros: int = 0,
+    hot_spots: int = 0,
 ) -> list[Problem]:
     """Generates problems; the same arguments give the same problems.
 
@@ -159,6 +189,9 @@ def generate(
         reduced_per: ``problem``: the edges that the problem's own solution uses most; ``set``: the
             edges that the solutions of all problems together use most, the same in every problem,
             as in the authors' published sets (so they depend on ``count``).
+        rent: Rent's exponent, for local nets; None: pins anywhere. See :class:`GeneratorOptions`.
+        macros: rectangles without capacity but in the two highest layers.
+        hot_spots: places around which half of the nets begin.
 
     Returns:
         The problems, ``count`` of them.
@@ -177,6 +210,9 @@ def generate(
             reduced_capacity=reduced_capacity,
             reduced_per=reduced_per,
             seed=seed,
+            rent=rent,
+            macros=macros,
+            hot_spots=hot_spots,
         )
     )
 
@@ -260,15 +296,10 @@ def _within(problem: Problem, grid: tuple[int, int, int]) -> Problem:
         min_spacing=(*problem.min_spacing, *[0] * more),
         via_spacing=(*problem.via_spacing, *[0] * more),
     )
-    outside = np.flatnonzero((whole.capacity > 0) & (whole.capacity < UNLIMITED))
     position = whole.topology.position
-    near, far = (position[end] for end in whole.topology.ends(outside))
-    beyond = (np.maximum(near, far)[:, :2] >= problem.grid[:2]).any(axis=1)
-    closed = tuple(
-        Adjustment(*_gcell(a), *_gcell(b), 0)
-        for a, b in zip(near[beyond], far[beyond], strict=True)
-    )
-    return replace(whole, adjustments=problem.adjustments + closed)
+    near, far = whole.topology.ends(np.arange(whole.topology.edges))
+    beyond = np.any(np.maximum(position[near], position[far])[:, :2] >= problem.grid[:2], axis=1)
+    return _without(whole, beyond)
 
 
 def _size(options: GeneratorOptions) -> float:
@@ -282,21 +313,51 @@ def _size(options: GeneratorOptions) -> float:
 def _unreduced(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
     """A problem without reduced edges."""
     layers = np.arange(options.grid[2])
+    macros = _macros(options, rng)
     if options.grid[2] == 1:
         along_x = along_y = np.array([options.capacity])  # a single layer takes both directions
     else:
         along_x = np.where(layers % 2 == 0, options.capacity, 0)
         along_y = np.where(layers % 2 == 1, options.capacity, 0)
-    return Problem(
+    problem = Problem(
         grid=options.grid,
         vertical_capacity=tuple(along_y.tolist()),
         horizontal_capacity=tuple(along_x.tolist()),
-        nets=tuple(_net(index, options, rng) for index in range(options.nets)),
+        nets=_nets(options, rng, macros),
         min_width=(1,) * options.grid[2],
         min_spacing=(0,) * options.grid[2],
         via_spacing=(0,) * options.grid[2],
         tile=(TILE, TILE),
     )
+    if not options.macros:
+        return problem
+    closed = np.zeros((*options.grid, AXES), np.bool_)
+    for axis in range(VIA_AXIS):
+        # An edge is closed if either of its Gcells is in a macro.
+        closed[..., :-_FREE_LAYERS, axis] = (macros | np.roll(macros, -1, axis))[..., None]
+    return _without(problem, closed.reshape(-1))
+
+
+def _without(problem: Problem, closed: NDArray[np.bool_]) -> Problem:
+    """A problem in which some edges inside layers have no capacity."""
+    edges = np.flatnonzero(closed & (problem.capacity > 0) & (problem.capacity < UNLIMITED))
+    position = problem.topology.position
+    none = tuple(
+        Adjustment(*_gcell(a), *_gcell(b), 0)
+        for a, b in zip(*(position[end] for end in problem.topology.ends(edges)), strict=True)
+    )
+    return replace(problem, adjustments=problem.adjustments + none)
+
+
+def _macros(options: GeneratorOptions, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """(X, Y) whether Gcells are in macros."""
+    sides = np.array(options.grid[:2])
+    inside = np.zeros(sides, np.bool_)
+    for _ in range(options.macros):
+        size = rng.integers(1, sides // 5 + 1)
+        x, y = rng.integers(0, sides - size + 1)
+        inside[x : x + size[0], y : y + size[1]] = True
+    return inside
 
 
 def _reduced(problems: Iterable[Problem], edges: int, capacity: int) -> tuple[Adjustment, ...]:
@@ -316,14 +377,54 @@ def _reduced(problems: Iterable[Problem], edges: int, capacity: int) -> tuple[Ad
     )
 
 
-def _net(index: int, options: GeneratorOptions, rng: np.random.Generator) -> Net:
-    """A net with pins uniform over layer 1, drawn again until they lie in two Gcells or more."""
-    size = [options.grid[0] * TILE, options.grid[1] * TILE]
-    while True:
-        pins = rng.integers(size, size=(rng.integers(2, options.max_pins + 1), 2))
-        if (pins // TILE != pins[0] // TILE).any():
-            break
-    return Net(f"A{index + 1}", index + 1, tuple(Pin(int(x), int(y), 1) for x, y in pins))
+def _nets(
+    options: GeneratorOptions, rng: np.random.Generator, macros: NDArray[np.bool_]
+) -> tuple[Net, ...]:
+    """The nets of a problem.
+
+    Their pins lie in layer 1 outside of macros, and are drawn again until they are in two Gcells or
+    more.
+    """
+    sides = np.array(options.grid[:2])
+    spots = rng.integers(sides, size=(options.hot_spots, 2))
+    # How often each distance is drawn; pins off the grid are drawn again.
+    lengths = np.arange(1, int(sides.sum()) - 1)
+    chances = np.cumsum(lengths ** (2.0 * options.rent - 3)) if options.rent is not None else None
+
+    def first() -> NDArray[np.integer]:
+        if options.hot_spots and rng.random() < 0.5:
+            spot = spots[rng.integers(len(spots))]
+            return np.floor(rng.normal(spot, sides / 16)).astype(int)
+        return rng.integers(sides)
+
+    def pins() -> NDArray[np.integer]:
+        """(K, 2) chip coordinates of the pins of a net."""
+        if options.rent is None and not (options.macros or options.hot_spots):
+            return rng.integers(TILE * sides, size=(rng.integers(2, options.max_pins + 1), 2))
+        found = [first()]
+        count = rng.integers(2, options.max_pins + 1)
+        while len(found) < count:
+            if chances is None:
+                found.append(rng.integers(sides))
+                continue
+            far = lengths[np.searchsorted(chances, rng.random() * chances[-1])]
+            across = rng.integers(-far, far + 1)
+            away = np.array([across, (far - abs(across)) * (2 * rng.integers(2) - 1)])
+            if ((found[0] + away >= 0) & (found[0] + away < sides)).all():
+                found.append(found[0] + away)
+        return TILE * np.array(found) + rng.integers(TILE, size=(len(found), 2))
+
+    def net(index: int) -> Net:
+        while True:
+            at = pins()
+            gcells = at // TILE
+            if (gcells < 0).any() or (gcells >= sides).any() or macros[tuple(gcells.T)].any():
+                continue
+            if (gcells != gcells[0]).any():
+                break
+        return Net(f"A{index + 1}", index + 1, tuple(Pin(int(x), int(y), 1) for x, y in at))
+
+    return tuple(map(net, range(options.nets)))
 
 
 def _gcell(position: np.ndarray) -> tuple[int, int, int]:

@@ -173,7 +173,7 @@ def test_sizes_of_nets_are_uniform() -> None:
         ({"grid": (8, 8)}, "grid"),
         ({"grid": (1, 1, 2)}, "at least two Gcells in layer 1"),
         ({"grid": (10**5, 10**5, 2)}, "grid"),
-        ({"capacity": -1}, "capacity and reduced_edges: expected a number from 0"),
+        ({"capacity": -1}, "capacity: expected a number from 0"),
         ({"capacity": MAX_NUMBER + 1}, "capacity"),
         ({"reduced_edges": -1}, "reduced_edges: expected a number from 0"),
         ({"reduced_capacity": -1}, "reduced_capacity: expected a number from 0"),
@@ -185,3 +185,53 @@ def test_arguments_out_of_range(bad: dict[str, Any], expected: str) -> None:
     with pytest.raises(InputError, match=expected) as caught:
         generate(**bad)
     assert "\n" not in str(caught.value)
+
+
+def test_local_nets_are_as_long_as_rent_says() -> None:
+    """The distances of two pins are as likely as l^(2 rent − 3), but for those off the grid."""
+    [problem] = generate(1, (60, 60, 2), nets=4000, rent=0.6, reduced_edges=0, seed=4)
+    pins = [np.array([pin_gcells(problem, n)]).reshape(2, 3) for n in range(4000)]
+    far = np.array([np.abs(a - b).sum() for a, b in pins])
+    count = np.bincount(far)
+    for near in (1, 2, 4):
+        likely = 2.0 ** (2 * 0.6 - 3)
+        assert count[2 * near] / count[near] == pytest.approx(likely, rel=0.25)
+    assert far.max() > 20
+
+
+def test_macros_close_all_but_the_two_highest_layers() -> None:
+    [problem] = generate(1, (30, 20, 4), nets=300, macros=3, reduced_edges=0, seed=5)
+    closed = {edge for edge, capacity in adjusted(problem).items() if capacity == 0}
+    gcells = {gcell[:2] for edge in closed for gcell in edge}
+    assert closed
+    assert {gcell[2] for edge in closed for gcell in edge} == {0, 1}
+    # Whole rectangles: what is closed towards both sides has no pins.
+    inside = {
+        (x, y)
+        for x, y in gcells
+        if between((x, y, 0), (x + 1, y, 0)) in closed
+        and between((x - 1, y, 0), (x, y, 0)) in closed
+        and between((x, y - 1, 1), (x, y, 1)) in closed
+        and between((x, y, 1), (x, y + 1, 1)) in closed
+    }
+    pins = {gcell[:2] for net in range(300) for gcell in pin_gcells(problem, net)}
+    assert inside
+    assert not inside & pins
+
+
+def test_half_of_the_nets_begin_at_hot_spots() -> None:
+    [problem] = generate(1, (64, 64, 2), nets=2000, hot_spots=1, rent=0.2, reduced_edges=0, seed=6)
+    begin = np.array([pin_gcells(problem, net)[0][:2] for net in range(2000)])
+    spot = np.median(begin, axis=0)
+    near = (np.abs(begin - spot) <= 8).all(axis=1).mean()
+    assert 0.4 < near < 0.65
+
+
+@pytest.mark.parametrize(
+    ("given_", "named"),
+    [({"rent": 1.5}, "rent"), ({"macros": -1}, "macros"), ({"macros": 1}, "macros"),
+     ({"hot_spots": -2}, "hot_spots")],
+)  # fmt: skip
+def test_options_of_chips_out_of_range(given_: dict[str, Any], named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        generate(1, **given_)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from reference import contested
+from reference import contested, pin_gcells
 from strategies import problems
 
 from marouting import (
@@ -289,12 +289,68 @@ def test_limit_of_time_leaves_every_net_joined() -> None:
     assert routed.history == full.history[: routed.iterations]
 
 
+@settings(deadline=None, max_examples=30)
+@given(problems(), st.sampled_from([0.0, 0.01, 1.0]))
+def test_patterns_join_every_net_within_its_pins(problem: Problem, via_weight: float) -> None:
+    """The first pass is a whole solution: trees in the boxes around their pins."""
+    routed = router(passes=1, via_weight=via_weight).solve(problem)
+    figures(problem, routed.solution)
+    for net, edges in enumerate(routed.solution.edges):
+        ends = np.array(problem.topology.ends(edges)).T
+        if not len(edges):
+            continue
+        pins = np.array(pin_gcells(problem, net))
+        ways = problem.topology.position[ends.reshape(-1)]
+        assert (ways[:, :2] >= pins.min(axis=0)[:2]).all()
+        assert (ways[:, :2] <= pins.max(axis=0)[:2]).all()
+        assert networkx.is_tree(networkx.Graph(ends.tolist()))
+
+
+def test_patterns_take_the_corner_with_room() -> None:
+    """Of both L's, and of all layers, the one without overflow."""
+    problem = plane({"one": [(0, 0), (2, 2)], "two": [(0, 0), (2, 2)]}, (3, 3))
+    routed = router(passes=1).solve(problem)
+    assert figures(problem, routed.solution) == (0, 8)
+
+
+def test_many_nets_negotiate_from_patterns() -> None:
+    [problem] = generate(
+        1, grid=(50, 50, 4), nets=5200, capacity=7, rent=0.5, hot_spots=3, reduced_edges=0, seed=2
+    )
+    routed = router(passes=40).solve(problem)
+    assert [done.kind for done in routed.history[:2]] == ["pattern", "negotiate"]
+    check_routed(problem, routed)
+    assert routed.history[0].overflow > 0
+    assert figures(problem, routed.solution)[0] == 0
+    squeezed = [done.wirelength for done in routed.history if done.kind == "squeeze"]
+    assert squeezed[-1] < routed.history[0].wirelength
+
+
+def test_who_watches_may_stop_it() -> None:
+    problem, watched = congested(), router()
+    lines: list[str] = []
+
+    def watch(line: str) -> bool:
+        lines.append(line)
+        return len(lines) == 2
+
+    watched.watch = watch
+    routed = watched.solve(problem)
+    assert routed.stop == routed.report["stop"] == "asked"
+    assert len(lines) == 2
+    assert "best: overflow" in lines[1]
+    check_routed(problem, routed)
+    assert router(passes=3).solve(problem).stop == "passes"
+    assert router(seconds=0.0).solve(problem).stop == "seconds"
+    assert router().solve(plane({"a": [(0, 0), (1, 1)]}, (2, 2))).stop == "optimal"
+
+
 def test_kinds_of_passes() -> None:
     problem = congested()
     routed = router(passes=200).solve(problem)
     kinds = [done.kind for done in routed.history]
-    assert kinds[0] == "relax"
-    assert set(kinds) == {"relax", "negotiate", "squeeze", "repair"}
+    assert kinds[:2] == ["pattern", "relax"]
+    assert set(kinds[1:]) == {"relax", "negotiate", "squeeze", "repair"}
     for before, done in itertools.pairwise(routed.history):
         if done.kind != "repair":
             assert done.routed <= len(problem.nets)

@@ -42,8 +42,8 @@ class PathfinderOptions:
             published problems of Liao et al., no optimum is missed with any of four seeds.
         passes: the search ends after this many passes at the latest.
         seconds: limit of processor time, so that other work on the machine does not matter; None
-            for no limit. The search continues until every net is joined even if that takes longer.
-            A solution cut off by the limit depends on the machine.
+            for no limit. The first pass, of patterns, is completed even if that takes longer: after
+            it every net is joined. A solution cut off by the limit depends on the machine.
         seed: seed of the random numbers.
 
     Raises:

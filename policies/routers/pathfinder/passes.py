@@ -10,10 +10,12 @@ from marouting.kernels import compiled, wide
 from marouting.trees.exact_tree import Search
 from marouting.trees.lattice import Lattice
 from policies.routers.pathfinder.kernels import draw
+from policies.routers.pathfinder.patterns import route_pattern
 from policies.routers.pathfinder.repair import choose, repair
 from policies.routers.pathfinder.state import (
     DONE,
     NEGOTIATE,
+    PATTERN,
     PAUSED,
     POOL_TOO_SMALL,
     RELAX,
@@ -47,6 +49,10 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
     better = keep_best(routing)
     if better:
         progress.found = progress.passes
+    more = progress.passes < parameters.passes
+    if progress.kind == PATTERN and not progress.large:
+        progress.kind, progress.began = RELAX, progress.passes
+        return more
     gained = progress.overflow < progress.last_overflow or (
         progress.overflow == progress.last_overflow
         and progress.last_length - progress.length > parameters.least_gain * progress.length
@@ -56,7 +62,6 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
         progress.fewest, progress.stuck = progress.overflow, 0
     else:
         progress.stuck += 1
-    more = progress.passes < parameters.passes
     round_over = progress.kind == SQUEEZE and not gained
     if progress.kind == REPAIR:
         progress.since = 0 if better else progress.since + 1
@@ -74,11 +79,11 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
         progress.fewest, progress.stuck = np.iinfo(np.int64).max, 0
         for edge in range(len(routing.price)):
             routing.price[edge] *= parameters.decay
-    elif progress.kind < SQUEEZE:
+    elif progress.kind < SQUEEZE or progress.kind == PATTERN:
         progress.kind = SQUEEZE
         if progress.overflow > 0 and progress.stuck < parameters.stuck:
             progress.kind = NEGOTIATE
-            first = progress.passes == 1
+            first = progress.present == 0  # until then nets have shared edges freely
             progress.present = parameters.present if first else progress.present * parameters.growth
             for edge in range(len(routing.price)):
                 if routing.remaining[edge] < 0:
@@ -90,8 +95,9 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
     shortest = 0
     for net in range(len(routing.ideal)):
         shortest += routing.ideal[net]
-    optimal = progress.overflow == 0 and progress.length == shortest and progress.unproven == 0
-    return more and not optimal
+    shortest_of_all = progress.length == shortest and progress.unproven == 0
+    progress.proven = progress.overflow == 0 and shortest_of_all
+    return more and not progress.proven
 
 
 @compiled
@@ -126,7 +132,10 @@ def advance(
             if search.tally[1] > until:
                 return PAUSED
             net, code, routed = routing.order[progress.next], DONE, wide(1)
-            if progress.kind == REPAIR:
+            if progress.kind == PATTERN:
+                code = route_pattern(problem, parameters, routing, lattice, buffers, net)
+                search.tally[1] += 64  # about the work of so many labels
+            elif progress.kind == REPAIR:
                 routed = choose(problem, parameters, routing)
                 code = repair(problem, parameters, routing, lattice, search, buffers, routed)
             elif progress.kind != NEGOTIATE or overflows(routing, net):

@@ -14,13 +14,12 @@ from policies.routers.pathfinder.kernels import draw
 from policies.routers.pathfinder.state import (
     DONE,
     MOST_TOGETHER,
-    UNIT,
     NetBuffers,
     Parameters,
     ProblemArrays,
     Routing,
 )
-from policies.routers.pathfinder.trees import overflows, reroute, use_tree
+from policies.routers.pathfinder.trees import overflows, reroute, tree_length, use_tree
 
 _RADIUS = 2  # the centre is at most so many Gcells away from an edge of each other net
 
@@ -28,11 +27,7 @@ _RADIUS = 2  # the centre is at most so many Gcells away from an edge of each ot
 @compiled
 def _has_detour(routing: Routing, via: int, net: int) -> bool:
     """Whether a net's tree is longer than its shortest."""
-    length = wide(0)
-    for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        edge = wide(routing.edge[routing.progress[0].pool, i])
-        length += via if edge % AXES == VIA_AXIS else UNIT
-    return length > routing.ideal[net]
+    return tree_length(routing, via, net) > routing.ideal[net]
 
 
 @compiled

@@ -1,8 +1,9 @@
 """The router, and what it reports."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,10 @@ from policies.routers.pathfinder.state import (
 )
 from policies.routers.pathfinder.trees import keep_best
 
+Stop = Literal["optimal", "settled", "passes", "seconds", "asked"]
+"""Why a search ended: no solution can be better; it finds nothing better any more; it had all the
+passes, or all the time, that it may take; or somebody asked it to stop."""
+
 
 class Pass(NamedTuple):
     """The state after a pass over the nets."""
@@ -43,20 +48,25 @@ class Routed:
         solution: the solution with the least overflow after any pass, and among those the least
             wirelength, vias weighted by ``via_weight``. More time gives no worse one with the same
             seed.
-        iterations: number of passes over the nets.
         seconds: time taken.
-        history: every pass, in order.
+        history: every pass, in order; the first is that of patterns.
+        stop: why the search ended.
     """
 
     solution: Solution
-    iterations: int
     seconds: float
     history: tuple[Pass, ...]
+    stop: Stop
+
+    @property
+    def iterations(self) -> int:
+        """Number of passes over the nets."""
+        return len(self.history)
 
     @property
     def report(self) -> dict[str, Any]:
-        """Figures for tables beyond those of the evaluator: ``iterations``."""
-        return {"iterations": self.iterations}
+        """Figures for tables beyond those of the evaluator: ``iterations`` and ``stop``."""
+        return {"iterations": self.iterations, "stop": self.stop}
 
 
 class PathfinderRouter:
@@ -70,12 +80,16 @@ class PathfinderRouter:
 
     Attributes:
         options: the options.
+        watch: is called about twenty times a second of work with a line that tells how far the
+            search is. If it returns True, the search stops with the best solution so far. None:
+            nobody watches.
     """
 
     Options = PathfinderOptions
 
     def __init__(self, options: PathfinderOptions | None = None) -> None:
         self.options = PathfinderOptions() if options is None else options
+        self.watch: Callable[[str], bool] | None = None
 
     def route(self, problem: Problem) -> Solution:
         """Routes a problem.
@@ -97,6 +111,7 @@ class PathfinderRouter:
         passes: list[Pass] = []
         code = PAUSED if len(routing.order) else DONE
         progress = routing.progress[0]
+        stop: Stop = "optimal" if code == DONE else "settled"
         while code != DONE:
             code = advance(arrays, parameters, routing, *buffers)
             for kind, overflow, length, routed in routing.history[: progress["history"]].tolist():
@@ -106,7 +121,12 @@ class PathfinderRouter:
                 buffers = make_buffers(arrays, exact_pins, 2 * int(progress["need"]))
             elif code == POOL_TOO_SMALL:
                 routing = with_larger_pool(routing, 2 * int(progress["need"]))
-            if limit is not None and passes and time.thread_time() - worked >= limit:
+            asked = self.watch is not None and self.watch(_line(progress, len(passes)))
+            late = limit is not None and time.thread_time() - worked >= limit
+            if code == DONE:
+                stop = _reason(progress, parameters.passes)
+            elif passes and (asked or late):  # the first pass has made a whole solution
+                stop = "asked" if asked else "seconds"
                 # These passes never make a solution worse. What others have found in mid-pass could
                 # be lost with more time, and more time must not be worse than less.
                 if KINDS[progress["kind"]] in ("squeeze", "repair"):
@@ -114,4 +134,21 @@ class PathfinderRouter:
                 break
         net = np.repeat(np.arange(len(problem.nets)), np.diff(routing.best_first))
         solution = Solution.of_uses(problem, net, routing.best[: len(net)].astype(np.int64))
-        return Routed(solution, len(passes), time.perf_counter() - began, tuple(passes))
+        return Routed(solution, time.perf_counter() - began, tuple(passes), stop)
+
+
+def _reason(progress: Any, most: int) -> Stop:
+    """Why a search has ended by itself."""
+    if progress["proven"]:
+        return "optimal"
+    return "passes" if progress["passes"] >= most else "settled"
+
+
+def _line(progress: Any, passes: int) -> str:
+    """How far a search is."""
+    kind = KINDS[progress["kind"]]
+    line = f"pass {passes + 1} ({kind}), net {progress['next']}"
+    if passes == 0:
+        return line
+    overflow, length = progress["best_overflow"], progress["best_length"] // UNIT
+    return f"{line}; best: overflow {overflow}, wirelength {length}"

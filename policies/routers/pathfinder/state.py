@@ -34,21 +34,25 @@ FIRST_BOX = 4096
 MOST_TOGETHER = 5
 """Nets that are ripped up together to repair a solution."""
 
+LARGE = 5_000
+"""Nets from which negotiating begins with patterns; otherwise it begins with shortest trees."""
+
 _HISTORY_ROWS = 64  # passes after which the compiled code returns, at the latest
 
-Kind = Literal["relax", "negotiate", "squeeze", "repair"]
-KINDS: tuple[Kind, ...] = ("relax", "negotiate", "squeeze", "repair")
-RELAX, NEGOTIATE, SQUEEZE, REPAIR = range(len(KINDS))
+Kind = Literal["relax", "negotiate", "squeeze", "repair", "pattern"]
+KINDS: tuple[Kind, ...] = ("relax", "negotiate", "squeeze", "repair", "pattern")
+RELAX, NEGOTIATE, SQUEEZE, REPAIR, PATTERN = range(len(KINDS))
 
 DONE, PAUSED, BOX_TOO_SMALL, POOL_TOO_SMALL = range(4)
 """Why a call of compiled code returned."""
 
 PROGRESS = np.dtype(
     [
-        ("kind", np.int64),  # of the current pass: RELAX, NEGOTIATE, SQUEEZE or REPAIR
+        ("kind", np.int64),  # of the current pass: RELAX, NEGOTIATE, SQUEEZE, REPAIR or PATTERN
         ("next", np.int64),  # index in Routing.order of the next net
         ("routed", np.int64),  # nets rerouted in this pass
         ("passes", np.int64),  # completed passes
+        ("large", np.int64),  # whether negotiating begins with the patterns
         ("stuck", np.int64),  # passes since the overflow last fell in this round
         ("fewest", np.int64),  # least overflow in this round
         ("since", np.int64),  # rounds (in the end repairing passes) since the last better solution
@@ -66,6 +70,7 @@ PROGRESS = np.dtype(
         ("need", np.int64),  # the size required, after BOX_TOO_SMALL or POOL_TOO_SMALL
         ("random", np.int64),  # state of the random numbers
         ("unproven", np.int64),  # nets whose ideal length may not be the shortest possible
+        ("proven", np.int64),  # whether the present solution is known to be the best
         ("history", np.int64),  # filled rows of Routing.history
     ],
     align=True,
@@ -128,7 +133,8 @@ class NetBuffers(NamedTuple):
     far: NDArray[np.int64]  # (pins,) a pin's distance from the tree; -1 once it has joined
     pin: NDArray[np.uint8]  # (points,) 1 where the net has a pin; all 0 between nets
     inside: NDArray[np.uint8]  # (points,) 1 where a walk has been; all 0 between walks
-    key: NDArray[np.int64]  # (2 points,) list of pins and branching points
+    key: NDArray[np.int64]  # (2 points,) list of pins and branching points; of a pattern's points
+    layers: NDArray[np.int64]  # (2, Z) what the wires of a pattern cost in every layer
 
 
 def make_parameters(options: PathfinderOptions) -> Parameters:
@@ -174,6 +180,8 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         extent += np.maximum.reduceat(at, first[:-1]) - np.minimum.reduceat(at, first[:-1])
     progress = np.zeros(1, PROGRESS)
     progress["random"] = options.seed
+    progress["kind"] = PATTERN
+    progress["large"] = len(routable) > LARGE
     progress["best_overflow"] = progress["fewest"] = np.iinfo(np.int64).max
     pool = 4 * int(extent.sum()) + 4 * len(pin) + 1
     ideal = np.zeros(nets, np.int64)
@@ -205,6 +213,7 @@ def make_buffers(
         pin=np.zeros(points, np.uint8),
         inside=np.zeros(points, np.uint8),
         key=np.empty(2 * points, np.int64),
+        layers=np.zeros((2, problem.size[VIA_AXIS]), np.int64),
     )
     lattice = make_lattice(points, int(problem.size.max()))
     search = make_search(points, max(points, EXACT_LABELS), exact_pins - 1)

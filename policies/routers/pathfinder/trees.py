@@ -28,6 +28,7 @@ from policies.routers.pathfinder.state import (
     NEGOTIATE,
     NEGOTIATED_LABELS,
     POOL_TOO_SMALL,
+    RELAX,
     REPAIR,
     UNIT,
     NetBuffers,
@@ -78,6 +79,16 @@ def _tree_cost(problem: ProblemArrays, routing: Routing, via: int, net: int) -> 
 
 
 @compiled
+def tree_length(routing: Routing, via: int, net: int) -> int:
+    """The length of a net's tree, in units of cost."""
+    length = wide(0)
+    for i in range(routing.start[net], routing.start[net] + routing.length[net]):
+        edge = wide(routing.edge[routing.progress[0].pool, i])
+        length += via if edge % AXES == VIA_AXIS else UNIT
+    return length
+
+
+@compiled
 def overflows(routing: Routing, net: int) -> bool:
     """Whether a net's tree uses an overflowed edge."""
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
@@ -107,13 +118,12 @@ def compact(routing: Routing) -> bool:
 
 
 @compiled
-def _store_tree(
+def store_tree(
     problem: ProblemArrays, routing: Routing, lattice: Lattice, low: Any, net: int
-) -> int:
-    """Makes the lattice's tree the net's tree; returns how many vias it has."""
+) -> None:
+    """Makes the lattice's tree the net's tree."""
     progress = routing.progress[0]
     routing.start[net] = progress.top
-    vias = 0
     point = 0
     for x in range(lattice.size[0]):
         for y in range(lattice.size[1]):
@@ -123,10 +133,8 @@ def _store_tree(
                     if lattice.tree[point] >> 2 * axis & 1:
                         routing.edge[progress.pool, progress.top] = AXES * (gcell + z) + axis
                         progress.top += 1
-                        vias += axis == VIA_AXIS
                 point += 1
     routing.length[net] = progress.top - routing.start[net]
-    return vias
 
 
 @compiled
@@ -172,6 +180,7 @@ def reroute(
             return code
         set_costs(problem, routing, lattice, buffers.low, parameters.via, net, limit)
         search.tally[1] += points
+        exact = True
         labels = NEGOTIATED_LABELS if progress.kind == NEGOTIATE else EXACT_LABELS
         if pins == 2 or (pins <= parameters.exact_pins and points << (pins - 1) <= labels):
             cost = join_all(problem, progress, lattice, search, buffers.low, net)
@@ -182,7 +191,7 @@ def reroute(
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
                     buffers.pin[point] = 1
                 cost -= mend(progress, lattice, search, buffers, wide(point))
-                progress.unproven += not routed
+                exact = False
                 for i in range(problem.first[net], problem.first[net + 1]):
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
                     buffers.pin[point] = 0
@@ -191,10 +200,11 @@ def reroute(
         if lattice.size[0] == problem.size[0] and lattice.size[1] == problem.size[1]:
             limit = wide(NO_LIMIT)
         margin = 2 * margin + 1
-    if ripped or not routed or cost <= old:
-        vias = _store_tree(problem, routing, lattice, buffers.low, net)
-        length = UNIT * (routing.length[net] - vias) + parameters.via * vias
-        routing.ideal[net] = min(routing.ideal[net], length) if routed else cost
+    if ripped or cost <= old:
+        store_tree(problem, routing, lattice, buffers.low, net)
+    length = tree_length(routing, parameters.via, net)
+    routing.ideal[net] = min(routing.ideal[net], length) if routed else length
+    progress.unproven += not routed and not (exact and progress.kind == RELAX)
     use_tree(problem, routing, parameters.via, net, wide(1))
     progress.routed += 1
     return DONE

@@ -1,0 +1,249 @@
+"""Compiled code for the first pass: every net gets a tree of patterns, in a microsecond per pin.
+
+A net grows pin by pin, always joining the pin nearest to the tree by an L: straight along x in one
+layer, straight along y in another, and vias between them. Of both L's and all pairs of layers it
+takes the one that adds the least overflow, and of these the one with the fewest vias. So there is a
+whole solution before the first search begins, however large the problem.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from marouting.kernels import compiled, wide
+from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.trees.lattice import Lattice, set_size
+from policies.routers.pathfinder.kernels import edge_cost, point_of, set_box
+from policies.routers.pathfinder.state import (
+    BOX_TOO_SMALL,
+    DONE,
+    PATTERN,
+    POOL_TOO_SMALL,
+    UNIT,
+    NetBuffers,
+    Parameters,
+    ProblemArrays,
+    Routing,
+)
+from policies.routers.pathfinder.trees import store_tree, use_tree
+
+_NEVER = 1 << 50  # more than any pattern costs
+
+
+@compiled
+def _straight(
+    problem: ProblemArrays,
+    routing: Routing,
+    net: int,
+    axis: int,
+    begin: int,
+    end: int,
+    across: int,
+    cost: Any,
+) -> None:
+    """What a straight wire costs a net in every layer; more than :data:`_NEVER` if it must not be.
+
+    Args:
+        problem: the problem.
+        routing: holds remaining capacities.
+        net: the net.
+        axis: along which the wire goes.
+        begin: where it begins along the axis.
+        end: where it ends.
+        across: its place along the other axis.
+        cost: (Z,) int64, filled.
+    """
+    low, high = min(begin, end), max(begin, end)
+    step = problem.size[2] * (problem.size[1] if axis == 0 else 1)
+    x, y = (low, across) if axis == 0 else (across, low)
+    for z in range(problem.size[2]):
+        gcell = (x * problem.size[1] + y) * problem.size[2] + z
+        demand, total = wide(problem.demand[net, z]), wide(0)
+        for _ in range(high - low):
+            edge = AXES * gcell + axis
+            if problem.capacity[edge] < 0:
+                total += _NEVER
+            total += edge_cost(
+                problem.capacity, routing.remaining, routing.price, edge, demand, 0.0, PATTERN
+            )
+            gcell += step
+        cost[z] = total
+
+
+@compiled
+def _best_layers(along: Any, across: Any, first: int, last: int, via: int) -> tuple[int, int, int]:
+    """The cheapest pair of layers of an L, with the vias from one layer to another.
+
+    Args:
+        along: (Z,) what its first wire costs in every layer.
+        across: (Z,) likewise its second.
+        first: the layer that it begins in.
+        last: the layer that it ends in.
+        via: cost of a via.
+
+    Returns:
+        The cost and both layers.
+    """
+    least, one, two = 4 * _NEVER, wide(0), wide(0)
+    for a in range(len(along)):
+        for b in range(len(across)):
+            vias = abs(first - a) + abs(a - b) + abs(b - last)
+            cost = along[a] + across[b] + via * vias
+            if cost < least:
+                least, one, two = wide(cost), wide(a), wide(b)
+    return least, one, two
+
+
+@compiled
+def _draw_line(
+    lattice: Lattice, buffers: NetBuffers, point: int, axis: int, steps: int, size: int
+) -> tuple[int, int]:
+    """Adds a straight line to the tree, up to the first point of the tree that it meets.
+
+    Args:
+        lattice: its tree is extended.
+        buffers: marks the points of the tree, and lists them in ``key``.
+        point: where the line begins; in the tree it is not continued.
+        axis: along which it goes.
+        steps: how far, negative if downwards.
+        size: number of points of the new path so far, which are listed.
+
+    Returns:
+        Where it ends, and the new number of points.
+    """
+    move = 2 * axis + wide(steps < 0)
+    for _ in range(abs(steps)):
+        if buffers.inside[point] == 1:
+            break
+        lattice.tree[point] |= np.uint8(1 << move)
+        point += lattice.stride[move]
+        lattice.tree[point] |= np.uint8(1 << (move ^ 1))
+        if buffers.inside[point] != 1:
+            buffers.key[size] = point
+            size += 1
+    return point, size
+
+
+@compiled
+def _nearest(
+    problem: ProblemArrays,
+    lattice: Lattice,
+    buffers: NetBuffers,
+    via: int,
+    pin: int,
+    begin: int,
+    end: int,
+) -> tuple[int, int]:
+    """The point of a part of the tree's list that is nearest to a pin, and how far, in cost."""
+    x, y = problem.position[pin, 0] - buffers.low[0], problem.position[pin, 1] - buffers.low[1]
+    ny, nz = lattice.size[1], lattice.size[2]
+    nearest, least = wide(0), _NEVER
+    for i in range(begin, end):
+        row = buffers.key[i] // nz
+        z = buffers.key[i] - row * nz
+        across = abs(row // ny - x) + abs(row % ny - y)
+        far = wide(UNIT * across + via * abs(z - problem.position[pin, VIA_AXIS]))
+        if far < least:
+            nearest, least = wide(buffers.key[i]), far
+    return nearest, least
+
+
+@compiled
+def route_pattern(
+    problem: ProblemArrays,
+    parameters: Parameters,
+    routing: Routing,
+    lattice: Lattice,
+    buffers: NetBuffers,
+    net: int,
+) -> int:
+    """Gives a net that has no tree a tree of patterns.
+
+    Returns:
+        DONE; or BOX_TOO_SMALL or POOL_TOO_SMALL, in which case the net is left as it was.
+    """
+    progress = routing.progress[0]
+    points = set_box(problem, routing, net, wide(0), buffers.low, lattice.size)
+    if points > len(buffers.pin):
+        progress.need = points
+        return BOX_TOO_SMALL
+    if progress.top + points > routing.edge.shape[1]:
+        progress.need = progress.top + points
+        return POOL_TOO_SMALL
+    set_size(lattice, lattice.size[0], lattice.size[1], lattice.size[2])
+    first, pins = problem.first[net], problem.first[net + 1] - problem.first[net]
+    via = max(parameters.via, 1)  # even free vias must not lead up and down again
+    start = point_of(problem.position, buffers.low, lattice.size, problem.pin[first])
+    buffers.key[0], buffers.inside[start] = start, 1
+    for i in range(pins):
+        buffers.far[i] = _NEVER
+    size, looked = wide(1), wide(0)
+    for _ in range(1, pins):
+        pin = wide(-1)
+        for i in range(1, pins):
+            if buffers.far[i] < 0:
+                continue
+            at = problem.pin[first + i]
+            _, far = _nearest(problem, lattice, buffers, via, at, looked, size)
+            buffers.far[i] = min(buffers.far[i], far)
+            if pin < 0 or buffers.far[i] < buffers.far[pin]:
+                pin = wide(i)
+        looked = size
+        size = _join(problem, routing, lattice, buffers, via, net, problem.pin[first + pin], size)
+        buffers.far[pin] = -1
+    for i in range(size):
+        buffers.inside[buffers.key[i]] = 0
+    store_tree(problem, routing, lattice, buffers.low, net)
+    use_tree(problem, routing, parameters.via, net, wide(1))
+    progress.routed += 1
+    return DONE
+
+
+@compiled
+def _join(
+    problem: ProblemArrays,
+    routing: Routing,
+    lattice: Lattice,
+    buffers: NetBuffers,
+    via: int,
+    net: int,
+    pin: int,
+    size: int,
+) -> int:
+    """Joins a pin's Gcell to the nearest point of the tree by an L.
+
+    Returns:
+        The new number of points in the tree.
+    """
+    point = point_of(problem.position, buffers.low, lattice.size, pin)
+    if buffers.inside[point]:
+        return size
+    nearest, _ = _nearest(problem, lattice, buffers, via, pin, wide(0), size)
+    nz = lattice.size[2]
+    x0, y0 = wide(problem.position[pin, 0]), wide(problem.position[pin, 1])
+    z0 = wide(problem.position[pin, VIA_AXIS])
+    x1 = buffers.low[0] + nearest // nz // lattice.size[1]
+    y1 = buffers.low[1] + nearest // nz % lattice.size[1]
+    z1 = nearest % nz
+    least, turn, one, two = wide(8 * _NEVER), wide(0), wide(0), wide(0)
+    for first in range(VIA_AXIS):  # the axis along which it begins
+        if first == 0:
+            _straight(problem, routing, net, wide(0), x0, x1, y0, buffers.layers[0])
+            _straight(problem, routing, net, wide(1), y0, y1, x1, buffers.layers[1])
+        else:
+            _straight(problem, routing, net, wide(1), y0, y1, x0, buffers.layers[0])
+            _straight(problem, routing, net, wide(0), x0, x1, y1, buffers.layers[1])
+        cost, a, b = _best_layers(buffers.layers[0], buffers.layers[1], z0, z1, via)
+        if cost < least:
+            least, turn, one, two = cost, wide(first), a, b
+    end = size + 1
+    buffers.key[size] = point
+    far = (x1 - x0, y1 - y0)
+    point, end = _draw_line(lattice, buffers, point, wide(VIA_AXIS), one - z0, end)
+    point, end = _draw_line(lattice, buffers, point, turn, far[turn], end)
+    point, end = _draw_line(lattice, buffers, point, wide(VIA_AXIS), two - one, end)
+    point, end = _draw_line(lattice, buffers, point, 1 - turn, far[1 - turn], end)
+    _, end = _draw_line(lattice, buffers, point, wide(VIA_AXIS), z1 - two, end)
+    for i in range(size, end):
+        buffers.inside[buffers.key[i]] = 1
+    return end
