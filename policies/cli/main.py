@@ -449,8 +449,8 @@ def bench(
 ) -> None:
     """Measure speed, as ratios to comparators that run in turns with the code.
 
-    SECTION is one of start, batch, interfaces, large, search, training and scaling; without it
-    everything is measured, which takes several minutes.
+    SECTION is one of start, batch, observation, interfaces, libraries, large, search, training and
+    scaling; without it everything is measured, which takes several minutes.
     """
     from policies.bench import SECTIONS, Bench, Measurement, run
     from policies.cli.tables import number, show_speed
