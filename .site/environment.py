@@ -28,11 +28,12 @@ def page() -> str:
     """The text of docs/environment.md."""
     text = inspect.getdoc(global_routing_v0)
     assert text is not None
+    title, text = text.split("\n", 1)
     before, heading, after = text.partition("\n## Arguments\n")
     assert heading, "the docstring has no ## Arguments"
     text, rows = after.split("\n## ", 1)
     table = "\n".join(["| argument | default | |", "|---|---|---|", *_arguments()])
-    whole = f"{before}{heading}{text.rstrip()}\n\n{table}\n\n## {rows}"
+    whole = f"{title.rstrip('.')}\n{before}{heading}{text.rstrip()}\n\n{table}\n\n## {rows}"
     return NOTE + markdown(whole, links=False).rstrip() + "\n"
 
 

@@ -33,6 +33,8 @@ FENCE = re.compile(r"^ *```.*?^ *```[^\n]*$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"(\]\()([^)\s]+)(\))")
 INCLUDE = re.compile(r"^<!-- include: (\S+) -->$", re.MULTILINE)
 CODE = re.compile(r"(?<![\[`])`([a-z_.A-Z0-9]+)(\(…?\))?`(?![\]`])")
+SPAN = re.compile(r"(`[^`\n]+`)")
+STAR = re.compile(r"(?<=\bA)\*(?![\w*])")
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".yml": "yaml", ".toml": "toml"}
 
 
@@ -90,7 +92,10 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         return f"[{match[0]}]({posixpath.relpath(_source_uri(module), folder or '.')})"
 
     def text(part: str) -> str:
-        part = LINK.sub(turned, part).replace("<details>", "<details markdown>")
+        # GitHub knows that a star after a letter and before a comma cannot begin emphasis.
+        pieces = SPAN.split(LINK.sub(turned, part))
+        pieces[::2] = [STAR.sub(r"\\*", piece) for piece in pieces[::2]]
+        part = "".join(pieces).replace("<details>", "<details markdown>")
         lines = part.split("\n")
         return "\n".join(
             line if line.startswith("#") else CODE.sub(to_reference, line) for line in lines
@@ -126,8 +131,9 @@ def _module(name: str) -> Path | None:
     """The file of a module such as ``marouting.game.rules``; None if it is something else."""
     if name.split(".")[0] not in ("marouting", "policies") or "." not in name:
         return None
-    file = ROOT / (name.replace(".", "/") + ".py")
-    return file if file.exists() else None
+    path = ROOT / name.replace(".", "/")
+    files = (path.with_suffix(".py"), path / "__init__.py")
+    return next((file for file in files if file.exists()), None)
 
 
 def _target(page: str, link: str) -> tuple[Path | None, str]:
@@ -190,7 +196,10 @@ def _included(page: str, name: str) -> str:
 
 
 def _reference_page(page: dict[str, Any]) -> str:
-    blocks = "\n\n".join(f"::: {name}" for name in page["names"])
+    blocks = "\n\n".join(
+        f"::: {name}" + ("\n    options: {members: false}" if _module(name) else "")
+        for name in page["names"]
+    )
     return f"# {page['title']}\n\n{page['about']}\n\n{blocks}\n"
 
 
