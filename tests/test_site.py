@@ -1,6 +1,5 @@
 """The documentation site: it builds without a warning, and a page needs nothing from elsewhere."""
 
-import contextlib
 import importlib
 import os
 import re
@@ -60,14 +59,13 @@ def test_the_reference_has_every_public_name() -> None:
     for name in marouting.__all__:
         expected = [f"{name}.{part}" for part in spread.get(name, ())] or [name]
         assert {f"marouting.{part}" for part in expected} <= listed, name
-    for name in listed:
-        module, _, attribute = name.rpartition(".")
-        with contextlib.suppress(ModuleNotFoundError):  # of a library that is not installed
-            assert hasattr(importlib.import_module(module), attribute), name
 
 
 def build(root: Path, out: Path) -> list[str]:
-    """Builds the site of a checkout as CONTRIBUTING.md says; returns the warnings."""
+    """Builds the site of a checkout as CONTRIBUTING.md says; returns the warnings.
+
+    A name of the reference that is not there is one.
+    """
     for module in ("mkdocs", "material", "mkdocstrings_handlers.python"):
         pytest.importorskip(module)
     done = subprocess.run(
