@@ -105,6 +105,15 @@ def test_pages_load_nothing_from_elsewhere(site: Path) -> None:
         assert not re.search(r"(@import|url\()\s*[\"']?(https?:)?//", text), sheet
 
 
+def test_nothing_of_the_markdown_is_left(site: Path) -> None:
+    for page in site.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        text = re.sub(r"<(script|style|pre|code)\b.*?</\1>", "", text, flags=re.DOTALL)
+        shown = re.sub(r"<[^>]+>", "", text)
+        found = re.search(r"\|:?--|\]\(|\]\[|\*\*|```|^ *::: ", shown, re.MULTILINE)
+        assert not found, f"{page}: {shown[found.start() - 50 : found.end() + 50]}"
+
+
 def test_pages_show_what_they_should(site: Path) -> None:
     texts = {
         name: re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", (site / name).read_text(encoding="utf-8")))
