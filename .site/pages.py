@@ -43,7 +43,7 @@ def on_config(config: MkDocsConfig) -> None:
     pages: list[Any] = ["reference/README.md"]
     pages += [{page["title"]: f"reference/{name}.md"} for name, page in REFERENCE.items()]
     pages.append({"Command line": "reference/cli.md"})
-    for entry in config.nav:
+    for entry in config.nav or ():
         if "Reference" in entry:
             entry["Reference"] = pages
 
@@ -62,8 +62,8 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
         made[f"reference/{name}.md"] = _reference_page(page)
     made["reference/README.md"] = _reference_index()
     made["reference/cli.md"] = _command_line()
-    for page, text in made.items():
-        files.append(File.generated(config, page, content=text))
+    for uri, text in made.items():
+        files.append(File.generated(config, uri, content=text))
     for target in sorted(targets):
         file = File.generated(config, _source_uri(target), content=_source_page(target))
         file.inclusion = InclusionLevel.NOT_IN_NAV
