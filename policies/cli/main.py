@@ -343,7 +343,8 @@ def train(config: Path | None, overrides: tuple[str, ...], resume: Path | None) 
     """Train a learner on the problems of CONFIG, a YAML file.
 
     KEY=VALUE changes a key of CONFIG, such as train.episodes=200. Everything is written to the run
-    folder, the key `out`.
+    folder, the key `out`. A run that is resumed, finished or not, may get more episodes, with
+    --resume DIR train.episodes=N.
     """
     from policies.cli.progress import training_bar
     from policies.cli.resolved import check_kind
@@ -363,11 +364,22 @@ def train(config: Path | None, overrides: tuple[str, ...], resume: Path | None) 
         settings = replace(settings, out=str(resume))
     run = Run(settings, resume=resume is not None)
     if run.finished is not None:
-        click.echo(f"{resume}: is finished, nothing is changed", err=True)
+        click.echo(
+            f"{resume}: is finished, nothing is changed; train.episodes=N gives it more", err=True
+        )
         show(run.finished, str(run.folder))
         return
     if resume is not None and not (resume / CHECKPOINT).exists():
         click.echo(f"{resume}: no checkpoint yet, so the training starts again", err=True)
+    if run.had is not None:
+        click.echo(f"{resume}: {run.had} episodes become {settings.train.episodes}", err=True)
+        learner = settings.learner
+        for name in learner.cls.schedules(learner.options):
+            click.echo(
+                f"{resume}: learner.{name} goes by the share of all episodes, so this is not the "
+                f"training that has {settings.train.episodes} from the start",
+                err=True,
+            )
     click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
     with training_bar(*run.episodes, run.best) as watch:
         rows = run.execute(watch)
