@@ -8,7 +8,7 @@ import os
 import shutil
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -1074,6 +1074,51 @@ def test_studies_can_change_and_follow_the_routers(here: Path) -> None:
     again.execute()
     assert outcome(here / "out") == before
     assert load_experiment(here / "out" / "config.yaml") == again.config
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_keys_of_the_run_reach_every_training(here: Path) -> None:
+    routers = {**ASTAR, "wide": DQN, "slim": {**DQN, "train": {"episodes": 9, "best": "reward"}}}
+    config = write_config(here / "c.yaml", routers=routers, train={"evaluate_every": 2})
+    asked = load_experiment(config, ["train.episodes=2"])
+    kept = {name: asked.routers[name]["train"] for name in ("wide", "slim")}
+    for name, best in (("wide", "routes"), ("slim", "reward")):
+        assert {**kept[name], "episodes": 2, "evaluate_every": 2, "best": best} == kept[name]
+    assert asked.train == {}
+    assert asked.routers["a"] == load_experiment(config).routers["a"]
+    Experiment(asked)
+    assert load_experiment(here / "out" / "config.yaml") == asked
+    with pytest.raises(InputError, match=r"routers\.wide: train\.episode: unknown key"):
+        load_experiment(config, ["train.episode=2"])
+    with pytest.raises(InputError, match="train: expected none: no router of this experiment"):
+        load_experiment(write_config(here / "d.yaml"), ["train.episodes=2"])
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_studies_follow_smaller_sets_and_may_be_left_out(here: Path) -> None:
+    def study(*problems: str | None) -> dict[str, Any]:
+        columns = {str(p): {"router": "astar", "problem": p} for p in problems}
+        return {"panels": ["routes"], "columns": columns}
+
+    problems = {"small": SMALL}
+    studies = {"a": study(None, "problem_000", "problem_002"), "b": study("problem_002")}
+    config = write_config(here / "c.yaml", problems=problems, studies=studies)
+    whole = load_experiment(config)
+    assert {name: list(s.columns) for name, s in whole.drawn.items()} == {
+        "a": ["None", "problem_000", "problem_002"],
+        "b": ["problem_002"],
+    }
+    fewer = load_experiment(config, ["problems.small.count=2"])
+    assert {name: list(s.columns) for name, s in fewer.drawn.items()} == {
+        "a": ["None", "problem_000"]
+    }
+    Experiment(fewer).execute()
+    assert (here / "out" / "results.csv").exists()
+    assert list(load_experiment(config, ["studies.a=null"]).studies) == ["b"]
+    # A name that no generated problem has is a mistake.
+    wrong = load_experiment(config, ["studies.a.columns.problem_002.problem=problem_2"])
+    with pytest.raises(InputError, match="problem: unknown name 'problem_2'"):
+        Experiment(replace(wrong, out=str(here / "other")))
 
 
 def test_a_study_shows_every_router_once_and_any_title(here: Path, drawn: dict[str, Any]) -> None:
