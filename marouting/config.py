@@ -627,16 +627,32 @@ def unknown_key(key: str, known: Sequence[str]) -> str:
 
 def _explain(schema: type, error: ValidationError) -> str:
     """The first error of a validation, in one line."""
-    first = error.errors(include_url=False)[0]
+    errors = error.errors(include_url=False)
+    first = errors[0]
     # The tag of a union appears in the path as if it were a key.
     tags = {hint.tag for hint in _flatten(schema) if isinstance(hint, Tag)}
-    loc = [str(part) for part in first["loc"]]
-    path = [p for i, p in enumerate(loc) if not (p in tags and i and loc[i - 1] == "problem")]
+
+    def path_of(loc: tuple[int | str, ...]) -> list[str]:
+        parts = [str(part) for part in loc if not str(part).startswith("literal[")]
+        return [
+            p for i, p in enumerate(parts) if not (p in tags and i and parts[i - 1] == "problem")
+        ]
+
+    path = path_of(first["loc"])
     key = ".".join(path)
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return unknown_key(key, _keys(schema, path[:-1]))
     message = first["msg"].replace("\n", " ").replace("Invalid JSON", "expected JSON")
     message = message.removeprefix("Value error, ").replace("Input should be", "expected")
+    message = message.replace("a valid array", "a list").replace("an object", "a mapping")
+    message = message.replace("Field required", "expected a value, found none")
+    if first["type"] == "literal_error":
+        # Of a union, every part has an error of its own.
+        same = [e for e in errors if e["type"] == first["type"] and path_of(e["loc"]) == path]
+        known = [name for e in same for name in re.split(", | or ", e["ctx"]["expected"])]
+        message = f"expected {', '.join(known[:-1])} or {known[-1]}" if known[1:] else message
+    elif first["loc"][-1:] == ("file",) and path[-1:] == ["problem"]:
+        message = "expected a file, a folder, a list of them, or a generator's options"
     said = first["type"] in ("value_error", "json_invalid", "missing", "missing_argument")
     found = "" if said else f", found {first['input']!r}"[:200]
     return f"{_prefix(key)}{message}{found}"

@@ -38,7 +38,7 @@ def kinds() -> dict[str, type[Any]]:
     return {"train": Config, "experiment": ExperimentConfig, "benchmark": BenchmarkConfig}
 
 
-def _kind_of(raw: Mapping[str, Any], expected: str = "train") -> str:
+def kind_of(raw: Mapping[str, Any], expected: str = "train") -> str:
     """The command that knows most keys of a configuration; among equals the one expected."""
     known = {
         kind: len(raw.keys() & schema.__dataclass_fields__) for kind, schema in kinds().items()
@@ -48,7 +48,7 @@ def _kind_of(raw: Mapping[str, Any], expected: str = "train") -> str:
 
 def check_kind(path: str | os.PathLike[str], command: str) -> None:
     """Raises InputError if another command knows more keys of a file than this one."""
-    kind = _kind_of(read_yaml(path), command)
+    kind = kind_of(read_yaml(path), command)
     if kind != command:
         raise InputError(
             f"{os.fspath(path)}: expected a configuration for `marouting {command}`, found one for "
@@ -73,7 +73,7 @@ def resolve(
         InputError: names the file or key, what was expected and what was found.
     """
     raw, name = read_yaml(path), os.fspath(path)
-    whole = plain(build(kinds()[_kind_of(raw)], override(raw, overrides), name))
+    whole = plain(build(kinds()[kind_of(raw)], override(raw, overrides), name))
     folder = Path(name).parent
     given = {
         keys: f"{os.path.relpath(file, folder)}:{line}"

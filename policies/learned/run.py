@@ -42,6 +42,7 @@ from policies.results.run_folder import (
     solution_file,
 )
 from policies.routers.astar import AStarRouter
+from policies.routers.base import warm_up
 
 _FILES = (CONFIG, METRICS, EVALUATIONS, CHECKPOINT, POLICY, RESULT)
 
@@ -316,6 +317,7 @@ class Run:
         each = self._seconds / len(self.problems)
         learner = self.config.learner.name
         best = self.trainer.solutions()
+        warm_up(AStarRouter())
         for name, problem in self.problems.items():
             start = time.perf_counter()
             astar = AStarRouter().route(problem)
