@@ -104,8 +104,8 @@ def cli() -> None:
 def generate(out: Path, as_json: bool, **options: Any) -> None:
     """Generate random problems: OUT/problem_000.gr and so on.
 
-    OUT may hold problems of the same set: they are written again. Problems of other sets are
-    refused.
+    OUT may hold problems of these names, which are written anew. It may hold no others: a set of
+    40 is not half replaced by one of 20.
     """
     from marouting.generator import GeneratorOptions, generate_each
     from marouting.source import generated_name
