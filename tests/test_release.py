@@ -32,7 +32,7 @@ def test_version_changelog_and_citation_are_in_step() -> None:
 
 
 def test_the_container_installs_what_there_is() -> None:
-    text = (ROOT / "docs" / "Containerfile").read_text()
+    text = (ROOT / ".container" / "Containerfile").read_text()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     (extras,) = re.findall(r'"/source\[([\w,]+)\]"', text)
     assert set(extras.split(",")) <= project["optional-dependencies"].keys()
