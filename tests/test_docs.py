@@ -119,7 +119,7 @@ def stop_before_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("policies.experiment.Experiment", Entries)
     monkeypatch.setattr("policies.benchmark.run.Benchmark", Scored)
     monkeypatch.setattr("policies.bench.run", begins)
-    monkeypatch.setattr("policies.cli.main.solve", begins)
+    monkeypatch.setattr("policies.cli.main.warm_up", begins)
     monkeypatch.setattr("policies.figures.plot.plot", drawn)
     monkeypatch.setattr("policies.cli.quickstart.run", begins)
 
