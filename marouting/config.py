@@ -21,7 +21,7 @@ import inspect
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar, cast, get_args, get_type_hints
@@ -183,32 +183,128 @@ def config_file(path: str | os.PathLike[str]) -> Path:
     return next((file for file in shipped if file.is_file()), found)
 
 
+INCLUDE = "include"
+"""The key of a YAML file that names one or more files to begin from."""
+
+_MOST_FILES = 100
+"""The largest number of files that one begins from."""
+
+Keys = tuple[str, ...]
+"""The keys that lead to a value."""
+
+
+@dataclass(frozen=True)
+class _File:
+    """A file of a configuration: its name for messages, what it says, and on which lines."""
+
+    name: str
+    data: dict[str, Any]
+    lines: dict[Keys, int]
+
+
 def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The mapping in a YAML file; raises InputError naming the file and the line.
+    """The mapping in a YAML file, and in those that it includes.
+
+    The key ``include`` names a file to begin from, or a list of them, each relative to the file
+    that includes it, or one of those that the package brings (``configs/…``). What a file says
+    replaces what those say that it includes, and later ones in a list replace earlier ones: see
+    :func:`merged`.
 
     Args:
         path: a path as :func:`config_file` takes it.
+
+    Raises:
+        InputError: names the file and the line.
     """
-    data = parse_yaml(read_text(config_file(path), MOST_TEXT), os.fspath(path))
-    if data is None:
-        return {}
-    if not isinstance(data, dict):
-        raise InputError(f"{os.fspath(path)}: expected a mapping of keys to values")
-    return data
+    whole: dict[str, Any] = {}
+    for file in _files(path):
+        whole = merged(whole, file.data)
+    return whole
 
 
-def lines_of(path: str | os.PathLike[str]) -> dict[tuple[str, ...], int]:
-    """The line of every value in a YAML file that :func:`read_yaml` reads.
+def origins_of(path: str | os.PathLike[str]) -> dict[Keys, tuple[str, int]]:
+    """The file and the line of every value that :func:`read_yaml` reads.
 
     Args:
         path: a path as :func:`config_file` takes it.
 
     Returns:
-        The line, from 1, by the keys that lead to the value; of mappings only what is in them.
+        The file's name and the line, from 1, by the keys that lead to the value; of mappings only
+        what is in them.
     """
-    lines: dict[tuple[str, ...], int] = {}
+    files = _files(path)
+    whole: dict[str, Any] = {}
+    for file in files:
+        whole = merged(whole, file.data)
+    # A value is from the last file that has one there.
+    lines = {keys: (file.name, line) for file in files for keys, line in file.lines.items()}
+    return {keys: lines[keys] for keys, _ in leaves(whole) if keys in lines}
 
-    def walk(node: yaml.Node | None, above: tuple[str, ...], line: int) -> None:
+
+def merged(raw: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain data in which the values of ``more`` replace those of ``raw``, at any depth.
+
+    A mapping with another ``kind`` replaces all of a mapping: options belong to their piece.
+    """
+    result = dict(raw)
+    for key, value in more.items():
+        inner = result.get(key)
+        result[key] = value
+        if isinstance(inner, Mapping) and isinstance(value, Mapping):
+            kind = inner.get("kind")
+            result[key] = merged(inner, value) if value.get("kind", kind) == kind else value
+    return result
+
+
+def leaves(data: Mapping[str, Any], above: Keys = ()) -> Iterator[tuple[Keys, Any]]:
+    """Every value that is not itself a mapping with keys, and the keys that lead to it."""
+    for key, value in data.items():
+        if isinstance(value, Mapping) and value:
+            yield from leaves(value, (*above, str(key)))
+        else:
+            yield (*above, str(key)), value
+
+
+def _files(path: str | os.PathLike[str]) -> list[_File]:
+    """A YAML file after all those that it includes, in the order in which they are merged."""
+    found: list[_File] = []
+
+    def read(name: str, file: Path, above: tuple[Path, ...]) -> None:
+        text = read_text(file, MOST_TEXT)
+        data = parse_yaml(text, name)
+        data = {} if data is None else data
+        if not isinstance(data, dict):
+            raise InputError(f"{name}: expected a mapping of keys to values")
+        lines = _lines(text)
+        given = data.pop(INCLUDE, [])
+        included = [given] if isinstance(given, str) else given
+        place = f"{name}:{lines.get((INCLUDE,), 1)}: {INCLUDE}"
+        lines = {keys: line for keys, line in lines.items() if keys[0] != INCLUDE}
+        if not isinstance(included, list) or not all(isinstance(one, str) for one in included):
+            raise InputError(f"{place}: expected a file or a list of files, found {given!r}")
+        here = (*above, file.resolve())
+        for one in included:
+            inner, shown = file.parent / one, os.path.normpath(Path(name).parent / one)
+            if not inner.exists() and Path(one).parts[:1] == ("configs",):
+                inner, shown = config_file(one), one
+            if not one or not inner.is_file():
+                raise InputError(f"{place}: expected a file, found none at {shown}")
+            if inner.resolve() in here:
+                raise InputError(f"{place}: expected no circle, found {shown}, which includes it")
+            if len(found) + len(here) >= _MOST_FILES:
+                raise InputError(f"{place}: expected at most {_MOST_FILES} files in all")
+            read(shown, inner, here)
+        found.append(_File(name, data, lines))
+
+    read(os.fspath(path), config_file(path), ())
+    return found
+
+
+def _lines(text: str) -> dict[Keys, int]:
+    """The line, from 1, of every value in YAML text that :func:`parse_yaml` reads."""
+    lines: dict[Keys, int] = {}
+
+    def walk(node: yaml.Node | None, above: Keys, line: int) -> None:
         if not isinstance(node, yaml.MappingNode) or not node.value:
             lines[above] = line
             return
@@ -216,8 +312,10 @@ def lines_of(path: str | os.PathLike[str]) -> dict[tuple[str, ...], int]:
         for key, value in node.value:
             walk(value, (*above, key.value), key.start_mark.line + 1)
 
-    loader = _Loader(read_text(config_file(path), MOST_TEXT))
-    walk(loader.get_single_node(), (), 1)
+    loader = _Loader(text)
+    root = loader.get_single_node()
+    if isinstance(root, yaml.MappingNode) and root.value:
+        walk(root, (), 1)
     return lines
 
 
@@ -529,16 +627,32 @@ def unknown_key(key: str, known: Sequence[str]) -> str:
 
 def _explain(schema: type, error: ValidationError) -> str:
     """The first error of a validation, in one line."""
-    first = error.errors(include_url=False)[0]
+    errors = error.errors(include_url=False)
+    first = errors[0]
     # The tag of a union appears in the path as if it were a key.
     tags = {hint.tag for hint in _flatten(schema) if isinstance(hint, Tag)}
-    loc = [str(part) for part in first["loc"]]
-    path = [p for i, p in enumerate(loc) if not (p in tags and i and loc[i - 1] == "problem")]
+
+    def path_of(loc: tuple[int | str, ...]) -> list[str]:
+        parts = [str(part) for part in loc if not str(part).startswith("literal[")]
+        return [
+            p for i, p in enumerate(parts) if not (p in tags and i and parts[i - 1] == "problem")
+        ]
+
+    path = path_of(first["loc"])
     key = ".".join(path)
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return unknown_key(key, _keys(schema, path[:-1]))
     message = first["msg"].replace("\n", " ").replace("Invalid JSON", "expected JSON")
     message = message.removeprefix("Value error, ").replace("Input should be", "expected")
+    message = message.replace("a valid array", "a list").replace("an object", "a mapping")
+    message = message.replace("Field required", "expected a value, found none")
+    if first["type"] == "literal_error":
+        # Of a union, every part has an error of its own.
+        same = [e for e in errors if e["type"] == first["type"] and path_of(e["loc"]) == path]
+        known = [name for e in same for name in re.split(", | or ", e["ctx"]["expected"])]
+        message = f"expected {', '.join(known[:-1])} or {known[-1]}" if known[1:] else message
+    elif first["loc"][-1:] == ("file",) and path[-1:] == ["problem"]:
+        message = "expected a file, a folder, a list of them, or a generator's options"
     said = first["type"] in ("value_error", "json_invalid", "missing", "missing_argument")
     found = "" if said else f", found {first['input']!r}"[:200]
     return f"{_prefix(key)}{message}{found}"

@@ -1,38 +1,128 @@
 """# Global Routing, version 0.
 
+![An episode: 30 nets walk one after another](pictures/episode.svg)
+
 Every net of a chip is an agent that routes over one shared grid of Gcells. Routes take capacity
 from the edges that they cross, so the nets have to share it.
 
 | | |
 |---|---|
 | Import | `from marouting import global_routing_v0` |
-| Agents | `net_0`, `net_1`, …: every net; those with all pins in one Gcell are in `idle_nets` |
-| Actions | Discrete(6): EAST +x, WEST −x, NORTH +y, SOUTH −y, UP +z, DOWN −z |
-| Observation | Box(12), float32: x, y, z; dx, dy, dz to the target; six remaining capacities |
-| Action mask | `info["action_mask"]` and `action_mask(agent)`, int8 of length 6 |
-| State | Box(X, Y, 5 Z), float32 |
-| Reward | +100 for reaching the target pin, −1 for any other move |
-| Parallel | yes, natively |
+| Actions | Discrete |
+| Parallel API | Yes, natively |
+| Manual control | No |
+| Agents | `net_0`, `net_1`, …: every net |
+| Action shape | () |
+| Action values | 0 to 5; with `rip_up="agents"` 0 to 6 |
+| Observation shape | (12,), float32; another one with another `observation` |
+| Observation values | see the table below |
+| State shape | (X, Y, 5 Z), float32, on a grid of X×Y×Z Gcells |
+| Render modes | `ansi`, `rgb_array`, `human` |
 
-A net's pins are split into two-pin tasks, which its agent routes one after the other. A move across
-an edge without enough remaining capacity, or off the grid, is blocked: the agent stays, and the
-step counts. An edge that the net already uses is free to cross again. A task fails after
-`max_steps` steps. An agent is terminated when all its tasks are joined, and truncated when its last
-task has ended and some failed; its last info holds the `metrics`, and as `overflow`, `wirelength`,
-`joined`, `tasks`, `open`, `steps` and `is_success` what loggers look for.
-:mod:`marouting.game.rules` has all rules. With `agents_persist` agents that are done stay among the
-agents, with rewards of 0 and a mask whose only move does nothing, and all agents end together.
+A net's pins are split into two-pin **tasks**, which its agent routes one after the other: it starts
+at one pin and walks, one Gcell per step, to the other. `env.unwrapped.solution()` holds the routes,
+which `marouting.evaluate` judges by the rules of the ISPD 2008 contest.
+:mod:`marouting.game.rules` has all rules of the game.
+
+## Usage
+
+```python
+from marouting import global_routing_v0
+
+env = global_routing_v0.env(problem={"nets": 10, "seed": 1}, render_mode="ansi")
+env.reset(seed=42)
+for agent in env.agent_iter():
+    observation, reward, terminated, truncated, info = env.last()
+    over = terminated or truncated
+    env.step(None if over else env.action_space(agent).sample(info["action_mask"]))
+print(env.render())
+```
+
+`parallel_env` is the same game with PettingZoo's Parallel interface, and `raw_env` is `env` without
+the wrappers that check actions and the order of calls.
+`gymnasium.make("marouting/GlobalRouting-v0")` is the game for one player, who moves all nets.
+
+## Agents
+
+Every net is an agent. A net with all its pins in one Gcell has nothing to route and is no agent;
+`idle_nets` lists it. An agent leaves when all its tasks have ended. With `agents_persist` it stays
+among `agents`, with rewards of 0 and a mask whose only move does nothing, until all agents end
+together.
+
+## Actions
+
+| action | move |
+|---:|---|
+| 0 | EAST, +x |
+| 1 | WEST, −x |
+| 2 | NORTH, +y |
+| 3 | SOUTH, −y |
+| 4 | UP, +z: a via to the layer above |
+| 5 | DOWN, −z: a via to the layer below |
+| 6 | give way, if asked; only with `rip_up="agents"` |
+
+A move across an edge without enough remaining capacity, or off the grid, is **blocked**: the agent
+stays, and the step counts. An edge that the net already uses is free to cross again. Vias have
+unlimited capacity.
+
+## Action mask
+
+`info["action_mask"]` and `action_mask(agent)`: int8 of length 6, 1 for the moves that cross an
+edge. It is never all zero: an agent that is boxed in has all ones. With `mask_in_observation`
+observations are dictionaries with the keys `observation` and `action_mask`; `observation_key` and
+`mask_key` give both other names.
+
+## Observation space
+
+The paper's 12 numbers, in Gcells and tracks:
+
+| index | number | values |
+|---|---|---|
+| 0–2 | x, y, z of the agent's Gcell | 0 to X − 1, Y − 1, Z − 1 |
+| 3–5 | x, y, z of the target less those of the agent | −(X − 1) to X − 1, and so on |
+| 6–9 | remaining capacity of the edges of moves 0 to 3 | 0 off the grid, negative in overflow |
+| 10–11 | the same for moves 4 and 5, the vias | 10, or 0 off the grid |
+
+The observations `window` (:class:`marouting.game.window.WindowObservation`) and `outlook`
+(:class:`marouting.game.outlook.OutlookObservation`) show more, in numbers of order 1, with the same
+shape on every grid.
+
+## State
+
+`state()` has five numbers for each Gcell: the remaining capacity of its edges towards +x and +y,
+the number of nets that use its via upwards, the number of agents in it, and the number of agents
+whose target it is. With the observation `window` it has that observation's channels for the whole
+grid.
+
+## Rewards
+
+The agent that moves gets +100 when it reaches the target pin of its task, and −1 for any other
+move. `reward="normalised"` pays +1 and −0.01. With the rewards `team`, `difference`, `potential`
+and `mixed` nets are paid for what they do to each other.
+
+## End of an episode
+
+A task is **joined** when the agent reaches its target, and **fails** after `max_steps` steps. Then
+the next one starts. An agent is **terminated** when all its tasks are joined. It is **truncated**
+when its last task has ended and at least one failed. Its last info holds the `metrics` (overflow,
+wirelength, tasks joined, tasks, steps), and as `overflow`, `wirelength`, `joined`, `tasks`, `open`,
+`steps` and `is_success` what loggers look for.
 
 With `rip_up_rounds` nets give their edges back after all have routed, and walk again with the
-others in place (:mod:`marouting.game.rounds`). Agents stay then, as with `agents_persist`. With
-`rip_up="agents"` there is a seventh action: to give way when asked.
+others in place (:mod:`marouting.game.rounds`). Agents stay then, as with `agents_persist`.
 
-The options of `env`, `raw_env` and `parallel_env` are the fields of
-:class:`marouting.options.GameOptions`. The problem may be a `Problem`, a `.gr` file, or a mapping
-of the generator's options (:class:`marouting.generator.GeneratorOptions`); or several of them, such
-as a folder: then every episode plays one, drawn at random. With `scenario` and `split` it plays a
-level of the benchmark (:mod:`marouting.scenarios`): a new training problem in every episode, or one
-of the validation or test problems.
+## Problems
+
+The problem may be a `Problem`, a `.gr` file, or a mapping of the generator's options
+(:class:`marouting.generator.GeneratorOptions`); or several of them, such as a folder: then every
+episode plays one, drawn at random. With `scenario` and `split` it plays a level of the benchmark
+(:mod:`marouting.scenarios`): a new training problem in every episode, or one of the validation or
+test problems.
+
+## Arguments
+
+`env`, `raw_env`, `parallel_env` and `gymnasium.make` take them as keywords, and configurations
+under the key `env` (:class:`marouting.options.GameOptions`).
 
 ## Version history
 

@@ -9,5 +9,8 @@ import policies.learned.networks
 import policies.routers  # noqa: F401
 from marouting.registry import register
 
+DISTRIBUTION = "marouting"
+"""Whose package this is: its name is a common one."""
+
 # Here, because routers that do not learn come first.
 register("router", "learned", "policies.learned.generalist:GeneralistRouter")

@@ -391,7 +391,7 @@ def test_resume_needs_no_configuration_and_leaves_a_finished_run_alone(
     files = {path: path.read_bytes() for path in (here / "run").rglob("*") if path.is_file()}
     assert status(["train", "--resume", "run"]) == 0
     found = capsys.readouterr()
-    assert found.err == "run: is finished, nothing is changed\n"
+    assert found.err == "run: is finished, nothing is changed; train.episodes=N gives it more\n"
     assert found.out == first
     assert files == {p: p.read_bytes() for p in (here / "run").rglob("*") if p.is_file()}
     (here / "run" / "result.json").unlink()
@@ -620,8 +620,8 @@ def long_summary() -> dict[str, Any]:
         "pruned_wirelength": interval(12345670.1, 98765.4),
         "gap": {**interval(123.45, 67.89), "problems": 432109},
         "lower_wirelength": {"percent": 99.9, "low": 98.0, "high": 100.0},
-        "astar": record,
-        "reference": record,
+        "against_astar": record,
+        "against_reference": record,
         "seconds": 98700.0,
         "spread": None,
     }
@@ -1440,7 +1440,7 @@ def test_a_problem_with_nothing_to_route(
     for row in summary["sets"]["s"]:
         assert (row["overflow"], row["wirelength"]["mean"], row["gap"]["mean"]) == (0, 0, 0)
         if row["router"] != "astar":
-            assert row["astar"] == {"wins": 0, "ties": 1, "losses": 0}
+            assert row["against_astar"] == {"wins": 0, "ties": 1, "losses": 0}
             assert row["lower_wirelength"]["percent"] == 0
     assert len(pictures(printed(capsys, "plot", "out"))) == 3
     said = "expected a net with pins in two Gcells or more"

@@ -144,42 +144,6 @@ def test_every_example_is_listed_and_short() -> None:
         assert len(lines) <= 150, name
 
 
-@pytest.mark.parametrize(
-    "name", ["CONTRIBUTING.md", "docs/architecture.md", "docs/examples/README.md"]
-)
-def test_documents_name_what_there_is(name: str) -> None:
-    file = ROOT / name
-    text = file.read_text(encoding="utf-8")
-    for link in re.findall(r"\]\(([^)#]+)\)", text):
-        assert link.startswith("https://") or (file.parent / link).exists(), link
-    for path in re.findall(r"`((?:marouting|policies|tests|configs)/[\w/.]*)`", text):
-        assert (ROOT / path).exists(), path
-
-
-ROUTE = ("-m", "policies.cli.main", "route", "problem.gr", "--json", "--router")
-
-
-def test_own_pieces_on_the_command_line(tmp_path: Path) -> None:
-    """As docs/examples/README.md says, from the folder that holds them."""
-    marouting.generate(1, nets=10, seed=1)[0].write(tmp_path / "problem.gr")
-    for name in ("own_router", "own_reward", "own_network"):
-        shutil.copy(EXAMPLES / f"{name}.py", tmp_path)
-    out = python(*ROUTE, "own_router:PatternRouter", "price=10", cwd=tmp_path)
-    assert '"router": "own_router:PatternRouter"' in out
-    assert '"connected": true' in out
-    out = python(
-        "-m", "policies.cli.main", "train", "configs/paper/default.yaml", "out=run",
-        "env.problem=problem.gr", 'env.reward={kind: "own_reward:TeamReward", joined: 5}',
-        'learner.network={kind: "own_network:Residual"}', "learner.burn_in_size=100",
-        "train.episodes=1", "train.figures=false", "train.tensorboard=false",
-        cwd=tmp_path,
-    )  # fmt: skip
-    assert "dqn_policy" in out
-    kept = read_yaml(tmp_path / "run" / "config.yaml")
-    assert kept["env"]["reward"] == {"kind": "own_reward:TeamReward", "joined": 5.0, "wire": 1.0}
-    assert kept["learner"]["network"]["kind"] == "own_network:Residual"
-
-
 def test_configurations_are_found_from_any_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,7 +8,7 @@ import os
 import shutil
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -288,9 +288,9 @@ def test_summary_is_that_of_the_rows(finished: Path) -> None:
     assert [row["router"] for row in of_all] == ["random", "astar", "dqn", "best"]
     assert {row["problems"] for row in of_all} == {5}
     small = {row["router"]: row for row in summary["sets"]["small"]}
-    assert small["astar"]["astar"] is None
-    assert small["random"]["reference"] is None
-    assert sum(small["up"]["astar"].values()) == 3
+    assert small["astar"]["against_astar"] is None
+    assert small["random"]["against_reference"] is None
+    assert sum(small["up"]["against_astar"].values()) == 3
     assert small["dqn"]["seeds"] == 2
     assert set(small["dqn"]["spread"]) >= {"overflow", "wirelength", "lower_wirelength"}
     assert small["astar"]["spread"] is None
@@ -766,8 +766,8 @@ def test_rows_that_are_none(finished: Path, here: Path, refused: Callable[..., s
     for text, said in (
         ("", ": expected rows in JSON: "),
         ("{}", ": expected rows in JSON: "),
-        ("[1]", ": row 1: expected an object, found 1"),
-        ("[{}]", ": row 1: set: Field required"),
+        ("[1]", ": row 1: expected a mapping, found 1"),
+        ("[{}]", ": row 1: set: expected a value, found none"),
         (json.dumps([row, row]), ": row 2: expected every router once for each problem and seed"),
         (json.dumps([{**row, "overflow": -5}]), ": row 1: overflow: expected greater than or"),
         (json.dumps([{**row, "overflow": True}]), ": row 1: overflow: expected a valid integer"),
@@ -1074,6 +1074,51 @@ def test_studies_can_change_and_follow_the_routers(here: Path) -> None:
     again.execute()
     assert outcome(here / "out") == before
     assert load_experiment(here / "out" / "config.yaml") == again.config
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_keys_of_the_run_reach_every_training(here: Path) -> None:
+    routers = {**ASTAR, "wide": DQN, "slim": {**DQN, "train": {"episodes": 9, "best": "reward"}}}
+    config = write_config(here / "c.yaml", routers=routers, train={"evaluate_every": 2})
+    asked = load_experiment(config, ["train.episodes=2"])
+    kept = {name: asked.routers[name]["train"] for name in ("wide", "slim")}
+    for name, best in (("wide", "routes"), ("slim", "reward")):
+        assert {**kept[name], "episodes": 2, "evaluate_every": 2, "best": best} == kept[name]
+    assert asked.train == {}
+    assert asked.routers["a"] == load_experiment(config).routers["a"]
+    Experiment(asked)
+    assert load_experiment(here / "out" / "config.yaml") == asked
+    with pytest.raises(InputError, match=r"routers\.wide: train\.episode: unknown key"):
+        load_experiment(config, ["train.episode=2"])
+    with pytest.raises(InputError, match="train: expected none: no router of this experiment"):
+        load_experiment(write_config(here / "d.yaml"), ["train.episodes=2"])
+
+
+@pytest.mark.usefixtures("_undrawn")
+def test_studies_follow_smaller_sets_and_may_be_left_out(here: Path) -> None:
+    def study(*problems: str | None) -> dict[str, Any]:
+        columns = {str(p): {"router": "astar", "problem": p} for p in problems}
+        return {"panels": ["routes"], "columns": columns}
+
+    problems = {"small": SMALL}
+    studies = {"a": study(None, "problem_000", "problem_002"), "b": study("problem_002")}
+    config = write_config(here / "c.yaml", problems=problems, studies=studies)
+    whole = load_experiment(config)
+    assert {name: list(s.columns) for name, s in whole.drawn.items()} == {
+        "a": ["None", "problem_000", "problem_002"],
+        "b": ["problem_002"],
+    }
+    fewer = load_experiment(config, ["problems.small.count=2"])
+    assert {name: list(s.columns) for name, s in fewer.drawn.items()} == {
+        "a": ["None", "problem_000"]
+    }
+    Experiment(fewer).execute()
+    assert (here / "out" / "results.csv").exists()
+    assert list(load_experiment(config, ["studies.a=null"]).studies) == ["b"]
+    # A name that no generated problem has is a mistake.
+    wrong = load_experiment(config, ["studies.a.columns.problem_002.problem=problem_2"])
+    with pytest.raises(InputError, match="problem: unknown name 'problem_2'"):
+        Experiment(replace(wrong, out=str(here / "other")))
 
 
 def test_a_study_shows_every_router_once_and_any_title(here: Path, drawn: dict[str, Any]) -> None:
@@ -1389,12 +1434,12 @@ def test_summary_by_hand(worked: list[dict[str, Any]]) -> None:
     assert dqn["lower_wirelength"]["percent"] == pytest.approx(100 * (0 + 0.5 + 0.5) / 3)
     assert best["lower_wirelength"]["percent"] == pytest.approx(100 / 3)
     # By open connections, overflow, wirelength: loss, loss; win, win; win, tie.
-    assert dqn["astar"] == {"wins": 1.5, "ties": 0.5, "losses": 1}
-    assert best["astar"] == {"wins": 2, "ties": 1, "losses": 0}
-    assert dqn["reference"] == {"wins": 0, "ties": 0.5, "losses": 2.5}
-    assert astar["reference"] == {"wins": 0, "ties": 1, "losses": 2}
-    assert best["reference"] is None
-    assert astar["astar"] is astar["lower_wirelength"] is astar["spread"] is None
+    assert dqn["against_astar"] == {"wins": 1.5, "ties": 0.5, "losses": 1}
+    assert best["against_astar"] == {"wins": 2, "ties": 1, "losses": 0}
+    assert dqn["against_reference"] == {"wins": 0, "ties": 0.5, "losses": 2.5}
+    assert astar["against_reference"] == {"wins": 0, "ties": 1, "losses": 2}
+    assert best["against_reference"] is None
+    assert astar["against_astar"] is astar["lower_wirelength"] is astar["spread"] is None
     # Over the seeds: wirelength 275 / 3 and 89, overflow 0 and 1, two values half of √2 apart.
     spread = dqn["spread"]
     assert spread["wirelength"] == pytest.approx((275 / 3 - 89) / math.sqrt(2))
@@ -1406,12 +1451,12 @@ def test_summary_by_hand(worked: list[dict[str, Any]]) -> None:
 
 def test_a_reference_with_seeds_meets_every_seed(worked: list[dict[str, Any]]) -> None:
     astar, _, dqn = summarise(worked, "dqn")
-    assert astar["reference"] == {"wins": 1, "ties": 0.5, "losses": 1.5}
-    assert dqn["reference"] is None
+    assert astar["against_reference"] == {"wins": 1, "ties": 0.5, "losses": 1.5}
+    assert dqn["against_reference"] is None
     _, _, without = summarise(worked, None)
-    assert without["reference"] is None
+    assert without["against_reference"] is None
     (alone,) = summarise([r for r in worked if r["router"] == "dqn"], "best")
-    assert alone["astar"] is alone["lower_wirelength"] is alone["reference"] is None
+    assert alone["against_astar"] is alone["lower_wirelength"] is alone["against_reference"] is None
 
 
 def test_what_nobody_joins_has_no_wirelength(worked: list[dict[str, Any]]) -> None:
@@ -1486,11 +1531,11 @@ def test_the_yardstick_runs_as_it_stands(
     assert list(found) == ["astar", "astar-best", "pathfinder", "optimal", "random"]
     assert found["optimal"]["gap"] == {"mean": 0, "low": 0, "high": 0, "problems": 3}
     for name in ("astar", "astar-best", "pathfinder", "random"):
-        assert found[name]["reference"]["wins"] == 0
+        assert found[name]["against_reference"]["wins"] == 0
         assert (
             found[name]["gap"] is None or found[name]["gap"]["low"] >= 0 or name.startswith("astar")
         )
-    assert found["optimal"]["astar"]["losses"] == 0
+    assert found["optimal"]["against_astar"]["losses"] == 0
     assert found["random"]["open"] > 0
     proven = [row["proven"] for row in results(tmp_path / "y") if row["kind"] == "optimal"]
     assert proven == [True] * 3

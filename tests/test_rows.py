@@ -205,7 +205,7 @@ def test_gaps_to_an_optimum_of_nothing() -> None:
     best, astar, dqn = summarise(rows)
     assert astar["gap"] == {"mean": 0.0, "low": None, "high": None, "problems": 1}
     assert dqn["gap"] is None
-    assert best["astar"] == {"wins": 0, "ties": 1, "losses": 0}
+    assert best["against_astar"] == {"wins": 0, "ties": 1, "losses": 0}
     assert dqn["lower_wirelength"]["percent"] == 0
 
 
@@ -221,11 +221,11 @@ def test_routers_are_compared_where_both_have_rows() -> None:
     _, dqn, random = summarise(rows, "random")
     assert dqn["problems"] == dqn["seeds"] == 2
     assert dqn["wirelength"]["mean"] == 15
-    assert dqn["astar"] == {"wins": 0.5, "ties": 0, "losses": 0.5}
+    assert dqn["against_astar"] == {"wins": 0.5, "ties": 0, "losses": 0.5}
     assert dqn["lower_wirelength"]["percent"] == 50
-    assert dqn["reference"] == {"wins": 1, "ties": 0, "losses": 0}
+    assert dqn["against_reference"] == {"wins": 1, "ties": 0, "losses": 0}
     assert dqn["spread"]["wirelength"] is None
-    assert random["astar"] is None
+    assert random["against_astar"] is None
     assert random["lower_wirelength"] is None
 
 

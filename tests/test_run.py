@@ -732,6 +732,83 @@ def test_resume_takes_another_place_of_the_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
+# --- more episodes --------------------------------------------------------------------------------
+
+STEADY = {"epsilon_final": None}
+"""A DQN none of whose options goes by the share of all episodes."""
+
+LONGER: dict[str, dict[str, Any]] = {
+    "single": STEADY,
+    "multi, masked": {**STEADY, "agents": "multi", "masking": True},
+    "shared": {**STEADY, "shared": True, "problem": {**PROBLEMS, "count": 1}},
+    "torch": {**STEADY, "fused": False, "n_step": 3},
+    "ppo": {"kind": "ppo", "anneal": False, "copies": 1, "problem": {**PROBLEMS, "count": 1}},
+    "drawn": {**STEADY, "shared": True, "games": 1, "problem": DRAWN},
+}
+
+
+@pytest.mark.parametrize("options", LONGER.values(), ids=LONGER)
+def test_more_episodes_are_those_of_a_longer_run(options: dict[str, Any], tmp_path: Path) -> None:
+    # Evaluations fall on the last episode of a part, and no option goes by the share of all.
+    whole, folder = tmp_path / "whole", tmp_path / "parts"
+    config = config_in(whole, 9, **options)
+    Run(config).execute()
+    schedules = config.learner.cls.schedules(config.learner.options)
+    assert schedules == ()
+    Run(config_in(folder, 3, **options)).execute()
+    first = metrics(folder)
+    run = Run(config_in(folder, 6, **options), resume=True)
+    assert run.had == 3
+    assert run.finished is None
+    run.execute()
+    assert metrics(folder)[: len(first)] == first
+    Run(config_in(folder, 9, **options), resume=True).execute()
+    assert load_config(folder / "config.yaml").train.episodes == 9
+    again, expected = outcome(folder), outcome(whole)
+    if len(run.problems) == 2 and run.trainer.config.train.games is None:
+        # The two problems' episodes are logged in another order: the first part ends in between.
+        for name in ("metrics.jsonl", "evaluations.jsonl"):
+            by_problem = [sorted(of[name].splitlines()) for of in (again, expected)]
+            assert by_problem[0] == by_problem[1]
+            del again[name], expected[name]
+    assert again == expected
+
+
+def test_a_longer_run_is_no_finished_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "run"
+    Run(config_in(folder, 3)).execute()
+    before = snapshot(folder)
+    run = Run(config_in(folder, 6), resume=True)
+    assert snapshot(folder) == before  # until it trains
+    monkeypatch.setattr(Logs, "write", killed)
+    with pytest.raises(Killed):
+        run.execute()
+    monkeypatch.undo()
+    assert not (folder / "result.json").exists()
+    assert load_config(folder / "config.yaml").train.episodes == 6
+    with pytest.raises(InputError, match=r"train\.episodes: expected 6, as in .* or more, found 3"):
+        Run(config_in(folder, 3), resume=True)
+    assert {row["episode"] for row in metrics(folder)} == {0, 1, 2}
+    Run(config_in(folder, 6), resume=True).execute()
+    assert len(metrics(folder)) == 12
+
+
+def killed(*_: Any) -> None:
+    raise Killed
+
+
+def test_options_that_go_by_the_share_of_all_episodes_are_known(tmp_path: Path) -> None:
+    def schedules(**options: Any) -> Any:
+        learner = config_in(tmp_path, **options).learner
+        return learner.cls.schedules(learner.options)
+
+    assert schedules(epsilon_final=0.0) == ("epsilon",)
+    assert schedules(**STEADY, prioritised=True) == ("importance_exponent",)
+    assert schedules(kind="ppo") == ("learning_rate",)
+    imitation = build(Config, {"learner": {"kind": "imitation", "anneal": False}}).learner
+    assert imitation.cls.schedules(imitation.options) == ()
+
+
 # --- refused --------------------------------------------------------------------------------------
 
 OTHERS: dict[str, dict[str, Any]] = {
@@ -743,7 +820,7 @@ OTHERS: dict[str, dict[str, Any]] = {
     "env.reward.reached": {"reward": {"reached": 7}},
     "env.problem.nets": {"problem": {**PROBLEMS, "nets": 4}},
     "env.problem.count": {"problem": "some.gr"},
-    "train.episodes": {"episodes": 9},
+    "train.episodes": {"episodes": 2},
     "train.shared": {"shared": True},
 }
 
@@ -973,11 +1050,11 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "no policies": changed(lambda state: state["trainer"].pop("policies")),
     "no state of the game": changed(lambda state: state["trainer"].pop("game.used")),
     "no buffers": changed(lambda state: state["trainer"].pop("buffers.obs")),
-    "no places": changed(lambda state: state["trainer"].pop("places")),
+    "no number of episodes": changed(lambda state: state.pop("in_all")),
+    "more episodes": changed(lambda state: state.update(in_all=4)),
+    "fewer episodes": changed(lambda state: state.update(in_all=2)),
+    "episodes of no number": changed(lambda state: state.update(in_all=torch.tensor(3))),
     "no networks": changed(lambda state: state["training"].pop("networks.flat")),
-    "other places": changed(lambda state: state["trainer"].update(places=torch.tensor([0, 5]))),
-    "places in rows": changed(lambda state: state["trainer"].update(places=torch.ones(2, 2))),
-    "places of no numbers": changed(lambda state: state["trainer"].update(places=["a", "b"])),
     "weights": reshaped("training", "networks.flat"),
     "target": reshaped("training", "target"),
     "mean": reshaped("training", "adam.mean"),

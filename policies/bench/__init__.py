@@ -17,6 +17,7 @@ import torch
 
 from marouting import InputError
 from policies.bench.environment import batch, interfaces, jumanji, large, observation, start
+from policies.bench.libraries import libraries
 from policies.bench.measure import Bench, Measurement
 from policies.bench.search import search, time_scaling
 from policies.bench.training import training
@@ -29,6 +30,7 @@ SECTIONS: Mapping[str, Callable[[Bench], Iterator[Measurement]]] = {
     "batch": batch,
     "observation": observation,
     "interfaces": interfaces,
+    "libraries": libraries,
     "large": large,
     "search": search,
     "training": training,

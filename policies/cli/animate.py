@@ -9,6 +9,8 @@ import click
 from marouting import InputError, Problem, Solution, evaluate
 from marouting.files import check_writable
 from marouting.game.options import TurnOrder
+from policies.cli.completion import routers
+from policies.cli.options import FILE, json_option, tell
 from policies.cli.source import ProblemFile, problem_argument
 from policies.results.run_folder import solution_name
 from policies.routers.registry import is_learner, make_router
@@ -19,19 +21,20 @@ if TYPE_CHECKING:
 
 @click.command()
 @problem_argument
-@click.argument("solution", type=Path, required=False)
+@click.argument("solution", type=FILE, required=False)
 @click.option(
-    "--out", type=Path, required=True, help="File for the animation, with the suffix .svg or .gif."
+    "--out", type=FILE, required=True, help="File for the animation, with the suffix .svg or .gif."
 )
 @click.option(
     "--router",
     metavar="NAME",
+    shell_complete=routers,
     help="What routes PROBLEM if there is no SOLUTION: a router's name or module:Class.  "
     "[default: astar]",
 )
 @click.option(
     "--checkpoint",
-    type=Path,
+    type=FILE,
     help="File of a trained policy, whose own game is shown; without it, a replay.",
 )
 @click.option(
@@ -44,6 +47,7 @@ if TYPE_CHECKING:
 @click.option(
     "--fps", type=float, help="Pictures per second.  [default: 3 to 20, for about 12 seconds]"
 )
+@json_option
 def animate(
     problem: ProblemFile,
     solution: Path | None,
@@ -53,6 +57,7 @@ def animate(
     turn_order: TurnOrder | None,
     frames: int,
     fps: float | None,
+    as_json: bool,
 ) -> None:
     """Draw an episode on PROBLEM as an animation, SVG or GIF.
 
@@ -83,7 +88,8 @@ def animate(
         states = replay(loaded, routes, turn_order or "sequential")
     scenes = record(states, frames)
     save_animation(scenes, loaded, out, f"{problem.stem}: {name}", fps)
-    click.echo(f"{len(scenes)} pictures in {out}: {scenes[-1].caption}")
+    count, caption = len(scenes), scenes[-1].caption
+    tell(as_json, f"{count} pictures in {out}: {caption}", out=out, pictures=count, caption=caption)
 
 
 def _policy(checkpoint: Path, problem: Problem, network: str) -> "Iterator[Engine]":

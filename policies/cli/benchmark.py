@@ -7,6 +7,8 @@ from pathlib import Path
 import click
 
 from marouting import InputError
+from policies.cli.completion import keys_of, routers, scenario_names
+from policies.cli.options import FILE, json_option, overrides_argument
 
 BASELINES = Path("configs/benchmark/baselines.yaml")
 """What is scored unless a router is named."""
@@ -16,12 +18,13 @@ RESULTS = Path("docs/results/benchmark")
 
 
 @click.command()
-@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@overrides_argument(keys_of("benchmark"))
 @click.option(
     "--scenario",
     "names",
     multiple=True,
     metavar="NAME",
+    shell_complete=scenario_names,
     help="Scenario whose problems are routed, or `all`; may be given several times. Without it "
     "there has to be --leaderboard.",
 )
@@ -30,6 +33,7 @@ RESULTS = Path("docs/results/benchmark")
     "routers",
     multiple=True,
     metavar="ROUTER",
+    shell_complete=routers,
     help="Name of a router or learner, or module:Class, each with options, as in 'astar "
     "best_of=16'; file of a trained policy; folder of solutions; or CSV file of published "
     "figures. May be given several times. Without it and --config, all that do not learn.",
@@ -37,7 +41,7 @@ RESULTS = Path("docs/results/benchmark")
 @click.option("--name", help="What tables call the router.  [default: made of --router]")
 @click.option(
     "--config",
-    type=Path,
+    type=FILE,
     help="YAML file with routers by name, beside --router.  [default: configs/benchmark/"
     "baselines.yaml, without --router]",
 )
@@ -56,7 +60,7 @@ RESULTS = Path("docs/results/benchmark")
 )
 @click.option(
     "--out",
-    type=Path,
+    type=FILE,
     default=Path("runs/benchmark"),
     show_default=True,
     help="Folder for the result files and the work behind them.",
@@ -65,19 +69,19 @@ RESULTS = Path("docs/results/benchmark")
 @click.option("--leaderboard", is_flag=True, help="Write the leaderboard from result files.")
 @click.option(
     "--results",
-    type=Path,
+    type=FILE,
     default=RESULTS,
     show_default=True,
     help="Folder of the leaderboard's result files.",
 )
 @click.option(
     "--page",
-    type=Path,
+    type=FILE,
     default=Path("docs/leaderboard.md"),
     show_default=True,
     help="The leaderboard's page; its plots lie beside it, in pictures/leaderboard.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text.")
+@json_option
 def benchmark(
     overrides: tuple[str, ...],
     names: tuple[str, ...],
@@ -123,6 +127,7 @@ def benchmark(
     from policies.cli.progress import problems_bar
     from policies.cli.resolved import check_kind
     from policies.cli.tables import show_benchmark
+    from policies.routers.registry import unknown
 
     if not names:
         known = ", ".join(scenarios.names())
@@ -142,6 +147,9 @@ def benchmark(
     for text in routers:
         more = "" if config is not None else f" {shlex.join(overrides)}" if overrides else ""
         contenders.append(from_text(f"{text}{more}", name, given))
+    for scenario in names:
+        if scenario not in (*scenarios.names(), "all"):
+            raise unknown("--scenario", scenario, (*scenarios.names(), "all"))
     chosen = scenarios.names() if "all" in names else list(names)
     run = Benchmark(chosen, contenders, out, split=split, seeds=seeds, jobs=jobs)  # type: ignore[arg-type]
     with problems_bar("benchmark") as watch:

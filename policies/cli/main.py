@@ -32,24 +32,34 @@ from marouting.problem.solution import ROUTE_FORMATS, RouteFormat
 from marouting.registry import names
 from policies.cli.animate import animate
 from policies.cli.benchmark import benchmark
+from policies.cli.completion import file_or_keys, keys_of, options_of_the_router, routers
+from policies.cli.options import FILE, as_text, json_option, overrides_argument, tell
 from policies.cli.report import guide, report
 from policies.cli.source import ProblemFile, problem_argument
 from policies.cli.view import view
-from policies.routers.base import solve
-from policies.routers.registry import has_seed, is_learner, make_router, router_names
+from policies.routers.base import solve, warm_up
+from policies.routers.registry import has_seed, is_learner, make_router, router_names, unknown
 
 if TYPE_CHECKING:
     from policies.routers.base import Router
 
 GridShape = click.Tuple([int, int, int])
 
-json_option = click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object instead of text."
+
+class _Commands(click.Group):
+    """The commands; of one that does not exist it is told which do."""
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """The command of a name."""
+        found = super().get_command(ctx, name)
+        if found is None and not ctx.resilient_parsing:
+            raise unknown("command", name, tuple(self.list_commands(ctx)))
+        return found
+
+
+@click.group(
+    cls=_Commands, no_args_is_help=False, context_settings={"help_option_names": ["-h", "--help"]}
 )
-overrides_argument = click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
-
-
-@click.group(no_args_is_help=False, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="marouting")
 def cli() -> None:
     """Multi-agent global routing: every net is an agent on one shared capacity grid.
@@ -89,9 +99,14 @@ def cli() -> None:
     help="Whether edges are the busiest in the A* solution of each problem, or of all problems.",
 )
 @click.option("--seed", default=0, show_default=True, help="Seed of the random numbers.")
-@click.option("--out", type=Path, required=True, help="Folder for the .gr files.")
-def generate(out: Path, **options: Any) -> None:
-    """Generate random problems: OUT/problem_000.gr and so on."""
+@click.option("--out", type=FILE, required=True, help="Folder for the .gr files.")
+@json_option
+def generate(out: Path, as_json: bool, **options: Any) -> None:
+    """Generate random problems: OUT/problem_000.gr and so on.
+
+    OUT may hold problems of these names, which are written anew. It may hold no others: a set of
+    40 is not half replaced by one of 20.
+    """
     from marouting.generator import GeneratorOptions, generate_each
     from marouting.source import generated_name
     from policies.cli.progress import problems_bar
@@ -104,23 +119,28 @@ def generate(out: Path, **options: Any) -> None:
         if number >= checked.count or generated_name(number) != path.stem:
             raise InputError(f"{out}: expected no problems of another set, found {path.name} in it")
     problems = generate_each(checked)
+    files = [out / f"{generated_name(number)}.gr" for number in range(checked.count)]
     with working_in(out), problems_bar(str(out)) as watch:
         for number, problem in enumerate(problems):
-            problem.write(out / f"{generated_name(number)}.gr")
+            problem.write(files[number])
             watch(number + 1, checked.count)
-    click.echo(f"{checked.count} problems in {out}")
+    count = f"{checked.count} problem{'s' if checked.count > 1 else ''}"
+    tell(as_json, f"{count} in {out}", out=out, count=checked.count, files=files)
 
 
 @cli.command()
 @problem_argument
-@click.argument("out", type=Path)
+@click.argument("out", type=FILE)
 @click.option(
     "--format",
     type=click.Choice((*FORMATS, *(f for f in ROUTE_FORMATS if f not in FORMATS))),
     help="Format of OUT.  [default: ispd2008; for routes as the suffix of OUT says]",
 )
-@click.option("--solution", type=Path, help="Solution to write; without it, PROBLEM is written.")
-def convert(problem: ProblemFile, out: Path, format: str | None, solution: Path | None) -> None:
+@click.option("--solution", type=FILE, help="Solution to write; without it, PROBLEM is written.")
+@json_option
+def convert(
+    problem: ProblemFile, out: Path, format: str | None, solution: Path | None, as_json: bool
+) -> None:
     """Write PROBLEM, or a solution of it, to OUT in another format.
 
     PROBLEM is a LEF/DEF design (.def), a problem of the ISPD 2024 contest (.cap), or ISPD text,
@@ -135,31 +155,32 @@ def convert(problem: ProblemFile, out: Path, format: str | None, solution: Path 
     loaded = problem.read()
     if solution is not None:
         Solution.read(solution, loaded).write(out, cast(RouteFormat | None, format))
-        click.echo(f"{len(loaded.nets)} nets in {out}")
-        return
-    loaded.write(out, cast(Format, format or "ispd2008"))
-    columns, rows, layers = loaded.grid
-    click.echo(f"{columns}x{rows}x{layers}, {len(loaded.nets)} nets in {out}")
+    else:
+        loaded.write(out, cast(Format, format or "ispd2008"))
+    nets, size = f"{len(loaded.nets)} nets", "x".join(map(str, loaded.grid))
+    text = f"{size}, {nets} in {out}" if solution is None else f"{nets} in {out}"
+    tell(as_json, text, out=out, grid=list(loaded.grid), nets=len(loaded.nets))
 
 
 @cli.command()
 @problem_argument
-@overrides_argument
+@overrides_argument(options_of_the_router)
 @click.option(
     "--router",
     metavar="NAME",
     default="astar",
     show_default=True,
+    shell_complete=routers,
     help=f"What routes the problem: {', '.join(router_names())}, or module:Class.",
 )
 @click.option(
     "--checkpoint",
-    type=Path,
+    type=FILE,
     help="File of a trained policy; without it, a learner is trained on the problem.",
 )
 @click.option(
     "--config",
-    type=Path,
+    type=FILE,
     help="YAML file of the router's options, or of a learner's training; without it, the defaults.",
 )
 @click.option(
@@ -172,7 +193,7 @@ def convert(problem: ProblemFile, out: Path, format: str | None, solution: Path 
     is_flag=True,
     help="Take away the edges that join nothing before the solution is judged and written.",
 )
-@click.option("--out", type=Path, help="File for the solution; without it, none is written.")
+@click.option("--out", type=FILE, help="File for the solution; without it, none is written.")
 @json_option
 def route(
     problem: ProblemFile,
@@ -191,8 +212,11 @@ def route(
     for optimal. A learner walks with the policy of --checkpoint, or is trained on the problem, as
     in the paper; its options are the keys of a training's configuration, such as
     train.episodes=200. Overflow and wirelength are those of the routes as they are; beside them
-    stand those without dead ends and loops (pruned), which --prune takes away.
+    stand those without dead ends and loops (pruned), which --prune takes away. The seconds are
+    those of routing: nothing is compiled or loaded in them.
     """
+    from policies.cli.progress import waiting
+
     learner = is_learner(router, "--router")
     if checkpoint and not learner:
         expected = " or ".join(names("learner"))
@@ -210,6 +234,8 @@ def route(
             options = override({} if config is None else read_yaml(config), [*given, *overrides])
             where = f"--router {router}" if config is None else str(config)
             solver = make_router(router, options, where)
+            stack.enter_context(waiting(router, solver))
+        warm_up(solver)
         started = time.perf_counter()
         solution, report = solve(solver, loaded)
         solution = solution.pruned() if prune else solution
@@ -275,7 +301,7 @@ def _report(
 
 @cli.command("evaluate")
 @problem_argument
-@click.argument("solution", type=Path)
+@click.argument("solution", type=FILE)
 @json_option
 def evaluate_command(problem: ProblemFile, solution: Path, as_json: bool) -> None:
     """Evaluate a solution file by the rules of the ISPD 2008 contest's evaluator.
@@ -293,10 +319,10 @@ def evaluate_command(problem: ProblemFile, solution: Path, as_json: bool) -> Non
 
 
 @cli.command("config")
-@overrides_argument
+@overrides_argument(keys_of("train"))
 @click.option(
     "--show",
-    type=Path,
+    type=FILE,
     metavar="FILE",
     help="The configuration to show; without it, give --schema.",
 )
@@ -331,19 +357,23 @@ def config_command(
 
 
 @cli.command()
-@click.argument("config", type=Path, required=False)
-@overrides_argument
+@click.argument("config", type=FILE, required=False, shell_complete=file_or_keys)
+@overrides_argument(keys_of("train"))
 @click.option(
     "--resume",
-    type=Path,
+    type=FILE,
     help="Run folder of a training to continue; CONFIG may be left out.  "
     "[default: a new training, in the folder `out`]",
 )
-def train(config: Path | None, overrides: tuple[str, ...], resume: Path | None) -> None:
+@json_option
+def train(
+    config: Path | None, overrides: tuple[str, ...], resume: Path | None, as_json: bool
+) -> None:
     """Train a learner on the problems of CONFIG, a YAML file.
 
     KEY=VALUE changes a key of CONFIG, such as train.episodes=200. Everything is written to the run
-    folder, the key `out`.
+    folder, the key `out`. A run that is resumed, finished or not, may get more episodes, with
+    --resume DIR train.episodes=N.
     """
     from policies.cli.progress import training_bar
     from policies.cli.resolved import check_kind
@@ -352,6 +382,8 @@ def train(config: Path | None, overrides: tuple[str, ...], resume: Path | None) 
     from policies.learned.run import Run
     from policies.results.run_folder import CHECKPOINT
 
+    if resume is not None and config is not None and "=" in str(config) and not config.exists():
+        config, overrides = None, (str(config), *overrides)
     if resume is not None and not (resume / "config.yaml").exists():
         raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
     if config is None and resume is None:
@@ -362,21 +394,39 @@ def train(config: Path | None, overrides: tuple[str, ...], resume: Path | None) 
     if resume is not None:
         settings = replace(settings, out=str(resume))
     run = Run(settings, resume=resume is not None)
+
+    def tell_rows(rows: Sequence[Mapping[str, Any]]) -> None:
+        if as_json:
+            click.echo(as_text({"out": run.folder, "episodes": run.episodes[1], "rows": rows}))
+        else:
+            show(rows, str(run.folder))
+
     if run.finished is not None:
-        click.echo(f"{resume}: is finished, nothing is changed", err=True)
-        show(run.finished, str(run.folder))
+        click.echo(
+            f"{resume}: is finished, nothing is changed; train.episodes=N gives it more", err=True
+        )
+        tell_rows(run.finished)
         return
     if resume is not None and not (resume / CHECKPOINT).exists():
         click.echo(f"{resume}: no checkpoint yet, so the training starts again", err=True)
+    if run.had is not None:
+        click.echo(f"{resume}: {run.had} episodes become {settings.train.episodes}", err=True)
+        learner = settings.learner
+        for name in learner.cls.schedules(learner.options):
+            click.echo(
+                f"{resume}: learner.{name} goes by the share of all episodes, so this is not the "
+                f"training that has {settings.train.episodes} from the start",
+                err=True,
+            )
     click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
     with training_bar(*run.episodes, run.best) as watch:
         rows = run.execute(watch)
-    show(rows, str(run.folder))
+    tell_rows(rows)
 
 
 @cli.command()
-@click.argument("config", type=Path)
-@overrides_argument
+@click.argument("config", type=FILE)
+@overrides_argument(keys_of("experiment"))
 @json_option
 def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     """Compare routers on sets of problems, as CONFIG, a YAML file, describes.
@@ -401,13 +451,14 @@ def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
 
 
 @cli.command()
-@click.argument("paths", nargs=-1, required=True, type=Path, metavar="RUN_OR_FILE...")
+@click.argument("paths", nargs=-1, required=True, type=FILE, metavar="RUN_OR_FILE...")
 @click.option(
     "--out",
-    type=Path,
+    type=FILE,
     help="Folder for the figures.  [default: `figures`, inside a folder or beside a file]",
 )
-def plot(paths: tuple[Path, ...], out: Path | None) -> None:
+@json_option
+def plot(paths: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     """Draw figures of runs, experiments and files.
 
     Draws run folders, experiment folders, metrics.jsonl files, files of marouting bench --out, and
@@ -416,6 +467,9 @@ def plot(paths: tuple[Path, ...], out: Path | None) -> None:
     """
     from policies.figures.plot import plot as draw
 
+    if as_json:
+        click.echo(as_text({"files": list(draw(paths, out))}))
+        return
     for path in draw(paths, out):
         click.echo(path)
 
@@ -437,7 +491,7 @@ cli.add_command(animate)
     type=click.Choice(["jumanji"]),
     help="Library to compare with; without it, none.",
 )
-@click.option("--out", type=Path, help="JSON file for the results; without it, none is written.")
+@click.option("--out", type=FILE, help="JSON file for the results; without it, none is written.")
 @json_option
 def bench(
     sections: tuple[str, ...],
@@ -449,8 +503,8 @@ def bench(
 ) -> None:
     """Measure speed, as ratios to comparators that run in turns with the code.
 
-    SECTION is one of start, batch, interfaces, large, search, training and scaling; without it
-    everything is measured, which takes several minutes.
+    SECTION is one of start, batch, observation, interfaces, libraries, large, search, training and
+    scaling; without it everything is measured, which takes several minutes.
     """
     from policies.bench import SECTIONS, Bench, Measurement, run
     from policies.cli.tables import number, show_speed
@@ -479,16 +533,17 @@ def bench(
 @cli.command()
 @click.option(
     "--out",
-    type=Path,
+    type=FILE,
     default=Path("quickstart"),
     show_default=True,
     help="Folder for the results.",
 )
-def quickstart(out: Path) -> None:
+@json_option
+def quickstart(out: Path, as_json: bool) -> None:
     """Route a small problem, train on it and draw it, in about a minute."""
     from policies.cli.quickstart import run
 
-    run(out)
+    run(out, as_json)
 
 
 cli.add_command(benchmark)

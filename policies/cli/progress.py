@@ -1,14 +1,17 @@
 """Progress bars on standard error for work that takes minutes or hours."""
 
 import contextlib
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+import click
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    SpinnerColumn,
     TaskID,
     TextColumn,
     TimeElapsedColumn,
@@ -74,6 +77,41 @@ def problems_bar(name: str) -> Iterator[Callable[[float, int], None]]:
     with _bar("problems") as (bar, task):
         bar.update(task, description=name)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextlib.contextmanager
+def waiting(name: str, router: object) -> Iterator[None]:
+    """Shows that a router works, and for how long: a router does not say how far it is.
+
+    Where standard error is no terminal, a line says so once, after some seconds.
+
+    Args:
+        name: what the router is called.
+        router: the router, whose options may tell how long it may take.
+    """
+    options = getattr(router, "options", router)
+    limits = (getattr(options, limit, None) for limit in ("seconds", "time_limit"))
+    most = next((limit for limit in limits if isinstance(limit, int | float)), None)
+    text = f"{name}: routing" if most is None else f"{name}: routing, for {most:g} s at most"
+    console = Console(stderr=True)
+    if console.is_terminal:
+        spinner, time = SpinnerColumn(), TimeElapsedColumn()
+        column = TextColumn("{task.description}", markup=False)
+        with Progress(spinner, column, time, console=console, transient=True) as bar:
+            bar.add_task(text, total=None)
+            yield
+        return
+    timer = threading.Timer(_QUIET, click.echo, (f"{text} ...",), {"err": True})
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+_QUIET = 3.0
+"""Seconds after which a router that is at work says so."""
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ from marouting.generator import GeneratorOptions
 from marouting.options import Agents, EnvOptions
 from marouting.source import load_problem
 from policies import figures
+from policies.cli.options import as_text
 from policies.cli.progress import training_bar
 from policies.cli.tables import show
 from policies.figures.plot import reward_figures, run_figures
@@ -31,11 +32,12 @@ PROBLEM = GeneratorOptions(nets=30, capacity=4, seed=29)
 EPISODES = 350
 
 
-def run(out: Path) -> None:
+def run(out: Path, as_json: bool = False) -> None:
     """Does the whole job and writes the results; raises InputError if that is impossible.
 
     Args:
         out: the folder for the results.
+        as_json: whether one JSON object is printed instead of a table.
     """
     problem = load_problem(PROBLEM)
     check_own(out, ("problem.gr", "solutions.png", *get_args(Agents)))
@@ -71,12 +73,16 @@ def run(out: Path) -> None:
     run_figures(out / "single")
     reward_figures(out / "multi" / METRICS, out / "multi" / "figures")
     nets, grid = len(problem.nets), "x".join(map(str, problem.grid))
+    pictures = {
+        "solutions": out / "solutions.png",
+        "heat maps": out / "single" / "figures" / "problem" / f"{learner}_heat_maps.png",
+        "reward curve": out / "single" / "figures" / "reward.png",
+    }
+    if as_json:
+        click.echo(as_text({"out": out, "rows": rows, "files": list(pictures.values())}))
+        return
     show(rows, f"{nets} nets on {grid} Gcells")
-    for what, path in (
-        ("solutions", out / "solutions.png"),
-        ("heat maps", out / "single" / "figures" / "problem" / f"{learner}_heat_maps.png"),
-        ("reward curve", out / "single" / "figures" / "reward.png"),
-    ):
+    for what, path in pictures.items():
         click.echo(f"{what:>12}: {path}")
 
 

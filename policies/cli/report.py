@@ -7,19 +7,20 @@ import click
 
 from marouting import Solution, evaluate
 from marouting.files import check_writable
+from policies.cli.options import FILE, json_option, tell
 from policies.cli.source import ProblemFile, problem_argument
 
 
 @click.command()
 @problem_argument
-@click.argument("solution", type=Path)
+@click.argument("solution", type=FILE)
 @click.option(
     "--map",
     "picture",
-    type=Path,
+    type=FILE,
     help="Picture for a congestion map, such as map.png; without it, none.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text.")
+@json_option
 def report(problem: ProblemFile, solution: Path, picture: Path | None, as_json: bool) -> None:
     """Say where a solution of PROBLEM is crowded, and which nets make detours.
 
@@ -46,9 +47,10 @@ def report(problem: ProblemFile, solution: Path, picture: Path | None, as_json: 
 
 @click.command()
 @problem_argument
-@click.argument("solution", type=Path)
-@click.option("--out", type=Path, required=True, help="File for the guide.")
-def guide(problem: ProblemFile, solution: Path, out: Path) -> None:
+@click.argument("solution", type=FILE)
+@click.option("--out", type=FILE, required=True, help="File for the guide.")
+@json_option
+def guide(problem: ProblemFile, solution: Path, out: Path, as_json: bool) -> None:
     """Write a solution of PROBLEM as a routing guide for detailed routers.
 
     The format is that of the ISPD 2018 contest: for every net boxes of layers, connected and over
@@ -58,6 +60,8 @@ def guide(problem: ProblemFile, solution: Path, out: Path) -> None:
     routes = Solution.read(solution, loaded)
     routes.write(out, "guide")
     reached = routes.at_reached_pins()
-    if open_nets := len(evaluate(reached.problem, reached).disconnected):
-        click.echo(f"{open_nets} open nets, whose guides are not connected", err=True)
-    click.echo(f"{len(loaded.nets)} nets in {out}")
+    open_nets = evaluate(reached.problem, reached).disconnected
+    if open_nets:
+        click.echo(f"{len(open_nets)} open nets, whose guides are not connected", err=True)
+    nets = len(loaded.nets)
+    tell(as_json, f"{nets} nets in {out}", out=out, nets=nets, open_nets=list(open_nets))

@@ -1,7 +1,7 @@
 """The whole of a configuration, defaults included, and where each of its values is from."""
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +9,11 @@ from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 
 from marouting.config import (
+    INCLUDE,
+    Keys,
     build,
-    lines_of,
+    leaves,
+    origins_of,
     override,
     parse_yaml,
     plain,
@@ -19,7 +22,7 @@ from marouting.config import (
 )
 from marouting.errors import InputError
 
-Origins = dict[tuple[str, ...], str]
+Origins = dict[Keys, str]
 """Where each value is from, by its key and the keys that lead there."""
 
 _COLUMN = 56
@@ -35,7 +38,7 @@ def kinds() -> dict[str, type[Any]]:
     return {"train": Config, "experiment": ExperimentConfig, "benchmark": BenchmarkConfig}
 
 
-def _kind_of(raw: Mapping[str, Any], expected: str = "train") -> str:
+def kind_of(raw: Mapping[str, Any], expected: str = "train") -> str:
     """The command that knows most keys of a configuration; among equals the one expected."""
     known = {
         kind: len(raw.keys() & schema.__dataclass_fields__) for kind, schema in kinds().items()
@@ -45,7 +48,7 @@ def _kind_of(raw: Mapping[str, Any], expected: str = "train") -> str:
 
 def check_kind(path: str | os.PathLike[str], command: str) -> None:
     """Raises InputError if another command knows more keys of a file than this one."""
-    kind = _kind_of(read_yaml(path), command)
+    kind = kind_of(read_yaml(path), command)
     if kind != command:
         raise InputError(
             f"{os.fspath(path)}: expected a configuration for `marouting {command}`, found one for "
@@ -63,27 +66,37 @@ def resolve(
         overrides: ``key=value``, as :func:`marouting.config.override` takes them.
 
     Returns:
-        All its values as plain data, and where they are from: ``FILE:LINE``, ``command line`` or
-        ``default``.
+        All its values as plain data, and where they are from: ``FILE:LINE``, with files named from
+        the folder of the first, ``command line`` or ``default``.
 
     Raises:
         InputError: names the file or key, what was expected and what was found.
     """
     raw, name = read_yaml(path), os.fspath(path)
-    whole = plain(build(kinds()[_kind_of(raw)], override(raw, overrides), name))
-    given = {keys: f"{Path(name).name}:{line}" for keys, line in lines_of(path).items()}
+    whole = plain(build(kinds()[kind_of(raw)], override(raw, overrides), name))
+    folder = Path(name).parent
+    given = {
+        keys: f"{os.path.relpath(file, folder)}:{line}"
+        for keys, (file, line) in origins_of(path).items()
+    }
     for text in overrides:
         key, _, value = text.partition("=")
         keys = tuple(key.split("."))
         given = {known: origin for known, origin in given.items() if known[: len(keys)] != keys}
-        for inner, _ in _leaves({key: parse_yaml(value, text)}):
+        for inner, _ in leaves({key: parse_yaml(value, text)}):
             given[(*keys, *inner[1:])] = "command line"
-    return whole, {keys: _origin(keys, given) for keys, _ in _leaves(whole)}
+    return whole, {keys: _origin(keys, given) for keys, _ in leaves(whole)}
 
 
 def schema_of(command: str) -> dict[str, Any]:
     """The JSON schema of a command's configurations."""
-    return TypeAdapter(kinds()[command]).json_schema(schema_generator=_Schema)
+    schema = TypeAdapter(kinds()[command]).json_schema(schema_generator=_Schema)
+    file = {"type": "string"}
+    schema["properties"][INCLUDE] = {
+        "anyOf": [file, {"type": "array", "items": file}],
+        "description": "Files to begin from, relative to this one.",
+    }
+    return schema
 
 
 class _Schema(GenerateJsonSchema):
@@ -96,15 +109,6 @@ class _Schema(GenerateJsonSchema):
         return {"anyOf": [{"type": "string"}, kind]}
 
 
-def _leaves(data: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[Any]:
-    """The keys that lead to every value that is not itself a mapping, and the value."""
-    for key, value in data.items():
-        if isinstance(value, Mapping) and value:
-            yield from _leaves(value, (*above, str(key)))
-        else:
-            yield (*above, str(key)), value
-
-
 def _origin(keys: tuple[str, ...], given: Origins) -> str:
     """Where a value is from; a piece's name may stand for the piece, as in ``reward: team``."""
     piece = keys[:-1] if keys[-1] == "kind" else keys
@@ -115,7 +119,7 @@ def text_of(whole: Mapping[str, Any], origins: Origins) -> str:
     """YAML text in which a comment says of each value where it is from."""
     lines: list[str] = []
     above: tuple[str, ...] = ()
-    for keys, value in _leaves(whole):
+    for keys, value in leaves(whole):
         shared = 0
         while shared < min(len(above), len(keys)) - 1 and above[shared] == keys[shared]:
             shared += 1

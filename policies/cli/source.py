@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from marouting import Problem
+from policies.cli.options import FILE
 
 
 @dataclass(frozen=True)
@@ -40,10 +41,10 @@ class ProblemFile:
 def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
     """Gives a command the argument PROBLEM, as a :class:`ProblemFile`, and its options."""
 
-    @click.argument("problem", type=Path)
+    @click.argument("problem", type=FILE)
     @click.option(
         "--lef",
-        type=Path,
+        type=FILE,
         multiple=True,
         help="LEF file of a .def file, technology first; may be given several times.  "
         "[default: the file beside it of the same name]",
@@ -56,7 +57,7 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
     )
     @click.option(
         "--net",
-        type=Path,
+        type=FILE,
         help="The .net file of a .cap file.  [default: the file beside it of the same name]",
     )
     @functools.wraps(command)

@@ -71,13 +71,13 @@ def show_experiment(summary: Mapping[str, Any]) -> None:
             "pruned": [_pruned(row) for row in rows],
             "gap\n%": [_gap(row) for row in rows],
             "less WL\n% of problems": [_share(row["lower_wirelength"]) for row in rows],
-            "A*\nW/T/L": [_record(row["astar"]) for row in rows],
+            "A*\nW/T/L": [_record(row["against_astar"]) for row in rows],
         }
         if not any(columns["pruned"]):
             del columns["pruned"]
         if reference:
             heading = textwrap.fill(reference, _NAME)
-            columns[f"{heading}\nW/T/L"] = [_record(row["reference"]) for row in rows]
+            columns[f"{heading}\nW/T/L"] = [_record(row["against_reference"]) for row in rows]
         columns["seconds"] = [
             "" if row["seconds"] is None else f"{row['seconds']:.3g}" for row in rows
         ]

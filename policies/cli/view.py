@@ -7,15 +7,17 @@ import click
 
 from marouting import InputError, Solution
 from marouting.files import check_writable, write_text
+from policies.cli.options import FILE, json_option, tell
 from policies.cli.source import ProblemFile, problem_argument
 from policies.results.run_folder import solution_name
 
 
 @click.command()
 @problem_argument
-@click.argument("solutions", nargs=-1, required=True, type=Path, metavar="SOLUTION...")
-@click.option("--out", type=Path, required=True, help="HTML file for the page.")
-def view(problem: ProblemFile, solutions: tuple[Path, ...], out: Path) -> None:
+@click.argument("solutions", nargs=-1, required=True, type=FILE, metavar="SOLUTION...")
+@click.option("--out", type=FILE, required=True, help="HTML file for the page.")
+@json_option
+def view(problem: ProblemFile, solutions: tuple[Path, ...], out: Path, as_json: bool) -> None:
     """Make a page with the routes of PROBLEM in 3-D and heat maps of its congestion.
 
     The page is one file that any browser shows without a network. SOLUTION is a solution file, a
@@ -33,7 +35,8 @@ def view(problem: ProblemFile, solutions: tuple[Path, ...], out: Path) -> None:
         found[name] = Solution.read(file, loaded)
     check_writable(out)
     write_text(out, page(loaded, found, problem.stem))
-    click.echo(f"{len(found)} solution{'s' if len(found) > 1 else ''} in {out}")
+    text = f"{len(found)} solution{'s' if len(found) > 1 else ''} in {out}"
+    tell(as_json, text, out=out, solutions=list(found))
 
 
 def _files(path: Path, problem: Path) -> list[Path]:

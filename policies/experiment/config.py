@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem
-from marouting.config import build, check, override, plain, read_yaml
+from marouting.config import build, check, merged, override, plain, read_yaml
 from marouting.files import is_file_name
+from marouting.generator import GeneratorOptions
 from marouting.options import PLAYED
-from marouting.source import load_problems
+from marouting.source import generated_name, load_problems
 from policies.learned.config import Config, for_learner
 from policies.results.rows import read_published
 from policies.results.statistics import ALL
-from policies.results.study import Study
+from policies.results.study import Study, StudyColumn
 from policies.routers.registry import (
     has_seed,
     is_learner,
@@ -49,8 +50,11 @@ class ExperimentConfig:
             is what figures call it. All other keys are options of the router, and those left out
             are filled in. None in place of the options leaves a router out, as
             ``routers.NAME=null`` does on the command line.
-        studies: composed figures by name, besides the figures of every set. Columns of routers that
-            are left out or not finished are left out.
+        train: keys of the run of every training, such as ``episodes``, in place of those of the
+            entries. They become the entries' own.
+        studies: composed figures by name, besides the figures of every set; None leaves one out.
+            Columns of routers that are left out or not finished are left out, and so are those of
+            problems that a smaller ``count`` on the command line leaves out.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -61,10 +65,11 @@ class ExperimentConfig:
     reference: str | None = None
     problems: Any = None
     routers: dict[str, dict[str, Any] | None] = field(default_factory=dict)
-    studies: dict[str, Study] = field(default_factory=dict)
+    train: dict[str, Any] = field(default_factory=dict)
+    studies: dict[str, Study | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, study in self.studies.items():
+        for name, study in self.drawn.items():
             _check_name(f"studies.{name}", name)
             for title, column in study.columns.items():
                 key = f"studies.{name}.columns.{title}"
@@ -87,8 +92,16 @@ class ExperimentConfig:
             _check_name(f"routers.{name}", name)
         if self.reference is not None and self.reference not in self.routers:
             raise unknown("reference", self.reference, tuple(self.routers))
+        if self.train:
+            entries = {entry.name: entry for entry in self.entries}
+            trained = {name for name, entry in entries.items() if entry.trains}
+            check("train", trained, "none: no router of this experiment is trained")
+            told = {"train": self.train}
+            kept = {name: merged(r, told) if name in trained else r for name, r in kept.items()}
+            object.__setattr__(self, "routers", kept)
+            object.__setattr__(self, "train", {})
         studies = {}
-        for name, study in self.studies.items():
+        for name, study in self.drawn.items():
             columns = {
                 title: replace(column, beside=tuple(r for r in column.beside if r in kept))
                 for title, column in study.columns.items()
@@ -99,6 +112,11 @@ class ExperimentConfig:
         object.__setattr__(self, "studies", studies)
         plain = {entry.name: entry.plain for entry in self.entries}
         object.__setattr__(self, "routers", plain)
+
+    @property
+    def drawn(self) -> dict[str, Study]:
+        """The composed figures that are not left out."""
+        return {name: study for name, study in self.studies.items() if study is not None}
 
     @property
     def entries(self) -> tuple["Entry", ...]:
@@ -169,7 +187,7 @@ class Training:
         raw = for_learner(raw, learner, self.config or where)
         quiet = {"train": {"figures": False, "tensorboard": False}}
         told = {"env": self.env, "learner": self.learner, "train": self.train}
-        raw = _merged(_merged(raw, quiet), told)
+        raw = merged(merged(raw, quiet), told)
         config: dict[str, Any] = plain(build(Config, for_learner(raw, learner, where), where))
         for name in PLAYED:
             del config["env"][name]
@@ -178,17 +196,6 @@ class Training:
 
 PARTS = ("env", "learner", "train")
 """The parts of a training's configuration that an entry holds."""
-
-
-def _merged(raw: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain data in which the keys of ``more`` replace those of ``raw``, at any depth."""
-    merged = dict(raw)
-    for key, value in more.items():
-        inner = merged.get(key)
-        if isinstance(inner, Mapping) and isinstance(value, Mapping):
-            value = _merged(inner, value)
-        merged[key] = value
-    return merged
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -296,7 +303,37 @@ def load_experiment(
     Raises:
         InputError: names the file or key, what was expected and what was found.
     """
-    return build(ExperimentConfig, override(read_yaml(path), overrides), os.fspath(path))
+    raw = read_yaml(path)
+    config = build(ExperimentConfig, override(raw, overrides), os.fspath(path))
+    sets = raw.get("problems")
+    return _without_those_gone(config, sets) if isinstance(sets, Mapping) else config
+
+
+def _without_those_gone(config: ExperimentConfig, sets: Mapping[str, Any]) -> ExperimentConfig:
+    """A configuration without columns of problems that sets had before they were made smaller."""
+    problems = config.problems if isinstance(config.problems, Mapping) else {}
+    gone: dict[str, range] = {}
+    for name in problems.keys() & sets.keys():
+        now, before = (
+            source.get("count", GeneratorOptions().count) if isinstance(source, Mapping) else None
+            for source in (problems[name], sets[name])
+        )
+        if isinstance(now, int) and isinstance(before, int):
+            gone[name] = range(now, before)
+    entries = {entry.name: entry for entry in config.entries}
+
+    def stays(column: StudyColumn) -> bool:
+        only = entries[column.router].only
+        own = [name for name in problems if only is None or name in only]
+        of = column.set or (own[0] if len(own) == 1 else "")
+        return column.problem not in [generated_name(number) for number in gone.get(of, ())]
+
+    studies: dict[str, Study | None] = {}
+    for name, study in config.drawn.items():
+        columns = {title: column for title, column in study.columns.items() if stays(column)}
+        if columns:
+            studies[name] = replace(study, columns=columns)
+    return replace(config, studies=studies)
 
 
 def load_sets(problems: str | Mapping[str, Any]) -> dict[str, dict[str, Problem]]:

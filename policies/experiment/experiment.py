@@ -58,7 +58,7 @@ class Experiment:
                 if name not in self.sets:
                     raise unknown(f"routers.{entry.name}.only", name, tuple(self.sets))
         # What can be checked before there are results.
-        for name, study in config.studies.items():
+        for name, study in config.drawn.items():
             taken = re.fullmatch(r"(.+)_(wirelength|overflow|decrease)", name)
             check(f"studies.{name}", not (taken and taken[1] in {*self.sets, ALL}), "another name")
             for title, column in study.columns.items():

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from marouting import InputError, Problem, Solution, generate
+from marouting import InputError, Problem, Solution
 from marouting.config import build
 from marouting.files import write_text
 from policies.experiment.config import PARTS, PUBLISHED, Entry, Published
@@ -14,7 +14,7 @@ from policies.learned.burn_in import read_solutions
 from policies.learned.config import Config, load_config
 from policies.results import experiment_folder, run_folder
 from policies.results.rows import COLUMNS, Row, figures_of, solution_row
-from policies.routers.base import Router, solve
+from policies.routers.base import Router, solve, warm_up
 from policies.routers.registry import is_learner, make_router
 
 
@@ -135,12 +135,13 @@ class Part:
         return make_router(self.entry.router, {**self.entry.options, **seed})
 
     def _warm_up(self, router: Router) -> None:
-        """Routes a small problem, once per process, so that no time includes compiling."""
+        """Does so once per process, so that no time includes compiling."""
         if self.entry.name not in _warm:
-            router.route(generate(1, (4, 4, 2), nets=6, capacity=1, reduced_edges=0)[0])
+            warm_up(router)
             _warm.add(self.entry.name)
 
     def _train(self) -> list[Row]:
+        from policies.learned.router import LearnedRouter
         from policies.learned.run import Run
 
         kept = self.run / run_folder.CONFIG
@@ -148,6 +149,8 @@ class Part:
             config = load_config(kept) if kept.exists() else self._training()
             # The folder may have been renamed since the training was started.
             config = replace(config, out=str(self.run))
+            if not kept.exists():
+                self._warm_up(LearnedRouter(config))
             Run(config, resume=kept.exists()).execute()
         # The checkpoint of a finished training is large and of no use.
         (self.run / run_folder.CHECKPOINT).unlink(missing_ok=True)

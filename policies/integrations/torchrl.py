@@ -5,7 +5,7 @@ TorchRL's ``PettingZooWrapper`` plays one game at a time and cannot read infos w
     from policies.integrations.torchrl import RoutingEnv
 
     env = RoutingEnv(marouting.generate(16, nets=10), reward="normalised")
-    env.rollout(100)["nets", "reward"]  # (16, 100, 10, 1)
+    env.rollout(100)["next", "nets", "reward"]  # (16, 100, 10, 1)
 """
 
 from typing import Any

@@ -17,7 +17,7 @@ from torch import Tensor
 from marouting import InputError
 from marouting.files import unusable
 
-POLICY_FORMAT, TRAINING_FORMAT = "marouting-policy-1", "marouting-training-1"
+POLICY_FORMAT, TRAINING_FORMAT = "marouting-policy-1", "marouting-training-2"
 """Mark a file of trained networks, and the checkpoint of a training, which holds them too; the
 number goes up when the content changes."""
 

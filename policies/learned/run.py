@@ -42,6 +42,7 @@ from policies.results.run_folder import (
     solution_file,
 )
 from policies.routers.astar import AStarRouter
+from policies.routers.base import warm_up
 
 _FILES = (CONFIG, METRICS, EVALUATIONS, CHECKPOINT, POLICY, RESULT)
 
@@ -124,9 +125,16 @@ class Run:
 
     Args:
         config: what to do; its ``out`` is the folder.
-        resume: whether the folder holds a run to go on with; otherwise it must hold none.
+        resume: whether the folder holds a run to go on with; otherwise it must hold none. The run
+            may be given more episodes than it had.
         reference: overflow and wirelength of the best known solution by the problem's name, to
             which TensorBoard shows gaps; None for what ``train.reference`` says, or the scenario.
+
+    Attributes:
+        folder: the run folder.
+        problems: the problems by name; where games draw theirs, those to evaluate on.
+        trainer: what trains.
+        had: the episodes per problem that the run had in all, if it goes on with more of them.
 
     Raises:
         InputError: the folder, the configuration or a problem cannot be used.
@@ -143,6 +151,7 @@ class Run:
         if reference is None and config.train.reference is not None:
             reference = read_reference(Path(config.train.reference))
         self.folder = Path(config.out)
+        self.had: int | None = None
         if resume:
             self._check_same()
         else:
@@ -186,10 +195,15 @@ class Run:
             )
 
     def _check_same(self) -> None:
-        """A resumed run has the configuration that it started with."""
+        """A resumed run has the configuration that it started with, or more episodes."""
         kept = load_config(self.folder / CONFIG)
-        mine = replace(self.config, out=kept.out)
+        had, episodes = kept.train.episodes, self.config.train.episodes
+        what = f"{had}, as in {self.folder / CONFIG}, or more, found {episodes}"
+        check("train.episodes", episodes >= had, what)
+        mine = replace(self.config, out=kept.out, train=replace(self.config.train, episodes=had))
         check_same(plain(mine), plain(kept), self.folder / CONFIG)
+        if episodes > had:
+            self.had = had
 
     def _load(self) -> None:
         path = self.folder / CHECKPOINT
@@ -253,6 +267,10 @@ class Run:
 
     def _execute(self, watch: Callable[[Sequence[Episode]], Any] | None) -> list[Row]:
         config, trainer = self.config, self.trainer
+        if self.had is not None:
+            # It is no finished run any more, wherever it is stopped now.
+            write_config(config, self.folder / CONFIG)
+            (self.folder / RESULT).unlink(missing_ok=True)
         started = time.monotonic() - self._seconds
         saved = time.monotonic()
         with (
@@ -299,6 +317,7 @@ class Run:
         each = self._seconds / len(self.problems)
         learner = self.config.learner.name
         best = self.trainer.solutions()
+        warm_up(AStarRouter())
         for name, problem in self.problems.items():
             start = time.perf_counter()
             astar = AStarRouter().route(problem)

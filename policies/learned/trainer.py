@@ -138,9 +138,8 @@ class Trainer:
         self._evaluated = np.zeros(networks, np.int64)  # episodes at the last evaluation
         self.walks: list[Walk] = []
         self.places = np.arange(count)
-        self._before = np.zeros(
-            (2, len(b.over))
-        )  # loss and steps of the network before the episode
+        self._before = np.zeros((len(b.over), 2))  # of the network before the episode: loss, steps
+        self._left: list[tuple[NDArray[np.int64], dict[str, dict[str, Tensor]]]] = []
         self._tell_episodes()
 
     @property
@@ -153,12 +152,21 @@ class Trainer:
         return problems * (not self.config.train.shared)
 
     def _keep(self, which: NDArray[np.integer]) -> None:
-        """Goes on with some of the problems that still train (places, ascending)."""
+        """Goes on with some of the problems that still train (places, ascending).
+
+        What the others had is kept for checkpoints: the training may be given more episodes.
+        """
+        leaving = np.setdiff1d(np.arange(len(self.places)), which)
+        rows = {
+            part: {name: torch.stack([row[i] for i in leaving]) for name, row in of.items()}
+            for part, of in self._rows().items()
+        }
+        self._left.append((self.places[leaving], rows))
         copies = self._copies
         games = (which[:, None] * copies + np.arange(copies)).ravel()
         self.learner.keep(which)
         self.player = self.player.part(games)
-        self.places, self._before = self.places[which], self._before[:, games]
+        self.places, self._before = self.places[which], self._before[games]
 
     @property
     def running(self) -> NDArray[np.bool_]:
@@ -243,8 +251,8 @@ class Trainer:
                 self.score[problem] = score
                 self.best_episode[problem] = self.episodes[problem]
                 self.best_used[problem] = player.engine.dynamic.used[g]
-            steps = updates[g] - self._before[1, g]
-            loss = (float(losses[g]) - float(self._before[0, g])) / max(int(steps), 1)
+            steps = updates[g] - self._before[g, 1]
+            loss = (float(losses[g]) - float(self._before[g, 0])) / max(int(steps), 1)
             finished.append(
                 Episode(
                     problem=player.draws.names[g] if player.draws else self.names[problem],
@@ -258,7 +266,7 @@ class Trainer:
                 )
             )
             self.episodes[problem] += 1
-        self._before[:, over] = losses[over], updates[over]
+        self._before[over, 0], self._before[over, 1] = losses[over], updates[over]
         self._evaluate(np.unique(games[over]))
         running = self.running
         if running.any() and not running.all() and not self.config.train.shared:
@@ -333,15 +341,50 @@ class Trainer:
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         """What changes in training but the learner, as arrays to copy from or into."""
-        engine, buffers = self.player.engine, self.player.buffers
         return {
             **{name: getattr(self, name) for name in _OWN},
             "policies": self._policies.numpy(),
+            **({"draws": self.player.draws.counts} if self.player.draws else {}),
+            **self._game_arrays(),
+        }
+
+    def _game_arrays(self) -> dict[str, NDArray[Any]]:
+        """What changes in the games in play, a row each."""
+        engine, buffers = self.player.engine, self.player.buffers
+        return {
+            "before": self._before,
             # Records have no counterpart in torch: their bytes do.
             **{f"game.{k}": _bytes(v) for k, v in engine.dynamic._asdict().items()},
             **{f"buffers.{k}": _bytes(v) for k, v in buffers._asdict().items()},
-            **({"draws": self.player.draws.counts} if self.player.draws else {}),
         }
+
+    def _rows(self) -> dict[str, dict[str, Tensor]]:
+        """What a checkpoint holds of the problems that still train, a row each.
+
+        Where problems share a network, none of them leaves, and there is a row for all.
+        """
+        rows = 1 if self.config.train.shared else len(self.places)
+        games = {
+            name: torch.from_numpy(array.reshape(rows, len(array) // rows, *array.shape[1:]))
+            for name, array in self._game_arrays().items()
+        }
+        return {"training": self.learner.state(), "trainer": games}
+
+    def _all_rows(self) -> dict[str, dict[str, Tensor]]:
+        """The same of all problems, also of those that have left."""
+        now = self._rows()
+        if not self._left:
+            return now
+        parts = [(self.places, now), *self._left]
+        count = len(self.episodes)
+        whole: dict[str, dict[str, Tensor]] = {part: {} for part in now}
+        for part, of in now.items():
+            for name, rows in of.items():
+                whole[part][name] = rows.new_empty((count, *rows.shape[1:]))
+                for places, state in parts:
+                    for row, place in enumerate(places.tolist()):
+                        whole[part][name][place] = state[part][name][row]
+        return whole
 
     def policy(self) -> dict[str, Any]:
         """What it takes to play with the best networks: plain data and tensors."""
@@ -369,12 +412,16 @@ class Trainer:
 
     def state(self) -> dict[str, Any]:
         """Everything that it takes to go on as if never stopped."""
+        rows = self._all_rows()
+        games = {name: row.flatten(0, 1) for name, row in rows["trainer"].items()}
+        own = self._arrays().keys() - games.keys()
         return {
             **self.policy(),
             "format": TRAINING_FORMAT,
             "problems": list(self.names),
-            "training": self.learner.state(),
-            "trainer": {name: torch.from_numpy(a) for name, a in self._arrays().items()},
+            "in_all": self.config.train.episodes,
+            "training": rows["training"],
+            "trainer": {name: torch.from_numpy(self._arrays()[name]) for name in own} | games,
         }
 
     def load_state(self, state: Mapping[str, Any], where: str) -> None:
@@ -391,24 +438,18 @@ class Trainer:
         if state["problems"] != list(self.names):
             found = textwrap.shorten(str(state["problems"]), 80)
             raise InputError(f"{where}: expected problems {self.names}, found {found}")
-        given, named = state["trainer"]["places"], f"{where}: places"
-        some = given[: len(self.places)]  # a few of them, whatever the file holds
-        now = torch.from_numpy(self.places[: len(some)])
-        places = checked(some, now, named, (0, len(self.places) - 1)).numpy()
-        if len(some) < len(given) or len(some) == 0 or (np.diff(places) <= 0).any():
-            raise InputError(f"{named}: expected some of {len(self.places)} problems")
-        if len(places) < len(self.places):
-            self._keep(np.searchsorted(self.places, places))
+        then, most = state["in_all"], self.config.train.episodes
+        if not (type(then) is int and 1 <= then <= most):
+            raise InputError(f"{where}: in_all: expected a number from 1 to {most}")
         own: dict[str, NDArray[Any]] = self._arrays()
         for part, names in (("training", self.learner.state().keys()), ("trainer", own.keys())):
             if more := state[part].keys() - names:
                 raise InputError(f"{where}: {min(more)}: expected nothing of that name")
-        most = self.config.train.episodes
         limits = {
             **dict.fromkeys(("score", "policy_score"), ANY),
-            **dict.fromkeys(("episodes", "policy_episode", "_evaluated"), (0, most)),
+            **dict.fromkeys(("episodes", "policy_episode", "_evaluated"), (0, then)),
             **dict.fromkeys(("buffers.reward", "buffers.total"), (-LARGEST, LARGEST)),
-            "best_episode": (NOBODY, most - 1),
+            "best_episode": (NOBODY, then - 1),
             "draws": COUNT,
         }
         arrays = {
@@ -436,17 +477,22 @@ class Trainer:
             raise InputError(f"{where}: {error}") from None
         self.learner.load_state(state["training"], f"{where}: ")
         self.player.restore(saved)
-        for name in (*_OWN, "policies"):
+        for name in (*_OWN, "policies", "before"):
             own[name][...] = arrays[name]
-        gone = np.setdiff1d(np.arange(len(self.episodes)), self.places)
         over = (saved.dynamic.games["active"] == 0).reshape(-1, self._copies)
-        if (self.running[:, None] & over).any() or (self.episodes[gone] < most).any():
+        if ((self.episodes < then)[:, None] & over).any():
             raise InputError(f"{where}: expected games of all problems with episodes to train")
+        running = self.running
+        if running.any() and not running.all() and not self.config.train.shared:
+            self._keep(np.flatnonzero(running))
+            over, running = over[running], running[running]
+        if then < most:  # where all had been played, more are to come
+            self.player.reset((over & running[:, None]).ravel())
         self._tell_episodes()
 
 
 _OWN = (
-    "episodes", "score", "best_episode", "best_used", "places", "_before",
+    "episodes", "score", "best_episode", "best_used",
     "policy_score", "policy_episode", "_evaluated",
 )  # fmt: skip
 """Attributes of a trainer that a checkpoint holds, beside the learner and the games."""

@@ -195,8 +195,8 @@ def summarise(rows: Sequence[Row], reference: str | None = None) -> list[dict[st
         known;
         ``lower_wirelength``: ``percent`` of the problems with less wirelength than A* and no more
         open tasks (the paper's "DRL win"), ``low`` and ``high`` (95 % by Wilson's score);
-        ``astar`` and ``reference``: ``wins``, ``ties`` and ``losses`` by :func:`rank`, on the
-        problems that both have rows on;
+        ``against_astar`` and ``against_reference``: ``wins``, ``ties`` and ``losses`` by
+        :func:`rank`, on the problems that both have rows on;
         ``seconds``: the median over the problems;
         ``spread``: standard deviations over the seeds of the set's figures; None for one seed.
 
@@ -241,8 +241,8 @@ def _summary(
         "pruned_wirelength": None if np.isnan(pruned).any() else mean_interval(pruned),
         "gap": {**mean_interval(gaps), "problems": len(gaps)} if len(gaps) else None,
         "lower_wirelength": None if lower is None else _share(lower),
-        "astar": None if astar is None else _record(problems, astar),
-        "reference": None if reference is None else _record(problems, reference),
+        "against_astar": None if astar is None else _record(problems, astar),
+        "against_reference": None if reference is None else _record(problems, reference),
         "seconds": None if np.isnan(seconds).any() else float(np.median(seconds)),
         "spread": None
         if seeds == 1

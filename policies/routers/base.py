@@ -1,8 +1,9 @@
 """The interfaces of routers and policies."""
 
+import contextlib
 from typing import Any, Protocol, runtime_checkable
 
-from marouting import Problem, Solution
+from marouting import InputError, Problem, Solution, generate
 
 
 class Policy(Protocol):
@@ -60,6 +61,17 @@ class Reporter(Router, Protocol):
     def solve(self, problem: Problem) -> Routed:
         """The solution of :meth:`route` with a report."""
         ...
+
+
+def warm_up(router: Router) -> None:
+    """Routes a small problem, so that the next time is that of routing alone.
+
+    Whatever the router compiles or loads is ready then. A learner that would be trained on the
+    problem learns two short episodes. What the small problem does not suit is left to the next one.
+    """
+    small = generate(1, (4, 4, 2), nets=8, max_pins=3, capacity=1, reduced_edges=0)[0]
+    with contextlib.suppress(InputError):
+        getattr(router, "warm_up", router.route)(small)
 
 
 def solve(router: Router, problem: Problem) -> tuple[Solution, dict[str, Any]]:

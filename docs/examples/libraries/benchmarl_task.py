@@ -1,7 +1,6 @@
-"""BenchMARL on the environment as a task: IPPO, or another of its algorithms by name.
+"""BenchMARL on the environment as a task: ``pip install benchmarl``.
 
-Needs ``pip install benchmarl``. Run it with ``ippo``, ``mappo``, ``iql``, ``vdn`` or ``qmix``
-behind its name.
+Run it with ``ippo``, ``mappo``, ``iql``, ``vdn`` or ``qmix`` behind its name.
 """
 
 import sys
@@ -41,9 +40,10 @@ class Curve(Callback):
 
     def on_evaluation_end(self, rollouts):
         """The figure of the last step of the game."""
-        joined = rollouts[0]["next", "info", "joined"][-1].item()
-        print(self.experiment.total_frames, round(time.process_time()), joined, flush=True)
-        if joined >= 0.95:
+        share = round(rollouts[0]["next", "info", "joined"][-1].item(), 3)
+        steps = len(problem.nets) * self.experiment.total_frames
+        print(steps, round(time.process_time(), 1), share, flush=True)
+        if share >= 0.95:
             raise SystemExit
 
 

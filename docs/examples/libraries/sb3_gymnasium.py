@@ -46,7 +46,7 @@ def report(known, _):
     """Prints how it stands after every 10 000 steps; the training ends when enough is joined."""
     if known["self"].num_timesteps % 10_000:
         return True
-    print(model.num_timesteps, round(time.process_time()), share := joined(), flush=True)
+    print(model.num_timesteps, round(time.process_time(), 1), share := joined(), flush=True)
     return share < 0.95
 
 

@@ -52,7 +52,7 @@ def report(known, _):
     """Prints how it stands after every second rollout; the training ends when enough is joined."""
     if known["self"].num_timesteps % (2 * model.n_steps * env.num_envs):
         return True
-    print(model.num_timesteps, round(time.process_time()), share := joined(), flush=True)
+    print(model.num_timesteps, round(time.process_time(), 1), share := joined(), flush=True)
     return share < 0.95
 
 

@@ -10,6 +10,7 @@ import time
 import supersuit
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.utils import set_random_seed
 
 from marouting import global_routing_v0, scenarios
 
@@ -19,7 +20,7 @@ options = {"reward": "normalised", "max_steps": 20, "agents_persist": True}
 nets = supersuit.pettingzoo_env_to_vec_env_v1(global_routing_v0.parallel_env(problem, **options))
 env = supersuit.concat_vec_envs_v1(nets, 8, num_cpus=0, base_class="stable_baselines3")
 test = global_routing_v0.parallel_env(problem, **options)
-# No seed=: SuperSuit's vector has no method of that name.
+set_random_seed(0)  # in place of seed=: SuperSuit's vector has no method of that name
 model = PPO("MlpPolicy", env, n_steps=64, learning_rate=1e-3, gamma=0.95, device="cpu")
 
 
@@ -40,4 +41,4 @@ share = 0.0
 while share < 0.95:
     model.learn(10_000, reset_num_timesteps=False)
     share = joined()
-    print(model.num_timesteps, round(time.process_time()), share, flush=True)
+    print(model.num_timesteps, round(time.process_time(), 1), share, flush=True)

@@ -1,12 +1,13 @@
-"""Independent PPO with masks in TorchRL, for all nets of many games (``pip install torchrl``)."""
+"""PPO with masks in TorchRL: ``pip install torchrl``; ``mappo``: the critic sees all nets."""
 
+import sys
 import time
 
 import torch
 from tensordict.nn import TensorDictModule, set_composite_lp_aggregate
 from torchrl.collectors import SyncDataCollector
 from torchrl.envs.utils import ExplorationType, set_exploration_type
-from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor
+from torchrl.modules import MaskedCategorical, MultiAgentMLP, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
 from marouting import scenarios
@@ -19,17 +20,18 @@ problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"reward": "normalised", "max_steps": 20}
 env, test = RoutingEnv([problem] * 20, **options), RoutingEnv([problem], **options)
 SEEN, MASK, LOGITS = ("nets", "observation"), ("nets", "action_mask"), ("nets", "logits")
-network = {"num_cells": [128, 128], "activation_class": torch.nn.ReLU, "in_features": 12}
+network = {"num_cells": [128, 128], "activation_class": torch.nn.ReLU, "share_params": True}
+network |= {"n_agents": len(problem.nets), "n_agent_inputs": 12}
+logits = MultiAgentMLP(n_agent_outputs=6, centralized=False, **network)
 policy = ProbabilisticActor(
-    TensorDictModule(MLP(out_features=6, **network), [SEEN], [LOGITS]),
-    in_keys={"logits": LOGITS, "mask": MASK},
-    out_keys=[("nets", "action")],
+    TensorDictModule(logits, [SEEN], [LOGITS]),
+    **{"in_keys": {"logits": LOGITS, "mask": MASK}, "out_keys": [("nets", "action")]},
     distribution_class=MaskedCategorical,
-    return_log_prob=True,
-    log_prob_key=("nets", "log_prob"),
+    **{"return_log_prob": True, "log_prob_key": ("nets", "log_prob")},
 )
-critic = TensorDictModule(MLP(out_features=1, **network), [SEEN], [("nets", "value")])
-loss = ClipPPOLoss(policy, critic, clip_epsilon=0.2, entropy_coeff=0.01)
+values = MultiAgentMLP(n_agent_outputs=1, centralized="mappo" in sys.argv, **network)
+critic = TensorDictModule(values, [SEEN], [("nets", "value")])
+loss = ClipPPOLoss(policy, critic, entropy_coeff=0.01)
 keys = {key: ("nets", key) for key in ("reward", "action", "value", "done", "terminated")}
 loss.set_keys(sample_log_prob=("nets", "log_prob"), **keys)
 loss.make_value_estimator(ValueEstimators.GAE, gamma=0.95, lmbda=0.9)
@@ -41,8 +43,7 @@ for i, data in enumerate(collector):
     shape = data["next", "nets", "reward"].shape  # the end of a game is that of all its nets
     for key in ("done", "terminated"):
         data["next", "nets", key] = data["next", key].unsqueeze(-2).expand(shape)
-    with torch.no_grad():
-        loss.value_estimator(data, params=loss.critic_network_params)
+    loss.value_estimator(data, params=loss.critic_network_params)
     for _ in range(8):
         for part in data.reshape(-1)[torch.randperm(data.numel())].split(500):
             optimiser.zero_grad()
@@ -51,6 +52,7 @@ for i, data in enumerate(collector):
             optimiser.step()
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         share = test.rollout(20, policy)["next", "info", "joined"][0, -1].item()
-    print(2_000 * (i + 1), round(time.process_time()), share, flush=True)
+    steps = 2_000 * len(problem.nets) * (i + 1)
+    print(steps, round(time.process_time(), 1), round(share, 3), flush=True)
     if share >= 0.95:
         break

@@ -242,6 +242,12 @@ class DQN(Learner):
         """(L,) transitions ever stored."""
         return self.memory.stored
 
+    @classmethod
+    def schedules(cls, options: DQNOptions) -> tuple[str, ...]:
+        """See :meth:`policies.learned.learner.Learner.schedules`."""
+        falls = options.epsilon_final is not None
+        return (*["epsilon"] * falls, *["importance_exponent"] * options.prioritised)
+
     def exploration(self, episode: int) -> float:
         """The chance of a random move in an episode (counted from 0)."""
         o = self.options

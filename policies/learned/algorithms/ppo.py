@@ -135,6 +135,11 @@ class PPO(Learner):
         seeds = self.setup.network_keys(purpose).astype(np.int64).tolist()
         return Stack(lambda: self.options.network.make(sees, outputs), seeds, self.device)
 
+    @classmethod
+    def schedules(cls, options: PPOOptions) -> tuple[str, ...]:
+        """See :meth:`policies.learned.learner.Learner.schedules`."""
+        return ("learning_rate",) * options.anneal
+
     def set_episodes(self, episodes: NDArray[np.int64]) -> None:
         """See :meth:`policies.learned.learner.Learner.set_episodes`."""
         self.progress[:] = self._games(episodes).mean(axis=1) / self.setup.episodes

@@ -1,0 +1,59 @@
+"""Writes docs/environment.md from the docstring of marouting/global_routing_v0.py.
+
+    python .site/environment.py
+
+The docstring is the page, as PettingZoo does it. The table of arguments, at the line
+``## Arguments``, is made of the docstrings and defaults of the options.
+"""
+
+import inspect
+import re
+from collections.abc import Iterator
+from dataclasses import fields
+
+from docstrings import ROOT, markdown
+
+from marouting import global_routing_v0
+from marouting.game.options import RuleOptions
+from marouting.options import GameOptions
+
+PAGE = ROOT / "docs" / "environment.md"
+NOTE = (
+    "<!-- Written by `python .site/environment.py` from the docstring of "
+    "marouting/global_routing_v0.py: change it there. -->\n"
+)
+
+
+def page() -> str:
+    """The text of docs/environment.md."""
+    text = inspect.getdoc(global_routing_v0)
+    assert text is not None
+    title, text = text.split("\n", 1)
+    before, heading, after = text.partition("\n## Arguments\n")
+    assert heading, "the docstring has no ## Arguments"
+    text, rows = after.split("\n## ", 1)
+    table = "\n".join(["| argument | default | |", "|---|---|---|", *_arguments()])
+    whole = f"{title.rstrip('.')}\n{before}{heading}{text.rstrip()}\n\n{table}\n\n## {rows}"
+    return NOTE + markdown(whole, links=False).rstrip() + "\n"
+
+
+def _arguments() -> Iterator[str]:
+    """A row for every option: what its docstring says of it, and its default."""
+    defaults = {field.name: field for field in fields(GameOptions)}
+    for cls in (GameOptions, RuleOptions):
+        for name, about in _attributes(cls).items():
+            field = defaults[name]
+            default = field.metadata.get("name", field.default)  # of a piece, or another value
+            yield f"| `{name}` | `{default!r}` | {about} |"
+
+
+def _attributes(cls: type) -> dict[str, str]:
+    """What the section Attributes of a docstring says, by name, each on one line."""
+    section = (inspect.getdoc(cls) or "").split("Attributes:\n")[1].split("\n\n")[0]
+    entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
+    return {name: " ".join(text.replace("``", "`").split()) for name, text in entries}
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
+    print(PAGE.relative_to(ROOT))

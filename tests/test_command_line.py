@@ -1,0 +1,250 @@
+"""What all commands have in common: --json with stable keys, times, completion, messages."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.shell_completion import ShellComplete
+
+import marouting
+from marouting import Problem, Solution
+from policies.cli.main import cli, status
+from policies.experiment import Experiment, load_experiment
+
+QUIET = ("train.figures=false", "train.tensorboard=false", "learner.burn_in_size=100")
+ROUTED = {
+    "router", "overflow", "max_overflow", "wirelength", "vias", "pruned_overflow",
+    "pruned_wirelength", "connected", "joined", "tasks", "seconds", "open_nets",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a problem, a solution of it, and an experiment's configuration."""
+    folder = tmp_path_factory.mktemp("json")
+    problem = marouting.generate(1, grid=(4, 4, 2), nets=3, seed=1)[0]
+    problem.write(folder / "p.gr")
+    marouting.sequential_astar(problem).write(folder / "p.solution")
+    (folder / "e.yaml").write_text(
+        "out: e\njobs: 1\nproblems: {small: {grid: [4, 4, 2], nets: 3, count: 2}}\n"
+        "routers: {astar: {router: astar}}\n"
+    )
+    return folder
+
+
+@pytest.fixture
+def here(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(folder)
+    return folder
+
+
+COMMANDS: dict[str, tuple[list[str], set[str]]] = {
+    "generate": (
+        ["--grid", "4", "4", "2", "--nets", "3", "--count", "2", "--out", "g"],
+        {"out", "count", "files"},
+    ),
+    "convert": (["p.gr", "q.gr"], {"out", "grid", "nets"}),
+    "route": (["p.gr"], ROUTED),
+    "evaluate": (["p.gr", "p.solution"], ROUTED),
+    "report": (["p.gr", "p.solution"], {"wirelength", "overflow"}),
+    "guide": (["p.gr", "p.solution", "--out", "p.guide"], {"out", "nets", "open_nets"}),
+    "view": (["p.gr", "p.solution", "--out", "p.html"], {"out", "solutions"}),
+    "animate": (["p.gr", "--out", "p.svg"], {"out", "pictures", "caption"}),
+    "config": (["--show", "e.yaml"], {"config", "origins"}),
+    "train": (
+        ["configs/paper/default.yaml", "env.problem=p.gr", "train.episodes=2", "out=t", *QUIET],
+        {"out", "episodes", "rows"},
+    ),
+    "experiment": (["e.yaml"], {"sets", "reference"}),
+    "plot": (["p.gr", "p.solution"], {"files"}),
+    "benchmark": (
+        ["--scenario", "toy-4x4-v0", "--router", "astar", "--out", "b", "--jobs", "1"],
+        {"files", "rows"},
+    ),
+}
+"""Arguments, and keys that the object has; ``bench`` and ``quickstart`` take too long."""
+
+
+def test_every_command_has_an_option_for_json() -> None:
+    assert {*COMMANDS, "bench", "quickstart"} == set(cli.commands)
+    for name, command in cli.commands.items():
+        assert "as_json" in [parameter.name for parameter in command.params], name
+
+
+@pytest.mark.parametrize(("name", "given"), COMMANDS.items(), ids=COMMANDS)
+@pytest.mark.usefixtures("here")
+def test_one_object_on_standard_output(
+    name: str, given: tuple[list[str], set[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments, keys = given
+    assert status([name, *arguments, "--json"]) == 0
+    text = capsys.readouterr().out
+    assert len(text.splitlines()) == 1
+    found = json.loads(text)
+    assert keys <= found.keys()
+    if name not in ("report", "experiment"):
+        assert keys == found.keys()
+    for file in (*found.get("files", ()), *([found["out"]] if "out" in found else ())):
+        assert Path(file).exists()
+
+
+# --- seconds --------------------------------------------------------------------------------------
+
+
+class Slow:
+    """Takes half a second the first time, as what is compiled or loaded does."""
+
+    ready = False
+
+    def route(self, problem: Problem) -> Solution:
+        if not Slow.ready:
+            time.sleep(0.5)
+            Slow.ready = True
+        return marouting.sequential_astar(problem)
+
+
+@pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setattr(Slow, "ready", False)
+    return f"{__name__}:Slow"
+
+
+@pytest.mark.usefixtures("here")
+def test_seconds_are_those_of_routing(slow: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["route", "p.gr", "--router", slow, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["seconds"] < 0.25
+
+
+@pytest.mark.usefixtures("here")
+def test_seconds_of_an_experiment_are_those_of_routing(slow: str, tmp_path: Path) -> None:
+    changes = [f"routers.slow.router={slow}", f"out={tmp_path / 'out'}"]
+    Experiment(load_experiment("e.yaml", changes)).execute()
+    rows = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert [row["seconds"] < 0.25 for row in rows] == [True] * 4
+
+
+class Waits:
+    """Takes as long as it is told."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+
+    def route(self, problem: Problem) -> Solution:
+        time.sleep(self.seconds)
+        return marouting.sequential_astar(problem)
+
+
+@pytest.mark.usefixtures("here")
+def test_a_route_that_takes_long_says_so(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("policies.cli.progress._QUIET", 0.1)
+    for seconds, said in (("0.3", "routing, for 0.3 s at most ..."), ("0", "")):
+        router = f"{__name__}:Waits"
+        assert status(["route", "p.gr", "--router", router, f"seconds={seconds}"]) == 0
+        found = capsys.readouterr().err
+        assert found == (f"{router}: {said}\n" if said else "")
+
+
+# --- completion -----------------------------------------------------------------------------------
+
+
+def completed(*words: str) -> list[str]:
+    """What a shell offers for the last of these words."""
+    shell = ShellComplete(cli, {}, "marouting", "_MAROUTING_COMPLETE")
+    return [item.value for item in shell.get_completions(list(words[:-1]), words[-1])]
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        (("tr",), ["train"]),
+        (("train", "configs/paper/default.yaml", "train.ep"), ["train.episodes="]),
+        (("train", "configs/generalist.yaml", "learner.re"), ["learner.reuse=", "learner.regret="]),
+        (("train", "none.yaml", "se"), ["seed="]),
+        (("train", "--resume", "t", "train.th"), ["train.threads="]),
+        (("experiment", "e.yaml", "routers.astar.b"), ["routers.astar.best_of="]),
+        (("experiment", "none.yaml", "ro"), ["routers="]),
+        (("config", "--show", "e.yaml", "problems.small.n"), ["problems.small.nets="]),
+        (("benchmark", "--config", "configs/benchmark/baselines.yaml", "bu"), ["budget="]),
+        (("benchmark", "--scenario", "mi"), ["mixed-v0"]),
+        (("benchmark", "--router", "op"), ["optimal"]),
+        (("route", "p.gr", "--router", "pa"), ["pathfinder"]),
+        (("route", "p.gr", "net"), ["net_order="]),
+        (("route", "p.gr", "--router", "optimal", "b"), ["bound="]),
+        (("route", "p.gr", "--router", "ppo", "learner.cr"), ["learner.critic="]),
+        (("route", "p.gr", "--router", "none", "x"), []),
+    ],
+    ids=" ".join,
+)
+@pytest.mark.usefixtures("here")
+def test_shells_complete_keys_and_names(words: tuple[str, ...], offered: list[str]) -> None:
+    assert completed(*words) == offered
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_shells_get_their_script(shell: str) -> None:
+    given = {**os.environ, "_MAROUTING_COMPLETE": f"{shell}_source"}
+    code = "from policies.cli.main import main; main()"
+    program = [sys.executable, "-c", code]
+    done = subprocess.run(program, env=given, capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert "_MAROUTING_COMPLETE" in done.stdout
+
+
+# --- messages -------------------------------------------------------------------------------------
+
+SAID: dict[str, tuple[list[str], str]] = {
+    "a union": (
+        ["route", "p.gr", "net_order=x"],
+        "net_order: expected 'half_perimeter', 'half_perimeter_up', 'file' or 'random', found 'x'",
+    ),
+    "a problem": (
+        ["train", "configs/multi.yaml", "env.problem=3"],
+        "env.problem: expected a file, a folder, a list of them, or a generator's options, found 3",
+    ),
+    "a short list": (
+        ["train", "configs/multi.yaml", "env.problem.grid=[8, 8]"],
+        "env.problem.grid.2: expected a value, found none",
+    ),
+    "a mapping": (["train", "configs/multi.yaml", "train=3"], "train: expected a mapping, found 3"),
+    "a scenario": (["benchmark", "--scenario", "x"], "tight-32x32-v0, all"),
+    "a command": (["rout"], "unknown name 'rout'; did you mean route? expected one of animate"),
+    "fewer episodes": (
+        ["train", "--resume", "t", "train.episodes=1"],
+        "train.episodes: expected 2, as in t/config.yaml, or more, found 1",
+    ),
+}
+
+
+@pytest.mark.parametrize(("arguments", "said"), SAID.values(), ids=SAID)
+@pytest.mark.usefixtures("here")
+def test_messages_name_every_choice(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if "--resume" in arguments and not Path("t").exists():
+        trained: Any = COMMANDS["train"][0]
+        assert status(["train", *trained]) == 0
+        capsys.readouterr()
+    assert status(arguments) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "literal[" not in error
+    assert len(error.splitlines()) == 1
+
+
+@pytest.mark.usefixtures("here")
+def test_resume_takes_keys_without_a_configuration(capsys: pytest.CaptureFixture[str]) -> None:
+    trained = [*COMMANDS["train"][0], "out=longer", "learner.epsilon_final=0"]
+    assert status(["train", *trained]) == 0
+    capsys.readouterr()
+    assert status(["train", "--resume", "longer", "train.episodes=3", "--json"]) == 0
+    found = capsys.readouterr()
+    assert json.loads(found.out)["episodes"] == 3
+    assert "longer: 2 episodes become 3" in found.err
+    assert "learner.epsilon goes by the share of all episodes" in found.err
