@@ -1,8 +1,11 @@
 """Progress bars on standard error for work that takes minutes or hours."""
 
 import contextlib
+import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import FrameType
 from typing import TYPE_CHECKING
 
 import click
@@ -17,6 +20,8 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+
+from policies.routers.base import Router, Watched
 
 if TYPE_CHECKING:
     from policies.results.run_folder import Episode
@@ -80,10 +85,12 @@ def problems_bar(name: str) -> Iterator[Callable[[float, int], None]]:
 
 
 @contextlib.contextmanager
-def waiting(name: str, router: object) -> Iterator[None]:
-    """Shows that a router works, and for how long: a router does not say how far it is.
+def waiting(name: str, router: Router) -> Iterator[None]:
+    """Shows that a router works, for how long, and how far it is if it tells.
 
-    Where standard error is no terminal, a line says so once, after some seconds.
+    Where standard error is no terminal, a line says so after some seconds, and again every ten
+    seconds if the router tells how far it is. Ctrl-C asks such a router to end with the best
+    solution so far, and a second one ends everything.
 
     Args:
         name: what the router is called.
@@ -93,25 +100,75 @@ def waiting(name: str, router: object) -> Iterator[None]:
     limits = (getattr(options, limit, None) for limit in ("seconds", "time_limit"))
     most = next((limit for limit in limits if isinstance(limit, int | float)), None)
     text = f"{name}: routing" if most is None else f"{name}: routing, for {most:g} s at most"
+    with contextlib.ExitStack() as stack:
+        show = stack.enter_context(_shown(text))
+        if isinstance(router, Watched):
+            asked = stack.enter_context(_asked())
+
+            def watch(line: str) -> bool:
+                show(f"{name}: {line}")
+                return asked.is_set()
+
+            router.watch = watch
+            stack.callback(setattr, router, "watch", None)
+        yield
+
+
+@contextlib.contextmanager
+def _shown(text: str) -> Iterator[Callable[[str], None]]:
+    """Shows a text that changes: a function to call with the new text."""
     console = Console(stderr=True)
     if console.is_terminal:
-        spinner, time = SpinnerColumn(), TimeElapsedColumn()
+        spinner, elapsed = SpinnerColumn(), TimeElapsedColumn()
         column = TextColumn("{task.description}", markup=False)
-        with Progress(spinner, column, time, console=console, transient=True) as bar:
-            bar.add_task(text, total=None)
-            yield
+        with Progress(spinner, column, elapsed, console=console, transient=True) as bar:
+            task = bar.add_task(text, total=None)
+            yield lambda text: bar.update(task, description=text)
         return
     timer = threading.Timer(_QUIET, click.echo, (f"{text} ...",), {"err": True})
     timer.daemon = True
     timer.start()
+    last = time.monotonic()
+
+    def tell(text: str) -> None:
+        nonlocal last
+        if time.monotonic() - last >= _OFTEN:
+            last = time.monotonic()
+            click.echo(text, err=True)
+
     try:
-        yield
+        yield tell
     finally:
         timer.cancel()
 
 
+@contextlib.contextmanager
+def _asked() -> Iterator[threading.Event]:
+    """Whether Ctrl-C has been pressed; pressed again it does what it did before."""
+    asked = threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        asked.set()
+        signal.signal(signal.SIGINT, before)
+        click.echo("stopping with the best solution so far; once more to give it up", err=True)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield asked  # signals are not for other threads
+        return
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 _QUIET = 3.0
 """Seconds after which a router that is at work says so."""
+
+_OFTEN = 10.0
+"""Seconds between lines about how far it is."""
 
 
 @contextlib.contextmanager

@@ -1,6 +1,7 @@
 """The interfaces of routers and policies."""
 
 import contextlib
+from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 from marouting import InputError, Problem, Solution, generate
@@ -61,6 +62,18 @@ class Reporter(Router, Protocol):
     def solve(self, problem: Problem) -> Routed:
         """The solution of :meth:`route` with a report."""
         ...
+
+
+@runtime_checkable
+class Watched(Router, Protocol):
+    """A router that tells how far it is, and that can be asked to stop.
+
+    Attributes:
+        watch: None, or a function that the router calls some times a second, with a line that tells
+            how far it is. If it returns True, the router ends with the best solution so far.
+    """
+
+    watch: Callable[[str], bool] | None
 
 
 def warm_up(router: Router) -> None:
