@@ -47,7 +47,7 @@ def test_the_container_installs_what_there_is() -> None:
 
 def command(path: str, *arguments: str) -> "subprocess.CompletedProcess[str]":
     """Runs the command as the installed script does, with this path for Python."""
-    code = "from marouting_command import main; main()"
+    code = "from marouting.__main__ import main; main()"
     given = {**os.environ, "PYTHONPATH": path}
     program = [sys.executable, "-P", "-c", code, *arguments]
     return subprocess.run(program, env=given, capture_output=True, text=True, check=False)

@@ -1,4 +1,6 @@
-"""Where the command ``marouting`` starts: makes sure that ``policies`` is the one of this project.
+"""Where the command ``marouting`` starts, also as ``python -m marouting``.
+
+The command line is in ``policies``. This file makes sure that it is the one of this project.
 
 Another package of this name may lie earlier on Python's path, or have been installed over ours.
 """
@@ -16,11 +18,15 @@ def main() -> None:
         where = next(iter(getattr(policies, "__path__", [])), policies.__file__)
         what = "expected the package `policies` of marouting, found another of this name"
         sys.exit(_complain(f"{where}: {what}: take it from Python's path, or install both apart"))
-    from policies.cli.main import main
+    from policies.cli.main import main as command_line
 
-    main()
+    command_line()
 
 
 def _complain(message: str) -> int:
     print(f"marouting: {message}", file=sys.stderr)
     return 2
+
+
+if __name__ == "__main__":
+    main()
