@@ -2,9 +2,11 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -149,6 +151,39 @@ def test_a_route_that_takes_long_says_so(
         assert status(["route", "p.gr", "--router", router, f"seconds={seconds}"]) == 0
         found = capsys.readouterr().err
         assert found == (f"{router}: {said}\n" if said else "")
+
+
+class Patient:
+    """Would never end; somebody presses Ctrl-C."""
+
+    watch: Callable[[str], bool] | None = None
+    pressed = False
+
+    def route(self, problem: Problem) -> Solution:
+        assert self.watch is not None
+        if not self.pressed:
+            self.pressed = True
+            assert not self.watch("one of many")
+            signal.raise_signal(signal.SIGINT)
+        while not self.watch("two of many"):
+            time.sleep(0.01)
+        return marouting.sequential_astar(problem)
+
+
+@pytest.mark.usefixtures("here")
+def test_ctrl_c_ends_a_route_with_the_best_so_far(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("policies.cli.progress._OFTEN", 0.0)
+    before, router = signal.getsignal(signal.SIGINT), f"{__name__}:Patient"
+    assert status(["route", "p.gr", "--router", router, "--out", "best", "--json"]) == 0
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["router"] == router
+    lines = shown.err.splitlines()
+    assert lines[0] == f"{router}: one of many"
+    assert lines[1] == "stopping with the best solution so far; once more to give it up"
+    assert Path("best").exists()
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 # --- completion -----------------------------------------------------------------------------------
