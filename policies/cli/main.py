@@ -98,6 +98,23 @@ def cli() -> None:
     show_default=True,
     help="Whether edges are the busiest in the A* solution of each problem, or of all problems.",
 )
+@click.option(
+    "--rent",
+    type=float,
+    help="Rent's exponent, for nets as local as on chips: 0.6 to 0.75.  [default: pins anywhere]",
+)
+@click.option(
+    "--macros",
+    default=0,
+    show_default=True,
+    help="Rectangles without capacity but in the two highest layers.",
+)
+@click.option(
+    "--hot-spots",
+    default=0,
+    show_default=True,
+    help="Places around which half of the nets begin.",
+)
 @click.option("--seed", default=0, show_default=True, help="Seed of the random numbers.")
 @click.option("--out", type=FILE, required=True, help="Folder for the .gr files.")
 @json_option
