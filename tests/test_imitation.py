@@ -1,6 +1,7 @@
 """Imitation and the generalist: a network learns from regrets, and routes what it never saw."""
 
 import hashlib
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -168,6 +169,24 @@ def test_options_out_of_range(given: dict[str, Any]) -> None:
 
 
 # --- the weights that are shipped -----------------------------------------------------------------
+
+
+def test_who_watches_may_end_the_rip_ups() -> None:
+    problem = generate(1, nets=30, max_pins=5, seed=3)[0]
+    router = GeneralistRouter(GeneralistOptions(mind="ways", seconds=60.0))
+    lines: list[str] = []
+
+    def watch(line: str) -> bool:
+        lines.append(line)
+        return len(lines) == 2
+
+    router.watch = watch
+    found = evaluate(problem, router.route(problem))
+    assert found.connected
+    assert len(lines) == 2
+    shown = re.fullmatch(r"round \d+; overflow (\d+), wirelength (\d+)", lines[1])
+    assert shown is not None
+    assert (found.overflow, found.wirelength) <= (int(shown[1]), int(shown[2]))
 
 
 def test_the_shipped_weights_route_what_they_never_saw() -> None:

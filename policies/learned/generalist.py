@@ -13,6 +13,7 @@ is that they are compiled (:mod:`policies.learned.compiled.walk`).
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -39,6 +40,9 @@ _SURE = 8.0
 
 _STEPS = 64
 """Moves of every copy between two looks at the clock: half a millisecond on small grids."""
+
+_OFTEN = 0.1
+"""Seconds between two lines to who watches."""
 
 Mind = Literal["network", "ways", "chance"]
 
@@ -98,6 +102,8 @@ class GeneralistRouter:
 
     Attributes:
         options: the options.
+        watch: is told how far rip-ups are, and can end them; see
+            :class:`policies.routers.base.Watched`.
 
     Raises:
         InputError: the weights cannot be used.
@@ -107,6 +113,7 @@ class GeneralistRouter:
 
     def __init__(self, options: GeneralistOptions | None = None) -> None:
         self.options = options = GeneralistOptions() if options is None else options
+        self.watch: Callable[[str], bool] | None = None
         self._observation = OutlookObservation()
         env = EnvOptions(overflow="allowed", target="tree", next_task="nearest", mask_visited=True)
         self._sizes: tuple[int, ...] = (self._observation.size, MOVES)
@@ -153,10 +160,18 @@ class GeneralistRouter:
 
     def _rip_up(self, engine: Engine, given: Walk, began: float) -> None:
         """Rip-up rounds of the best copies, until the time is over."""
-        o = self.options
+        o, said = self.options, time.perf_counter()
         given.playing[_ranking(engine)[o.keep :]] = False
 
         def in_time() -> bool:
+            nonlocal said
+            if self.watch is not None and time.perf_counter() - said >= _OFTEN:
+                said = time.perf_counter()
+                game = engine.games[_ranking(engine)[0]]
+                overflow, wirelength = game["kept_overflow"], game["kept_wirelength"]
+                line = f"round {game['round']}; overflow {overflow}, wirelength {wirelength}"
+                if self.watch(line):
+                    return False
             return o.seconds is None or time.thread_time() - began < o.seconds
 
         if o.rounds and in_time():
