@@ -296,10 +296,9 @@ def _within(problem: Problem, grid: tuple[int, int, int]) -> Problem:
         min_spacing=(*problem.min_spacing, *[0] * more),
         via_spacing=(*problem.via_spacing, *[0] * more),
     )
-    position = whole.topology.position
-    near, far = whole.topology.ends(np.arange(whole.topology.edges))
-    beyond = np.any(np.maximum(position[near], position[far])[:, :2] >= problem.grid[:2], axis=1)
-    return _without(whole, beyond)
+    outside = np.ones(grid[:2], np.bool_)
+    outside[: problem.grid[0], : problem.grid[1]] = False
+    return _without(whole, outside, grid[2])
 
 
 def _size(options: GeneratorOptions) -> float:
@@ -331,22 +330,28 @@ def _unreduced(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
     )
     if not options.macros:
         return problem
-    closed = np.zeros((*options.grid, AXES), np.bool_)
+    return _without(problem, macros, options.grid[2] - _FREE_LAYERS)
+
+
+def _without(problem: Problem, closed: NDArray[np.bool_], layers: int) -> Problem:
+    """A problem without capacity at some Gcells in its lowest layers.
+
+    Args:
+        problem: the problem.
+        closed: (X, Y) which Gcells; edges are closed at either end.
+        layers: how many layers.
+    """
+    none = np.zeros((*problem.grid, AXES), np.bool_)
     for axis in range(VIA_AXIS):
-        # An edge is closed if either of its Gcells is in a macro.
-        closed[..., :-_FREE_LAYERS, axis] = (macros | np.roll(macros, -1, axis))[..., None]
-    return _without(problem, closed.reshape(-1))
-
-
-def _without(problem: Problem, closed: NDArray[np.bool_]) -> Problem:
-    """A problem in which some edges inside layers have no capacity."""
-    edges = np.flatnonzero(closed & (problem.capacity > 0) & (problem.capacity < UNLIMITED))
+        none[:, :, :layers, axis] = (closed | np.roll(closed, -1, axis))[..., None]
+    within = (problem.capacity > 0) & (problem.capacity < UNLIMITED)
+    near, far = problem.topology.ends(np.flatnonzero(none.reshape(-1) & within))
     position = problem.topology.position
-    none = tuple(
+    adjustments = tuple(
         Adjustment(*_gcell(a), *_gcell(b), 0)
-        for a, b in zip(*(position[end] for end in problem.topology.ends(edges)), strict=True)
+        for a, b in zip(position[near], position[far], strict=True)
     )
-    return replace(problem, adjustments=problem.adjustments + none)
+    return replace(problem, adjustments=problem.adjustments + adjustments)
 
 
 def _macros(options: GeneratorOptions, rng: np.random.Generator) -> NDArray[np.bool_]:

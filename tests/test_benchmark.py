@@ -518,7 +518,10 @@ def test_a_run_goes_on(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     ("words", "message"),
     [
         (["--router", "astar"], r"--scenario: expected one of toy-4x4-v0"),
-        (["--scenario", "toy-4x4-v1", "--router", "astar"], r"scenario: did you mean toy-4x4-v0"),
+        (
+            ["--scenario", "toy-4x4-v1", "--router", "astar"],
+            r"--scenario: unknown name .*; did you mean toy-4x4-v0",
+        ),
         (["--scenario", SCENARIO, "--router", "astr"], r"did you mean astar"),
         (["--scenario", SCENARIO, "--router", "no/such.pt"], r"expected a file or a folder"),
         (["--scenario", SCENARIO, "--router", "astar best_off=2"], r"did you mean best_of"),
