@@ -121,10 +121,11 @@ def test_what_is_installed_runs_outside_the_checkout(
     subprocess.run([sys.executable, "-m", "venv", venv], check=True)
     python = venv / "bin" / "python"
     (site,) = (venv / "lib").glob("python*/site-packages")
-    install = [python, "-m", "pip", "--quiet", "install", "--no-deps", "--no-index", built[name]]
-    subprocess.run(install, check=True)
-    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    # What lies on PYTHONPATH, pip would take for installed.
     given = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    install = [python, "-m", "pip", "--quiet", "install", "--no-deps", "--no-index", built[name]]
+    subprocess.run(install, env=given, check=True)
+    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
 
     def run(*arguments: str) -> str:
         program = [str(venv / "bin" / "marouting"), *arguments]

