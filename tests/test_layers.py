@@ -42,7 +42,7 @@ ROOMS = {
         (DOOR,),
     ),
     "policies": (
-        ("integrations",),
+        ("integrations", "interrupts"),
         ("routers",),
         ("results",),
         ("figures",),

@@ -37,6 +37,7 @@ from policies.cli.options import FILE, as_text, json_option, overrides_argument,
 from policies.cli.report import guide, report
 from policies.cli.source import ProblemFile, problem_argument
 from policies.cli.view import view
+from policies.interrupts import interruptible
 from policies.routers.base import solve, warm_up
 from policies.routers.registry import has_seed, is_learner, make_router, router_names, unknown
 
@@ -581,7 +582,8 @@ def status(arguments: Sequence[str] | None = None) -> int:
     if str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))  # for module:Class, wherever the command itself lies
     try:
-        cli.main(args=arguments, prog_name="marouting", standalone_mode=False)
+        with interruptible():
+            cli.main(args=arguments, prog_name="marouting", standalone_mode=False)
     except InputError as error:
         return _complain(str(error))
     except click.ClickException as error:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import torch
@@ -23,6 +24,7 @@ from marouting.files import FILE_NAME, is_file_name, write_text, writing
 from marouting.generator import GeneratorOptions
 from marouting.scenarios import get
 from marouting.source import Draws, Episodes, fixed_problems, load_problems
+from policies.interrupts import interrupt
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
 from policies.learned.logs import Logs
@@ -348,26 +350,27 @@ def _holding_interrupts() -> Iterator[list[int]]:
         A list of the signals that have come. A second one is not held back.
     """
     held: list[int] = []
-    usual: dict[int, Any] = {
-        signal.SIGINT: signal.default_int_handler,
-        signal.SIGTERM: signal.SIG_DFL,
+    usual: dict[int, tuple[Any, ...]] = {
+        signal.SIGINT: (signal.default_int_handler, interrupt),
+        signal.SIGTERM: (signal.SIG_DFL,),
     }
 
-    def hold(number: int, _frame: Any) -> None:
+    def hold(number: int, frame: FrameType | None) -> None:
         if held:
-            raise KeyboardInterrupt
+            interrupt(signal.SIGINT, frame)
         held.append(number)
 
     ours = threading.current_thread() is threading.main_thread()
+    before = {number: signal.getsignal(number) for number in usual}
     # A signal with another handler is somebody else's.
-    holding = [number for number in usual if ours and signal.getsignal(number) is usual[number]]
+    holding = [number for number in usual if ours and before[number] in usual[number]]
     for number in holding:
         signal.signal(number, hold)
     try:
         yield held
     finally:
         for number in holding:
-            signal.signal(number, usual[number])
+            signal.signal(number, before[number])
 
 
 def clear(folder: Path) -> None:
