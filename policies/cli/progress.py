@@ -175,7 +175,7 @@ _OFTEN = 10.0
 def _bar(unit: str) -> Iterator[tuple[Progress, TaskID]]:
     """A bar that shows what is done of how many, and the time, if standard error is a terminal."""
     console = Console(stderr=True)
-    with Progress(
+    bar = Progress(
         TextColumn("{task.description}", markup=False),  # names may contain brackets
         BarColumn(),
         MofNCompleteColumn(),
@@ -183,6 +183,7 @@ def _bar(unit: str) -> Iterator[tuple[Progress, TaskID]]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console,
-        disable=not console.is_terminal,
-    ) as bar:
+    )
+    # Told to be disabled, the bar of an older rich ends with an empty line all the same.
+    with bar if console.is_terminal else contextlib.nullcontext():
         yield bar, bar.add_task("", total=None)
