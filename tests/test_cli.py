@@ -529,7 +529,8 @@ def process(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.usefixtures("here")
 def test_as_a_process() -> None:
     done = process("route", "p.gr", "--json")
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    assert done.stderr in ("", "astar: routing ...\n")  # where loading takes seconds, it says so
     assert set(only_object(done.stdout)) >= KEYS
     refused = process("route", "q.gr", "--json")
     assert (refused.returncode, refused.stdout) == (2, "")

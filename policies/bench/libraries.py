@@ -35,8 +35,8 @@ def _single(problem: Problem, steps: int = 20_000) -> Work:
 
 
 def _vector(env: Any, steps: int) -> Work:
-    """A vector of Gymnasium or SuperSuit."""
-    env.reset(seed=0)
+    """A vector of Gymnasium, SuperSuit or Stable-Baselines3."""
+    env.reset()
     moves = _moves(env.num_envs)
 
     def work() -> float:
@@ -50,16 +50,7 @@ def _vector(env: Any, steps: int) -> Work:
 def _vec_env(problem: Problem, games: int, steps: int) -> Work:
     from policies.integrations.sb3 import RoutingVecEnv
 
-    env = RoutingVecEnv([problem] * games, **_OPTIONS)
-    env.reset()
-    moves = _moves(env.num_envs)
-
-    def work() -> float:
-        for step in range(steps):
-            env.step(moves[step % len(moves)])
-        return steps * float(env.num_envs)
-
-    return work
+    return _vector(RoutingVecEnv([problem] * games, **_OPTIONS), steps)
 
 
 def _supersuit(problem: Problem, games: int, steps: int) -> Work:
