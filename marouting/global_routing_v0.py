@@ -108,6 +108,11 @@ when its last task has ended and at least one failed. Its last info holds the `m
 wirelength, tasks joined, tasks, steps), and as `overflow`, `wirelength`, `joined`, `tasks`, `open`,
 `steps` and `is_success` what loggers look for.
 
+The info after a move that ended a task, the last one as well, has `task_ended` (1: joined, 2: it
+failed), and as `task_obs` and `task_mask` what the agent saw where it arrived; the observation is
+that of its next task. In the AEC environment it comes with the agent's next turn. To bootstrap,
+use `task_obs` after a failed task, which only ran out of steps, and nothing after a joined one.
+
 With `rip_up_rounds` nets give their edges back after all have routed, and walk again with the
 others in place (:mod:`marouting.game.rounds`). Agents stay then, as with `agents_persist`.
 

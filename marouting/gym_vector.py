@@ -109,6 +109,8 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         over = self._over
         seen, infos = self._seen(obs, batch)
         infos = self._named(infos, batch, begun)
+        for m in np.flatnonzero(batch["task_ended"][:, 0]).tolist():
+            infos = self._add_info(infos, self._task_end(batch, m), m)
         games = np.flatnonzero(over)
         joined = np.zeros(self.num_envs, np.bool_)
         for m in games.tolist():
@@ -144,6 +146,14 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
             return seen, infos
         keys = self._options.observation_key, self._options.mask_key
         return dict(zip(keys, (seen, mask.copy()), strict=True)), infos
+
+    def _task_end(self, batch: Info, m: int) -> Info:
+        """What the info of a game says of the task that has ended with the move."""
+        seen: Any = batch["final_obs"][m, 0].copy()
+        mask = batch["final_mask"][m, 0].copy()
+        if self._options.mask_in_observation:
+            seen = {self._options.observation_key: seen, self._options.mask_key: mask.copy()}
+        return {"task_ended": int(batch["task_ended"][m, 0]), "task_obs": seen, "task_mask": mask}
 
     def _named(self, infos: Info, batch: Info, begun: NDArray[np.bool_]) -> Info:
         """Infos that name the problems of episodes that have just begun, if these are drawn."""

@@ -1050,3 +1050,52 @@ def test_an_episode_that_is_over_changes_no_more() -> None:
         _, reward, terminated, truncated, _ = single.step(U)
     assert (reward, terminated, truncated) == (0, False, True)
     assert figures(single) == last
+
+
+# --- the end of a task ----------------------------------------------------------------------------
+
+
+def check_task_end(info: dict[str, Any], reward: float) -> bool:
+    """Whether the info after a move tells that a task ended; the reward says which were joined."""
+    if "task_ended" not in info:
+        assert reward == -1
+        assert "task_obs" not in info
+        return False
+    joined = info["task_ended"] == 1
+    assert reward == (100 if joined else -1)
+    assert info["task_obs"][3:6].any() != joined  # the way to the target
+    assert info["task_mask"].shape == (6,)
+    return True
+
+
+MULTI = generate(1, grid=(4, 4, 2), nets=5, max_pins=4, capacity=2, seed=3)[0]
+
+
+@pytest.mark.parametrize("turn_order", ["sequential", "round_robin"])
+def test_the_end_of_a_task_shows_in_the_info(turn_order: str) -> None:
+    options = {"turn_order": turn_order, "max_steps": 15}
+    single = gymnasium.make(marouting.ENVIRONMENT_ID, problem=MULTI, **options)
+    rng = np.random.default_rng(1)
+    _, info = single.reset(seed=0)
+    ends, over = 0, False
+    while not over:
+        move = rng.choice(np.flatnonzero(info["action_mask"]))
+        _, reward, terminated, truncated, info = single.step(int(move))
+        ends += check_task_end(info, float(reward))
+        over = terminated or truncated
+    assert ends == info["tasks"]
+    for persists in (False, True):
+        env = global_routing_v0.env(MULTI, agents_persist=persists, **options)
+        env.reset(seed=0)
+        ends = 0
+        first = set(env.agents)
+        for agent in env.agent_iter():
+            _, reward, terminated, truncated, info = env.last()
+            done = terminated or truncated
+            if agent in first:  # has not moved yet
+                first.remove(agent)
+            else:
+                ends += check_task_end(info, reward)
+            mask = info["action_mask"]
+            env.step(None if done else int(rng.choice(np.flatnonzero(mask))))
+        assert ends == info["tasks"]

@@ -63,6 +63,11 @@ def test_every_problem_plays_as_in_the_parallel_face(turn_order: TurnOrder) -> N
             assert rewards[m, numbers].tolist() == [paid[agent] for agent in agents]
             assert terminated[m, numbers].tolist() == [done[agent] for agent in agents]
             assert truncated[m, numbers].tolist() == [cut[agent] for agent in agents]
+            for agent, n in zip(agents, numbers, strict=True):
+                assert infos[agent].get("task_ended", 0) == info["task_ended"][m, n]
+                if "task_ended" in infos[agent]:
+                    for mine, theirs in (("task_obs", "final_obs"), ("task_mask", "final_mask")):
+                        np.testing.assert_array_equal(infos[agent][mine], info[theirs][m, n])
             waiting = np.setdiff1d(np.arange(batch.num_agents), numbers)
             assert not rewards[m, waiting].any()
             assert info["over"][m] == (not face.agents)

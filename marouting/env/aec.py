@@ -32,7 +32,7 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
     metadata = METADATA | {"is_parallelizable": False}
     _episode = (
         "agents", "rewards", "_cumulative_rewards", "terminations", "truncations", "infos",
-        "agent_selection", "_skip_agent_selection", "_number", "_mover",
+        "agent_selection", "_skip_agent_selection", "_number", "_mover", "_ended",
     )  # fmt: skip
 
     def __init__(self, problem: Source = None, **options: Any) -> None:
@@ -57,6 +57,7 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
         self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
         self.terminations = dict.fromkeys(self.agents, False)
         self.truncations = dict.fromkeys(self.agents, False)
+        self._ended: dict[str, dict[str, Any]] = {}  # by the last move of each agent
         masks = dict(zip(self._game.names, self._game.masks(), strict=True))
         self.infos = {
             agent: self._info(masks.get(agent, self._game.no_op), active=agent in masks)
@@ -90,27 +91,30 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
             agent = self.agent_selection
             if not game.persists and agent in self.infos:
                 # Others may have taken capacity since this info was made.
-                self.infos[agent] = game.info(game.mask(self._number[agent]), over=False)
+                told = self._ended.get(agent, {})
+                self.infos[agent] = game.info(game.mask(self._number[agent]), over=False) | told
             return
         player, number = game.player, self._number[agent]
         buffers = player.buffers
         buffers.actions[0, 0] = checked_move(action, game.actions)
         player.step()
+        self._ended[agent] = game.task_end()
         self._pay(agent, buffers.reward.item())
         terminated, truncated = buffers.terminated.item(), buffers.truncated.item()
         following = buffers.agents.item()
         done = terminated or truncated
         if game.persists and not game.active(number):
-            self.infos[agent] = self._info(game.no_op, active=False)
+            self.infos[agent] = self._info(game.no_op, active=False) | self._ended[agent]
         if following == NOBODY and game.persists:
             self._end_together()
         elif not done or game.persists:
             agent = self.agent_selection = game.names[following]
-            self.infos[agent] = self._info(buffers.mask[0, 0], active=True)
+            told = self._ended.get(agent, {})
+            self.infos[agent] = self._info(buffers.mask[0, 0], active=True) | told
         else:
             self.terminations[agent] = terminated
             self.truncations[agent] = truncated
-            self.infos[agent] = game.info(game.mask(number), over=True)
+            self.infos[agent] = game.info(game.mask(number), over=True) | self._ended[agent]
             # The agent is selected once more, to be removed from the list, before the next one is.
             self._skip_agent_selection = None if following == NOBODY else game.names[following]
         if self.render_mode == "human":

@@ -199,6 +199,20 @@ class BaseGame:
             info |= self.result()
         return info
 
+    def task_end(self, row: int = 0) -> dict[str, Any]:
+        """What the info after a move says of the task that has ended with it; empty if none has.
+
+        Args:
+            row: that of the agent in the player's buffers.
+        """
+        buffers = self.player.buffers
+        ending = buffers.ending[0, row].item()
+        if not ending:
+            return {}
+        mask = buffers.final_mask[0, row].copy()
+        seen = self.seen(buffers.final_obs[0, row].copy(), mask)
+        return {"task_ended": ending, "task_obs": seen, "task_mask": mask}
+
     def result(self) -> dict[str, Any]:
         """What an agent's last info holds: the metrics, once more as loggers look for them."""
         metrics = self.metrics()

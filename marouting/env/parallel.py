@@ -92,7 +92,7 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
         self._game.check_begun()
         agents, numbers, player = self.agents, self._numbers, self._game.player
         buffers = player.buffers
-        there: Any = numbers != NOBODY if self._game.persists else ...
+        there = numbers != NOBODY
         moves = _moves([actions[agent] for agent in agents], agents, self._game.actions)
         buffers.actions[0, numbers[there]] = moves[there]
         player.step()
@@ -103,6 +103,9 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
             for flags in (buffers.terminated, buffers.truncated, buffers.active)
         )
         paid = buffers.reward[0].take(numbers)
+        if buffers.ending.any():
+            for k in np.flatnonzero(there & (buffers.ending[0].take(numbers) != 0)):
+                infos[agents[k]] |= self._game.task_end(numbers[k])
         if self._game.persists:  # all end together
             stays[:] = buffers.active.any()
             paid[~there] = 0

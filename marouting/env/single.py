@@ -22,7 +22,7 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
     The observation is that of the net to move. The episode is terminated when all tasks of all nets
     are joined, and truncated when all tasks have ended and some failed. The reward is the sum of
     what a move pays all nets. ``info`` holds the ``action_mask`` and the name of the ``net`` to
-    move, and, at the end, the ``metrics``.
+    move, what ``task_ended`` with the move, and, at the end, the ``metrics``.
 
     Args:
         problem: see :data:`marouting.source.Source`.
@@ -94,11 +94,12 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
         over = buffers.agents.item() == NOBODY
         if self.render_mode == "human":
             self.render()
+        ended = game.task_end()
         if not over:
             seen, info = self._look()
-            return seen, reward, False, False, info
+            return seen, reward, False, False, info | ended
         # At the end, the observation is that of the net that moved last.
-        info = game.info(game.mask(self._net), over=True)
+        info = game.info(game.mask(self._net), over=True) | ended
         info["net"] = game.names[self._net]
         now = game.engine.metrics()
         joined = now.joined == now.tasks
