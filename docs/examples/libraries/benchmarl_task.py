@@ -23,7 +23,7 @@ options = {"problem": problem, "reward": "normalised", "max_steps": 20, "max_cyc
 task = RoutingTask.TOY_4X4.get_task(options)
 
 config = ExperimentConfig.get_from_yaml()
-config.max_n_frames = 600_000
+config.max_n_frames = 60_000
 config.gamma, config.lr = 0.95, 1e-3
 config.on_policy_collected_frames_per_batch = config.off_policy_collected_frames_per_batch = 2_000
 config.on_policy_n_envs_per_worker = config.off_policy_n_envs_per_worker = 20

@@ -24,7 +24,7 @@ network = {"net_arch": [128, 128], "activation_fn": torch.nn.ReLU}
 common = {"learning_rate": 1e-3, "gamma": 0.95, "policy_kwargs": network, "device": "cpu"}
 if "dqn" in sys.argv:
     often = {"train_freq": 1, "gradient_steps": 2, "target_update_interval": 2_000}
-    chance = {"learning_starts": 2_000, "exploration_fraction": 0.003}
+    chance = {"learning_starts": 2_000, "exploration_fraction": 0.1}
     model = DQN("MlpPolicy", env, batch_size=128, seed=0, **often, **chance, **common)
 else:
     rollout = {"n_steps": 128, "batch_size": 256, "n_epochs": 6, "ent_coef": 0.02}
@@ -51,4 +51,4 @@ def report(known, _):
 
 
 print("steps processor_seconds joined")
-model.learn(10_000_000, callback=report)
+model.learn(300_000, callback=report)

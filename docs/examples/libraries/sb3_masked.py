@@ -57,4 +57,4 @@ def report(known, _):
 
 
 print("steps processor_seconds joined")
-model.learn(10_000_000, callback=report)
+model.learn(500_000, callback=report)

@@ -51,7 +51,7 @@ def report(_, step):
 
 print("steps processor_seconds joined")
 collector = Collector(learner, envs, VectorReplayBuffer(50_000, 8), exploration_noise=True)
-run = {"max_epochs": 1, "epoch_num_steps": 1_000_000, "collection_step_num_env_steps": 80}
+run = {"max_epochs": 1, "epoch_num_steps": 100_000, "collection_step_num_env_steps": 80}
 often = {"update_step_num_gradient_steps_per_sample": 0.25, "batch_size": 128}
 shown = {"training_fn": report, "show_progress": False}
 learner.run_training(OffPolicyTrainerParams(training_collector=collector, **run, **often, **shown))

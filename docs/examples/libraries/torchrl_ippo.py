@@ -36,7 +36,7 @@ keys = {key: ("nets", key) for key in ("reward", "action", "value", "done", "ter
 loss.set_keys(sample_log_prob=("nets", "log_prob"), **keys)
 loss.make_value_estimator(ValueEstimators.GAE, gamma=0.95, lmbda=0.9)
 optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
-collector = SyncDataCollector(env, policy, frames_per_batch=2_000, total_frames=1_000_000)
+collector = SyncDataCollector(env, policy, frames_per_batch=2_000, total_frames=100_000)
 
 print("steps processor_seconds joined")
 for i, data in enumerate(collector):
