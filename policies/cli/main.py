@@ -22,7 +22,7 @@ try:
 except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
-from marouting import InputError, Solution, __version__, evaluate
+from marouting import InputError, Solution, __version__, evaluate, sequential_astar
 from marouting.config import override, read_yaml
 from marouting.files import check_writable, write_text
 from marouting.generator import ReducedPer
@@ -38,7 +38,7 @@ from policies.cli.report import guide, report
 from policies.cli.source import ProblemFile, problem_argument
 from policies.cli.view import view
 from policies.interrupts import interruptible
-from policies.routers.base import solve, warm_up
+from policies.routers.base import small_problem, solve, warm_up
 from policies.routers.registry import has_seed, is_learner, make_router, router_names, unknown
 
 if TYPE_CHECKING:
@@ -342,7 +342,8 @@ def evaluate_command(problem: ProblemFile, solution: Path, as_json: bool) -> Non
     """
     loaded = problem.read()
     routes = Solution.read(solution, loaded).at_reached_pins()
-    evaluate(routes.problem, routes)  # whatever it compiles or loads is ready then
+    small = small_problem()
+    evaluate(small, sequential_astar(small))  # whatever it compiles or loads is ready then
     started = time.perf_counter()
     evaluate(routes.problem, routes)
     _report(None, routes, time.perf_counter() - started, as_json)

@@ -85,6 +85,11 @@ class Keeper(Watched, Protocol):
         ...
 
 
+def small_problem() -> Problem:
+    """A small problem, to make ready what compiles or loads when it is first used."""
+    return generate(1, (4, 4, 2), nets=8, max_pins=3, capacity=1, reduced_edges=0)[0]
+
+
 def warm_up(router: Router) -> None:
     """Routes a small problem, so that the next time is that of routing alone.
 
@@ -92,7 +97,7 @@ def warm_up(router: Router) -> None:
     problem learns two short episodes. What the small problem does not suit is left to the next one.
     Who watches the router does not hear of it.
     """
-    small = generate(1, (4, 4, 2), nets=8, max_pins=3, capacity=1, reduced_edges=0)[0]
+    small = small_problem()
     with contextlib.ExitStack() as stack:
         if isinstance(router, Watched):
             stack.callback(setattr, router, "watch", router.watch)
