@@ -472,7 +472,7 @@ class Trainer:
                 self.player.go_to(saved.counts)
             self.player.check_saved(saved)
             for m in range(len(self.best_used)):
-                _ = checked_demand(self._whole.engine.static, arrays["best_used"][m], m)
+                _ = checked_demand(self._whole.engine.static, arrays["best_used"][m : m + 1], m)
         except ValueError as error:
             raise InputError(f"{where}: {error}") from None
         self.learner.load_state(state["training"], f"{where}: ")

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.game.bits import byte_at, places
 from marouting.game.engine import Engine
 from marouting.game.expected import Maps, maps_of, recount, refresh, sum_up
 from marouting.game.outlook import (
@@ -254,8 +255,8 @@ def _is_whole(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
 def _length(dynamic: Dynamic, m: int, n: int) -> int:
     """Edges that a net uses."""
     edges = wide(0)
-    for byte in range(dynamic.used.shape[2]):
-        bits = wide(dynamic.used[m, n, byte])
+    for at in range(places(dynamic.used, m, n)):
+        _, bits = byte_at(dynamic.used, m, n, at)
         while bits != 0:
             bits &= bits - 1
             edges += 1
@@ -265,8 +266,8 @@ def _length(dynamic: Dynamic, m: int, n: int) -> int:
 @compiled
 def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net uses an edge with overflow."""
-    for byte in range(dynamic.used.shape[2]):
-        bits = wide(dynamic.used[m, n, byte])
+    for at in range(places(dynamic.used, m, n)):
+        byte, bits = byte_at(dynamic.used, m, n, at)
         for bit in range(8):
             if bits >> bit & 1 and dynamic.remaining[m, 8 * byte + bit] < 0:
                 return True
