@@ -84,9 +84,9 @@ def chosen(bits: NDArray[Any], which: NDArray[np.integer]) -> NDArray[Any]:
     return some
 
 
-def shortest(bits: NDArray[Any]) -> NDArray[Any]:
-    """A copy of rows without what is free."""
-    return bits.copy() if bits.ndim == 3 else bits[:, : _end(bits)].copy()
+def in_use(bits: NDArray[Any]) -> NDArray[Any]:
+    """Rows without what is free, a view."""
+    return bits if bits.ndim == 3 else bits[:, : _end(bits)]
 
 
 def adopt(bits: NDArray[Any], others: NDArray[Any], which: Any = slice(None)) -> None:
@@ -419,4 +419,12 @@ def rebuilt(bits: NDArray[Any], rows: int, bytes_: int) -> NDArray[np.int32]:
     new = longer(make_rows(len(bits), rows, bytes_, hashed=True), room)
     if not _rebuild(bits, new, bytes_):
         raise ValueError("rows of bits: expected those of a game of these problems")
-    return shortest(new)
+    return in_use(new)
+
+
+def with_problem(bits: NDArray[Any], m: int, others: NDArray[Any], k: int) -> NDArray[Any]:
+    """Rows in which those of problem m are those of problem k of others; longer ones if need be."""
+    if bits.ndim == 2:
+        bits = longer(bits, _end(others[k : k + 1]))
+    adopt(bits[m : m + 1], others[k : k + 1])
+    return bits

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.bits import adopt, chosen, forget, numbers_of, rebuilt, shortest
+from marouting.game.bits import adopt, chosen, forget, in_use, numbers_of, rebuilt
 from marouting.game.growth import lengthened, needed_room
 from marouting.game.options import RuleOptions
 from marouting.game.rules import (
@@ -351,12 +351,12 @@ class Engine:
 
     def save(self) -> Dynamic:
         """A copy of the state of all games, for :meth:`restore`."""
-        return Dynamic(
-            **{
-                name: shortest(array) if name in ROWS else array.copy()
-                for name, array in self.dynamic._asdict().items()
-            }
-        )
+        return Dynamic._make(array.copy() for array in self.in_use())
+
+    def in_use(self) -> Dynamic:
+        """The state of all games, to be read, without the free part of hashed rows."""
+        used, sets = in_use(self.dynamic.used), in_use(self.dynamic.sets)
+        return self.dynamic._replace(used=used, sets=sets)
 
     def check_saved(self, saved: Dynamic) -> None:
         """Raises ValueError unless a state can be one of these games, wherever it is from."""
@@ -387,17 +387,31 @@ class Engine:
         for name, array in self.dynamic._asdict().items():
             kept = getattr(saved, name)
             # Hashed rows may be of any length.
-            any_length = self.hashed and name in ROWS and kept.ndim == array.ndim
-            axes = slice(1 if any_length else None)
-            if array.shape[axes] != kept.shape[axes] or array.dtype != kept.dtype:
+            same = array.shape[: 1 if self.hashed and name in ROWS else None]
+            if kept.shape[: len(same)] != same or (kept.ndim, kept.dtype) != (
+                array.ndim,
+                array.dtype,
+            ):
                 raise ValueError(f"saved: expected shape {array.shape}, found {kept.shape}")
-        if not self.hashed:
-            return saved
-        bytes_ = -(-self.static.capacity.shape[1] // 8)
         return saved._replace(
-            used=rebuilt(saved.used, self.nets.shape[1], bytes_),
-            sets=rebuilt(saved.sets, int(self.static.options[Option.ROWS]), bytes_),
+            used=self.fitting_rows(saved.used),
+            sets=self.fitting_rows(saved.sets, int(self.static.options[Option.ROWS])),
         )
+
+    def fitting_rows(self, kept: NDArray[Any], rows: int | None = None) -> NDArray[Any]:
+        """Rows of bits that somebody has kept, in a form that compiled code can trust.
+
+        Args:
+            kept: of some problems, with as many axes as those of the state.
+            rows: how many rows a problem has; None: one for every agent.
+
+        Raises:
+            ValueError: they cannot be such rows.
+        """
+        if not self.hashed:
+            return kept
+        bytes_ = -(-self.static.capacity.shape[1] // 8)
+        return rebuilt(kept, self.nets.shape[1] if rows is None else rows, bytes_)
 
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents, and starts all episodes.
