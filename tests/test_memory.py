@@ -139,8 +139,8 @@ def test_what_nets_use_counts_in_games(monkeypatch: pytest.MonkeyPatch) -> None:
     said = "the routes of 60000 nets on a grid of 256x256x1: expected .* 0.0 GiB"
     with pytest.raises(InputError, match=said):
         Engine([problem])
-    with pytest.raises(InputError, match="6000 nets on a grid"):
-        BatchEnv([wide(3000)] * 2, give_back=True)
+    with pytest.raises(InputError, match="60000 nets on a grid"):
+        BatchEnv([wide(30_000)] * 2)
     monkeypatch.setenv(VARIABLE, "0.02")
     Engine([wide(3000)])
 
