@@ -14,12 +14,15 @@ from reference import contested, random_moves
 
 import marouting
 from marouting import Engine, Net, Pin, Problem, global_routing_v0
+from marouting.config import build
 from marouting.game import bits, setup
 from marouting.game.outlook import OutlookObservation
 from marouting.game.state import NOBODY
 from marouting.kernels import compiled, wide
 from marouting.vector import BatchEnv
 from policies.learned.compiled.walk import make_walk, walk
+from policies.learned.config import Config
+from policies.learned.trainer import Trainer
 from policies.routers.heuristic import HeuristicRouter
 
 ROWS, BYTES = 3, 40
@@ -265,3 +268,26 @@ def test_whatever_plays_does_so_with_hashed_rows() -> None:
     with hashing():
         hashed_env = pickle.loads(pickle.dumps(hashed_env))
     assert_alike(hashed_env.engine, env.engine)
+
+
+@pytest.mark.slow
+def test_trainings_go_on_from_checkpoints_with_hashed_rows() -> None:
+    problems = {f"p{m}": p for m, p in enumerate(marouting.generate(2, nets=20, seed=1))}
+    config = build(Config, {"learner": {"fused": False}, "train": {"episodes": 3}})
+
+    def train(*, broken_off: bool) -> Trainer:
+        trainer = Trainer(problems, config)
+        for k, _ in enumerate(trainer.run()):
+            if broken_off and k == 8:
+                state, trainer = trainer.state(), Trainer(problems, config)
+                trainer.load_state(state, "")
+                for _ in trainer.run():
+                    pass
+                break
+        return trainer
+
+    plain = train(broken_off=False)
+    with hashing():
+        hashed = train(broken_off=True)
+    assert hashed.player.engine.hashed
+    assert hashed.solutions() == plain.solutions()
