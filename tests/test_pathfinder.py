@@ -352,6 +352,50 @@ def test_squeezing_many_nets_makes_nothing_worse(many_nets: Problem) -> None:
     assert squeezed > 2
 
 
+@pytest.mark.parametrize("many", [False, True])
+def test_goes_on_from_a_solution(many: bool, many_nets: Problem, tmp_path: Path) -> None:
+    """Its trees stand after the first pass, but those of nets that it does not join."""
+    problem = many_nets if many else congested()
+    before = router(passes=12).route(problem)
+    path = tmp_path / "before.solution"
+    before.write(path)
+    first = router(passes=1, start=str(path)).solve(problem)
+    assert first.solution == before.pruned()
+    later = router(passes=20, start=str(path)).solve(problem)
+    check_routed(problem, later)
+    assert figures(problem, later.solution) <= figures(problem, before)
+
+    Solution(problem, [*before.edges[:-3], *[np.array([], np.int64)] * 3]).write(path)
+    completed = router(passes=1, start=str(path)).solve(problem)
+    check_routed(problem, completed)
+    assert all(map(np.array_equal, completed.solution.edges[:-3], before.pruned().edges[:-3]))
+
+
+def test_a_start_for_another_problem(tmp_path: Path) -> None:
+    path = tmp_path / "other.solution"
+    sequential_astar(plane({"other": [(0, 0), (2, 2)]}, (3, 3))).write(path)
+    with pytest.raises(InputError, match=r"other\.solution:1: "):
+        router(start=str(path)).route(congested())
+    with pytest.raises(InputError, match=r"none\.solution"):
+        router(start=str(tmp_path / "none.solution")).route(congested())
+
+
+def test_who_watches_sees_the_best_so_far() -> None:
+    problem, watched, seen = congested(), router(), []
+
+    def watch(_: str) -> bool:
+        best = watched.best()
+        if best is not None:
+            seen.append(figures(problem, best))
+        return len(seen) == 20
+
+    watched.watch = watch
+    routed = watched.solve(problem)
+    assert seen == sorted(seen, reverse=True)
+    assert figures(problem, routed.solution) <= seen[-1]
+    assert watched.best() is None
+
+
 def test_who_watches_may_stop_it() -> None:
     problem, watched = congested(), router()
     lines: list[str] = []

@@ -47,6 +47,8 @@ class PathfinderOptions:
             solution cut off by the limit depends on the machine.
         threads: how many threads plan trees, where there are more than 5000 nets to route. What
             comes out does not depend on it, unless ``seconds`` cuts the search off.
+        start: a file of a solution to begin with, such as one that was cut off; None: begin with
+            patterns. Nets that it does not join get patterns. What comes out is no worse.
         seed: seed of the random numbers.
 
     Raises:
@@ -72,6 +74,7 @@ class PathfinderOptions:
     passes: int = 100_000
     seconds: float | None = 50.0
     threads: int = 1
+    start: str | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:

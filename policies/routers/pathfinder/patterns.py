@@ -164,12 +164,15 @@ def route_pattern(
     buffers: NetBuffers,
     net: int,
 ) -> int:
-    """Gives a net that has no tree a tree of patterns.
+    """Gives a net a tree of patterns, unless it has one to begin with; puts its tree in place.
 
     Returns:
         DONE; or BOX_TOO_SMALL or POOL_TOO_SMALL, in which case the net is left as it was.
     """
     progress = routing.progress[0]
+    if routing.length[net] > 0:
+        use_tree(problem, routing, parameters.via, net, wide(1))
+        return DONE
     points = set_box(problem, routing, net, wide(0), buffers.low, lattice.size)
     if points > len(buffers.pin):
         progress.need = points

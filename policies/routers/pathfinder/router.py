@@ -2,7 +2,8 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -14,8 +15,10 @@ from policies.routers.pathfinder.state import (
     KINDS,
     UNIT,
     Kind,
+    Routing,
     make_arrays,
     make_parameters,
+    with_trees,
 )
 from policies.routers.pathfinder.trees import keep_best
 
@@ -83,6 +86,15 @@ class PathfinderRouter:
     def __init__(self, options: PathfinderOptions | None = None) -> None:
         self.options = PathfinderOptions() if options is None else options
         self.watch: Callable[[str], bool] | None = None
+        self._best: Callable[[], Solution] | None = None
+
+    def warm_up(self, problem: Problem) -> None:
+        """Compiles what routing needs, by a problem to which ``start`` is no solution."""
+        PathfinderRouter(replace(self.options, start=None)).route(problem)
+
+    def best(self) -> Solution | None:
+        """The best solution so far, for who watches; None if there is none yet."""
+        return None if self._best is None else self._best()
 
     def route(self, problem: Problem) -> Solution:
         """Routes a problem.
@@ -99,6 +111,8 @@ class PathfinderRouter:
         limit = self.options.seconds
         parameters = make_parameters(self.options)
         arrays, routing = make_arrays(problem, self.options)
+        if self.options.start is not None:
+            routing = with_trees(routing, Solution.read(self.options.start, problem))
         progress = routing.progress[0]
         passes: list[Pass] = []
         ended = len(routing.order) == 0
@@ -110,7 +124,13 @@ class PathfinderRouter:
                 for kind, overflow, length, routed in rows:
                     passes.append(Pass(KINDS[kind], overflow, length / UNIT, routed))
                 progress["history"] = 0
-                asked = self.watch is not None and self.watch(_line(progress, len(passes)))
+                asked = False
+                if self.watch is not None:
+                    # What the watcher does is none of the search's work.
+                    told = time.thread_time()
+                    self._best = partial(_best, problem, routing) if passes else None
+                    asked = self.watch(_line(progress, len(passes)))
+                    worked += time.thread_time() - told
                 late = limit is not None and time.thread_time() - worked + crew.waited >= limit
                 if ended:
                     stop = _reason(progress, parameters.passes)
@@ -120,9 +140,15 @@ class PathfinderRouter:
                     # could be lost with more time, and more time must not be worse than less.
                     if KINDS[progress["kind"]] in ("squeeze", "repair"):
                         keep_best(routing)
-        net = np.repeat(np.arange(len(problem.nets)), np.diff(routing.best_first))
-        solution = Solution.of_uses(problem, net, routing.best[: len(net)].astype(np.int64))
+        self._best = None
+        solution = _best(problem, routing)
         return Routed(solution, time.perf_counter() - began, tuple(passes), stop)
+
+
+def _best(problem: Problem, routing: Routing) -> Solution:
+    """The best solution of a search so far."""
+    net = np.repeat(np.arange(len(problem.nets)), np.diff(routing.best_first))
+    return Solution.of_uses(problem, net, routing.best[: len(net)].astype(np.int64))
 
 
 def _reason(progress: Any, most: int) -> Stop:

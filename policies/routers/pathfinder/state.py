@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting import Problem
+from marouting import Problem, Solution, evaluate
 from marouting.memory import NEGOTIATION, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.exact_tree import Search, make_search
@@ -241,6 +241,27 @@ def with_larger_pool(routing: Routing, size: int) -> Routing:
     best = np.empty(size, np.int32)
     best[: len(routing.best)] = routing.best
     return routing._replace(edge=widened(routing.edge, size), best=best)
+
+
+def with_trees(routing: Routing, solution: Solution) -> Routing:
+    """The routing with the trees of a solution, for the first pass to put in place.
+
+    Args:
+        routing: one without any trees.
+        solution: of the same problem; of nets that it does not join, nothing is taken.
+    """
+    tree = solution.pruned()
+    net, edge = tree.uses
+    open_nets = set(evaluate(solution.problem, tree).disconnected)
+    taken = np.array([each.name not in open_nets for each in solution.problem.nets])[net]
+    routing.length[:] = np.bincount(net[taken], minlength=len(routing.length))
+    routing.start[:] = np.cumsum(routing.length) - routing.length
+    size = int(np.count_nonzero(taken))
+    routing.progress["top"] = size
+    if size > routing.edge.shape[1]:
+        routing = with_larger_pool(routing, 2 * size)
+    routing.edge[0, :size] = edge[taken]
+    return routing
 
 
 def widened(rows: NDArray[np.int32], size: int) -> NDArray[np.int32]:
