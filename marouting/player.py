@@ -23,7 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
+from marouting.game.bits import adopt, byte_of, copied, copy_row, set_byte, swap_rows
 from marouting.game.engine import Engine
+from marouting.game.growth import lengthened, needed_room
 from marouting.game.observation import (
     Observation,
     PaperObservation,
@@ -47,10 +49,10 @@ from marouting.game.rules import (
     write_moves,
 )
 from marouting.game.state import (
-    AGENT,
     GAME,
     MASKS,
     NOBODY,
+    ROWS,
     Crossing,
     Dynamic,
     Ending,
@@ -220,22 +222,24 @@ class Player:
             buffers.agents[:] = engine.pairs(everyone=True)[1].reshape(engine.nets.shape)
         own_reward = not self.known.reward
         self.paid = np.zeros(engine.nets.shape, np.float32) if own_reward else None
-        self._before = engine.save() if own_reward else None
+        self._before = _copy(engine.dynamic) if own_reward else None
         self.kernel_buffers = buffers
         if engine.actions == MOVES:  # masks are written in pairs of bytes, which is faster
             self.kernel_buffers = buffers._replace(
                 mask=buffers.mask.view(np.int16), final_mask=buffers.final_mask.view(np.int16)
             )
         self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
+        if own_reward:
+            dynamic = engine.dynamic
+            agents, sets = dynamic.agents.copy(), copied(dynamic.sets)
+            self._arrived = dynamic._replace(agents=agents, sets=sets)
         if self.compiled:
             kernel = _play_everyone if self.everyone else _play_player
             self._step = bound(kernel, *self._arguments, True, True)
             return
         nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
         self._settle = bound(_settle_and_show, *self._arguments, nobody, nowhere, _NOT)
-        if own_reward:
-            self._arrived = np.zeros(engine.nets.shape, AGENT), engine.dynamic.sets.copy()
-        else:
+        if not own_reward:
             self._move = bound(_move_and_pay, *self._arguments, nobody)
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
@@ -243,6 +247,7 @@ class Player:
         over = self.buffers.over
         if which is None:
             which = np.ones(len(over), np.bool_)
+        self.make_room()
         if self.compiled:
             self._draw(which)
             were_over = over.copy()
@@ -264,6 +269,8 @@ class Player:
             restart: whether a problem whose episode ended in the previous step starts its next
                 episode instead.
         """
+        if self.engine.hashed:
+            self.make_room()
         if self.compiled:
             if restart:
                 self._draw(self.buffers.over)
@@ -276,6 +283,20 @@ class Player:
             self._turn_masks()
         else:
             self._step_in_parts(restart)
+
+    def make_room(self) -> None:
+        """Makes room for a step where rows of bits are hashed; see :meth:`.Engine.make_room`."""
+        engine = self.engine
+        if not engine.hashed:
+            return
+        engine.make_room()
+        static, dynamic, buffers, known = self._arguments
+        if dynamic is not engine.dynamic:
+            self._arguments = static, engine.dynamic, buffers, known
+        if self._before is not None:
+            self._before = _with_room(static, self._before, engine.dynamic)
+            arrived = self._arrived._replace(used=engine.dynamic.used)
+            self._arrived = _with_room(static, arrived, engine.dynamic)
 
     def part(self, which: NDArray[np.integer]) -> "Player":
         """A player of some of the problems (indices), which continues from their present state."""
@@ -394,8 +415,16 @@ class Player:
     def _mirror(self, which: Any) -> None:
         """Copies the games of some problems to ``before``, which rewards are given."""
         if self._before is not None:
-            for name in Dynamic._fields:
-                getattr(self._before, name)[which] = getattr(self.engine.dynamic, name)[which]
+            dynamic = self.engine.dynamic
+            if self.engine.hashed:
+                lengths = dynamic.used.shape[1], dynamic.sets.shape[1]
+                self._before = lengthened(self._before, *lengths)
+            for name, array in dynamic._asdict().items():
+                mirrored = getattr(self._before, name)
+                if name in ROWS:
+                    adopt(mirrored, array, which)
+                else:
+                    mirrored[which] = array[which]
             # Edges that nets have just given back are paid for with the next move.
             games = self._before.games
             ripped = np.flatnonzero(games["ripped"])
@@ -446,7 +475,7 @@ class Player:
         for movers, moves in self._turns(begins):
             _move(engine.static, engine.dynamic, movers, moves)
             paid += self._pay(before, movers)
-            _settle_movers(engine.static, engine.dynamic, before, movers, moves, *self._arrived)
+            _settle_movers(engine.static, engine.dynamic, before, movers, moves, self._arrived)
             if engine.static.extended:
                 # More may have changed than one edge of one net.
                 mover = engine.agents[np.arange(len(movers)), movers]
@@ -514,18 +543,13 @@ class Player:
         if not rows.any():
             return
         problems, row = np.nonzero(rows)
-        agents = row if self.everyone else asked[problems]
-        moved: list[tuple[NDArray[Any], Any, NDArray[Any]]] = []
+        problems = problems.astype(np.int32)
+        agents = row.astype(np.int32) if self.everyone else asked[problems]
         if self._before is not None:  # those whose tasks have ended stand elsewhere by now
             active = engine.games["active"].copy()
             settled = engine.agents["status"][problems, agents]
             np.add.at(engine.games["active"], problems, settled != Status.ACTIVE)
-            arrays = engine.dynamic.agents, engine.dynamic.sets
-            for which, first in self._movable:
-                at = problems, first + agents
-                moved.append((arrays[which], at, arrays[which][at]))
-                arrays[which][at] = self._arrived[which][at]
-        problems, agents = problems.astype(np.int32), agents.astype(np.int32)
+            self._swap_arrived(problems, agents)
         out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
         self.observation.write(engine, problems, agents, out)
         b.final_obs[rows] = out
@@ -535,18 +559,16 @@ class Player:
             masks = np.take_along_axis(masks, order, -1)
         b.final_mask[rows] = masks
         if self._before is not None:
-            for array, at, kept in moved:
-                array[at] = kept
+            self._swap_arrived(problems, agents)
             engine.games["active"] = active
 
-    @property
-    def _movable(self) -> list[tuple[int, int]]:
-        """What changes for an agent when its next task begins, as far as it is seen.
-
-        For the agents' records (0) and for sets of theirs (1): where those of agent 0 are.
-        """
-        places = [int(self.engine.static.options[o]) for o in (Option.VISITED, Option.TRIED)]
-        return [(0, 0), *((1, first) for first in places if first >= 0)]
+    def _swap_arrived(self, problems: NDArray[Any], agents: NDArray[Any]) -> None:
+        """Swaps what changes for agents (K,) when their next tasks begin, as far as it is seen."""
+        engine, at = self.engine, (problems, agents)
+        there = engine.agents[at]
+        engine.agents[at] = self._arrived.agents[at]
+        self._arrived.agents[at] = there
+        _swap_sets(engine.static, engine.dynamic, self._arrived, problems, agents)
 
     def _look(self, which: NDArray[np.bool_] | None) -> None:
         """Writes what agents see now, in all problems or where ``which`` (M,) is true."""
@@ -560,6 +582,19 @@ class Player:
         out = np.empty((int(rows.sum()), *obs.shape[1:]), np.float32)
         self.observation.write(engine, problems[rows], agents[rows], out)
         obs[rows] = out
+
+
+def _copy(dynamic: Dynamic) -> Dynamic:
+    """A copy of a state."""
+    copies = dynamic._asdict()
+    return Dynamic(**{n: copied(a) if n in ROWS else a.copy() for n, a in copies.items()})
+
+
+def _with_room(static: Static, copy: Dynamic, dynamic: Dynamic) -> Dynamic:
+    """A copy of a state with room for a step in hashed rows, which are as long as its own."""
+    own = needed_room(static, copy)
+    theirs = dynamic.used.shape[1], dynamic.sets.shape[1]
+    return lengthened(copy, max(own[0], theirs[0]), max(own[1], theirs[1]))
 
 
 def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.int8]:
@@ -616,8 +651,7 @@ def _settle_movers(
     before: Dynamic,
     movers: Any,
     moves: Any,
-    arrived: Any,
-    sets: Any,
+    arrived: Dynamic,
 ) -> None:
     """Settles the agents that moved, records where they arrived, and updates ``before``."""
     for m in range(len(movers)):
@@ -625,17 +659,30 @@ def _settle_movers(
             continue
         n = place(movers[m])
         edge = place(static.edge[place(before.agents[m, n].cell), place(moves[m] % MOVES)])
-        arrived[m, n] = dynamic.agents[m, n]
+        arrived.agents[m, n] = dynamic.agents[m, n]
         for option in range(Option.VISITED, Option.TRIED + 1):
             if static.options[option] >= 0 and option != Option.KEPT:
                 row = place(static.options[option] + n)
-                for byte in range(sets.shape[2]):
-                    sets[m, row, byte] = dynamic.sets[m, row, byte]
+                copy_row(arrived.sets, m, row, dynamic.sets, m, row)
         settle_agent(static, dynamic, m, n)
         before.remaining[m, edge] = dynamic.remaining[m, edge]
-        before.used[m, n, edge >> 3] = dynamic.used[m, n, edge >> 3]
+        byte = byte_of(dynamic.used, m, n, edge >> 3)
+        set_byte(before.used, m, n, edge >> 3, byte)
         before.agents[m, n] = dynamic.agents[m, n]
         before.games[m] = dynamic.games[m]
+
+
+@compiled
+def _swap_sets(
+    static: Static, dynamic: Dynamic, arrived: Dynamic, problems: Any, agents: Any
+) -> None:
+    """Swaps the sets of agents (K,) that change when their next tasks begin."""
+    for k in range(len(problems)):
+        m, n = place(problems[k]), place(agents[k])
+        for option in range(Option.VISITED, Option.TRIED + 1):
+            if (option == Option.VISITED or option == Option.TRIED) and static.options[option] >= 0:
+                row = place(static.options[option] + n)
+                swap_rows(dynamic.sets, arrived.sets, m, row)
 
 
 # --- what a step writes ---------------------------------------------------------------------------

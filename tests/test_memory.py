@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marouting import Engine, InputError, Net, Pin, Problem, Solution, generate, sequential_astar
+from marouting import Engine, InputError, Net, Pin, Problem, Solution, generate
 from marouting.generator import GeneratorOptions, generate_each
 from marouting.global_routing_v0 import parallel_env, raw_env
 from marouting.memory import VARIABLE, check_memory
@@ -133,18 +133,16 @@ def wide(nets: int, layers: int = 1) -> Problem:
 
 
 def test_what_nets_use_counts_in_games(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A bit for each net and edge, of every problem."""
-    problem = wide(3000)  # 24 KB for each net
-    monkeypatch.setenv(VARIABLE, "0.05")
-    said = "3000 nets on a grid of 256x256x1, a bit for each net and edge: expected .* 0.1 GiB"
+    """Of every problem, and on large grids by the net, not by the net and edge."""
+    problem = wide(60_000)
+    monkeypatch.setenv(VARIABLE, "0.016")
+    said = "the routes of 60000 nets on a grid of 256x256x1: expected .* 0.0 GiB"
     with pytest.raises(InputError, match=said):
         Engine([problem])
-    with pytest.raises(InputError, match="6000 nets on a grid"):
-        BatchEnv([problem] * 2)
-    Engine([wide(300)])
-    assert sequential_astar(problem).uses[1].size == 3000  # which needs no such bits
-    monkeypatch.setenv(VARIABLE, "0.1")
-    Engine([problem])
+    with pytest.raises(InputError, match="60000 nets on a grid"):
+        BatchEnv([wide(30_000)] * 2)
+    monkeypatch.setenv(VARIABLE, "0.02")
+    Engine([wide(3000)])
 
 
 @pytest.mark.parametrize("kind", [raw_env, parallel_env])

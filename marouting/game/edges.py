@@ -6,6 +6,7 @@ it uses the edge; a via has no limit.
 
 from typing import Any
 
+from marouting.game.bits import byte_of, has, set_byte
 from marouting.game.state import Dynamic, Static
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, VIA_AXIS
@@ -17,7 +18,7 @@ from marouting.problem.grid import AXES, VIA_AXIS
 @inlined
 def uses(used: Any, m: int, n: int, edge: int) -> int:
     """1 if agent n of problem m uses an edge, else 0."""
-    return used[m, n, edge >> 3] >> (edge & 7) & 1
+    return has(used, m, n, edge)
 
 
 @inlined
@@ -65,11 +66,13 @@ def use_edges(static: Static, dynamic: Dynamic, m: int, n: int, byte: int, bits:
         dynamic: their dynamic state.
         m: the problem.
         n: the agent.
-        byte: the byte of ``dynamic.used``.
+        byte: the byte of its row of ``dynamic.used``.
         bits: what it shall be.
     """
     game = dynamic.games[m]
-    changed = wide(dynamic.used[m, n, byte]) ^ bits
+    changed = byte_of(dynamic.used, m, n, byte) ^ bits
+    if changed == 0:
+        return
     bit = 0
     while changed >> bit != 0:
         if changed >> bit & 1:
@@ -79,4 +82,4 @@ def use_edges(static: Static, dynamic: Dynamic, m: int, n: int, byte: int, bits:
             _ = take(dynamic, m, edge, wide(takes * demand_of(static, m, n, cell, move)))
             game.wirelength += takes
         bit += 1
-    dynamic.used[m, n, byte] = bits
+    set_byte(dynamic.used, m, n, byte, bits)

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.game.bits import adopt, chosen, forget, in_use, numbers_of, rebuilt
+from marouting.game.growth import lengthened, needed_room
 from marouting.game.options import RuleOptions
 from marouting.game.rules import (
     is_agent,
@@ -31,7 +33,7 @@ from marouting.game.setup import (
     replace_problem,
     static_state,
 )
-from marouting.game.state import NOBODY, Dynamic, Static
+from marouting.game.state import NOBODY, ROWS, Dynamic, Option, Static
 from marouting.kernels import compiled, place, wide
 from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
@@ -74,6 +76,12 @@ def _settle_all(static: Static, dynamic: Dynamic) -> None:
 
 
 @compiled
+def _forget(dynamic: Dynamic, m: int) -> None:
+    forget(dynamic.used, m)
+    forget(dynamic.sets, m)
+
+
+@compiled
 def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: Any) -> bool:
     """Fills ``out`` (K, A) with masks; returns whether there are such agents."""
     for i in range(len(problems)):
@@ -93,25 +101,6 @@ def check_rows(
         raise ValueError(
             f"expected integers for {len(out)} rows of {width}, found {problems}, {agents}"
         )
-
-
-@compiled
-def _uses(used: Any, nets: Any, net: Any, edge: Any) -> int:
-    """Lists the net and the edge of every use, as far as there is room; returns their number."""
-    size = 0
-    for n in range(used.shape[0]):
-        for byte in range(used.shape[1]):
-            bits = wide(used[n, byte])
-            bit = 0
-            while bits != 0:
-                if bits & 1:
-                    if size < len(net):
-                        net[size] = nets[n]
-                        edge[size] = 8 * byte + bit
-                    size += 1
-                bits >>= 1
-                bit += 1
-    return size
 
 
 def _rows_of(nets: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -158,6 +147,8 @@ class Engine:
         nets: (M, N) int32, the net of every agent; NOBODY where there is no agent.
         static: the arrays that do not change during an episode.
         dynamic: the arrays that do.
+        hashed: whether ``dynamic.used`` and ``dynamic.sets`` are hashed, as they are where a bit
+            for each net and edge would take much memory; see :mod:`marouting.game.bits`.
         replaced: (M,) int64, how often a problem has taken the place of another.
 
     Raises:
@@ -181,6 +172,9 @@ class Engine:
         self._held[:] = problems
         self.grid = Grid.of(problems[0].grid)
         self.dynamic = dynamic_state(self.static, self.grid, self.nets.shape[1])
+        self.hashed = self.dynamic.used.ndim == 2
+        self._whole: Engine | None = None
+        self._parts: list[tuple[Engine, slice]] = []
         self.replaced = np.zeros(len(problems), np.int64)
         self._rows = _rows_of(self.nets)
         self.reset()
@@ -234,6 +228,7 @@ class Engine:
         which = np.asarray(np.ones(len(self.games), np.bool_) if which is None else which)
         if which.shape != self.games.shape or which.dtype != np.bool_:
             raise ValueError(f"which: expected {len(self.games)} booleans, found {which}")
+        self.make_room()
         _reset(self.static, self.dynamic, which)
 
     def part(self, which: NDArray[np.integer] | slice) -> "Engine":
@@ -256,8 +251,48 @@ class Engine:
             first=static.first[which],
             order=static.order[which],
         )
-        part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
+        part._whole, part._parts = None, []
+        if isinstance(which, slice):
+            part._whole = self
+            self._parts.append((part, which))
+            self._share()
+        else:
+            part.dynamic = Dynamic(
+                **{
+                    name: chosen(array, which) if name in ROWS else array[which]
+                    for name, array in self.dynamic._asdict().items()
+                }
+            )
         return part
+
+    def make_room(self) -> None:
+        """Makes room for a step where rows of bits are hashed; see :mod:`marouting.game.growth`.
+
+        The methods of the engine do so themselves. Who hands ``dynamic`` to compiled rules calls
+        this before each step of all agents, and takes ``dynamic`` afterwards: its arrays may be
+        others. Parts that share their arrays get room together, and not while others play.
+
+        Raises:
+            InputError: they take too much memory.
+        """
+        if self.hashed:
+            used, sets = needed_room(self.static, self.dynamic)
+            if used:
+                self._lengthen(used, sets)
+
+    def _lengthen(self, used: int, sets: int) -> None:
+        """Gives hashed rows arrays of these lengths, unless they are longer."""
+        if self._whole is not None:
+            self._whole._lengthen(used, sets)
+        else:
+            self.dynamic = lengthened(self.dynamic, used, sets)
+            self._share()
+
+    def _share(self) -> None:
+        """Hands the arrays to the parts that share them."""
+        for part, which in self._parts:
+            part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
+            part._share()
 
     def replace(self, m: int, problem: Problem) -> None:
         """Puts another problem in the place of one; its episode is to be started by :meth:`reset`.
@@ -278,8 +313,10 @@ class Engine:
         self._held[m] = problem
         self._rows[m] = _rows_of(self.nets[m : m + 1])
         self.replaced[m] += 1
-        for array in self.dynamic:
+        _forget(self.dynamic, m)
+        for array in (self.dynamic.agents, self.dynamic.games, self.dynamic.numbers):
             array[m] = np.zeros((), array.dtype)
+        self.dynamic.remaining[m] = 0
         self.games["agent"][m] = NOBODY
 
     def move(self, moves: NDArray[np.integer]) -> None:
@@ -295,6 +332,7 @@ class Engine:
         """
         moves = np.asarray(moves)
         self.check(moves)
+        self.make_room()
         (_move_turn if moves.ndim == 1 else _move_all)(self.static, self.dynamic, moves)
 
     def settle(self, everyone: bool) -> None:
@@ -303,6 +341,7 @@ class Engine:
         Args:
             everyone: whether the moves were those of all agents, (M, N).
         """
+        self.make_room()
         (_settle_all if everyone else _settle_turn)(self.static, self.dynamic)
 
     def step(self, moves: NDArray[np.integer]) -> None:
@@ -312,12 +351,16 @@ class Engine:
 
     def save(self) -> Dynamic:
         """A copy of the state of all games, for :meth:`restore`."""
-        return Dynamic._make(array.copy() for array in self.dynamic)
+        return Dynamic._make(array.copy() for array in self.in_use())
+
+    def in_use(self) -> Dynamic:
+        """The state of all games, to be read, without the free part of hashed rows."""
+        used, sets = in_use(self.dynamic.used), in_use(self.dynamic.sets)
+        return self.dynamic._replace(used=used, sets=sets)
 
     def check_saved(self, saved: Dynamic) -> None:
         """Raises ValueError unless a state can be one of these games, wherever it is from."""
-        _ = self._pairs(saved)
-        check_saved(self.static, saved)
+        check_saved(self.static, self._fitting(saved))
 
     def restore(self, saved: Dynamic) -> None:
         """Puts all games back into a saved state.
@@ -329,17 +372,46 @@ class Engine:
         Raises:
             ValueError: its shapes do not fit.
         """
-        for array, kept in self._pairs(saved):
-            array[...] = kept
+        saved = self._fitting(saved)
+        if self.hashed:
+            self._lengthen(saved.used.shape[1], saved.sets.shape[1])
+        for name, array in self.dynamic._asdict().items():
+            if name in ROWS:
+                adopt(array, getattr(saved, name))
+            else:
+                array[...] = getattr(saved, name)
+        self.make_room()
 
-    def _pairs(self, saved: Dynamic) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-        """The arrays of the state, each with the saved one; raises ValueError if they differ."""
-        pairs: list[tuple[NDArray[Any], NDArray[Any]]]
-        pairs = list(zip(self.dynamic, saved, strict=True))
-        for array, kept in pairs:
-            if array.shape != kept.shape or array.dtype != kept.dtype:
+    def _fitting(self, saved: Dynamic) -> Dynamic:
+        """A saved state with arrays like those of the state; raises ValueError if they differ."""
+        for name, array in self.dynamic._asdict().items():
+            kept = getattr(saved, name)
+            # Hashed rows may be of any length.
+            same = array.shape[: 1 if self.hashed and name in ROWS else None]
+            if kept.shape[: len(same)] != same or (kept.ndim, kept.dtype) != (
+                array.ndim,
+                array.dtype,
+            ):
                 raise ValueError(f"saved: expected shape {array.shape}, found {kept.shape}")
-        return pairs
+        return saved._replace(
+            used=self.fitting_rows(saved.used),
+            sets=self.fitting_rows(saved.sets, int(self.static.options[Option.ROWS])),
+        )
+
+    def fitting_rows(self, kept: NDArray[Any], rows: int | None = None) -> NDArray[Any]:
+        """Rows of bits that somebody has kept, in a form that compiled code can trust.
+
+        Args:
+            kept: of some problems, with as many axes as those of the state.
+            rows: how many rows a problem has; None: one for every agent.
+
+        Raises:
+            ValueError: they cannot be such rows.
+        """
+        if not self.hashed:
+            return kept
+        bytes_ = -(-self.static.capacity.shape[1] // 8)
+        return rebuilt(kept, self.nets.shape[1] if rows is None else rows, bytes_)
 
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents, and starts all episodes.
@@ -438,11 +510,7 @@ class Engine:
 
         Args:
             m: the problem.
-            used: (N, ceil(E / 8)) uint8, an earlier copy of ``dynamic.used[m]``; None: the present
-                one.
+            used: an earlier copy of ``dynamic.used[m]``; None: the present one.
         """
-        used = self.dynamic.used[m] if used is None else used
-        nothing = np.empty(0, np.int64)
-        net, edge = np.empty((2, _uses(used, self.nets[m], nothing, nothing)), np.int64)
-        _uses(used, self.nets[m], net, edge)
-        return Solution.of_uses(self._held[m], net, edge)
+        agent, edge = numbers_of(self.dynamic.used[m : m + 1] if used is None else used[None], 0)
+        return Solution.of_uses(self._held[m], self.nets[m, agent].astype(np.int64), edge)

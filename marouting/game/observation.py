@@ -45,6 +45,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
+from marouting.game.bits import byte_at, places
 from marouting.game.engine import Engine, check_rows
 from marouting.game.rules import is_agent
 from marouting.game.state import NOBODY, Dynamic, Static, Status
@@ -249,9 +250,10 @@ def _state(dynamic: Dynamic, out: Any) -> None:
                 out[m, cell, axis] = dynamic.remaining[m, AXES * cell + axis]
             for channel in range(VIA_AXIS, CHANNELS):
                 out[m, cell, channel] = 0
-        for n in range(dynamic.used.shape[1]):
-            for byte in range(dynamic.used.shape[2]):
-                edge, bits = 8 * byte, wide(dynamic.used[m, n, byte])
+        for n in range(dynamic.agents.shape[1]):
+            for at in range(places(dynamic.used, m, n)):
+                byte, bits = byte_at(dynamic.used, m, n, at)
+                edge = 8 * byte
                 while bits != 0:
                     if bits & 1 and edge % AXES == VIA_AXIS:
                         out[m, edge // AXES, VIA_AXIS] += 1

@@ -29,6 +29,7 @@ An edge is full if it has no remaining capacity. In rip-up rounds agents wait
 (:attr:`marouting.game.state.Status.WAITING`), and all are terminated or truncated with the last.
 """
 
+from marouting.game.bits import byte_at, byte_of, empty, places, put, set_byte, span
 from marouting.game.edges import use_edges
 from marouting.game.places import grid_of
 from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
@@ -72,8 +73,8 @@ def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
         now: whether an edge costs 1 if it is full now, or the rounds at whose start it was.
     """
     price = wide(0)
-    for byte in range(dynamic.used.shape[2]):
-        bits = wide(dynamic.used[m, n, byte])
+    for at in range(places(dynamic.used, m, n)):
+        byte, bits = byte_at(dynamic.used, m, n, at)
         edge = 8 * byte
         while bits != 0:
             if bits & 1:
@@ -158,19 +159,19 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     o, most = static.options, static.options[Option.AGAIN_MOST]
     again = dynamic.numbers[m, o[Option.AGAIN] : o[Option.AGAIN] + most]
     counts = dynamic.numbers[m, o[Option.QUEUE] : o[Option.QUEUE] + most]
-    blocking = dynamic.sets[m, o[Option.KEPT]]
+    blocking = place(o[Option.KEPT])
     again[0], size = n, wide(1)
     if len(again) == 1:
         return size
     # Such edges lie close to each other: all other bytes of the nets need not be looked at.
-    begin, stop = wide(len(blocking)), wide(0)
-    for byte in range(len(blocking)):
-        blocking[byte] = 0
-        bits = wide(dynamic.used[m, n, byte])
+    begin, stop = wide(static.capacity.shape[1]), wide(0)
+    empty(dynamic.sets, m, blocking)
+    for at in range(places(dynamic.used, m, n)):
+        byte, bits = byte_at(dynamic.used, m, n, at)
         for bit in range(8):
             if bits >> bit & 1 and is_full(static, dynamic, m, 8 * byte + bit):
-                blocking[byte] |= 1 << bit
-                begin, stop = min(begin, wide(byte)), wide(byte + 1)
+                put(dynamic.sets, m, blocking, 8 * byte + bit, wide(1))
+                begin, stop = min(begin, byte), max(stop, byte + 1)
     left, right, low, high = _box(static, m, n, dynamic.agents[m, n].joined)
     _, rows, layers = grid_of(static)
     for x in range(left, right + 1):
@@ -178,13 +179,15 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
             first = AXES * layers * (x * rows + y)
             for edge in range(first, first + AXES * layers):
                 if is_full(static, dynamic, m, edge):
-                    byte = edge // 8
-                    blocking[byte] |= 1 << edge % 8
-                    begin, stop = min(begin, wide(byte)), max(stop, wide(byte + 1))
-    for other in range(dynamic.used.shape[1]):
+                    put(dynamic.sets, m, blocking, wide(edge), wide(1))
+                    begin, stop = min(begin, wide(edge >> 3)), max(stop, wide(edge >> 3) + 1)
+    for other in range(dynamic.agents.shape[1]):
         count = wide(0)
-        for byte in range(begin, stop):
-            bits = wide(dynamic.used[m, other, byte] & blocking[byte])
+        first, end = span(dynamic.used, m, other, begin, stop)
+        for at in range(first, end):
+            byte, bits = byte_at(dynamic.used, m, other, at)
+            if bits != 0:
+                bits &= byte_of(dynamic.sets, m, blocking, byte)
             while bits != 0:
                 bits &= bits - 1
                 count += 1
@@ -221,9 +224,13 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
         member = place(dynamic.numbers[m, o[Option.AGAIN] + k])
         agent = dynamic.agents[m, member]
         dynamic.numbers[m, o[Option.KEPT_JOINED] + k] = agent.joined
-        for byte in range(dynamic.used.shape[2]):
-            dynamic.sets[m, o[Option.KEPT] + k, byte] = dynamic.used[m, member, byte]
-            use_edges(static, dynamic, m, member, byte, 0)
+        kept = place(o[Option.KEPT] + k)
+        empty(dynamic.sets, m, kept)
+        for at in range(places(dynamic.used, m, member)):
+            byte, bits = byte_at(dynamic.used, m, member, at)
+            if bits != 0:
+                set_byte(dynamic.sets, m, kept, byte, bits)
+                use_edges(static, dynamic, m, member, byte, wide(0))
         agent.status = Status.ACTIVE
         wait(dynamic, m, member)
         begin_net(static, dynamic, m, member)
@@ -259,9 +266,16 @@ def judge(static: Static, dynamic: Dynamic, m: int) -> None:
         member = place(dynamic.numbers[m, o[Option.AGAIN] + k])
         agent = dynamic.agents[m, member]
         if worse:
-            for byte in range(dynamic.used.shape[2]):
-                route = wide(dynamic.sets[m, o[Option.KEPT] + k, byte])
-                use_edges(static, dynamic, m, member, byte, route)
+            kept = place(o[Option.KEPT] + k)
+            for at in range(places(dynamic.used, m, member)):
+                byte, bits = byte_at(dynamic.used, m, member, at)
+                if bits != 0:
+                    route = byte_of(dynamic.sets, m, kept, byte)
+                    use_edges(static, dynamic, m, member, byte, route)
+            for at in range(places(dynamic.sets, m, kept)):
+                byte, bits = byte_at(dynamic.sets, m, kept, at)
+                if bits != 0:
+                    use_edges(static, dynamic, m, member, byte, bits)
             agent.joined = dynamic.numbers[m, o[Option.KEPT_JOINED] + k]
             if is_on(static, Option.GIVE_BACK):
                 clear(static, dynamic, m, Option.TAKEN, member)

@@ -29,8 +29,7 @@ next task puts the agent on another pin.
 
 from typing import Any
 
-import numpy as np
-
+from marouting.game.bits import byte_at, byte_of, empty, forget, places, put
 from marouting.game.edges import demand_of, may_cross, take, use_edges, uses
 from marouting.game.rounds import (
     all_have_walked,
@@ -45,7 +44,6 @@ from marouting.game.tasks import (
     begin_extended,
     begin_net,
     begin_task,
-    clear,
     grow_tree,
     holds,
     insert,
@@ -88,7 +86,7 @@ def cross_edge(static: Static, dynamic: Dynamic, m: int, n: int, move: int, trie
     agent.crossing = Crossing.BLOCKED + new + 2 * own  # BLOCKED, NEW or OWN: 1, 2 or 3
     demand = wide(new * demand_of(static, m, n, cell, move))
     agent.added_overflow = take(dynamic, m, edge, demand)
-    dynamic.used[m, n, edge >> 3] |= np.uint8(new << (edge & 7))
+    put(dynamic.used, m, n, edge, new)
     game.wirelength += new
     ahead = static.neighbour[cell, move]
     agent.cell = ahead if crosses else agent.cell
@@ -150,10 +148,12 @@ def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     agent = dynamic.agents[m, n]
     if is_on(static, Option.GIVE_BACK) and agent.ending == Ending.FAILED:
         row = place(static.options[Option.TAKEN] + n)
-        for byte in range(dynamic.used.shape[2]):
-            kept = dynamic.used[m, n, byte] & ~dynamic.sets[m, row, byte]
-            use_edges(static, dynamic, m, n, byte, wide(kept))
-        clear(static, dynamic, m, Option.TAKEN, n)
+        for at in range(places(dynamic.sets, m, row)):
+            byte, taken = byte_at(dynamic.sets, m, row, at)
+            if taken != 0:
+                kept = byte_of(dynamic.used, m, n, byte) & ~taken
+                use_edges(static, dynamic, m, n, byte, kept)
+        empty(dynamic.sets, m, row)
     if keeps_tree(static):
         grow_tree(static, dynamic, m, n)
     # Judged with the last move, which is then paid for what becomes of it.
@@ -219,9 +219,7 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
         dynamic.remaining[m, edge] = static.capacity[m, edge]
     game = dynamic.games[m]
     if game.steps != 0:
-        for n in range(static.order.shape[1]):
-            for byte in range(dynamic.used.shape[2]):
-                dynamic.used[m, n, byte] = 0
+        forget(dynamic.used, m)
     game.turn = game.active = game.joined = game.steps = 0
     game.overflow = game.wirelength = 0
     if static.extended is not None:
@@ -245,6 +243,8 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
 @compiled
 def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
     """Forgets the rounds of an episode."""
+    # What others of its problem had there is of no use to an agent; hashed rows give it back.
+    forget(dynamic.sets, m)
     game = dynamic.games[m]
     game.round = game.place = game.again = game.picked = game.ripped = game.asked = 0
     game.kept_joined = game.kept_overflow = game.kept_wirelength = 0

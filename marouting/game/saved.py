@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.game.bits import are_within, byte_at, copy_rows, longer, places
 from marouting.game.edges import demand_of
 from marouting.game.setup import more_of
 from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
-from marouting.kernels import compiled
+from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES
 
 
@@ -59,7 +60,7 @@ def check_saved(static: Static, saved: Dynamic) -> None:
     if static.extended:
         _check_extended(static, saved)
     for m, game in enumerate(games):
-        uses, demand = checked_demand(static, saved.used[m], m)
+        uses, demand = checked_demand(static, saved.used[m : m + 1], m)
         _expect("wirelength", game["wirelength"] == uses)
         remaining = static.capacity[m] - demand
         _expect("remaining capacity", saved.remaining[m] == remaining)
@@ -73,7 +74,9 @@ def _check_extended(static: Static, saved: Dynamic) -> None:
     for m in range(len(games)):
         # Sets of Gcells are only looked things up in; edges are given back.
         if static.options[Option.GIVE_BACK]:
-            _expect("edges of a task", (more.taken[m] & ~saved.used[m]) == 0)
+            taken, count = int(static.options[Option.TAKEN]), agents.shape[1]
+            inside = are_within(saved.sets, taken, saved.used, m, count)
+            _expect("edges of a task", inside)
         if not rounds:
             continue
         game, again = games[m], more.again[m]
@@ -93,12 +96,15 @@ def _check_extended(static: Static, saved: Dynamic) -> None:
         _expect("answer", _within(np.array([game["ripped"], game["asked"]]), 0, 1))
         _expect("answer", not game["asked"] or static.options[Option.RIP_UP] == RipUp.AGENTS)
         _expect("answer", not game["asked"] or (game["active"] == 1 and not len(members)))
-        before = saved.used[m].copy()
-        before[members] = more.kept[m, : len(members)]
         joined = agents["joined"][m] * (agents["status"][m] != Status.ABSENT)
         joined[members] = more.kept_joined[m, : len(members)]
         _expect("tasks joined", _within(joined, 0, np.diff(static.first[m])))
         if len(members):
+            before = saved.used[m : m + 1].copy()
+            if before.ndim == 2:
+                before = longer(before, 4 * (before.shape[1] + saved.sets.shape[1]))
+            kept = int(static.options[Option.KEPT]) + np.arange(len(members))
+            copy_rows(before, members, saved.sets[m : m + 1], kept, 0)
             uses, demand = checked_demand(static, before, m)
             over = np.maximum(demand - static.capacity[m], 0).sum()
             found = [game[f"kept_{name}"] for name in ("wirelength", "overflow", "joined")]
@@ -113,12 +119,13 @@ def checked_demand(
 
     Args:
         static: the static state of the games.
-        used: (N, ceil(E / 8)), its part of what :class:`marouting.game.state.Dynamic` has.
+        used: its part of what :class:`marouting.game.state.Dynamic` has, with an axis for it.
         m: the problem.
 
     Raises:
         ValueError: an edge does not exist, or its user does not.
     """
+    # Where the rows are hashed, somebody has to have looked at them: Engine.check_saved does.
     demand = np.zeros(static.capacity.shape[1], np.int64)
     uses = _demand(static, used, m, demand)
     _expect("used edges", uses >= 0)
@@ -143,10 +150,11 @@ def _demand(static: Static, used: Any, m: int, demand: Any) -> int:
         to an absent agent.
     """
     uses = 0
-    for n in range(used.shape[0]):
-        for byte in range(used.shape[1]):
+    for n in range(static.order.shape[1]):
+        for at in range(places(used, 0, n)):
+            byte, bits = byte_at(used, wide(0), wide(n), wide(at))
             for bit in range(8):
-                if used[n, byte] >> bit & 1 == 0:
+                if bits >> bit & 1 == 0:
                     continue
                 edge = 8 * byte + bit
                 cell, axis = edge // AXES, edge % AXES

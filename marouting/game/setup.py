@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
+from marouting.game.bits import make_rows
+from marouting.game.growth import lengthened, needed_room
 from marouting.game.options import NetOrder, RuleOptions
 from marouting.game.state import AGENT, GAME, NOBODY, Dynamic, Option, RipUp, Static
 from marouting.kernels import compiled, wide
-from marouting.memory import PLAYED, TABLES, check_memory
+from marouting.memory import HASHED, PLAYED, TABLES, check_memory
 from marouting.problem.grid import OFF_GRID, VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem
 from marouting.trees.decomposition import two_pin_tasks
@@ -217,13 +219,16 @@ _PLAIN = _options(RuleOptions(), (0, 0, 0))
 
 
 class More(NamedTuple):
-    """Views of the state of the options, by name; see :class:`Option`. Empty where switched off."""
+    """Views of the state of the options, by name; see :class:`Option`. Empty where switched off.
 
-    tree: NDArray[np.uint8]  # (M, N, ceil(E / 8))
-    visited: NDArray[np.uint8]  # (M, N, ceil(E / 8))
-    taken: NDArray[np.uint8]  # (M, N, ceil(E / 8))
-    kept: NDArray[np.uint8]  # (M, P, ceil(E / 8))
-    tried: NDArray[np.uint8]  # (M, N, ceil(E / 8))
+    Sets are also empty where their rows are hashed, see :mod:`marouting.game.bits`.
+    """
+
+    tree: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
+    visited: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
+    taken: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
+    kept: NDArray[Any]  # (M, P, ceil(E / 8)) uint8
+    tried: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
     line: NDArray[np.int64]  # (M, N)
     again: NDArray[np.int64]  # (M, P)
     kept_joined: NDArray[np.int64]  # (M, P)
@@ -238,6 +243,9 @@ def more_of(static: Static, dynamic: Dynamic) -> More:
         (range(Option.LINE, Option.QUEUE + 1), dynamic.numbers),
     ):
         begins = [int(static.options[part]) for part in parts]
+        if array is dynamic.sets and array.ndim == 2:
+            found += [array[:, :0]] * len(begins)
+            continue
         for place, begin in enumerate(begins):
             later = [other for other in begins[place + 1 :] if other >= 0]
             end = later[0] if later else array.shape[1]
@@ -259,17 +267,30 @@ def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
     m, edges = static.capacity.shape
     ways, rows = -(-edges // 8), int(static.options[Option.ROWS])
     columns = int(static.options[Option.COLUMNS])
-    what = "{} nets on a grid of {}, a bit for each net and edge"
-    check_memory(m * ((agents + rows) * ways + 8 * columns), what, m * agents, grid)
-    return Dynamic(
+    hashed = is_hashed(agents, edges)
+    bits = (agents + rows) * (HASHED if hashed else ways)
+    check_memory(
+        m * (bits + 8 * columns), "the routes of {} nets on a grid of {}", m * agents, grid
+    )
+    dynamic = Dynamic(
         remaining=np.empty((m, edges), np.int32),
-        # Zeros take no memory until they are written to.
-        used=np.zeros((m, agents, ways), np.uint8),
+        used=make_rows(m, agents, ways, hashed=hashed),
         agents=np.zeros((m, agents), AGENT),
         games=np.zeros(m, GAME),
-        sets=np.zeros((m, rows, ways), np.uint8),
+        sets=make_rows(m, rows, ways, hashed=hashed),
         numbers=np.zeros((m, columns), np.int64),
     )
+    return lengthened(dynamic, *needed_room(static, dynamic)) if hashed else dynamic
+
+
+PER_NET, PER_EDGE = 512, 4
+"""Bytes up to which rows of bits are wide: so many for each net, and for each edge as many as its
+capacity takes."""
+
+
+def is_hashed(agents: int, edges: int) -> bool:
+    """Whether the rows of bits of a game are hashed; see :mod:`marouting.game.bits`."""
+    return agents * -(-edges // 8) > PER_NET * agents + PER_EDGE * edges
 
 
 @compiled

@@ -18,6 +18,7 @@ Distances are Manhattan distances over x, y and layer; ties go to the task liste
 Gcell with the lowest number. With Steiner trees, "pin" stands for Steiner points as well.
 """
 
+from marouting.game.bits import byte_at, empty, has, places, put
 from marouting.game.edges import uses
 from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, Static
 from marouting.kernels import compiled, inlined, place, wide
@@ -34,22 +35,20 @@ def is_on(static: Static, option: int) -> bool:
 def holds(static: Static, dynamic: Dynamic, m: int, which: int, n: int, element: int) -> int:
     """1 if agent n's set of a kind (``TREE`` to ``TRIED``) has a Gcell, edge or task, else 0."""
     row = place(static.options[which] + n)
-    return dynamic.sets[m, row, element >> 3] >> (element & 7) & 1
+    return has(dynamic.sets, m, row, element)
 
 
 @inlined
 def insert(static: Static, dynamic: Dynamic, m: int, which: int, n: int, element: int) -> None:
     """Puts a Gcell, edge or task into a set of an agent."""
     row = place(static.options[which] + n)
-    dynamic.sets[m, row, element >> 3] |= 1 << (element & 7)
+    put(dynamic.sets, m, row, element, wide(1))
 
 
 @inlined
 def clear(static: Static, dynamic: Dynamic, m: int, which: int, n: int) -> None:
     """Empties a set of an agent."""
-    row = place(static.options[which] + n)
-    for byte in range(dynamic.sets.shape[2]):
-        dynamic.sets[m, row, byte] = 0
+    empty(dynamic.sets, m, place(static.options[which] + n))
 
 
 @inlined
@@ -93,15 +92,15 @@ def nearest_in_tree(static: Static, dynamic: Dynamic, m: int, n: int, pin: int) 
     """The Gcell of a net's tree that is nearest to another Gcell, and its distance."""
     nearest, least = wide(0), wide(1 << 62)
     row = place(static.options[Option.TREE] + n)
-    for byte in range(dynamic.sets.shape[2]):
-        bits = wide(dynamic.sets[m, row, byte])
+    for at in range(places(dynamic.sets, m, row)):
+        byte, bits = byte_at(dynamic.sets, m, row, at)
         cell = 8 * byte
         while bits != 0:
             if bits & 1:
                 distance = wide(0)
                 for axis in range(AXES):
                     distance += abs(static.position[cell, axis] - static.position[pin, axis])
-                if distance < least:
+                if (distance, cell) < (least, nearest):
                     nearest, least = cell, distance
             bits >>= 1
             cell += 1

@@ -65,6 +65,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from marouting.config import check
+from marouting.game.bits import byte_at, places
 from marouting.game.edges import uses
 from marouting.game.engine import Engine, check_rows
 from marouting.game.expected import (
@@ -550,10 +551,11 @@ def _state(static: Static, dynamic: Dynamic, maps: Maps, where: _Where, out: Any
             for channel in range(begin, out.shape[2]):
                 out[m, cell, channel] = 0
         pins = begin + AXES * wide(where.own >= 0)
-        for n in range(dynamic.used.shape[1]):
+        for n in range(dynamic.agents.shape[1]):
             if where.own >= 0:
-                for byte in range(dynamic.used.shape[2]):
-                    edge, bits = 8 * byte, wide(dynamic.used[m, n, byte])
+                for at in range(places(dynamic.used, m, n)):
+                    byte, bits = byte_at(dynamic.used, m, n, at)
+                    edge = 8 * byte
                     while bits != 0:
                         if bits & 1:
                             out[m, edge // AXES, begin + edge % AXES] += 1

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.game.bits import set_byte
 from marouting.game.engine import Engine
 from marouting.game.options import NetOrder, RuleOptions, Target
 from marouting.game.rules import move_agent
@@ -95,7 +96,7 @@ def _route(
                     size += 1
         for i in range(before, size):
             edge = uses[i] - net * edges
-            dynamic.used[m, n, edge >> 3] = 0
+            set_byte(dynamic.used, m, n, edge >> 3, wide(0))
     return turn, size
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
+from marouting.game.bits import make_rows, put_numbers
 from marouting.game.edges import may_cross, uses
 from marouting.game.engine import Engine
 from marouting.game.state import NOBODY, Dynamic, Static, Status
@@ -42,7 +43,9 @@ class RouteFollower:
         self._buffers = search_buffers(engine.grid)
         self._reached = np.empty(engine.grid.gcells, np.int32)
         self._seen = np.zeros(engine.grid.gcells, np.int64)
-        self._route = np.zeros_like(engine.dynamic.used)
+        count, agents = engine.nets.shape
+        bytes_ = -(-engine.static.capacity.shape[1] // 8)
+        self._route = make_rows(count, agents, bytes_, hashed=engine.hashed)
         for m, (problem, solution) in enumerate(zip(engine.problems, solutions, strict=True)):
             own = solution.problem
             if (own.grid, own.nets) != (problem.grid, problem.nets):
@@ -52,8 +55,7 @@ class RouteFollower:
             agent[engine.nets[m, agents]] = agents
             net, edge = solution.uses
             edge, n = edge[agent[net] != NOBODY], agent[net][agent[net] != NOBODY]
-            bits = np.left_shift(1, edge & 7).astype(np.uint8)
-            np.bitwise_or.at(self._route[m], (n, edge >> 3), bits)
+            self._route = put_numbers(self._route, m, n, edge)
 
     def moves(self, problems: NDArray[np.integer], agents: NDArray[np.integer]) -> NDArray[np.int8]:
         """The next moves of K agents, which the caller may make or not.
@@ -99,7 +101,7 @@ def _follow(
         static: the game.
         dynamic: its state.
         s: working arrays of A*.
-        route: (M, N, ceil(E / 8)) uint8, the agents' routes in the form of ``dynamic.used``.
+        route: the agents' routes, rows of bits like ``dynamic.used``.
         reached: (G,) int32, working array: Gcells from which the route leads to the target.
         seen: (G,) int64, working array: the last search that reached each Gcell.
         problems: (K,) the problem of each agent.

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
 from marouting.config import check, plain
+from marouting.game.bits import chosen, with_problem
 from marouting.game.engine import Metrics
 from marouting.game.observation import state_space_of
 from marouting.game.saved import checked_demand
@@ -130,7 +131,7 @@ class Trainer:
         best = 0 if drawn else count
         self.score = np.full((best, 3), np.inf)  # of the best episode: less is better
         self.best_episode = np.full(best, NOBODY, np.int64)
-        self.best_used = engine.dynamic.used[:best].copy()
+        self.best_used = chosen(engine.dynamic.used, np.arange(best))
         networks = 1 if train.shared else count
         self.policy_score = np.full((networks, 3), np.inf)  # of the best network
         self.policy_episode = np.zeros(networks, np.int64)  # after which it was evaluated
@@ -250,7 +251,8 @@ class Trainer:
             if best:
                 self.score[problem] = score
                 self.best_episode[problem] = self.episodes[problem]
-                self.best_used[problem] = player.engine.dynamic.used[g]
+                now = player.engine.dynamic.used
+                self.best_used = with_problem(self.best_used, problem, now, g)
             steps = updates[g] - self._before[g, 1]
             loss = (float(losses[g]) - float(self._before[g, 0])) / max(int(steps), 1)
             finished.append(
@@ -354,7 +356,7 @@ class Trainer:
         return {
             "before": self._before,
             # Records have no counterpart in torch: their bytes do.
-            **{f"game.{k}": _bytes(v) for k, v in engine.dynamic._asdict().items()},
+            **{f"game.{k}": _bytes(v) for k, v in engine.in_use()._asdict().items()},
             **{f"buffers.{k}": _bytes(v) for k, v in buffers._asdict().items()},
         }
 
@@ -380,10 +382,14 @@ class Trainer:
         whole: dict[str, dict[str, Tensor]] = {part: {} for part in now}
         for part, of in now.items():
             for name, rows in of.items():
-                whole[part][name] = rows.new_empty((count, *rows.shape[1:]))
+                # Hashed rows of bits may be longer for some than for others.
+                shapes = [state[part][name].shape[1:] for _, state in parts]
+                longest = [max(sizes) for sizes in zip(*shapes, strict=True)]
+                whole[part][name] = rows.new_zeros((count, *longest))
                 for places, state in parts:
                     for row, place in enumerate(places.tolist()):
-                        whole[part][name][place] = state[part][name][row]
+                        kept = state[part][name][row]
+                        whole[part][name][place, *map(slice, kept.shape)] = kept
         return whole
 
     def policy(self) -> dict[str, Any]:
@@ -452,10 +458,11 @@ class Trainer:
             "best_episode": (NOBODY, then - 1),
             "draws": COUNT,
         }
+        hashed = self._whole.engine.hashed
         arrays = {
             name: checked(
                 state["trainer"].get(name),
-                torch.from_numpy(array),
+                _like(array, state["trainer"].get(name), hashed and name in _ANY_LENGTH),
                 f"{where}: {name}",
                 limits.get(name, FINITE),
             ).numpy()
@@ -471,14 +478,17 @@ class Trainer:
             if saved.counts is not None:
                 self.player.go_to(saved.counts)
             self.player.check_saved(saved)
+            arrays["best_used"] = self._whole.engine.fitting_rows(arrays["best_used"])
             for m in range(len(self.best_used)):
-                _ = checked_demand(self._whole.engine.static, arrays["best_used"][m], m)
+                _ = checked_demand(self._whole.engine.static, arrays["best_used"][m : m + 1], m)
         except ValueError as error:
             raise InputError(f"{where}: {error}") from None
         self.learner.load_state(state["training"], f"{where}: ")
         self.player.restore(saved)
+        self.best_used = arrays["best_used"]
         for name in (*_OWN, "policies", "before"):
-            own[name][...] = arrays[name]
+            if name != "best_used":
+                own[name][...] = arrays[name]
         over = (saved.dynamic.games["active"] == 0).reshape(-1, self._copies)
         if ((self.episodes < then)[:, None] & over).any():
             raise InputError(f"{where}: expected games of all problems with episodes to train")
@@ -497,6 +507,9 @@ _OWN = (
 )  # fmt: skip
 """Attributes of a trainer that a checkpoint holds, beside the learner and the games."""
 
+_ANY_LENGTH = "best_used", "game.used", "game.sets"
+"""Of these, rows of bits that may be of any length where they are hashed."""
+
 Tuple = TypeVar("Tuple", Dynamic, StepBuffers)
 
 
@@ -504,6 +517,14 @@ def _records(part: str, like: Tuple, arrays: Mapping[str, NDArray[Any]]) -> Tupl
     """Arrays from a checkpoint, with the types and names of others."""
     names = like._asdict().items()
     return type(like)(*(arrays[f"{part}.{k}"].view(array.dtype) for k, array in names))
+
+
+def _like(array: NDArray[Any], kept: Any, hashed: bool) -> Tensor:
+    """What a checkpoint should have in place of an array, hashed rows of bits or others."""
+    like = torch.from_numpy(array)
+    if hashed and isinstance(kept, Tensor) and kept.ndim == like.ndim == 2:
+        return torch.empty((len(like), kept.shape[1]), dtype=like.dtype, device="meta")
+    return like
 
 
 def _score(metrics: Metrics, reward: float | None) -> tuple[float, ...]:

@@ -1,9 +1,13 @@
 """The heuristic that plays the game without planning: nearer to the target, where most is free."""
 
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from marouting import Engine, Problem, Solution
 from marouting.game.edges import has_room, uses
+from marouting.game.growth import lacks_room
 from marouting.game.options import NetOrder
 from marouting.game.rules import move_player, settle_player
 from marouting.game.state import NOBODY, Dynamic, Static
@@ -50,26 +54,37 @@ class HeuristicRouter:
             decomposition=self.decomposition,
             max_steps=self.max_steps,
         )
-        _play(engine.static, engine.dynamic, search_buffers(engine.grid))
+        buffers, nearest = search_buffers(engine.grid), np.zeros(1, np.int64)
+        while not _play(engine.static, engine.dynamic, buffers, nearest):
+            engine.make_room()
         return engine.solution()
 
 
 @compiled
-def _play(static: Static, dynamic: Dynamic, s: SearchBuffers) -> None:
-    """Plays the game of the first problem to its end."""
+def _play(static: Static, dynamic: Dynamic, s: SearchBuffers, nearest: Any) -> bool:
+    """Plays the game of the first problem; returns False if it needs room to go on.
+
+    Args:
+        static: the game.
+        dynamic: its state.
+        s: working arrays.
+        nearest: (1,) the least distance from the target so far in the present task.
+    """
     m = wide(0)
-    nearest = wide(0)  # the least distance from the target so far in this task
     while dynamic.games[m].agent != NOBODY:
+        if lacks_room(static, dynamic, m):
+            return False
         n = place(dynamic.games[m].agent)
         agent = dynamic.agents[m, n]
         here = _distance(static, wide(agent.cell), wide(agent.target))
-        nearest = here if agent.steps == 0 else min(nearest, here)
-        move = _nearer(static, dynamic, m, n, nearest)
+        nearest[0] = here if agent.steps == 0 else min(nearest[0], here)
+        move = _nearer(static, dynamic, m, n, wide(nearest[0]))
         if move == NOBODY:
             shortest_path(static, dynamic, s, m, n, wide(agent.cell), wide(agent.target))
             move = wide(s.path[0])
         move_player(static, dynamic, m, move)
         settle_player(static, dynamic, m)
+    return True
 
 
 @compiled

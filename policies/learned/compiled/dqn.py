@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from marouting.config import check
+from marouting.game.growth import lacks_room
 from marouting.game.state import Dynamic, Ending, Static
-from marouting.kernels import allocating, threaded
+from marouting.kernels import allocating, threaded, wide
 from marouting.player import Known, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
 from policies.learned.algorithms.dqn import DQN, DQNOptions
@@ -110,7 +111,7 @@ def _play_network(n: int, steps: int, play: Play, nets: Networks, rule: StepRule
                 for f in range(b.obs.shape[2]):
                     play.before[m, k, f] = b.obs[m, k, f]
             step_problem(play.static, play.dynamic, play.kernel_buffers, play.known, m)
-            over |= b.over[m]
+            over |= b.over[m] or lacks_room(play.static, play.dynamic, wide(m))
             for k in range(rows):
                 if b.acted[m, k]:
                     _remember(play, nets, n, m, k, b.agents[m, k] if play.known.everyone else mover)
@@ -162,16 +163,18 @@ def _walk(
     static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers, known: Known,
     sizes: NDArray[np.int64], weights: NDArray[np.float32], masking: bool,
 ) -> None:  # fmt: skip
-    """:meth:`FusedDQN.walk` by the network with the weights (P,)."""
+    """:meth:`FusedDQN.walk` by the network with the weights (P,), as long as there is room."""
     values = np.empty((*b.agents.shape, MOVES), np.float32)
     activations = np.empty(units_of(sizes) * b.agents.size, np.float32)
     keys, counters = np.zeros(len(b.over), np.uint64), np.zeros(len(b.over), np.int64)
     never = np.zeros(len(b.over))  # a random move
-    while b.active.any():
+    short = False
+    while b.active.any() and not short:
         q_values(sizes, weights, b.obs, activations, values)
         for m in range(len(b.over)):
             choose(keys, counters, never, b.active, b.mask, values, masking, b.actions, m)
             step_problem(static, dynamic, kernel_buffers, known, m)
+            short |= lacks_room(static, dynamic, wide(m))
 
 
 class FusedDQN(DQN):
@@ -221,6 +224,7 @@ class FusedDQN(DQN):
 
     def play(self, player: Player, steps: int) -> None:
         """See :meth:`policies.learned.learner.Learner.play`; one network after the other."""
+        player.make_room()
         b, explore = player.buffers, self.explore
         play = Play(
             player.engine.static,
@@ -247,10 +251,12 @@ class FusedDQN(DQN):
         """See :meth:`policies.learned.learner.Learner.walk`."""
         weights = self.networks.flat.numpy()[network]
         engine = player.engine
-        _walk(
-            engine.static, engine.dynamic, player.buffers, player.kernel_buffers, player.known,
-            self._nets.sizes, weights, self.options.masking,
-        )  # fmt: skip
+        while player.buffers.active.any():
+            player.make_room()
+            _walk(
+                engine.static, engine.dynamic, player.buffers, player.kernel_buffers,
+                player.known, self._nets.sizes, weights, self.options.masking,
+            )  # fmt: skip
 
     def learn(self, due: NDArray[np.int64]) -> None:
         """See :meth:`policies.learned.algorithms.dqn.DQN.learn`."""

@@ -17,8 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.game.bits import byte_at, places
 from marouting.game.engine import Engine
 from marouting.game.expected import Maps, maps_of, recount, refresh, sum_up
+from marouting.game.growth import lacks_room
 from marouting.game.outlook import (
     DETOURS,
     OutlookObservation,
@@ -99,12 +101,17 @@ def walk(engine: Engine, given: Walk, steps: int, stops: bool) -> bool:
     Returns:
         Whether all games have stopped or are over.
     """
-    static, dynamic = engine.static, engine.dynamic
-    return bool(_walk(static, dynamic, maps_of(engine), ways_of(engine), given, steps, stops))
+    maps, ways, stopped = maps_of(engine), ways_of(engine), False
+    while steps > 0 and not stopped:
+        engine.make_room()
+        static, dynamic = engine.static, engine.dynamic
+        stopped, steps = _walk(static, dynamic, maps, ways, given, steps, stops)
+    return bool(stopped)
 
 
 def walk_on(engine: Engine, given: Walk) -> None:
     """Begins the next rip-up in games that have stopped."""
+    engine.make_room()
     _walk_on(engine.static, engine.dynamic, given)
 
 
@@ -159,8 +166,16 @@ def _walk(
     given: Walk,
     steps: int,
     stops: bool,
-) -> bool:
-    for _ in range(steps):
+) -> tuple[bool, int]:
+    """:func:`walk`, until there may be no room for a step.
+
+    Returns:
+        Whether all games have stopped or are over, and how many steps are left.
+    """
+    for made in range(steps):
+        for m in range(len(given.game)):
+            if lacks_room(static, dynamic, wide(m)):
+                return False, wide(steps - made)
         count, answered = wide(0), False
         for m in range(len(given.game)):
             n = wide(dynamic.games[m].agent)
@@ -177,7 +192,7 @@ def _walk(
         if count == 0:
             if answered:
                 continue
-            return True
+            return True, wide(steps - made)
         if count == 1:
             row = given.rows[0]
             at = forward_one(given.sizes, given.weights, row, given.scores, given.places)
@@ -191,7 +206,7 @@ def _walk(
             move = _choose(given, m, wide(row), free, at + row * given.sizes[-1], late)
             given.counters[m] += 1
             _step(static, dynamic, maps, given, m, n, move, stops)
-    return False
+    return False, wide(0)
 
 
 @compiled
@@ -254,8 +269,8 @@ def _is_whole(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
 def _length(dynamic: Dynamic, m: int, n: int) -> int:
     """Edges that a net uses."""
     edges = wide(0)
-    for byte in range(dynamic.used.shape[2]):
-        bits = wide(dynamic.used[m, n, byte])
+    for at in range(places(dynamic.used, m, n)):
+        _, bits = byte_at(dynamic.used, m, n, at)
         while bits != 0:
             bits &= bits - 1
             edges += 1
@@ -265,8 +280,8 @@ def _length(dynamic: Dynamic, m: int, n: int) -> int:
 @compiled
 def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net uses an edge with overflow."""
-    for byte in range(dynamic.used.shape[2]):
-        bits = wide(dynamic.used[m, n, byte])
+    for at in range(places(dynamic.used, m, n)):
+        byte, bits = byte_at(dynamic.used, m, n, at)
         for bit in range(8):
             if bits >> bit & 1 and dynamic.remaining[m, 8 * byte + bit] < 0:
                 return True
