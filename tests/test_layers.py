@@ -43,6 +43,7 @@ ROOMS = {
     ),
     "policies": (
         ("integrations",),
+        ("engines",),
         ("routers",),
         ("results",),
         ("figures",),
