@@ -38,18 +38,27 @@ class Refuses:
         raise InputError(f"{self.words}: expected numbers, for {problem.grid}")
 
 
-class LateReward(PaperReward):
-    """The paper's, in a process that is killed after some time."""
+class LateReward:
+    """The paper's, in a process that is killed the first time, after so many moves.
 
-    mark = ""
-    asked = 0
+    Args:
+        mark: a file that says that it has been, by its whole path.
+        moves: how many moves.
+        tally: a file for the number of moves paid, in the last process.
+    """
+
+    def __init__(self, mark: str, moves: int, tally: str) -> None:
+        self.paper, self.paid = PaperReward(), 0
+        self.mark, self.moves, self.tally = Path(mark), moves, Path(tally)
 
     def __call__(self, *arguments: Any) -> Any:
-        self.asked += 1
-        if self.asked > 4000 and not Path(self.mark).exists():
-            time.sleep(3)  # until the last checkpoint has been sent
-            kill_once(Path(self.mark))
-        return super().__call__(*arguments)
+        self.paid += 1
+        if self.paid == self.moves and not self.mark.exists():
+            time.sleep(4)  # the last checkpoint is sent meanwhile
+            kill_once(self.mark)
+        if self.paid % 100 == 0:
+            self.tally.write_text(str(self.paid))
+        return self.paper(*arguments)
 
 
 def kill_once(mark: Path) -> None:

@@ -3,6 +3,9 @@
 import importlib.util
 import json
 import os
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -188,3 +191,118 @@ def test_without_ray_the_extra_is_named(
     expected = "marouting: engine: ray is missing: pip install 'marouting[ray]'"
     assert capsys.readouterr().err.splitlines() == [expected]
     assert not (tmp_path / "out").exists()
+
+
+# --- what is killed -------------------------------------------------------------------------------
+
+
+def trained(episodes: int, **env: Any) -> dict[str, Any]:
+    """Two trainings, with a checkpoint every now and then."""
+    train = {"episodes": episodes, "checkpoint_seconds": 0.2}
+    env = {"max_steps": 12, **env}
+    dqn = {**test_experiment.DQN, "stack": 1, "env": env, "train": train}
+    return {"dqn": {**dqn, "only": ["small"]}}
+
+
+@pytest.mark.slow
+def test_a_training_goes_on_from_its_last_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In another process, and elsewhere: nobody sees the folder of the one that was killed."""
+    mark, tally = tmp_path / "mark", tmp_path / "tally"
+    reward = {"kind": "ray_tasks:LateReward", "mark": str(mark), "tally": str(tally)}
+    routers = trained(300, reward={**reward, "moves": 5000})
+    config = compared(tmp_path, **routers)
+    keys = ["seeds=[0]", "problems.small.count=1"]
+    execute(config, "engine=ray", *keys)
+    assert mark.read_text() != str(os.getpid())
+    again = int(tally.read_text())
+    monkeypatch.setattr(experiment, "work_on", at_once)
+    execute(config, "out=here", *keys)
+    assert test_experiment.outcome(tmp_path / "here") == test_experiment.outcome(tmp_path / "out")
+    assert files(tmp_path / "here") == files(tmp_path / "out")
+    assert int(tally.read_text()) > 5000
+    assert again <= int(tally.read_text()) - 4000
+
+
+TOKEN = "MAROUTING_TEST_RAY"
+
+
+def descendants(token: str) -> list[str]:
+    """The processes that were started, directly or not, with a token in their environment."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            if f"{TOKEN}={token}".encode() in (path / "environ").read_bytes():
+                found.append((path / "cmdline").read_text())
+        except OSError:
+            continue
+    return found
+
+
+def begun(config: Path, token: str, **variables: str) -> "subprocess.Popen[str]":
+    """The command in a process group of its own, with a Ray of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "marouting", "experiment", str(config), "engine=ray"],
+        env={**os.environ, TOKEN: token, **variables},
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
+        # What pytest was started by may have told its children to ignore Ctrl-C.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_killed_experiment_goes_on_where_it_was(
+    sent: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = compared(tmp_path, **trained(20_000))
+    process = begun(config, str(tmp_path))
+    runs, until = tmp_path / "out" / "runs", time.monotonic() + 300
+    while not list(runs.rglob("checkpoint.pt")) and time.monotonic() < until:
+        assert process.poll() is None, process.stderr and process.stderr.read()
+        time.sleep(0.1)
+    if sent == signal.SIGINT:
+        os.killpg(process.pid, sent)  # as a terminal does
+    else:
+        process.send_signal(sent)
+    _, said = process.communicate(timeout=60)
+    ends = {signal.SIGINT: 130, signal.SIGTERM: -signal.SIGTERM, signal.SIGKILL: -signal.SIGKILL}
+    assert process.returncode == ends[sent]
+    assert said == ("marouting: interrupted\n" if sent == signal.SIGINT else "")
+    until = time.monotonic() + 30
+    while descendants(str(tmp_path)) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert descendants(str(tmp_path)) == []
+    there = list(runs.rglob("checkpoint.pt"))
+    assert there
+    assert not list((tmp_path / "out" / "rows").rglob("dqn*/*.json"))
+
+    execute(config, "engine=ray")
+    monkeypatch.setattr(experiment, "work_on", at_once)
+    execute(config, "out=here")
+    assert test_experiment.outcome(tmp_path / "here") == test_experiment.outcome(tmp_path / "out")
+
+
+@pytest.mark.slow
+def test_a_ray_that_runs_is_joined(tmp_path: Path) -> None:
+    address = f"RAY_ADDRESS={(where := ray.get_runtime_context().gcs_address)}"
+    config = compared(tmp_path)
+    process = begun(config, "joined", RAY_ADDRESS=where)
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 0, (address, said)
+    assert test_experiment.results(tmp_path / "out")
+    assert ray.is_initialized()
+    assert [node["Alive"] for node in ray.nodes()] == [True]
+
+
+@pytest.mark.slow
+def test_where_no_ray_runs_is_said_in_one_line(tmp_path: Path) -> None:
+    process = begun(compared(tmp_path), "nowhere", RAY_ADDRESS="127.0.0.1:1")
+    _, said = process.communicate(timeout=300)
+    assert process.returncode == 2
+    assert said.startswith("marouting: RAY_ADDRESS=127.0.0.1:1: expected a Ray: ")
+    assert len(said.splitlines()) == 1
