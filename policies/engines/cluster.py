@@ -8,6 +8,7 @@ import contextlib
 import logging
 import os
 import signal
+import socket
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -63,6 +64,8 @@ def _start(cpus: int) -> None:
     paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
     handler = signal.getsignal(signal.SIGTERM)
     try:
+        if where:
+            _knock(where)
         with environment(PYTHONPATH=paths, RAY_USAGE_STATS_ENABLED="0"):
             ray.init(**({} if where else own), log_to_driver=False, logging_level=logging.CRITICAL)
     except (ConnectionError, RuntimeError, ValueError, OSError, RayError) as error:
@@ -72,6 +75,17 @@ def _start(cpus: int) -> None:
     finally:
         with contextlib.suppress(ValueError, TypeError):  # of another thread, or none of Python's
             signal.signal(signal.SIGTERM, handler)  # Ray's own leaves with another status
+
+
+def _knock(where: str) -> None:
+    """Raises OSError if nobody answers at host:port; Ray itself would try for minutes."""
+    host, _, port = where.removeprefix("ray://").rpartition(":")
+    if host and port.isdecimal():
+        socket.create_connection((host.strip("[]"), int(port)), _PATIENCE).close()
+
+
+_PATIENCE = 10.0
+"""Seconds to wait for an answer of a Ray that is to be joined."""
 
 
 class RayEngine:

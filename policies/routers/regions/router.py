@@ -26,8 +26,8 @@ _DONE: Stop = "done"
 Kind = Literal["regions", "strips"]
 
 _STEPS: tuple[tuple[Kind, float], ...] = (
-    ("regions", 0.6),
-    ("strips", 0.4),
+    ("regions", 0.8),
+    ("strips", 0.2),
 )
 """What is negotiated one after another, with the share of the time."""
 
