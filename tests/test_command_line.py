@@ -184,6 +184,39 @@ def test_ctrl_c_ends_a_route_with_the_best_so_far(
     assert signal.getsignal(signal.SIGINT) is before
 
 
+class Killed(Patient):
+    """Is killed where others would go on, once it has found something."""
+
+    def best(self) -> Solution | None:
+        return None if self.found is None else marouting.sequential_astar(self.found)
+
+    found: Problem | None = None
+
+    def route(self, problem: Problem) -> Solution:
+        if self.watch is not None:
+            assert not self.watch("nothing yet")
+            assert not Path("kept").exists()
+            self.found = problem
+            assert not self.watch("one of many")
+            raise SystemExit(9)
+        return marouting.sequential_astar(problem)
+
+
+@pytest.mark.usefixtures("here")
+def test_the_best_so_far_is_written_while_others_are_looked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("policies.cli.progress.SAVED_EVERY", 0.0)
+    with pytest.raises(SystemExit):
+        status(["route", "p.gr", "--router", f"{__name__}:Killed", "--out", "kept"])
+    kept = Solution.read("kept", Problem.read("p.gr"))
+    assert kept == marouting.sequential_astar(Problem.read("p.gr"))
+    assert status(["route", "p.gr", "--router", "pathfinder", "start=kept", "--json"]) == 0
+    routed = json.loads(capsys.readouterr().out)
+    known = marouting.evaluate(kept.problem, kept)
+    assert (routed["overflow"], routed["wirelength"]) <= (known.overflow, known.wirelength)
+
+
 # --- completion -----------------------------------------------------------------------------------
 
 

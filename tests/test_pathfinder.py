@@ -313,17 +313,87 @@ def test_patterns_take_the_corner_with_room() -> None:
     assert figures(problem, routed.solution) == (0, 8)
 
 
-def test_many_nets_negotiate_from_patterns() -> None:
+@pytest.fixture(scope="module")
+def many_nets() -> Problem:
+    """More nets than take turns."""
     [problem] = generate(
         1, grid=(50, 50, 4), nets=5200, capacity=7, rent=0.5, hot_spots=3, reduced_edges=0, seed=2
     )
-    routed = router(passes=40).solve(problem)
+    return problem
+
+
+def test_many_nets_negotiate_from_patterns(many_nets: Problem) -> None:
+    routed = router(passes=60).solve(many_nets)
     assert [done.kind for done in routed.history[:2]] == ["pattern", "negotiate"]
-    check_routed(problem, routed)
+    check_routed(many_nets, routed)
     assert routed.history[0].overflow > 0
-    assert figures(problem, routed.solution)[0] == 0
+    assert figures(many_nets, routed.solution)[0] == 0
     squeezed = [done.wirelength for done in routed.history if done.kind == "squeeze"]
     assert squeezed[-1] < routed.history[0].wirelength
+
+
+def test_any_number_of_threads_finds_the_same(many_nets: Problem) -> None:
+    """Also where a thread has to make room for its trees at first, as here."""
+    alone = router(passes=30).solve(many_nets)
+    together = [router(passes=30, threads=threads).solve(many_nets) for threads in (2, 3)]
+    for routed in together:
+        assert routed.history == alone.history
+        assert routed.solution == alone.solution
+
+
+def test_squeezing_many_nets_makes_nothing_worse(many_nets: Problem) -> None:
+    """Although they are planned at once, and those that meet do not know of each other."""
+    history = router(passes=60).solve(many_nets).history
+    squeezed = 0
+    for before, after in itertools.pairwise(history):
+        if after.kind == "squeeze":
+            assert (after.overflow, after.wirelength) <= (before.overflow, before.wirelength)
+            squeezed += 1
+    assert squeezed > 2
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_goes_on_from_a_solution(many: bool, many_nets: Problem, tmp_path: Path) -> None:
+    """Its trees stand after the first pass, but those of nets that it does not join."""
+    problem = many_nets if many else congested()
+    before = router(passes=12).route(problem)
+    path = tmp_path / "before.solution"
+    before.write(path)
+    first = router(passes=1, start=str(path)).solve(problem)
+    assert first.solution == before.pruned()
+    later = router(passes=20, start=str(path)).solve(problem)
+    check_routed(problem, later)
+    assert figures(problem, later.solution) <= figures(problem, before)
+
+    Solution(problem, [*before.edges[:-3], *[np.array([], np.int64)] * 3]).write(path)
+    completed = router(passes=1, start=str(path)).solve(problem)
+    check_routed(problem, completed)
+    assert all(map(np.array_equal, completed.solution.edges[:-3], before.pruned().edges[:-3]))
+
+
+def test_a_start_for_another_problem(tmp_path: Path) -> None:
+    path = tmp_path / "other.solution"
+    sequential_astar(plane({"other": [(0, 0), (2, 2)]}, (3, 3))).write(path)
+    with pytest.raises(InputError, match=r"other\.solution:1: "):
+        router(start=str(path)).route(congested())
+    with pytest.raises(InputError, match=r"none\.solution"):
+        router(start=str(tmp_path / "none.solution")).route(congested())
+
+
+def test_who_watches_sees_the_best_so_far() -> None:
+    problem, watched, seen = congested(), router(), []
+
+    def watch(_: str) -> bool:
+        best = watched.best()
+        if best is not None:
+            seen.append(figures(problem, best))
+        return len(seen) == 20
+
+    watched.watch = watch
+    routed = watched.solve(problem)
+    assert seen == sorted(seen, reverse=True)
+    assert figures(problem, routed.solution) <= seen[-1]
+    assert watched.best() is None
 
 
 def test_who_watches_may_stop_it() -> None:

@@ -210,7 +210,12 @@ def convert(
     is_flag=True,
     help="Take away the edges that join nothing before the solution is judged and written.",
 )
-@click.option("--out", type=FILE, help="File for the solution; without it, none is written.")
+@click.option(
+    "--out",
+    type=FILE,
+    help="File for the solution; without it, none is written. In a long search, the best solution "
+    "so far is written every five minutes.",
+)
 @json_option
 def route(
     problem: ProblemFile,
@@ -251,17 +256,23 @@ def route(
             options = override({} if config is None else read_yaml(config), [*given, *overrides])
             where = f"--router {router}" if config is None else str(config)
             solver = make_router(router, options, where)
-            stack.enter_context(waiting(router, solver))
+            save = None if out is None else lambda best: _finished(best, prune).write(out)
+            stack.enter_context(waiting(router, solver, save))
         warm_up(solver)
         started = time.perf_counter()
         solution, report = solve(solver, loaded)
-        solution = solution.pruned() if prune else solution
-        if loaded.chip is not None and loaded.chip.contest is not None:
-            solution = with_pins_covered(solution)
+        solution = _finished(solution, prune)
         seconds = time.perf_counter() - started
     if out is not None:
         solution.write(out)
     _report(router, solution, seconds, as_json, report)
+
+
+def _finished(solution: Solution, prune: bool) -> Solution:
+    """A router's solution as it is written."""
+    solution = solution.pruned() if prune else solution
+    chip = solution.problem.chip
+    return solution if chip is None or chip.contest is None else with_pins_covered(solution)
 
 
 def _learned(

@@ -21,7 +21,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from policies.routers.base import Router, Watched
+from marouting import Solution
+from policies.routers.base import Keeper, Router, Watched
 
 if TYPE_CHECKING:
     from policies.results.run_folder import Episode
@@ -84,8 +85,14 @@ def problems_bar(name: str) -> Iterator[Callable[[float, int], None]]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
+SAVED_EVERY = 300.0
+"""Seconds after which the best solution so far is saved again."""
+
+
 @contextlib.contextmanager
-def waiting(name: str, router: Router) -> Iterator[None]:
+def waiting(
+    name: str, router: Router, save: Callable[[Solution], None] | None = None
+) -> Iterator[None]:
     """Shows that a router works, for how long, and how far it is if it tells.
 
     Where standard error is no terminal, a line says so after some seconds, and again every ten
@@ -95,6 +102,7 @@ def waiting(name: str, router: Router) -> Iterator[None]:
     Args:
         name: what the router is called.
         router: the router, whose options may tell how long it may take.
+        save: gets the best solution so far every five minutes, if the router can give it.
     """
     options = getattr(router, "options", router)
     limits = (getattr(options, limit, None) for limit in ("seconds", "time_limit"))
@@ -105,8 +113,16 @@ def waiting(name: str, router: Router) -> Iterator[None]:
         if isinstance(router, Watched):
             asked = stack.enter_context(_asked())
 
+            saved = time.monotonic()
+
             def watch(line: str) -> bool:
+                nonlocal saved
                 show(f"{name}: {line}")
+                if save is not None and time.monotonic() - saved >= SAVED_EVERY:
+                    best = router.best() if isinstance(router, Keeper) else None
+                    if best is not None:
+                        save(best)
+                    saved = time.monotonic()
                 return asked.is_set()
 
             router.watch = watch

@@ -76,6 +76,15 @@ class Watched(Router, Protocol):
     watch: Callable[[str], bool] | None
 
 
+@runtime_checkable
+class Keeper(Watched, Protocol):
+    """A watched router that can give the best solution so far."""
+
+    def best(self) -> Solution | None:
+        """The best solution so far, to be called by ``watch``; None if there is none yet."""
+        ...
+
+
 def warm_up(router: Router) -> None:
     """Routes a small problem, so that the next time is that of routing alone.
 

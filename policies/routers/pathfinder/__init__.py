@@ -8,7 +8,9 @@ rerouted at rising prices until they have found other ways.
 
 The first pass gives every net a tree of **patterns**, in a microsecond per pin: so there is a whole
 solution at once, however large the problem (:mod:`~policies.routers.pathfinder.patterns`). With
-5000 nets or more the first round negotiates from there; with fewer it begins with shortest trees.
+more than 5000 nets the first round negotiates from there, and nets are planned in batches, by
+several threads if wanted (:mod:`~policies.routers.pathfinder.batches`). With fewer it begins with
+shortest trees, and nets take turns.
 
 The search runs in rounds. A round makes three kinds of passes over the nets, and where rounds bring
 nothing better any more, passes of a fourth kind improve the best solution:
@@ -42,6 +44,7 @@ Where to look:
 * :mod:`~policies.routers.pathfinder.trees`: compiled code that gives nets their trees.
 * :mod:`~policies.routers.pathfinder.repair`: compiled code that reroutes nets together.
 * :mod:`~policies.routers.pathfinder.passes`: compiled code for passes and rounds.
+* :mod:`~policies.routers.pathfinder.batches`: passes in batches, and their threads.
 * :mod:`~policies.routers.pathfinder.router`: the router, and what it reports.
 """
 

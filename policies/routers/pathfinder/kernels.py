@@ -41,9 +41,16 @@ def draw(progress: Any) -> int:
 
 @compiled
 def edge_cost(
-    capacity: Any, remaining: Any, price: Any, edge: int, demand: int, present: float, kind: int
+    capacity: Any,
+    remaining: Any,
+    price: Any,
+    edge: int,
+    demand: int,
+    own: int,
+    present: float,
+    kind: int,
 ) -> int:
-    """The cost of an edge inside a layer to a net that does not use it at the moment.
+    """The cost of an edge inside a layer to a net.
 
     Args:
         capacity: ``ProblemArrays.capacity``.
@@ -51,13 +58,14 @@ def edge_cost(
         price: ``Routing.price``.
         edge: the edge's number.
         demand: tracks that the net would take.
+        own: tracks of these that it takes at the moment.
         present: factor for one net too many.
         kind: kind of the current pass.
 
     Returns:
         FULL or more if the net should avoid the edge at all costs.
     """
-    over = demand - remaining[edge]
+    over = demand - own - remaining[edge]
     if kind >= SQUEEZE:
         return UNIT + FULL * min(max(over, 0), min(demand, _MOST_OVERFLOW))
     cost = UNIT + price[edge]
@@ -65,6 +73,53 @@ def edge_cost(
         cost *= 1.0 + present * over / demand
     blocked = demand > capacity[edge]
     return wide(min(cost, FULL - 1.0)) + (FULL if blocked else 0)
+
+
+@compiled
+def tree_cost(
+    problem: ProblemArrays,
+    routing: Routing,
+    via: int,
+    net: int,
+    edges: Any,
+    row: int,
+    first: int,
+    last: int,
+    own: int,
+) -> int:
+    """The present cost of a tree to a net.
+
+    Args:
+        problem: the problem.
+        routing: holds remaining capacities and prices.
+        via: cost of a via.
+        net: the net.
+        edges: (rows, size) int32, edges of trees.
+        row: the row of this tree.
+        first: where it begins in the row.
+        last: where it ends.
+        own: 1 if it is the net's tree at the moment; 0 if the net is ripped up.
+    """
+    progress = routing.progress[0]
+    cost = wide(0)
+    for i in range(first, last):
+        edge = wide(edges[row, i])
+        gcell = edge // AXES
+        if edge - AXES * gcell == VIA_AXIS:
+            cost += via
+        else:
+            demand = wide(problem.demand[net, problem.position[gcell, VIA_AXIS]])
+            cost += edge_cost(
+                problem.capacity,
+                routing.remaining,
+                routing.price,
+                edge,
+                demand,
+                own * demand,
+                progress.present,
+                progress.kind,
+            )
+    return cost
 
 
 @compiled
@@ -107,6 +162,20 @@ def set_box(
 
 
 @compiled
+def point_of(position: Any, low: Any, size: Any, gcell: int) -> int:
+    """The point of a box that a Gcell is.
+
+    Args:
+        position: (G, 3) int32, ``ProblemArrays.position``.
+        low: (3,) int64, x, y, z of the box's first point.
+        size: (3,) int64, the box's points along each axis.
+        gcell: a Gcell in the box.
+    """
+    x, y = position[gcell, 0] - low[0], position[gcell, 1] - low[1]
+    return (x * size[1] + y) * size[2] + position[gcell, 2] - low[2]
+
+
+@compiled
 def set_costs(
     problem: ProblemArrays,
     routing: Routing,
@@ -115,6 +184,7 @@ def set_costs(
     via: int,
     net: int,
     limit: int,
+    own: int,
 ) -> None:
     """Gives the moves in a net's box their costs and clears the lattice's tree.
 
@@ -128,8 +198,10 @@ def set_costs(
         lattice: its ``size`` is that of the box; everything else is overwritten.
         low: (3,) int64, x, y, z of the box's first point.
         via: cost of a via.
-        net: the net, which is ripped up.
+        net: the net.
         limit: moves that cost this much or more are closed.
+        own: 1 if the net's tree still takes tracks, which are free for a new one; 0 if the net is
+            ripped up.
     """
     nx, ny, nz = lattice.size[0], lattice.size[1], lattice.size[2]
     set_size(lattice, nx, ny, nz)
@@ -161,6 +233,7 @@ def set_costs(
                             routing.price,
                             edge,
                             demand,
+                            wide(0),
                             present,
                             kind,
                         )
@@ -170,24 +243,25 @@ def set_costs(
                             lattice.line[axis, at + 1] = min(lattice.line[axis, at + 1], cost)
                     set_cost(lattice, point, axis, cost)
                 point += 1
+    first = wide(routing.start[net])
+    for i in range(first, first + own * routing.length[net]):
+        edge = wide(routing.edge[routing.progress[0].pool, i])
+        gcell = edge // AXES
+        axis = edge - AXES * gcell
+        if axis == VIA_AXIS:
+            continue
+        demand = wide(problem.demand[net, problem.position[gcell, VIA_AXIS]])
+        cost = edge_cost(
+            problem.capacity, routing.remaining, routing.price, edge, demand, demand, present, kind
+        )
+        if cost < limit:
+            at = problem.position[gcell, axis] - low[axis] + 1
+            lattice.line[axis, at] = min(lattice.line[axis, at], cost)
+            set_cost(lattice, point_of(problem.position, low, lattice.size, gcell), axis, cost)
     for axis in range(VIA_AXIS):
         lattice.line[axis, 0] = 0
         for i in range(1, lattice.size[axis]):
             lattice.line[axis, i] += lattice.line[axis, i - 1]
-
-
-@compiled
-def point_of(position: Any, low: Any, size: Any, gcell: int) -> int:
-    """The point of a box that a Gcell is.
-
-    Args:
-        position: (G, 3) int32, ``ProblemArrays.position``.
-        low: (3,) int64, x, y, z of the box's first point.
-        size: (3,) int64, the box's points along each axis.
-        gcell: a Gcell in the box.
-    """
-    x, y = position[gcell, 0] - low[0], position[gcell, 1] - low[1]
-    return (x * size[1] + y) * size[2] + position[gcell, 2] - low[2]
 
 
 @compiled

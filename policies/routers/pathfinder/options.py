@@ -41,9 +41,14 @@ class PathfinderOptions:
             many passes as up to its best solution. Otherwise the next round begins. On the 121
             published problems of Liao et al., no optimum is missed with any of four seeds.
         passes: the search ends after this many passes at the latest.
-        seconds: limit of processor time, so that other work on the machine does not matter; None
-            for no limit. The first pass, of patterns, is completed even if that takes longer: after
-            it every net is joined. A solution cut off by the limit depends on the machine.
+        seconds: limit of processor time, so that other work on the machine does not matter; with
+            several threads, of the one that works longest; None for no limit. The first pass, of
+            patterns, is completed even if that takes longer: after it every net is joined. A
+            solution cut off by the limit depends on the machine.
+        threads: how many threads plan trees, where there are more than 5000 nets to route. What
+            comes out does not depend on it, unless ``seconds`` cuts the search off.
+        start: a file of a solution to begin with, such as one that was cut off; None: begin with
+            patterns. Nets that it does not join get patterns. What comes out is no worse.
         seed: seed of the random numbers.
 
     Raises:
@@ -68,6 +73,8 @@ class PathfinderOptions:
     persistence: int = 8
     passes: int = 100_000
     seconds: float | None = 50.0
+    threads: int = 1
+    start: str | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -87,4 +94,5 @@ class PathfinderOptions:
         check("patience", 1 <= self.patience <= MOST, f"a number from 1 to {MOST}")
         check("passes", 1 <= self.passes <= MOST, f"a number from 1 to {MOST}")
         check("seconds", self.seconds is None or self.seconds >= 0, "a number from 0, or null")
+        check("threads", 1 <= self.threads <= 1024, "a number from 1 to 1024")
         check("seed", 0 <= self.seed <= MOST, f"a number from 0 to {MOST}")

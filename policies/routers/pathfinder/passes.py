@@ -50,7 +50,7 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
     if better:
         progress.found = progress.passes
     more = progress.passes < parameters.passes
-    if progress.kind == PATTERN and not progress.large:
+    if progress.kind == PATTERN and progress.most == 1:
         progress.kind, progress.began = RELAX, progress.passes
         return more
     gained = progress.overflow < progress.last_overflow or (
@@ -120,10 +120,10 @@ def advance(
         buffers: likewise.
 
     Returns:
-        Why it returned: DONE when the search has ended; PAUSED to let the caller look at the clock
-        or empty ``routing.history``; BOX_TOO_SMALL or POOL_TOO_SMALL if ``lattice``, ``search``
-        and ``buffers`` or the pools of ``routing`` have to be replaced by larger ones, for
-        ``routing.progress["need"]`` points or edges.
+        Why it returned: DONE when the search has ended; PAUSED to let the caller look at the clock,
+        empty ``routing.history`` or plan nets in batches; BOX_TOO_SMALL or POOL_TOO_SMALL if
+        ``lattice``, ``search`` and ``buffers`` or the pools of ``routing`` have to be replaced by
+        larger ones, for ``routing.progress["need"]`` points or edges.
     """
     progress = routing.progress[0]
     until = search.tally[1] + _WORK
@@ -147,5 +147,5 @@ def advance(
             progress.next += routed
         if not _next_pass(problem, parameters, routing):
             return DONE
-        if progress.history == len(routing.history):
+        if progress.most > 1 or progress.history == len(routing.history):
             return PAUSED

@@ -25,7 +25,7 @@ from policies.routers.pathfinder.state import (
     ProblemArrays,
     Routing,
 )
-from policies.routers.pathfinder.trees import store_tree, use_tree
+from policies.routers.pathfinder.trees import list_tree, store_tree, use_tree
 
 _NEVER = 1 << 50  # more than any pattern costs
 
@@ -64,7 +64,14 @@ def _straight(
             if problem.capacity[edge] < 0:
                 total += _NEVER
             total += edge_cost(
-                problem.capacity, routing.remaining, routing.price, edge, demand, 0.0, PATTERN
+                problem.capacity,
+                routing.remaining,
+                routing.price,
+                edge,
+                demand,
+                wide(0),
+                0.0,
+                PATTERN,
             )
             gcell += step
         cost[z] = total
@@ -157,12 +164,15 @@ def route_pattern(
     buffers: NetBuffers,
     net: int,
 ) -> int:
-    """Gives a net that has no tree a tree of patterns.
+    """Gives a net a tree of patterns, unless it has one to begin with; puts its tree in place.
 
     Returns:
         DONE; or BOX_TOO_SMALL or POOL_TOO_SMALL, in which case the net is left as it was.
     """
     progress = routing.progress[0]
+    if routing.length[net] > 0:
+        use_tree(problem, routing, parameters.via, net, wide(1))
+        return DONE
     points = set_box(problem, routing, net, wide(0), buffers.low, lattice.size)
     if points > len(buffers.pin):
         progress.need = points
@@ -193,7 +203,8 @@ def route_pattern(
         buffers.far[pin] = -1
     for i in range(size):
         buffers.inside[buffers.key[i]] = 0
-    store_tree(problem, routing, lattice, buffers.low, net)
+    size = list_tree(problem, lattice, buffers)
+    store_tree(routing, net, buffers.tree, wide(0), wide(0), size)
     use_tree(problem, routing, parameters.via, net, wide(1))
     progress.routed += 1
     return DONE

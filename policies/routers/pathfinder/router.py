@@ -2,27 +2,23 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from marouting import Problem, Solution
+from policies.routers.pathfinder.batches import Crew
 from policies.routers.pathfinder.options import PathfinderOptions
-from policies.routers.pathfinder.passes import advance
 from policies.routers.pathfinder.state import (
-    BOX_TOO_SMALL,
-    DONE,
-    FIRST_BOX,
     KINDS,
-    PAUSED,
-    POOL_TOO_SMALL,
     UNIT,
     Kind,
+    Routing,
     make_arrays,
-    make_buffers,
     make_parameters,
-    with_larger_pool,
+    with_trees,
 )
 from policies.routers.pathfinder.trees import keep_best
 
@@ -90,6 +86,15 @@ class PathfinderRouter:
     def __init__(self, options: PathfinderOptions | None = None) -> None:
         self.options = PathfinderOptions() if options is None else options
         self.watch: Callable[[str], bool] | None = None
+        self._best: Callable[[], Solution] | None = None
+
+    def warm_up(self, problem: Problem) -> None:
+        """Compiles what routing needs, by a problem to which ``start`` is no solution."""
+        PathfinderRouter(replace(self.options, start=None)).route(problem)
+
+    def best(self) -> Solution | None:
+        """The best solution so far, for who watches; None if there is none yet."""
+        return None if self._best is None else self._best()
 
     def route(self, problem: Problem) -> Solution:
         """Routes a problem.
@@ -106,35 +111,44 @@ class PathfinderRouter:
         limit = self.options.seconds
         parameters = make_parameters(self.options)
         arrays, routing = make_arrays(problem, self.options)
-        exact_pins = self.options.exact_pins
-        buffers = make_buffers(arrays, exact_pins, min(FIRST_BOX, problem.topology.gcells))
-        passes: list[Pass] = []
-        code = PAUSED if len(routing.order) else DONE
+        if self.options.start is not None:
+            routing = with_trees(routing, Solution.read(self.options.start, problem))
         progress = routing.progress[0]
-        stop: Stop = "optimal" if code == DONE else "settled"
-        while code != DONE:
-            code = advance(arrays, parameters, routing, *buffers)
-            for kind, overflow, length, routed in routing.history[: progress["history"]].tolist():
-                passes.append(Pass(KINDS[kind], overflow, length / UNIT, routed))
-            progress["history"] = 0
-            if code == BOX_TOO_SMALL:
-                buffers = make_buffers(arrays, exact_pins, 2 * int(progress["need"]))
-            elif code == POOL_TOO_SMALL:
-                routing = with_larger_pool(routing, 2 * int(progress["need"]))
-            asked = self.watch is not None and self.watch(_line(progress, len(passes)))
-            late = limit is not None and time.thread_time() - worked >= limit
-            if code == DONE:
-                stop = _reason(progress, parameters.passes)
-            elif passes and (asked or late):  # the first pass has made a whole solution
-                stop = "asked" if asked else "seconds"
-                # These passes never make a solution worse. What others have found in mid-pass could
-                # be lost with more time, and more time must not be worse than less.
-                if KINDS[progress["kind"]] in ("squeeze", "repair"):
-                    keep_best(routing)
-                break
-        net = np.repeat(np.arange(len(problem.nets)), np.diff(routing.best_first))
-        solution = Solution.of_uses(problem, net, routing.best[: len(net)].astype(np.int64))
+        passes: list[Pass] = []
+        ended = len(routing.order) == 0
+        stop: Stop = "optimal" if ended else "settled"
+        with Crew(arrays, parameters, int(progress["most"]), self.options.threads) as crew:
+            while not ended:
+                ended, routing = crew.advance(routing)
+                rows = routing.history[: progress["history"]].tolist()
+                for kind, overflow, length, routed in rows:
+                    passes.append(Pass(KINDS[kind], overflow, length / UNIT, routed))
+                progress["history"] = 0
+                asked = False
+                if self.watch is not None:
+                    # What the watcher does is none of the search's work.
+                    told = time.thread_time()
+                    self._best = partial(_best, problem, routing) if passes else None
+                    asked = self.watch(_line(progress, len(passes)))
+                    worked += time.thread_time() - told
+                late = limit is not None and time.thread_time() - worked + crew.waited >= limit
+                if ended:
+                    stop = _reason(progress, parameters.passes)
+                elif passes and (asked or late):  # the first pass has made a whole solution
+                    stop, ended = "asked" if asked else "seconds", True
+                    # These passes never make a solution worse. What others have found in mid-pass
+                    # could be lost with more time, and more time must not be worse than less.
+                    if KINDS[progress["kind"]] in ("squeeze", "repair"):
+                        keep_best(routing)
+        self._best = None
+        solution = _best(problem, routing)
         return Routed(solution, time.perf_counter() - began, tuple(passes), stop)
+
+
+def _best(problem: Problem, routing: Routing) -> Solution:
+    """The best solution of a search so far."""
+    net = np.repeat(np.arange(len(problem.nets)), np.diff(routing.best_first))
+    return Solution.of_uses(problem, net, routing.best[: len(net)].astype(np.int64))
 
 
 def _reason(progress: Any, most: int) -> Stop:

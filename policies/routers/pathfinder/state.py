@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting import Problem
+from marouting import Problem, Solution, evaluate
 from marouting.memory import NEGOTIATION, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.exact_tree import Search, make_search
@@ -35,7 +35,14 @@ MOST_TOGETHER = 5
 """Nets that are ripped up together to repair a solution."""
 
 LARGE = 5_000
-"""Nets from which negotiating begins with patterns; otherwise it begins with shortest trees."""
+"""Nets from which negotiating begins with patterns, and nets are planned in batches; otherwise it
+begins with shortest trees, and nets take turns."""
+
+SHARE = 64
+"""In large problems one net of so many, at most, is planned at once, so that few of them meet."""
+
+MOST_PLANNED = 1024
+"""Nets that are planned at once, at most."""
 
 _HISTORY_ROWS = 64  # passes after which the compiled code returns, at the latest
 
@@ -46,13 +53,17 @@ RELAX, NEGOTIATE, SQUEEZE, REPAIR, PATTERN = range(len(KINDS))
 DONE, PAUSED, BOX_TOO_SMALL, POOL_TOO_SMALL = range(4)
 """Why a call of compiled code returned."""
 
+EDGES, EXACT = range(2)
+"""Places in ``NetBuffers.plan``: number of edges of the new tree; whether no tree in the box is
+cheaper."""
+
 PROGRESS = np.dtype(
     [
         ("kind", np.int64),  # of the current pass: RELAX, NEGOTIATE, SQUEEZE, REPAIR or PATTERN
         ("next", np.int64),  # index in Routing.order of the next net
         ("routed", np.int64),  # nets rerouted in this pass
         ("passes", np.int64),  # completed passes
-        ("large", np.int64),  # whether negotiating begins with the patterns
+        ("most", np.int64),  # nets planned at once; where more than 1, patterns are negotiated
         ("stuck", np.int64),  # passes since the overflow last fell in this round
         ("fewest", np.int64),  # least overflow in this round
         ("since", np.int64),  # rounds (in the end repairing passes) since the last better solution
@@ -135,6 +146,8 @@ class NetBuffers(NamedTuple):
     inside: NDArray[np.uint8]  # (points,) 1 where a walk has been; all 0 between walks
     key: NDArray[np.int64]  # (2 points,) list of pins and branching points; of a pattern's points
     layers: NDArray[np.int64]  # (2, Z) what the wires of a pattern cost in every layer
+    plan: NDArray[np.int64]  # (2,) EDGES and EXACT
+    tree: NDArray[np.int32]  # (1, points) edges of the new tree
 
 
 def make_parameters(options: PathfinderOptions) -> Parameters:
@@ -181,7 +194,8 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
     progress = np.zeros(1, PROGRESS)
     progress["random"] = options.seed
     progress["kind"] = PATTERN
-    progress["large"] = len(routable) > LARGE
+    large = len(routable) > LARGE
+    progress["most"] = min(len(routable) // SHARE, MOST_PLANNED) if large else 1
     progress["best_overflow"] = progress["fewest"] = np.iinfo(np.int64).max
     pool = 4 * int(extent.sum()) + 4 * len(pin) + 1
     ideal = np.zeros(nets, np.int64)
@@ -214,6 +228,8 @@ def make_buffers(
         inside=np.zeros(points, np.uint8),
         key=np.empty(2 * points, np.int64),
         layers=np.zeros((2, problem.size[VIA_AXIS]), np.int64),
+        plan=np.zeros(2, np.int64),
+        tree=np.empty((1, points), np.int32),
     )
     lattice = make_lattice(points, int(problem.size.max()))
     search = make_search(points, max(points, EXACT_LABELS), exact_pins - 1)
@@ -222,8 +238,34 @@ def make_buffers(
 
 def with_larger_pool(routing: Routing, size: int) -> Routing:
     """The routing with room for ``size`` edges in each pool; its other arrays are shared."""
-    edge = np.empty((2, size), np.int32)
-    edge[:, : routing.edge.shape[1]] = routing.edge
     best = np.empty(size, np.int32)
     best[: len(routing.best)] = routing.best
-    return routing._replace(edge=edge, best=best)
+    return routing._replace(edge=widened(routing.edge, size), best=best)
+
+
+def with_trees(routing: Routing, solution: Solution) -> Routing:
+    """The routing with the trees of a solution, for the first pass to put in place.
+
+    Args:
+        routing: one without any trees.
+        solution: of the same problem; of nets that it does not join, nothing is taken.
+    """
+    tree = solution.pruned()
+    net, edge = tree.uses
+    open_nets = set(evaluate(solution.problem, tree).disconnected)
+    taken = np.array([each.name not in open_nets for each in solution.problem.nets])[net]
+    routing.length[:] = np.bincount(net[taken], minlength=len(routing.length))
+    routing.start[:] = np.cumsum(routing.length) - routing.length
+    size = int(np.count_nonzero(taken))
+    routing.progress["top"] = size
+    if size > routing.edge.shape[1]:
+        routing = with_larger_pool(routing, 2 * size)
+    routing.edge[0, :size] = edge[taken]
+    return routing
+
+
+def widened(rows: NDArray[np.int32], size: int) -> NDArray[np.int32]:
+    """The same rows with room for ``size`` numbers in each."""
+    wider = np.empty((len(rows), size), np.int32)
+    wider[:, : rows.shape[1]] = rows
+    return wider

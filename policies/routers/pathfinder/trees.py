@@ -12,17 +12,19 @@ from marouting.trees.lattice import CLOSED, Lattice
 from policies.routers.pathfinder.kernels import (
     NO_LIMIT,
     draw,
-    edge_cost,
     grow,
     join_all,
     mend,
     point_of,
     set_box,
     set_costs,
+    tree_cost,
 )
 from policies.routers.pathfinder.state import (
     BOX_TOO_SMALL,
     DONE,
+    EDGES,
+    EXACT,
     EXACT_LABELS,
     FULL,
     NEGOTIATE,
@@ -53,29 +55,6 @@ def use_tree(problem: ProblemArrays, routing: Routing, via: int, net: int, sign:
         layer = problem.position[gcell, VIA_AXIS]
         routing.remaining[edge] -= sign * wide(problem.demand[net, layer])
         progress.overflow += max(-routing.remaining[edge], 0) - over
-
-
-@compiled
-def _tree_cost(problem: ProblemArrays, routing: Routing, via: int, net: int) -> int:
-    """The current cost of a net's tree to the net, which is ripped up."""
-    progress = routing.progress[0]
-    cost = 0
-    for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        edge = wide(routing.edge[progress.pool, i])
-        gcell = edge // AXES
-        if edge - AXES * gcell == VIA_AXIS:
-            cost += via
-        else:
-            cost += edge_cost(
-                problem.capacity,
-                routing.remaining,
-                routing.price,
-                edge,
-                wide(problem.demand[net, problem.position[gcell, VIA_AXIS]]),
-                progress.present,
-                progress.kind,
-            )
-    return cost
 
 
 @compiled
@@ -118,27 +97,50 @@ def compact(routing: Routing) -> bool:
 
 
 @compiled
-def store_tree(
-    problem: ProblemArrays, routing: Routing, lattice: Lattice, low: Any, net: int
-) -> None:
-    """Makes the lattice's tree the net's tree."""
-    progress = routing.progress[0]
-    routing.start[net] = progress.top
-    point = 0
+def list_tree(problem: ProblemArrays, lattice: Lattice, buffers: NetBuffers) -> int:
+    """Lists the edges of the lattice's tree in ``buffers.tree``; returns how many there are."""
+    low, size, point = buffers.low, wide(0), 0
     for x in range(lattice.size[0]):
         for y in range(lattice.size[1]):
             gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * problem.size[2]
             for z in range(lattice.size[2]):
                 for axis in range(AXES):
                     if lattice.tree[point] >> 2 * axis & 1:
-                        routing.edge[progress.pool, progress.top] = AXES * (gcell + z) + axis
-                        progress.top += 1
+                        buffers.tree[0, size] = AXES * (gcell + z) + axis
+                        size += 1
                 point += 1
-    routing.length[net] = progress.top - routing.start[net]
+    return size
 
 
 @compiled
-def reroute(
+def store_tree(routing: Routing, net: int, edges: Any, row: int, first: int, last: int) -> None:
+    """Makes ``edges[row, first:last]`` the net's tree."""
+    progress = routing.progress[0]
+    routing.start[net] = progress.top
+    for i in range(first, last):
+        routing.edge[progress.pool, progress.top] = edges[row, i]
+        progress.top += 1
+    routing.length[net] = last - first
+
+
+@compiled
+def present_cost(problem: ProblemArrays, routing: Routing, via: int, net: int, own: int) -> int:
+    """The cost of a net's tree to the net, which is in place (``own`` 1) or ripped up (0)."""
+    first, pool = wide(routing.start[net]), wide(routing.progress[0].pool)
+    last = first + routing.length[net]
+    return tree_cost(problem, routing, via, net, routing.edge, pool, first, last, own)
+
+
+@compiled
+def is_settled(problem: ProblemArrays, parameters: Parameters, routing: Routing, net: int) -> bool:
+    """Whether a net keeps its tree without a search: none can be cheaper, and no lot fell on it."""
+    if routing.ideal[net] < present_cost(problem, routing, parameters.via, net, wide(1)):
+        return False
+    return draw(routing.progress[0]) % (1 << 20) >= parameters.again
+
+
+@compiled
+def plan(
     problem: ProblemArrays,
     parameters: Parameters,
     routing: Routing,
@@ -147,38 +149,26 @@ def reroute(
     buffers: NetBuffers,
     net: int,
 ) -> int:
-    """Rips a net up and routes it again, unless its tree is known to be a cheapest one.
+    """Looks for a cheapest tree for a net, with the trees of all others in place.
 
-    In a repairing pass the net is ripped up already, together with others, and gets a new tree in
-    any case.
+    The net's own tree stays in place, and its tracks are free for the new one. In a repairing pass
+    the net is ripped up already, together with others, and gets a new tree in any case. All
+    changes are to working memory: the tree's edges are in ``buffers.tree``, and ``buffers.plan``
+    tells about it.
 
     Returns:
-        DONE; or BOX_TOO_SMALL or POOL_TOO_SMALL, in which case the net is left as it was.
+        DONE; or BOX_TOO_SMALL.
     """
     progress = routing.progress[0]
     pins = problem.first[net + 1] - problem.first[net]
     margin, limit = parameters.margin, wide(FULL)
-    ripped = progress.kind == REPAIR
-    if not ripped:
-        use_tree(problem, routing, parameters.via, net, wide(-1))
-    old = _tree_cost(problem, routing, parameters.via, net)
-    routed = routing.ideal[net] >= 0
-    as_short = not ripped and routed and old <= routing.ideal[net]
-    if as_short and draw(progress) % (1 << 20) >= parameters.again:
-        use_tree(problem, routing, parameters.via, net, wide(1))
-        return DONE
+    own = wide(progress.kind != REPAIR)
     while True:
         points = set_box(problem, routing, net, margin, buffers.low, lattice.size)
-        code = DONE
         if points > len(buffers.pin):
-            code, progress.need = BOX_TOO_SMALL, points
-        elif progress.top + points > routing.edge.shape[1]:
-            code, progress.need = POOL_TOO_SMALL, progress.top + points
-        if code != DONE:
-            if not ripped:
-                use_tree(problem, routing, parameters.via, net, wide(1))
-            return code
-        set_costs(problem, routing, lattice, buffers.low, parameters.via, net, limit)
+            progress.need = points
+            return BOX_TOO_SMALL
+        set_costs(problem, routing, lattice, buffers.low, parameters.via, net, limit, own)
         search.tally[1] += points
         exact = True
         labels = NEGOTIATED_LABELS if progress.kind == NEGOTIATE else EXACT_LABELS
@@ -200,14 +190,79 @@ def reroute(
         if lattice.size[0] == problem.size[0] and lattice.size[1] == problem.size[1]:
             limit = wide(NO_LIMIT)
         margin = 2 * margin + 1
-    if ripped or cost <= old:
-        store_tree(problem, routing, lattice, buffers.low, net)
-    length = tree_length(routing, parameters.via, net)
-    routing.ideal[net] = min(routing.ideal[net], length) if routed else length
-    progress.unproven += not routed and not (exact and progress.kind == RELAX)
-    use_tree(problem, routing, parameters.via, net, wide(1))
+    buffers.plan[EDGES], buffers.plan[EXACT] = list_tree(problem, lattice, buffers), wide(exact)
+    return DONE
+
+
+@compiled
+def adopt(
+    problem: ProblemArrays,
+    routing: Routing,
+    via: int,
+    net: int,
+    plan: Any,
+    edges: Any,
+    row: int,
+    first: int,
+) -> int:
+    """Carries out a plan: gives a net its new tree, unless that costs more than the present one.
+
+    Args:
+        problem: the problem.
+        routing: changed.
+        via: cost of a via.
+        net: the net.
+        plan: (2,) int64, like ``NetBuffers.plan``.
+        edges: (rows, size) int32, holds the new tree.
+        row: the row of the new tree.
+        first: where it begins in the row.
+
+    Returns:
+        DONE; or POOL_TOO_SMALL, in which case the net is left as it was.
+    """
+    progress = routing.progress[0]
+    last = first + plan[EDGES]
+    if progress.top + plan[EDGES] > routing.edge.shape[1]:
+        progress.need = progress.top + plan[EDGES]
+        return POOL_TOO_SMALL
+    better = progress.kind == REPAIR  # the net is ripped up, and gets a new tree in any case
+    if not better:
+        use_tree(problem, routing, via, net, wide(-1))
+        cost = tree_cost(problem, routing, via, net, edges, row, first, last, wide(0))
+        better = cost <= present_cost(problem, routing, via, net, wide(0))
+    if better:
+        store_tree(routing, net, edges, row, first, last)
+    length, ideal = tree_length(routing, via, net), wide(routing.ideal[net])
+    progress.unproven += ideal < 0 and not (plan[EXACT] and progress.kind == RELAX)
+    routing.ideal[net] = length if ideal < 0 else min(ideal, length)
+    use_tree(problem, routing, via, net, wide(1))
     progress.routed += 1
     return DONE
+
+
+@compiled
+def reroute(
+    problem: ProblemArrays,
+    parameters: Parameters,
+    routing: Routing,
+    lattice: Lattice,
+    search: Search,
+    buffers: NetBuffers,
+    net: int,
+) -> int:
+    """Plans a net's tree and carries the plan out, unless the net is settled.
+
+    Returns:
+        DONE; or BOX_TOO_SMALL or POOL_TOO_SMALL, in which case the net is left as it was.
+    """
+    if routing.progress[0].kind != REPAIR and is_settled(problem, parameters, routing, net):
+        return DONE
+    code = plan(problem, parameters, routing, lattice, search, buffers, net)
+    if code != DONE:
+        return code
+    return adopt(
+        problem, routing, parameters.via, net, buffers.plan, buffers.tree, wide(0), wide(0)
+    )
 
 
 @compiled
