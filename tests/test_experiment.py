@@ -31,7 +31,7 @@ from marouting import (
 from policies import figures
 from policies.cli.main import status
 from policies.experiment import Experiment, load_experiment, load_sets
-from policies.experiment.processes import work_on
+from policies.experiment.work import work_on
 from policies.figures import plot
 from policies.learned.config import load_config
 from policies.learned.policy import TrainedPolicy
@@ -318,8 +318,8 @@ def test_results_are_there_of_the_routers_that_are_done(
     """An experiment that is broken off in its trainings: all others can be read, as in the end."""
     config = load_experiment(everything(tmp_path, jobs=1))
 
-    def without_trainings(parts: Sequence[Any], jobs: int, threads: int) -> Iterator[list[Any]]:
-        for done in work_on(parts, jobs, threads):
+    def without_trainings(parts: Sequence[Any], *how: Any) -> Iterator[list[Any]]:
+        for done in work_on(parts, *how):
             if any(part.entry.trains for part in done):
                 raise KeyboardInterrupt
             yield done

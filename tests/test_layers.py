@@ -43,6 +43,7 @@ ROOMS = {
     ),
     "policies": (
         ("integrations", "interrupts"),
+        ("engines",),
         ("routers",),
         ("results",),
         ("figures",),

@@ -42,6 +42,7 @@ ENVIRONMENT = (
     ),
 )
 POLICIES = (
+    (("engines/", "processes of this machine, or tasks of Ray", 1, False),),
     (
         ("routers/", "route(problem) → Solution", 1, True),
         ("results/", "rows, folders, statistics", 1, False),

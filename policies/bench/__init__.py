@@ -21,7 +21,7 @@ from policies.bench.libraries import libraries
 from policies.bench.measure import Bench, Measurement
 from policies.bench.search import search, time_scaling
 from policies.bench.training import training
-from policies.experiment.processes import processor
+from policies.engines.base import processor
 
 __all__ = ["SECTIONS", "Bench", "Measurement", "machine", "run"]
 

@@ -11,6 +11,7 @@ from typing import Any
 from marouting import InputError
 from marouting.config import build, check, override, plain, read_yaml
 from marouting.files import FILE_NAME, is_file_name
+from policies.engines import EngineName
 from policies.experiment.config import PUBLISHED, Entry
 from policies.routers.registry import has_seed, is_learner, router_piece
 
@@ -72,6 +73,7 @@ class BenchmarkConfig:
             own, and ``training_seconds`` what training its checkpoint took.
         budget: of the entries that do not give their own, see :class:`Budget`.
         seeds: how many seeds.
+        engine: where the work is done, as in an experiment.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -79,6 +81,7 @@ class BenchmarkConfig:
     routers: dict[str, dict[str, Any] | None] = field(default_factory=dict)
     budget: str | None = None
     seeds: int | None = None
+    engine: EngineName = "local"
 
 
 @dataclass(frozen=True, kw_only=True)

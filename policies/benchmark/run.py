@@ -26,9 +26,10 @@ from policies.benchmark.contenders import SEEDS, SOLUTIONS, Contender
 from policies.benchmark.result import MOST_BYTES, Outcome, Result, Split, Task
 from policies.benchmark.score import Figures
 from policies.benchmark.statistics import interquartile_mean
+from policies.engines import EngineName, check_engine, cores, processor
 from policies.experiment.config import PUBLISHED, Published
 from policies.experiment.part import Part
-from policies.experiment.processes import cores, processor, work_on
+from policies.experiment.work import work_on
 from policies.results.folder import working_in
 from policies.results.rows import read_rows
 from policies.results.run_folder import METRICS, read_episodes
@@ -92,6 +93,7 @@ class Benchmark:
         split: which problems: ``test`` or ``validation``.
         seeds: how many seeds, from 0; None for SEEDS.
         jobs: the largest number of processes; None for one per core.
+        engine: where the work is done, as in an experiment.
 
     Raises:
         InputError: there is no such scenario or contender, two have one name, or a file is not one.
@@ -106,7 +108,9 @@ class Benchmark:
         split: Split = "test",
         seeds: int | None = None,
         jobs: int | None = None,
+        engine: EngineName = "local",
     ) -> None:
+        check_engine(engine)
         check("seeds", seeds is None or 1 <= seeds <= 1000, "a number from 1 to 1000")
         check("jobs", jobs is None or 1 <= jobs <= 1024, "a number from 1 to 1024")
         called = [contender.entry.name for contender in contenders]
@@ -124,6 +128,7 @@ class Benchmark:
                 _ = one.scenario.reference(problem)  # or an error, before hours of work
         self._seeds = SEEDS if seeds is None else seeds
         self._jobs = jobs or cores()
+        self._engine: EngineName = engine
 
     @property
     def _rows(self) -> Iterator[tuple[_Set, Contender]]:
@@ -186,7 +191,8 @@ class Benchmark:
 
             write_finished()
             if left:
-                for finished in work_on(left, self._jobs, max(threads, default=1)):
+                most = max(threads, default=1)
+                for finished in work_on(left, self._jobs, most, self._engine):
                     done += sum(len(part.problems) for part in finished)
                     if finished:
                         write_finished()

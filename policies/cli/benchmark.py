@@ -3,6 +3,7 @@
 import json
 import shlex
 from pathlib import Path
+from typing import cast
 
 import click
 
@@ -103,7 +104,8 @@ def benchmark(
     The score is 0 for sequential A* and 1 for the best solution known; docs/benchmark.md explains
     it. Each router gets a result file OUT/SCENARIO.NAME.json. A benchmark that was stopped goes on
     when the same command is given again. KEY=VALUE changes a key of --config, or an option of a
-    single --router. --leaderboard makes the page of all result files in --results.
+    single --router; engine=ray does the work as tasks of Ray. --leaderboard makes the page of all
+    result files in --results.
     """
     from policies.benchmark.result import read_result
     from policies.benchmark.statistics import summarise
@@ -122,7 +124,15 @@ def benchmark(
         return
 
     from marouting import scenarios
-    from policies.benchmark.contenders import Budget, Contender, from_text, load_contenders
+    from marouting.config import build, override
+    from policies.benchmark.contenders import (
+        BenchmarkConfig,
+        Budget,
+        Contender,
+        from_text,
+        load_contenders,
+    )
+    from policies.benchmark.result import Split
     from policies.benchmark.run import Benchmark
     from policies.cli.progress import problems_bar
     from policies.cli.resolved import check_kind
@@ -137,11 +147,16 @@ def benchmark(
     if name is not None and len(routers) != 1:
         raise InputError("--name: expected one --router with it")
     given = None if budget is None else Budget.parse(budget)
+    # The benchmark's own wherever it stands: an option of the same name is said in --router.
+    own = [text for text in overrides if text.startswith("engine=")]
+    overrides = tuple(text for text in overrides if text not in own)
+    engine = build(BenchmarkConfig, override({}, own)).engine
     contenders: list[Contender] = []
     if config is not None:
         check_kind(config, "benchmark")
         contenders, defaults = load_contenders(config, overrides, given)
         seeds = defaults.seeds if seeds is None else seeds
+        engine = engine if own else defaults.engine
     elif overrides and len(routers) != 1:
         raise InputError(f"{overrides[0]}: expected --config or one --router with it")
     for text in routers:
@@ -151,7 +166,15 @@ def benchmark(
         if scenario not in (*scenarios.names(), "all"):
             raise unknown("--scenario", scenario, (*scenarios.names(), "all"))
     chosen = scenarios.names() if "all" in names else list(names)
-    run = Benchmark(chosen, contenders, out, split=split, seeds=seeds, jobs=jobs)  # type: ignore[arg-type]
+    run = Benchmark(
+        chosen,
+        contenders,
+        out,
+        split=cast(Split, split),
+        seeds=seeds,
+        jobs=jobs,
+        engine=engine,
+    )
     with problems_bar("benchmark") as watch:
         files = run.execute(watch)
     summaries = [summarise(read_result(path)) for path in files]

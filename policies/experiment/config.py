@@ -13,6 +13,7 @@ from marouting.files import is_file_name
 from marouting.generator import GeneratorOptions
 from marouting.options import PLAYED
 from marouting.source import generated_name, load_problems
+from policies.engines import EngineName
 from policies.learned.config import Config, for_learner
 from policies.results.rows import read_published
 from policies.results.statistics import ALL
@@ -38,7 +39,10 @@ class ExperimentConfig:
         out: the folder of the experiment. An experiment that it holds already is continued, with
             the same routers and sets or with others.
         seeds: a router that draws random numbers is run once for each seed.
-        jobs: the number of processes; None stands for one per core.
+        engine: where the work is done: ``local``, in processes of this machine, or ``ray``, as
+            tasks of Ray (docs/scale.md).
+        jobs: the number of processes; None stands for one per core. A Ray that runs already has
+            its own.
         reference: the name of a router that all others are compared with, besides A*.
         problems: problem sources by the set's name (as ``env.problem`` of a training); or a folder,
             whose ``.gr`` files are a set, as are those of each folder in it.
@@ -61,6 +65,7 @@ class ExperimentConfig:
 
     out: str = "runs/experiment"
     seeds: tuple[int, ...] = (0,)
+    engine: EngineName = "local"
     jobs: int | None = None
     reference: str | None = None
     problems: Any = None

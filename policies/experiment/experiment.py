@@ -13,6 +13,7 @@ from marouting import InputError, Problem, Solution
 from marouting.config import check, check_same, read_yaml, yaml_text
 from marouting.files import FILE_NAME, is_file_name, write_text
 from marouting.source import load_problems
+from policies.engines import check_engine, cores
 from policies.experiment.config import (
     PUBLISHED,
     Entry,
@@ -21,7 +22,7 @@ from policies.experiment.config import (
     load_sets,
 )
 from policies.experiment.part import Part
-from policies.experiment.processes import cores, work_on
+from policies.experiment.work import work_on
 from policies.results.experiment_folder import CONFIG, RESULTS, SUMMARY, solution_file
 from policies.results.folder import check_own, working_in
 from policies.results.rows import Row, read_rows, to_csv
@@ -47,6 +48,7 @@ class Experiment:
     """
 
     def __init__(self, config: ExperimentConfig) -> None:
+        check_engine(config.engine)
         self.config = config
         self.folder = Path(config.out)
         self.entries = config.entries
@@ -235,7 +237,7 @@ class Experiment:
         done = total - sum(len(part.problems) for part in left)
         missing = Counter(part.entry.name for part in left)
         written = 0  # routers in the results
-        for parts in work_on(left, self.config.jobs or cores(), threads):
+        for parts in work_on(left, self.config.jobs or cores(), threads, self.config.engine):
             for part in parts:
                 trainings.pop(part.run, None)
                 done += len(part.problems)

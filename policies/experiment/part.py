@@ -1,16 +1,18 @@
 """A part of an experiment's work, which one process can do."""
 
 import json
+import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from marouting import InputError, Problem, Solution
 from marouting.config import build
 from marouting.files import write_text
 from policies.experiment.config import PARTS, PUBLISHED, Entry, Published
-from policies.learned.burn_in import read_solutions
+from policies.learned.burn_in import read_solutions, solution_files
 from policies.learned.config import Config, load_config
 from policies.results import experiment_folder, run_folder
 from policies.results.rows import COLUMNS, Row, figures_of, solution_row
@@ -63,6 +65,32 @@ class Part:
         return experiment_folder.solution_file(
             self.folder, self.set, name, self.entry.name, self.seed
         )
+
+    @property
+    def gpus(self) -> int:
+        """The number of GPUs that it needs."""
+        return int(self.entry.trains and self.entry.options["train"]["device"] != "cpu")
+
+    @property
+    def named(self) -> Mapping[str, tuple[Path, ...]]:
+        """The files that options name, by the option: a file, or a burn-in's folder of solutions.
+
+        Any text that looks like a file's name, and is one, is taken for it.
+        """
+        found: dict[str, tuple[Path, ...]] = {
+            text: (Path(text),)
+            for text in _texts(self.entry.options)
+            if (Path(text).suffix or os.sep in text) and Path(text).is_file()
+        }
+        if self.entry.trains and "burn_in" in self.entry.options["learner"]:
+            burn_in = self.entry.options["learner"]["burn_in"]
+            found[burn_in] = tuple(solution_files(burn_in, self.problems))
+        return {text: files for text, files in found.items() if files}
+
+    def reads(self) -> list[Path]:
+        """The files that it reads, but for those of a training that has begun."""
+        named = (path for files in self.named.values() for path in files)
+        return list(dict.fromkeys((*map(self.problem, self.problems), *named)))
 
     def work(self) -> None:
         """Routes the problems, writes the solutions, and then the rows."""
@@ -175,3 +203,12 @@ class Part:
 
 _warm: set[str] = set()
 """The routers that this process has used already."""
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """All texts in plain data but the keys."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for one in value.values():
+            yield from _texts(one)

@@ -72,11 +72,11 @@ def read_solutions(burn_in: str, problems: Mapping[str, Problem]) -> list[Soluti
     Raises:
         InputError: there is no such guide, or a solution cannot be read or does not fit.
     """
-    paths = _solution_files(burn_in, tuple(problems))
+    paths = solution_files(burn_in, tuple(problems))
     return list(map(Solution.read, paths, problems.values()))
 
 
-def _solution_files(burn_in: str, wanted: Sequence[str]) -> list[Path]:
+def solution_files(burn_in: str, wanted: Sequence[str]) -> list[Path]:
     """The files that a burn-in replays, one for each problem; none if it replays no files.
 
     Raises:

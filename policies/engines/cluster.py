@@ -1,0 +1,234 @@
+"""Calls as tasks of Ray, on this machine or on many.
+
+Ray chooses where a task runs and when, sends its arguments, and runs it again when its process or
+its machine is lost. Here calls become tasks, and a Ray is started or joined.
+"""
+
+import contextlib
+import logging
+import os
+import signal
+import socket
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import ray
+from ray.exceptions import GetTimeoutError, RayError, RayTaskError
+
+from marouting.errors import InputError
+from marouting.registry import register, registered
+from policies.engines.base import THREADS, Call, environment
+
+RETRIES = 3
+"""How often a task is run again whose process or machine was lost."""
+
+ADDRESS = "RAY_ADDRESS"
+"""The variable that says where a Ray runs that is to be joined."""
+
+
+@contextlib.contextmanager
+def joined(jobs: int, threads: int) -> Iterator["RayEngine"]:
+    """The Ray at RAY_ADDRESS, or this process's own if it has one, or else a new one.
+
+    A new one is of this machine alone, says nothing, has no dashboard, sends no statistics to its
+    makers, and ends with the block or with this process.
+
+    Args:
+        jobs: the largest number of tasks at a time in a new one.
+        threads: the number of threads that each task may use.
+
+    Raises:
+        InputError: there is none at RAY_ADDRESS, or none can be started.
+    """
+    mine = not ray.is_initialized()
+    if mine:
+        _start(jobs * threads)
+    try:
+        engine = RayEngine(threads)
+        try:
+            yield engine
+        finally:
+            engine.close()
+    finally:
+        if mine:
+            ray.shutdown()
+
+
+def _start(cpus: int) -> None:
+    """Starts or joins a Ray; raises InputError if that is not possible."""
+    where = os.environ.get(ADDRESS)
+    own: dict[str, Any] = {"address": "local", "num_cpus": cpus, "include_dashboard": False}
+    # Its processes find what this one finds. On other machines that is the user's: runtime_env.
+    paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
+    handler = signal.getsignal(signal.SIGTERM)
+    try:
+        if where:
+            _knock(where)
+        with environment(PYTHONPATH=paths, RAY_USAGE_STATS_ENABLED="0"):
+            ray.init(**({} if where else own), log_to_driver=False, logging_level=logging.CRITICAL)
+    except (ConnectionError, RuntimeError, ValueError, OSError, RayError) as error:
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
+        expected = f"{ADDRESS}={where}: expected a Ray" if where else "engine: no Ray starts"
+        raise InputError(f"{expected}: {reason}") from None
+    finally:
+        with contextlib.suppress(ValueError, TypeError):  # of another thread, or none of Python's
+            signal.signal(signal.SIGTERM, handler)  # Ray's own leaves with another status
+
+
+def _knock(where: str) -> None:
+    """Raises OSError if nobody answers at host:port; Ray itself would try for minutes."""
+    host, _, port = where.removeprefix("ray://").rpartition(":")
+    if host and port.isdecimal():
+        socket.create_connection((host.strip("[]"), int(port)), _PATIENCE).close()
+
+
+_PATIENCE = 10.0
+"""Seconds to wait for an answer of a Ray that is to be joined."""
+
+
+class RayEngine:
+    """Runs calls as tasks of the Ray that this process has joined.
+
+    Args:
+        threads: the number of threads that each task may use; as many CPUs are kept for it.
+
+    Raises:
+        InputError: no task ever has so many CPUs.
+    """
+
+    def __init__(self, threads: int) -> None:
+        most = max((node["Resources"].get("CPU", 0) for node in _nodes()), default=0)
+        if most < threads:
+            raise InputError(f"threads: expected at most {most:g}, as the Ray has, found {threads}")
+        self._threads = threads
+        self._running: dict[Any, int] = {}
+        self._notes: RayNotes | None = None
+
+    @property
+    def notes(self) -> "RayNotes":
+        """What calls under way write down; made when it is first asked for."""
+        if self._notes is None:
+            keeper = ray.remote(num_cpus=0, max_restarts=-1, max_task_retries=-1)(_Keeper)
+            self._notes = RayNotes(keeper.remote())
+        return self._notes
+
+    def share(self, value: Any) -> Any:
+        """A reference to the value, which every machine fetches once."""
+        return ray.put(value)
+
+    def run(self, calls: Sequence[Call]) -> Iterator[dict[int, Any]]:
+        """Makes calls; see :meth:`policies.engines.base.Engine.run`."""
+        gpus = max((call.gpus for call in calls), default=0)
+        if gpus > max((node["Resources"].get("GPU", 0) for node in _nodes()), default=0):
+            raise InputError("device: expected cpu: this Ray has no GPU")
+        variables = {"env_vars": dict.fromkeys(THREADS, str(self._threads))}
+        task = ray.remote(max_retries=RETRIES, num_cpus=self._threads, runtime_env=variables)(_run)
+        pieces = ray.put(registered())
+        self._running = {
+            task.options(num_gpus=call.gpus).remote(call.function, pieces, *call.arguments): number
+            for number, call in enumerate(calls)
+        }
+        while self._running:
+            done, _ = ray.wait(list(self._running), timeout=1)
+            # Of all others that are ready, too: each look takes time in proportion to all.
+            if done:
+                done, _ = ray.wait(list(self._running), num_returns=len(self._running), timeout=0)
+            yield {self._running.pop(one): _result(one) for one in done}
+
+    def close(self) -> None:
+        """Ends the tasks at once."""
+        for task in self._running:
+            with contextlib.suppress(RayError, ValueError):
+                ray.cancel(task, force=True)
+        self._running = {}
+        if self._notes is not None:
+            self._notes.end()
+
+
+class RayNotes:
+    """Values by key in a process of Ray's, which the engine and its tasks can reach.
+
+    Args:
+        keeper: that process.
+    """
+
+    def __init__(self, keeper: Any) -> None:
+        self._keeper = keeper
+        self._asked: Any = None
+
+    def write(self, key: str, value: Any) -> None:
+        """Keeps a value; without effect if the keeper's machine is lost."""
+        with contextlib.suppress(RayError):
+            ray.get(self._keeper.write.remote(key, value))
+
+    def read(self, key: str) -> Any:
+        """The last value written, or None."""
+        with contextlib.suppress(RayError):
+            return ray.get(self._keeper.read.remote(key))
+        return None
+
+    def news(self) -> Mapping[str, Any]:
+        """What was written since the last answer; nothing if the answer takes long."""
+        if self._asked is None:
+            self._asked = self._keeper.news.remote()
+        try:
+            found: Mapping[str, Any] = ray.get(self._asked, timeout=0.1)
+        except GetTimeoutError:
+            return {}
+        except RayError:
+            found = {}
+        self._asked = None
+        return found
+
+    def end(self) -> None:
+        """Ends the keeper."""
+        with contextlib.suppress(RayError):
+            ray.kill(self._keeper)
+
+
+class _Keeper:
+    """Values by key, in a process of its own."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, Any] = {}
+        self._new: set[str] = set()
+
+    def write(self, key: str, value: Any) -> None:
+        self._values[key] = value
+        self._new.add(key)
+
+    def read(self, key: str) -> Any:
+        return self._values.get(key)
+
+    def news(self) -> dict[str, Any]:
+        new, self._new = self._new, set()
+        return {key: self._values[key] for key in new}
+
+
+def _nodes() -> list[dict[str, Any]]:
+    """The machines that are there."""
+    nodes: Any = ray.nodes  # untyped
+    return [node for node in nodes() if node["Alive"]]
+
+
+def _run(function: Any, pieces: Sequence[tuple[str, str, str]], *arguments: Any) -> Any:
+    """A task; it knows the same pieces by name as the process that asked for it."""
+    for piece in pieces:
+        register(*piece)
+    return function(*arguments)
+
+
+def _result(task: Any) -> Any:
+    """What a task returned; raises what it raised."""
+    try:
+        return ray.get(task)
+    except RayTaskError as error:
+        raise error.cause from None
+    except RayError as error:
+        reason = str(error).strip().splitlines()[0]
+        raise InputError(
+            f"a task was lost {RETRIES + 1} times, perhaps because memory ran out: expected fewer "
+            f"at once, or smaller problems: {reason}"
+        ) from None

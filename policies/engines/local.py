@@ -1,0 +1,93 @@
+"""A pool of processes that ends with the process that started it, however that one ends."""
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import Connection
+from typing import Any
+
+from marouting.errors import InputError
+from marouting.registry import register, registered
+from policies.engines.base import THREADS, Call, environment
+
+
+class LocalEngine:
+    """Runs calls in processes of this machine, which see its files.
+
+    The processes import the main module, so a script that uses this needs the usual
+    ``if __name__ == "__main__":``.
+
+    Args:
+        jobs: the largest number of processes.
+        threads: the number of threads that each process may use.
+    """
+
+    notes: None = None
+
+    def __init__(self, jobs: int, threads: int) -> None:
+        context = multiprocessing.get_context("spawn")
+        # Nothing is ever sent: the processes wait for the only writing end to be closed.
+        self._lifeline, self._mine = context.Pipe(duplex=False)
+        self._threads = threads
+        self._pool = ProcessPoolExecutor(jobs, context, _begin, (self._lifeline, registered()))
+
+    def share(self, value: Any) -> Any:
+        """The value itself: it goes with every call."""
+        return value
+
+    def run(self, calls: Sequence[Call]) -> Iterator[dict[int, Any]]:
+        """Makes calls; see :meth:`policies.engines.base.Engine.run`."""
+        try:
+            with _starting(self._threads):
+                running = {
+                    self._pool.submit(call.function, *call.arguments): number
+                    for number, call in enumerate(calls)
+                }
+            while running:
+                done, _ = wait(running, timeout=1, return_when=FIRST_COMPLETED)
+                yield {running.pop(future): future.result() for future in done}
+        except BrokenProcessPool:
+            raise InputError(
+                "a process was killed, perhaps because memory ran out: expected fewer jobs at "
+                "once, or smaller problems"
+            ) from None
+
+    def close(self) -> None:
+        """Ends the processes at once."""
+        self._mine.close()
+        self._pool.shutdown(cancel_futures=True)
+        self._lifeline.close()
+
+
+@contextlib.contextmanager
+def _starting(threads: int) -> Iterator[None]:
+    """Sets the threads of processes that start meanwhile, and blocks Ctrl-C in their imports."""
+    mask = getattr(signal, "pthread_sigmask", None)  # not on Windows
+    allowed = mask(signal.SIG_BLOCK, {signal.SIGINT}) if mask else None
+    try:
+        with environment(**dict.fromkeys(THREADS, str(threads))):
+            yield
+    finally:
+        if mask:
+            mask(signal.SIG_SETMASK, allowed)
+
+
+def _begin(lifeline: Connection, pieces: Sequence[tuple[str, str, str]]) -> None:
+    """Prepares a process; it knows the same pieces by name as the one that started it."""
+    for piece in pieces:
+        register(*piece)
+    # Ctrl-C goes to all processes of a terminal; the one that started the others handles it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
+
+
+def _end_with(lifeline: Connection) -> None:
+    """Waits until the other end is closed and ends this process."""
+    with contextlib.suppress(EOFError, OSError):
+        lifeline.recv_bytes()
+    os._exit(1)

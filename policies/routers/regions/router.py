@@ -1,0 +1,235 @@
+"""The router, its options and what it reports."""
+
+import functools
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting import Problem, Solution
+from marouting.config import MOST, check
+from policies.engines import Call, Engine, EngineName, cores, opened
+from policies.routers.base import warm_up
+from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
+from policies.routers.regions.cutting import Box, Piece, cut, figures, joined, lines
+
+Stop = Literal["done", "asked", "small"]
+"""Why a search ended: everything was negotiated; somebody asked it to stop; or the chip was so
+small that it was routed in one piece."""
+
+_DONE: Stop = "done"
+
+Kind = Literal["regions", "strips"]
+
+_STEPS: tuple[tuple[Kind, float], ...] = (
+    ("regions", 0.8),
+    ("strips", 0.2),
+)
+"""What is negotiated one after another, with the share of the time."""
+
+_WIDTH = 0.25
+"""How far strips reach into each region beside their line, as a share of the region."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionsOptions:
+    """Options of routing in regions.
+
+    Attributes:
+        regions: into how many regions the chip is cut, at most.
+        seconds: limit of processor time of all negotiations together, in all processes; None: each
+            goes on until it finds nothing better. Patterns, cutting and joining come on top.
+        seed: seed of the random numbers.
+        engine: who negotiates: ``local``, processes of this machine, or ``ray``, tasks of Ray.
+
+    Raises:
+        InputError: an option is out of range; the message names it and the range.
+    """
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
+
+    regions: int = 2
+    seconds: float | None = 50.0
+    seed: int = 0
+    engine: EngineName = "local"
+
+    def __post_init__(self) -> None:
+        check("regions", 1 <= self.regions <= 1024, "a number from 1 to 1024")
+        check("seconds", self.seconds is None or self.seconds >= 0, "a number from 0, or null")
+        check("seed", 0 <= self.seed <= MOST, f"a number from 0 to {MOST}")
+
+
+class Step(NamedTuple):
+    """The state after a step."""
+
+    kind: str
+    overflow: int  # in tracks
+    wirelength: int  # in edges
+    processor_seconds: float  # of all tasks of the step
+    sent: int  # bytes of the problems of all tasks
+    returned: int  # bytes of their routes
+
+
+@dataclass(frozen=True)
+class Routed:
+    """A solution and how it was found.
+
+    Attributes:
+        solution: the solution.
+        history: the steps, the patterns first.
+        axis: of the wires that were cut, 0 for x.
+        lines: the columns or rows behind the lines.
+        stop: why the search ended.
+    """
+
+    solution: Solution
+    history: tuple[Step, ...]
+    axis: int
+    lines: tuple[int, ...]
+    stop: Stop
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """Figures for tables beyond those of the evaluator."""
+        spent = sum(step.processor_seconds for step in self.history)
+        return {
+            "stop": self.stop,
+            "axis": "xy"[self.axis],
+            "lines": list(self.lines),
+            "processor_seconds": round(spent, 3),
+            "sent_bytes": sum(step.sent for step in self.history),
+            "returned_bytes": sum(step.returned for step in self.history),
+            "steps": [dict(step._asdict()) for step in self.history],
+        }
+
+
+class RegionsRouter:
+    """Negotiated congestion in regions, see :mod:`policies.routers.regions`.
+
+    Args:
+        options: the options; None for the defaults.
+
+    Attributes:
+        options: the options.
+        watch: is called about every second; see :class:`policies.routers.base.Watched`.
+    """
+
+    Options = RegionsOptions
+
+    def __init__(self, options: RegionsOptions | None = None) -> None:
+        self.options = RegionsOptions() if options is None else options
+        self.watch: Callable[[str], bool] | None = None
+
+    def warm_up(self, problem: Problem) -> None:
+        """Gets ready what is done in this process."""
+        PathfinderRouter().route(problem)
+
+    def route(self, problem: Problem) -> Solution:
+        """Routes a problem: a solution in which every net is joined."""
+        return self.solve(problem).solution
+
+    def solve(self, problem: Problem) -> Routed:
+        """Routes a problem like :meth:`route` and tells how the solution was found."""
+        options = self.options
+        began = time.thread_time()
+        patterns = PathfinderOptions(passes=1, seconds=None, seed=options.seed)
+        solution = PathfinderRouter(patterns).route(problem)
+        first = Step("patterns", *figures(solution), time.thread_time() - began, 0, 0)
+        axis, at = lines(solution, options.regions)
+        if not at:
+            whole = PathfinderRouter(PathfinderOptions(seconds=options.seconds, seed=options.seed))
+            whole.watch = self.watch
+            began = time.thread_time()
+            solution = whole.route(problem)
+            spent = time.thread_time() - began
+            last = Step("one piece", *figures(solution), spent, 0, 0)
+            return Routed(solution, (first, last), axis, (), "small")
+        history, stop = [first], _DONE
+        with opened(options.engine, min(len(at) + 1, cores()), 1) as engine:
+            for number, (kind, share) in enumerate(_STEPS):
+                seconds = None if options.seconds is None else share * options.seconds
+                boxes = _boxes(kind, axis, at, problem.grid[axis])
+                seed = (options.seed + number * options.regions) % MOST
+                solution, step, asked = self._negotiated(
+                    engine, solution, kind, boxes, seconds, seed
+                )
+                history.append(step)
+                if asked:
+                    stop = "asked"
+                    break
+        return Routed(solution.pruned(), tuple(history), axis, tuple(at), stop)
+
+    def _negotiated(
+        self,
+        engine: Engine,
+        solution: Solution,
+        kind: Kind,
+        boxes: Sequence[Box],
+        seconds: float | None,
+        seed: int,
+    ) -> tuple[Solution, Step, bool]:
+        """A step: the solution after it, what it took, and whether somebody asked to stop."""
+        pieces = [cut(solution, box) for box in boxes]
+        pins = [len(piece.pin) for piece, _ in pieces]
+        parts = [number for number, size in enumerate(pins) if size]
+        calls = []
+        for number in parts:
+            own = None if seconds is None else seconds * pins[number] / sum(pins)
+            calls.append(Call(negotiate, (pieces[number][0], own, (seed + number) % MOST)))
+        spent, returned, done, asked = 0.0, 0, 0, False
+        best = figures(solution)
+        for found in engine.run(calls):
+            for number, (net, edge, took) in found.items():
+                box, (_, nets) = boxes[parts[number]], pieces[parts[number]]
+                other = joined(solution, box, nets[net], edge)
+                if (new := figures(other)) <= best:
+                    solution, best = other, new
+                spent, returned, done = spent + took, returned + net.nbytes + edge.nbytes, done + 1
+            line = f"{kind}, {done} of {len(calls)}; best: overflow {best[0]}, wirelength {best[1]}"
+            if self.watch is not None and self.watch(line):
+                asked = True
+                break
+        sent = sum(pieces[number][0].size for number in parts)
+        return solution, Step(kind, *best, spent, sent, returned), asked
+
+
+def negotiate(
+    piece: Piece, seconds: float | None, seed: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32], float]:
+    """A task: routes a piece.
+
+    Args:
+        piece: the problem.
+        seconds: limit of processor time; None for no limit.
+        seed: seed of the random numbers.
+
+    Returns:
+        Net and edge of every use, and the processor seconds that it took.
+    """
+    _warm()
+    began = time.thread_time()
+    options = PathfinderOptions(seconds=seconds, seed=seed)
+    net, edge = PathfinderRouter(options).route(piece.problem()).uses
+    return net.astype(np.int32), edge.astype(np.int32), time.thread_time() - began
+
+
+@functools.cache
+def _warm() -> None:
+    """Compiles once per process, so that the limit is that of routing."""
+    warm_up(PathfinderRouter())
+
+
+def _boxes(kind: Kind, axis: int, at: Sequence[int], size: int) -> list[Box]:
+    """The regions between lines, or the strips along them."""
+    ends = (0, *at, size)
+    if kind == "regions":
+        return [Box(axis, low, high) for low, high in itertools.pairwise(ends)]
+    reach = [round(_WIDTH * (high - low)) for low, high in itertools.pairwise(ends)]
+    return [
+        Box(axis, line - before, line + behind)
+        for line, before, behind in zip(at, reach[:-1], reach[1:], strict=True)
+    ]
