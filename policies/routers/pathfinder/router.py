@@ -105,14 +105,21 @@ class PathfinderRouter:
         """
         return self.solve(problem).solution
 
-    def solve(self, problem: Problem) -> Routed:
-        """Routes a problem like :meth:`route` and tells how the solution was found."""
+    def solve(self, problem: Problem, start: Solution | None = None) -> Routed:
+        """Routes a problem like :meth:`route` and tells how the solution was found.
+
+        Args:
+            problem: the problem.
+            start: a solution to begin with; None: the one of the option ``start``, if there is one.
+        """
         began, worked = time.perf_counter(), time.thread_time()
         limit = self.options.seconds
         parameters = make_parameters(self.options)
         arrays, routing = make_arrays(problem, self.options)
-        if self.options.start is not None:
-            routing = with_trees(routing, Solution.read(self.options.start, problem))
+        if start is None and self.options.start is not None:
+            start = Solution.read(self.options.start, problem)
+        if start is not None:
+            routing = with_trees(routing, start)
         progress = routing.progress[0]
         passes: list[Pass] = []
         ended = len(routing.order) == 0

@@ -43,6 +43,8 @@ class Piece(NamedTuple):
         first: (nets + 1,) the pins of a net are those from its first to the first of the next.
         pin: (pins,) their Gcells.
         width: (nets,) minimum width of the nets' wires.
+        net: (uses,) the net of every use of an edge as the routes are now, ascending.
+        edge: (uses,) the edge, ascending for each net.
     """
 
     grid: tuple[int, int, int]
@@ -54,6 +56,8 @@ class Piece(NamedTuple):
     first: NDArray[np.int32]
     pin: NDArray[np.int32]
     width: NDArray[np.int32]
+    net: NDArray[np.int32]
+    edge: NDArray[np.int32]
 
     @property
     def size(self) -> int:
@@ -164,8 +168,13 @@ def cut(solution: Solution, box: Box) -> tuple[Piece, NDArray[np.int64]]:
     end = np.unique(number[len(ways) :])
     end = end[np.argsort(part[end], kind="stable")]
     parts, counts = np.unique(part[end], return_counts=True)
-    kept = np.isin(part[end], parts[counts > 1])
-    end, counts = end[kept], counts[counts > 1]
+    several = parts[counts > 1]
+    end, counts = end[np.isin(part[end], several)], counts[counts > 1]
+    # What these parts use now.
+    routed = np.isin(part[a], several)
+    number_of = np.searchsorted(several, part[a[routed]])
+    used = _local_edges(problem, box, edge[both][routed])
+    order = np.lexsort((used, number_of))
     starts = np.concatenate(([0], np.cumsum(counts)))
     nets = vertex[end[starts[:-1]]] // gcells
     adjusted, capacity = problem.adjusted
@@ -182,6 +191,8 @@ def cut(solution: Solution, box: Box) -> tuple[Piece, NDArray[np.int64]]:
         first=starts.astype(np.int32),
         pin=_local(problem, box, vertex[end] % gcells).astype(np.int32),
         width=width,
+        net=number_of[order].astype(np.int32),
+        edge=used[order],
     )
     return piece, nets
 

@@ -213,7 +213,9 @@ def negotiate(
     _warm()
     began = time.thread_time()
     options = PathfinderOptions(seconds=seconds, seed=seed)
-    net, edge = PathfinderRouter(options).route(piece.problem()).uses
+    problem = piece.problem()
+    now = Solution.of_uses(problem, piece.net.astype(np.int64), piece.edge.astype(np.int64))
+    net, edge = PathfinderRouter(options).solve(problem, now).solution.uses
     return net.astype(np.int32), edge.astype(np.int32), time.thread_time() - began
 
 
