@@ -333,7 +333,7 @@ def test_many_nets_negotiate_from_patterns(many_nets: Problem) -> None:
 
 
 def test_any_number_of_threads_finds_the_same(many_nets: Problem) -> None:
-    """Also where a thread has to make room for its trees at first, as here."""
+    """Also where all threads run out of room for trees in mid-batch, as they do here at first."""
     alone = router(passes=30).solve(many_nets)
     together = [router(passes=30, threads=threads).solve(many_nets) for threads in (2, 3)]
     for routed in together:

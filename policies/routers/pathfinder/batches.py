@@ -47,7 +47,7 @@ _SPREAD = 8
 """How many nets a batch is chosen from, for each that has room in it. Nets that come later see what
 the batch has changed."""
 
-_ROW = 1 << 10
+_ROW = 16
 """Room for the new trees of a batch at first, for each thread, in edges."""
 
 _PARTS = 8
@@ -299,7 +299,7 @@ class Crew:
         return routing
 
     def _plan(self, routing: Routing, parts: deque[range]) -> deque[range]:
-        """Plans parts of the batch; returns what there was no room for."""
+        """Plans parts of the batch; returns those that there was no room for, and what is left."""
         first, *others = self._workers
         arguments = self._parameters, routing, self._batch, parts
         waiting: list[Future[range]] = []
@@ -307,4 +307,4 @@ class Crew:
             waiting = [self._threads.submit(other.work, *arguments) for other in others]
         left = [first.work(*arguments), *(other.result() for other in waiting)]
         self.waited += max(worker.seconds for worker in self._workers) - first.seconds
-        return deque(part for part in left if part)
+        return deque([*(part for part in left if part), *parts])
