@@ -317,39 +317,44 @@ def test_patterns_take_the_corner_with_room() -> None:
 def many_nets() -> Problem:
     """More nets than take turns."""
     [problem] = generate(
-        1, grid=(50, 50, 4), nets=5200, capacity=7, rent=0.5, hot_spots=3, reduced_edges=0, seed=2
+        1, (90, 90, 4), nets=20_200, capacity=10, rent=0.4, hot_spots=3, reduced_edges=0, seed=2
     )
     return problem
 
 
-def test_many_nets_negotiate_from_patterns(many_nets: Problem) -> None:
-    routed = router(passes=60).solve(many_nets)
+def test_many_nets_negotiate_from_patterns() -> None:
+    [problem] = generate(
+        1, grid=(50, 50, 4), nets=5200, capacity=7, rent=0.5, hot_spots=3, reduced_edges=0, seed=2
+    )
+    routed = router(passes=40).solve(problem)
     assert [done.kind for done in routed.history[:2]] == ["pattern", "negotiate"]
-    check_routed(many_nets, routed)
+    check_routed(problem, routed)
     assert routed.history[0].overflow > 0
-    assert figures(many_nets, routed.solution)[0] == 0
+    assert figures(problem, routed.solution)[0] == 0
     squeezed = [done.wirelength for done in routed.history if done.kind == "squeeze"]
     assert squeezed[-1] < routed.history[0].wirelength
 
 
 def test_any_number_of_threads_finds_the_same(many_nets: Problem) -> None:
     """Also where all threads run out of room for trees in mid-batch, as they do here at first."""
-    alone = router(passes=30).solve(many_nets)
-    together = [router(passes=30, threads=threads).solve(many_nets) for threads in (2, 3)]
+    alone = router(passes=20).solve(many_nets)
+    together = [router(passes=20, threads=threads).solve(many_nets) for threads in (2, 3)]
+    check_routed(many_nets, alone)
+    assert alone.history[0].overflow > figures(many_nets, alone.solution)[0] == 0
     for routed in together:
         assert routed.history == alone.history
         assert routed.solution == alone.solution
 
 
-def test_squeezing_many_nets_makes_nothing_worse(many_nets: Problem) -> None:
+def test_squeezing_in_batches_makes_nothing_worse(many_nets: Problem) -> None:
     """Although they are planned at once, and those that meet do not know of each other."""
-    history = router(passes=60).solve(many_nets).history
+    history = router(passes=40).solve(many_nets).history
     squeezed = 0
     for before, after in itertools.pairwise(history):
         if after.kind == "squeeze":
             assert (after.overflow, after.wirelength) <= (before.overflow, before.wirelength)
             squeezed += 1
-    assert squeezed > 2
+    assert squeezed > 1
 
 
 @pytest.mark.parametrize("many", [False, True])

@@ -8,9 +8,9 @@ rerouted at rising prices until they have found other ways.
 
 The first pass gives every net a tree of **patterns**, in a microsecond per pin: so there is a whole
 solution at once, however large the problem (:mod:`~policies.routers.pathfinder.patterns`). With
-more than 5000 nets the first round negotiates from there, and nets are planned in batches, by
-several threads if wanted (:mod:`~policies.routers.pathfinder.batches`). With fewer it begins with
-shortest trees, and nets take turns.
+more than 5000 nets the first round negotiates from there; with fewer it begins with shortest trees.
+With more than 20 000 nets they are planned in batches, by several threads if wanted
+(:mod:`~policies.routers.pathfinder.batches`); with fewer they take turns.
 
 The search runs in rounds. A round makes three kinds of passes over the nets, and where rounds bring
 nothing better any more, passes of a fourth kind improve the best solution:

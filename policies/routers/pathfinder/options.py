@@ -45,7 +45,7 @@ class PathfinderOptions:
             several threads, of the one that works longest; None for no limit. The first pass, of
             patterns, is completed even if that takes longer: after it every net is joined. A
             solution cut off by the limit depends on the machine.
-        threads: how many threads plan trees, where there are more than 5000 nets to route. What
+        threads: how many threads plan trees, where there are more than 20 000 nets to route. What
             comes out does not depend on it, unless ``seconds`` cuts the search off.
         start: a file of a solution to begin with, such as one that was cut off; None: begin with
             patterns. Nets that it does not join get patterns. What comes out is no worse.

@@ -50,7 +50,7 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
     if better:
         progress.found = progress.passes
     more = progress.passes < parameters.passes
-    if progress.kind == PATTERN and progress.most == 1:
+    if progress.kind == PATTERN and not progress.large:
         progress.kind, progress.began = RELAX, progress.passes
         return more
     gained = progress.overflow < progress.last_overflow or (

@@ -35,14 +35,16 @@ MOST_TOGETHER = 5
 """Nets that are ripped up together to repair a solution."""
 
 LARGE = 5_000
-"""Nets from which negotiating begins with patterns, and nets are planned in batches; otherwise it
-begins with shortest trees, and nets take turns."""
+"""With more nets than these, negotiating begins with patterns; otherwise with shortest trees."""
+
+MANY = 20_000
+"""With more nets than these, they are planned in batches; otherwise they take turns."""
 
 SHARE = 64
-"""In large problems one net of so many, at most, is planned at once, so that few of them meet."""
+"""One net of so many, at most, is in a batch, so that few of them meet."""
 
 MOST_PLANNED = 1024
-"""Nets that are planned at once, at most."""
+"""Nets in a batch, at most."""
 
 _HISTORY_ROWS = 64  # passes after which the compiled code returns, at the latest
 
@@ -63,7 +65,8 @@ PROGRESS = np.dtype(
         ("next", np.int64),  # index in Routing.order of the next net
         ("routed", np.int64),  # nets rerouted in this pass
         ("passes", np.int64),  # completed passes
-        ("most", np.int64),  # nets planned at once; where more than 1, patterns are negotiated
+        ("large", np.int64),  # whether negotiating begins with the patterns
+        ("most", np.int64),  # nets in a batch, at most; 1: they take turns
         ("stuck", np.int64),  # passes since the overflow last fell in this round
         ("fewest", np.int64),  # least overflow in this round
         ("since", np.int64),  # rounds (in the end repairing passes) since the last better solution
@@ -194,8 +197,9 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
     progress = np.zeros(1, PROGRESS)
     progress["random"] = options.seed
     progress["kind"] = PATTERN
-    large = len(routable) > LARGE
-    progress["most"] = min(len(routable) // SHARE, MOST_PLANNED) if large else 1
+    progress["large"] = len(routable) > LARGE
+    batches = len(routable) > MANY
+    progress["most"] = min(len(routable) // SHARE, MOST_PLANNED) if batches else 1
     progress["best_overflow"] = progress["fewest"] = np.iinfo(np.int64).max
     pool = 4 * int(extent.sum()) + 4 * len(pin) + 1
     ideal = np.zeros(nets, np.int64)
