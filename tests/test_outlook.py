@@ -1,5 +1,6 @@
 """The observation ``outlook``, number by number, and the loop that walks with it."""
 
+import copy
 from typing import Any
 
 import networkx as nx
@@ -203,6 +204,35 @@ def test_every_number_is_as_the_oracle_says(
                 np.testing.assert_allclose(mine, answer, atol=3e-5, err_msg=name)
         for _ in range(rng.choice([1, 2, 5, 30])):
             engine.step(rng.integers(-1, 6, engine.nets.shape))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["pin", "tree"]), st.booleans())
+def test_rows_do_not_depend_on_what_was_seen_before(seed: int, target: Any, own: bool) -> None:
+    """Ways are kept while an agent walks; whatever happens between, they are those found anew."""
+    rng = np.random.default_rng(seed)
+    problems = marouting.generate(2, grid=(5, 5, 2), nets=5, max_pins=3, capacity=2, seed=seed)
+    order: Any = "sequential" if own else "round_robin"
+    engine = Engine(problems, turn_order=order, overflow="allowed", target=target, rip_up_rounds=1)
+    seen = [OutlookObservation(margin=1), OutlookObservation(margin=2)]
+    saved = engine.save()
+    for _ in range(40):
+        agents = engine.games["agent"] if own else rng.integers(0, 5, 2)
+        which = np.array([0, 1], np.int32), agents.astype(np.int32)
+        look = seen[0 if own else rng.integers(2)]
+        kept, fresh = np.zeros((2, 2, look.size), np.float32)
+        look.write(engine, *which, kept)
+        look.write(copy.deepcopy(engine), *which, fresh)
+        np.testing.assert_array_equal(kept, fresh)
+        jump = rng.random()
+        if jump < 0.05:
+            saved = engine.save()
+        elif jump < 0.1:
+            engine.restore(saved)
+        elif jump < 0.15:
+            engine.reset()
+        moves = rng.integers(0, 6, engine.nets.shape)
+        engine.step(moves[:, 0] if own else moves)
 
 
 def test_the_layout_of_a_row() -> None:

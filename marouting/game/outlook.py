@@ -88,29 +88,42 @@ class Ways(NamedTuple):
     end: NDArray[np.int32]  # (M, G) the Gcell that it ends in, with the capacity there is
     low: NDArray[np.int32]  # (M, 2) the box that was searched, in x and y
     high: NDArray[np.int32]  # (M, 2)
+    found: NDArray[np.int32]  # (M, 3) the agent, task and margin that this is for; NOBODY: unknown
+    room: NDArray[np.int32]  # (M, G, 2) what it was found from: capacity towards +x and +y
+    load: NDArray[np.int64]  # (M, G, 2) and the demand that was expected there
     head: NDArray[np.int32]  # (256,) the first entry of each bucket
     after: NDArray[np.int32]  # (entries,) the next entry of the bucket
     entry: NDArray[np.int32]  # (entries,) the Gcell of an entry
 
 
-_ways: WeakKeyDictionary[Engine, Ways] = WeakKeyDictionary()
+_ways: WeakKeyDictionary[Engine, tuple[Ways, NDArray[np.int64]]] = WeakKeyDictionary()
+"""The arrays of every engine that is observed, and (M,) which of the problems that have been in its
+places they are of."""
 
 
 def ways_of(engine: Engine) -> Ways:
     """The working arrays for an engine, new ones if it has none yet."""
-    ways = _ways.get(engine)
-    if ways is None:
+    known = _ways.get(engine)
+    if known is None:
         m, cells = len(engine.games), engine.grid.gcells
         entries = (MOVES + 1) * cells
-        ways = _ways[engine] = Ways(
+        ways = Ways(
             cost=np.full((m, 2, cells), _FARTHEST, np.int32),
             end=np.zeros((m, cells), np.int32),
             low=np.zeros((m, 2), np.int32),
             high=np.zeros((m, 2), np.int32),
+            found=np.full((m, 3), NOBODY, np.int32),
+            room=np.zeros((m, cells, VIA_AXIS), np.int32),
+            load=np.zeros((m, cells, VIA_AXIS), np.int64),
             head=np.full(_BUCKETS, NOBODY, np.int32),
             after=np.zeros(entries, np.int32),
             entry=np.zeros(entries, np.int32),
         )
+        known = _ways[engine] = ways, np.full(m, NOBODY, np.int64)
+    ways, of = known
+    if (of != engine.replaced).any():
+        ways.found[of != engine.replaced] = NOBODY
+        of[:] = engine.replaced
     return ways
 
 
@@ -251,6 +264,85 @@ def _put(ways: Ways, size: int, key: int, cell: int) -> None:
     ways.head[bucket] = size
 
 
+@inlined
+def _box(static: Static, dynamic: Dynamic, m: int, n: int, axis: int) -> tuple[int, int]:
+    """The ends along an axis of the box around an agent's target and its net's open pins."""
+    agent = dynamic.agents[m, n]
+    low = high = wide(static.position[agent.target, axis])
+    for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+        if task != agent.task and not is_later(static, dynamic, m, n, wide(task)):
+            continue
+        for end in range(task != agent.task, 2):
+            at = wide(static.position[static.tasks[task, end], axis])
+            low, high = min(low, at), max(high, at)
+    return low, high
+
+
+@inlined
+def _room(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, axis: int) -> int:
+    """Capacity that the edge of a Gcell towards +x or +y has for a net, as if it did not use it."""
+    edge = place(AXES * cell + axis)
+    demand = wide(static.demand[m, n, static.position[cell, VIA_AXIS]])
+    return wide(dynamic.remaining[m, edge]) + demand * uses(dynamic.used, m, n, edge)
+
+
+@inlined
+def _is_end(static: Static, dynamic: Dynamic, m: int, n: int, cell: int) -> bool:
+    """Whether an agent's task ends in a Gcell."""
+    if is_on(static, Option.TREE_TARGET):
+        return holds(static, dynamic, m, Option.TREE, n, cell) != 0
+    return cell == dynamic.agents[m, n].target
+
+
+@compiled
+def _note(
+    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
+) -> None:
+    """Notes what the cheapest ways have just been found from."""
+    columns, rows, layers = grid_of(static)
+    for x in range(max(wide(ways.low[m, 0]), 0), min(wide(ways.high[m, 0]), columns - 1) + 1):
+        for y in range(max(wide(ways.low[m, 1]), 0), min(wide(ways.high[m, 1]), rows - 1) + 1):
+            for z in range(layers):
+                cell = place((x * rows + y) * layers + z)
+                for axis in range(VIA_AXIS):
+                    ways.room[m, cell, axis] = _room(static, dynamic, m, n, cell, wide(axis))
+                    ways.load[m, cell, axis] = maps.expected[m, cell, axis]
+    ways.found[m, 0] = n
+    ways.found[m, 1] = dynamic.agents[m, n].task
+    ways.found[m, 2] = margin
+
+
+@compiled
+def _are_found(
+    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
+) -> bool:
+    """Whether the cheapest ways are known: all that they follow from is as it was.
+
+    To look costs a small part of finding them, and while an agent walks it is all that is needed.
+    """
+    found = ways.found[m]
+    if found[0] != n or found[1] != dynamic.agents[m, n].task or found[2] != margin:
+        return False
+    for axis in range(VIA_AXIS):
+        low, high = _box(static, dynamic, m, n, wide(axis))
+        if ways.low[m, axis] != low - margin or ways.high[m, axis] != high + margin:
+            return False
+    columns, rows, layers = grid_of(static)
+    for x in range(max(wide(ways.low[m, 0]), 0), min(wide(ways.high[m, 0]), columns - 1) + 1):
+        for y in range(max(wide(ways.low[m, 1]), 0), min(wide(ways.high[m, 1]), rows - 1) + 1):
+            for z in range(layers):
+                cell = place((x * rows + y) * layers + z)
+                if (ways.cost[m, 0, cell] == 0) != _is_end(static, dynamic, m, n, cell):
+                    return False
+                for axis in range(VIA_AXIS):
+                    if ways.load[m, cell, axis] != maps.expected[m, cell, axis]:
+                        return False
+                    room = _room(static, dynamic, m, n, cell, wide(axis))
+                    if ways.room[m, cell, axis] != room:
+                        return False
+    return True
+
+
 @compiled
 def find_ways(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
@@ -268,31 +360,21 @@ def find_ways(
         n: the agent.
         margin: Gcells around the open pins.
     """
-    agent = dynamic.agents[m, n]
     columns, rows, layers = grid_of(static)
+    ways.found[m, 0] = NOBODY
     for axis in range(VIA_AXIS):
-        low = high = wide(static.position[agent.target, axis])
-        for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
-            if task != agent.task and not is_later(static, dynamic, m, n, wide(task)):
-                continue
-            for end in range(task != agent.task, 2):
-                at = wide(static.position[static.tasks[task, end], axis])
-                low, high = min(low, at), max(high, at)
+        low, high = _box(static, dynamic, m, n, wide(axis))
         ways.low[m, axis], ways.high[m, axis] = low - margin, high + margin
     x0, x1 = max(wide(ways.low[m, 0]), 0), min(wide(ways.high[m, 0]), columns - 1)
     y0, y1 = max(wide(ways.low[m, 1]), 0), min(wide(ways.high[m, 1]), rows - 1)
-    tree = is_on(static, Option.TREE_TARGET)
     for kind in range(2):
         size, waiting, key = wide(0), wide(0), wide(0)
         for x in range(x0, x1 + 1):
             for y in range(y0, y1 + 1):
                 for z in range(layers):
                     cell = place((x * rows + y) * layers + z)
-                    ends = cell == agent.target
-                    if tree:
-                        ends = holds(static, dynamic, m, Option.TREE, n, cell) != 0
                     ways.cost[m, kind, cell] = _FARTHEST
-                    if ends:
+                    if _is_end(static, dynamic, m, n, cell):
                         ways.cost[m, kind, cell] = 0
                         ways.end[m, cell] = cell
                         _put(ways, size, wide(0), cell)
@@ -540,6 +622,8 @@ def _write(
             continue
         m, n = place(m), place(n)
         refresh(static, dynamic, maps, m, n)
-        find_ways(static, dynamic, maps, ways, m, n, wide(margin))
+        if not _are_found(static, dynamic, maps, ways, m, n, wide(margin)):
+            find_ways(static, dynamic, maps, ways, m, n, wide(margin))
+            _note(static, dynamic, maps, ways, m, n, wide(margin))
         write_outlook(static, dynamic, maps, ways, m, n, wide(radius), out, i)
     return True
