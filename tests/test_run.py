@@ -30,6 +30,7 @@ from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT
 from policies.learned.compiled.dqn import FusedDQN
 from policies.learned.config import Config, TrainOptions, load_config
+from policies.learned.generalist import SHIPPED
 from policies.learned.learner import Setup
 from policies.learned.logs import Logs
 from policies.learned.policy import TrainedPolicy
@@ -384,6 +385,41 @@ def test_the_network_that_is_saved_is_the_best_or_the_last(tmp_path: Path) -> No
     assert best["best"] == best["last"]
     assert saved["best"]["episodes"] == list(best["best"].values()) != [13, 13]
     assert saved["last"]["episodes"] == [13, 13]
+
+
+@pytest.mark.parametrize("fused", [True, False])
+@pytest.mark.parametrize("kind", ["dqn", "ppo"])
+def test_a_training_begins_with_networks_of_another(
+    kind: str, fused: bool, finished: Path, tmp_path: Path
+) -> None:
+    """Without a gradient step the networks stay those of the file, by the problems' names."""
+    never: dict[str, Any] = {"steps_per_update": 10**6, "fused": fused}
+    never = never if kind == "dqn" else {"rollout": 16_000}
+    file = tmp_path / "begin.pt"
+    shutil.copy(finished / "policy.pt", file)
+    config = config_in(tmp_path / "run", 2, kind, seed=7, start=str(file), **never)
+    run = Run(config)
+    run.execute()
+    assert {row["updates"] for row in metrics(tmp_path / "run")} == {0}
+    begun, kept = (
+        torch.load(path, weights_only=True)["weights"] for path in (file, run.folder / "policy.pt")
+    )
+    assert content(kept) == content(begun)
+    learner = run.trainer.learner
+    if isinstance(learner, DQN):
+        assert torch.equal(learner.target, learner.networks.flat)
+    file.unlink()
+    Run(config, resume=True).execute()  # the checkpoint has all
+
+
+def test_a_training_begins_with_the_weights_that_are_shipped(tmp_path: Path) -> None:
+    network = {"kind": "mlp", "hidden": [160, 128]}
+    options: dict[str, Any] = {"observation": "outlook", "network": network, "burn_in_size": 10}
+    run = Run(config_in(tmp_path / "run", 1, start="generalist", steps_per_update=10**6, **options))
+    run.execute()
+    weights = dict(TrainedPolicy.load(SHIPPED).module.state_dict())
+    kept = torch.load(run.folder / "policy.pt", weights_only=True)["weights"]
+    assert content(kept) == content([weights, weights])
 
 
 def test_the_same_configuration_gives_the_same_run(finished: Path, tmp_path: Path) -> None:
@@ -921,6 +957,9 @@ def test_what_killed_runs_left_is_removed(short: Path, tmp_path: Path) -> None:
     [
         ({"burn_in": "garbage.solution"}, r"garbage\.solution:1: expected"),
         ({"burn_in": "nowhere.solution"}, "burn_in: expected one of astar, random"),
+        ({"start": "nowhere.pt"}, r"nowhere\.pt: cannot be read"),
+        ({"start": "generalist"}, "start: expected networks that see .*paper.*, found .*outlook"),
+        ({"start": "generalist", "observation": "outlook"}, "generalist.*layers"),
         ({"device": "cuda:99"}, "device: expected cpu"),
         ({"kind": "ppo", "turn_order": "round_robin"}, "turn_order: expected sequential"),
     ],

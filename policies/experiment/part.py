@@ -119,7 +119,8 @@ class Part:
             from policies.learned.trainer import Trainer  # torch: only if something learned
 
             first = self.problems[0]
-            learner = Trainer({first: problems[first]}, self._training()).learner
+            trainer = Trainer({first: problems[first]}, self._training())
+            learner, _ = trainer.learner, trainer.start
             if learner.fill:
                 _ = read_solutions(learner.burn_in, problems)
         elif "checkpoint" in self.entry.options and is_learner(self.entry.router):

@@ -42,6 +42,9 @@ class TrainOptions:
             reward (the authors' code).
         evaluate_every: episodes per problem between two evaluations of the network: it plays one
             episode without exploration.
+        start: the networks that the training begins with: a file of trained ones (``policy.pt`` or
+            a checkpoint), of the problem of the same name if it holds several, or ``generalist``,
+            the one that is shipped; None: random weights. They must be of the same shape.
         policy: which network is saved: ``best``, that of the best evaluation, or ``last``, for a
             learner whose steps get smaller to the end.
         device: ``cpu``, or ``cuda`` for the networks.
@@ -61,6 +64,7 @@ class TrainOptions:
     validation: int | None = None
     best: Literal["routes", "reward"] = "routes"
     evaluate_every: int = 10
+    start: str | None = None
     policy: Literal["best", "last"] = "best"
     device: str = "cpu"
     threads: int = 1

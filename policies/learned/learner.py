@@ -7,7 +7,7 @@ each problem, or one that all problems share.
 """
 
 import abc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -144,6 +144,15 @@ class Learner(Rows, abc.ABC):
 
     def set_episodes(self, episodes: NDArray[np.int64]) -> None:
         """Takes note of the episode (games,) that each game is in, for schedules."""
+
+    def begin(self, weights: Sequence[Mapping[str, Tensor]]) -> None:
+        """Begins with other weights than random ones.
+
+        Args:
+            weights: the ``state_dict`` of each of its L networks, of the same shapes.
+        """
+        for row, of in enumerate(weights):
+            self.networks.take(row, of)
 
     @abc.abstractmethod
     def observe(self, player: Player, before: Before) -> None:

@@ -43,7 +43,7 @@ def player_of(env: EnvOptions, problems: Sequence[Problem] | Draws) -> Player:
     return Player(engine, observation, reward, everyone=everyone, draws=draws, turned=True)
 
 
-def _check_weights(weights: Mapping[str, Any], module: nn.Module) -> None:
+def check_weights(weights: Mapping[str, Any], module: nn.Module) -> None:
     """Raises InputError unless weights from a file are those of a network."""
     expected = module.state_dict()
     if weights.keys() != expected.keys():
@@ -126,9 +126,9 @@ class TrainedPolicy:
             make = functools.partial(learner.cls.network, learner.options, obs_shape, env.actions)
             # First without memory, whatever sizes the file names; not every network can be made so.
             with contextlib.suppress(RuntimeError), torch.device("meta"):
-                _check_weights(weights[row], make())
+                check_weights(weights[row], make())
             module = make()
-            _check_weights(weights[row], module)
+            check_weights(weights[row], module)
             module.load_state_dict(weights[row])
             masking = learner.cls.masks(learner.options)
         except (InputError, RuntimeError, AttributeError, TypeError, ArithmeticError) as error:

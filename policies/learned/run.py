@@ -173,7 +173,7 @@ class Run:
         if resume:
             self._load()
         else:
-            _ = self.trainer.replayed  # raises an error now, not when there is a folder
+            _ = self.trainer.start, self.trainer.replayed  # errors now, not when there is a folder
             others = {path.stem for path in (self.folder / "problems").glob("*.gr")}
             others -= self.problems.keys()
             if others:

@@ -33,9 +33,10 @@ from policies.learned.burn_in import GUIDES, guide, read_solutions
 from policies.learned.checkpoint import ANY, FINITE, POLICY_FORMAT, TRAINING_FORMAT, checked
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration
+from policies.learned.generalist import SHIPPED
 from policies.learned.learner import Learner, Setup
 from policies.learned.memory.before import Before
-from policies.learned.policy import TrainedPolicy, player_of, policy_origin
+from policies.learned.policy import TrainedPolicy, check_weights, player_of, policy_origin
 from policies.learned.rows import COUNT
 from policies.learned.streams import keys
 from policies.learned.threads import use_threads
@@ -44,6 +45,9 @@ from policies.results.run_folder import Episode, Walk
 
 SHARED = ("all",)
 """The name of the network that all problems share, where there is one."""
+
+_SHIPPED = "generalist"
+"""What ``train.start`` calls the weights that are shipped."""
 
 _STEPS = 200
 """Steps between two looks at a clock or for an interrupt: a few hundredths of a second."""
@@ -185,6 +189,32 @@ class Trainer:
         """The solutions that the burn-in replays; raises InputError if they cannot be used."""
         return read_solutions(self.learner.burn_in, self.problems) if self.learner.fill else []
 
+    @functools.cached_property
+    def start(self) -> list[Mapping[str, Tensor]]:
+        """The weights that the networks begin with; none if they are random.
+
+        Raises:
+            InputError: the file that holds them cannot be used.
+        """
+        config, setup = self.config, self.learner.setup
+        if config.train.start is None:
+            return []
+        shipped = config.train.start == _SHIPPED
+        path = SHIPPED if shipped else config.train.start
+        own = config.learner.cls.network(config.learner.options, setup.obs_shape, setup.actions)
+        weights: list[Mapping[str, Tensor]] = []
+        for name in setup.names:
+            policy = TrainedPolicy.load(path, name)
+            expected, found = plain(config.env.observation), plain(policy.env.observation)
+            what = f"networks that see {expected}, found {found} in {path}"
+            check("train.start", found == expected, what)
+            weights.append(policy.module.state_dict())
+            try:
+                check_weights(weights[-1], own)
+            except InputError as error:
+                raise InputError(f"train.start: {path}: {error}") from None
+        return weights
+
     def burn_in(self) -> None:
         """Shows the learner the moves of a guide until every network has seen enough of them."""
         player, learner, config = self.player, self.learner, self.config
@@ -224,6 +254,7 @@ class Trainer:
         """
         # From its first reset to its end a training has games in which somebody can move.
         if self.running.any() and not self.player.buffers.active.any():
+            self.learner.begin(self.start)
             self.player.reset()
             self.burn_in()
         while self.running.any():

@@ -13,12 +13,14 @@ others.
 * ``masking``: only moves that cross an edge are chosen, and bootstrapped from.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from marouting.config import MOST, Named, check, piece_field, take_pieces
 from marouting.player import Player
@@ -130,6 +132,11 @@ class DQN(Learner):
         self.target = self.networks.flat[:, : None if o.target_period else 0].clone()
         self._burning_in = False
         self.bind()
+
+    def begin(self, weights: Sequence[Mapping[str, Tensor]]) -> None:
+        """See :meth:`policies.learned.learner.Learner.begin`."""
+        super().begin(weights)
+        self.target.copy_(self.networks.flat[:, : self.target.shape[1]])
 
     def limits(self) -> dict[str, tuple[float, float]]:
         """See :meth:`policies.learned.rows.Rows.limits`."""

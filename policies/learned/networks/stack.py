@@ -6,7 +6,7 @@ of each layer for all of them, and an optimiser's step is a few operations over 
 """
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -106,6 +106,17 @@ class Stack(Rows):
         """Renews the views."""
         self.view = self.view_of(self.flat)
         self._rows: dict[int, View] = {}
+
+    def take(self, row: int, weights: Mapping[str, Tensor]) -> None:
+        """Gives a network other weights.
+
+        Args:
+            row: which one.
+            weights: its ``state_dict`` as an ordinary module.
+        """
+        view = self.row(row)
+        for name, tensor in (view.weights | view.buffers).items():
+            tensor.data.copy_(weights[name].view_as(tensor))
 
     def keep(self, which: NDArray[np.integer]) -> None:
         """Goes on with some of the networks only."""
