@@ -580,7 +580,7 @@ class Count:
 def reads(name: str, seed: int, work: Path) -> bool:
     """Whether an input is accepted; what refuses it is one line that names the file or the key."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of edges that are listed twice
+        warnings.simplefilter("ignore", UserWarning)  # of edges listed twice, or turned
         try:
             KINDS[name].read(Random(f"{name} {seed}"), work)
         except (InputError, Refused) as error:

@@ -4,6 +4,7 @@ The oracle is the contest's evaluator once more, from its text: plain loops over
 """
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -149,6 +150,32 @@ def test_the_contests_first_form_of_routes(files: Path, tmp_path: Path) -> None:
     assert found.edges[0].tolist() == same.edges[0].tolist()
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "line", "count"),
+    [
+        ("0 0 2 3 0 2", "3 0 2 0 0 2", 4, 1),  # a wire the other way
+        ("3 0 0 3 0 2", "3 0 2 3 0 0", 5, 1),  # a via
+        ("1 1 1 1 2 1", "1 2 1 1 1 1\n1 1 1 1 1 1", 10, 2),  # a point as well
+    ],
+)
+def test_segments_whose_ends_are_turned_warn(
+    files: Path, tmp_path: Path, old: str, new: str, line: int, count: int
+) -> None:
+    """The contest's evaluator does not take them."""
+    problem = Problem.read(files)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        same = Solution.read(files.with_suffix(".PR_output"), problem)
+    assert old in ROUTES
+    (tmp_path / "turned.PR_output").write_text(ROUTES.replace(old, new))
+    with pytest.warns(UserWarning, match="second end is not beyond the first") as record:
+        assert Solution.read(tmp_path / "turned.PR_output", problem) == same
+    assert len(record) == 1
+    message = str(record[0].message)
+    assert f"turned.PR_output:{line}: net {'a' if line < 8 else 'b'} " in message
+    assert f"{count} such segments" in message
+
+
 def test_wires_that_a_layer_cannot_have(files: Path, tmp_path: Path) -> None:
     problem = Problem.read(files)
     for line, way in (("0 0 0 1 0 0", "horizontal wires in layer m1"), ("0 0 2 0 1 2", "vertical")):
@@ -255,6 +282,9 @@ def test_the_toy_case_of_the_contest() -> None:
     assert (cost.wirelength, cost.vias) == pytest.approx((wirelength, vias), rel=1e-12)
     assert cost.overflow == pytest.approx(overflow, rel=1e-12)
     assert set(cost.open) == opened == set()
+    # As the contest's own evaluator prints it, compiled from its source. It prints two open nets as
+    # well: it takes "(1,3,4)" for the number 134, and has none once blanks follow the commas.
+    assert f"{cost.total:.4f}" == "706.6630"
     # By hand: five edges from column to column, 3300 each, and six from row to row: five of 3000,
     # and one between the first two rows, which are 3300 apart, since the file gives five distances
     # between columns where the grid has four.

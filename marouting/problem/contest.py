@@ -33,7 +33,9 @@ class ContestCost:
         overflow: over all Gcells of all layers with wires, used or not, the layer's cost times
             exp(SLOPE · (demand - capacity)).
         open: names of the nets that the contest takes for open: a pin that no wire or via of the
-            net's reaches, parts that do not touch, or a wire that its layer cannot have.
+            net's reaches, parts that do not touch, or a wire that its layer cannot have. Nets that
+            a file of routes lacks are among them if they have several pins; the evaluator counts
+            those, and such of one pin, only among its incompleted nets.
     """
 
     total: float

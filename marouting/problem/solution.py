@@ -196,7 +196,8 @@ class Solution:
 
         The file's first lines tell the format (:mod:`marouting.problem.ispd`). A net without a
         block is routed with no edges. An edge that a net lists several times counts once, with one
-        ``UserWarning`` for the file.
+        ``UserWarning`` for the file. Segments of ISPD 2024's output whose second end is not beyond
+        the first count as any other, with one ``UserWarning``; the contest has no such segments.
 
         Boxes, of which guides consist, say where a route may be. The solution has the shortest ways
         inside them (:meth:`pruned`), along the directions of the layers' wires.
@@ -221,6 +222,7 @@ class Solution:
                 return Solution.of_uses(problem, *region.at_reached_pins().pruned().uses)
             else:
                 segment, edge = _edges_of_gcells(problem, record.segments)
+                _warn_of_turned(problem, record)
         except FieldError as error:
             raise record.located(error) from None
         size = AXES * int(np.prod(problem.grid))
@@ -321,6 +323,19 @@ def _edges_of_gcells(
     columns, rows, layers = problem.grid
     extent = f"a Gcell of the {columns}x{rows}x{layers} grid, counted from 0"
     return edges_between(problem, gcells, ends, extent)
+
+
+def _warn_of_turned(problem: Problem, record: ispd.RoutesRecord) -> None:
+    """Warns of segments that the contest's evaluator does not take as they are meant."""
+    turned = np.flatnonzero((record.segments[:, 1] - record.segments[:, 0]).sum(axis=1) <= 0)
+    if len(turned):
+        warnings.warn(
+            f"{record.file}:{record.lines['segments'][turned[0]]}: "
+            f"net {problem.nets[record.net[turned[0]]].name} has a segment whose second end is not "
+            f"beyond the first; the ISPD 2024 contest does not take the {len(turned)} such "
+            "segments of this file, here they count",
+            stacklevel=3,
+        )
 
 
 def _edges_of(problem: Problem, net: int, edges: object) -> NDArray[np.int64]:
