@@ -14,8 +14,8 @@ from marouting import InputError, evaluate, generate
 from marouting.config import build
 from policies.learned.algorithms.imitation import imitation_loss
 from policies.learned.config import Config
-from policies.learned.generalist import SHIPPED, GeneralistOptions, GeneralistRouter
-from policies.learned.policy import TrainedPolicy
+from policies.learned.generalist import GeneralistOptions, GeneralistRouter
+from policies.learned.policy import SHIPPED, TrainedPolicy
 from policies.learned.run import Run, problems_of
 from policies.learned.trainer import Trainer
 from policies.results.run_folder import POLICY

@@ -30,10 +30,9 @@ from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT
 from policies.learned.compiled.dqn import FusedDQN
 from policies.learned.config import Config, TrainOptions, load_config
-from policies.learned.generalist import SHIPPED
 from policies.learned.learner import Setup
 from policies.learned.logs import Logs
-from policies.learned.policy import TrainedPolicy
+from policies.learned.policy import SHIPPED, TrainedPolicy
 from policies.learned.run import Run, clear
 from policies.learned.trainer import Episode, Trainer
 from policies.results.rows import COLUMNS

@@ -15,7 +15,6 @@ is that they are compiled (:mod:`policies.learned.compiled.walk`).
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -29,11 +28,8 @@ from marouting.game.outlook import DETOURS, OutlookObservation
 from marouting.problem.grid import MOVES
 from policies.learned.compiled.walk import Walk, make_walk, walk, walk_on
 from policies.learned.networks.mlp import MLP
-from policies.learned.policy import Routed, TrainedPolicy
+from policies.learned.policy import SHIPPED, Routed, TrainedPolicy
 from policies.learned.streams import keys
-
-SHIPPED = Path(__file__).with_name("generalist.pt")
-"""The weights that are shipped."""
 
 _SURE = 8.0
 """How much a Gcell of detour lowers a move's score without a network; see ``mind``."""

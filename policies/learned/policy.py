@@ -6,6 +6,7 @@ import os
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,9 @@ from marouting.player import Player
 from marouting.source import Draws
 from policies.learned.checkpoint import checked, read_checkpoint
 from policies.learned.learner import best_moves, play_steps
+
+SHIPPED = Path(__file__).with_name("generalist.pt")
+"""The weights of the generalist that are shipped."""
 
 
 def player_of(env: EnvOptions, problems: Sequence[Problem] | Draws) -> Player:

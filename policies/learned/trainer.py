@@ -33,10 +33,15 @@ from policies.learned.burn_in import GUIDES, guide, read_solutions
 from policies.learned.checkpoint import ANY, FINITE, POLICY_FORMAT, TRAINING_FORMAT, checked
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration
-from policies.learned.generalist import SHIPPED
 from policies.learned.learner import Learner, Setup
 from policies.learned.memory.before import Before
-from policies.learned.policy import TrainedPolicy, check_weights, player_of, policy_origin
+from policies.learned.policy import (
+    SHIPPED,
+    TrainedPolicy,
+    check_weights,
+    player_of,
+    policy_origin,
+)
 from policies.learned.rows import COUNT
 from policies.learned.streams import keys
 from policies.learned.threads import use_threads
