@@ -80,9 +80,11 @@ class GeneratorOptions:
         seed: seed of the random numbers, from 0; None: different ones every time, in an environment
             a new problem at every reset.
         least: None: all problems are of the size above. Otherwise every problem has a size of its
-            own, drawn uniformly between ``least`` and the size above. It lies in a part of the
-            grid, in whose rest no edge has capacity, and has fewer nets in proportion to the part's
-            columns and rows.
+            own, drawn between ``least`` and the size above: the reciprocals of columns and rows
+            uniformly, since larger problems have more moves, all else uniformly as well. It lies
+            in a part of the grid, in whose rest no edge has capacity. It has fewer nets in
+            proportion to the geometric mean of the part's columns and rows, so that edges are as
+            crowded on small parts as on large ones.
         rent: None: the pins of a net are anywhere. Otherwise nets are local, as on chips: the
             distance l of a net's other pins from its first is as likely as l^(2 rent − 3), with
             Rent's exponent, 0 to 1 (Cotter and Christie, "The analytical form of the length
@@ -267,14 +269,19 @@ def _of_many_sizes(options: GeneratorOptions, least: Least) -> Iterator[Problem]
     for number in range(options.count):
         stream = np.random.SeedSequence(seed.entropy, spawn_key=(number,))
         rng = np.random.default_rng(stream)
-        low = [*least.grid, least.nets, least.max_pins, least.capacity]
-        high = [*options.grid, options.nets, options.max_pins, options.capacity]
-        *part, nets, max_pins, capacity = rng.integers(low, np.add(high, 1)).tolist()
-        share = part[0] * part[1] / (options.grid[0] * options.grid[1])
+        low = [least.grid[2], least.nets, least.max_pins, least.capacity]
+        high = [options.grid[2], options.nets, options.max_pins, options.capacity]
+        layers, nets, max_pins, capacity = rng.integers(low, np.add(high, 1)).tolist()
+        fewest, most = np.array(least.grid[:2]), np.array(options.grid[:2])
+        sides = 1 / rng.uniform(1 / (most + 1), 1 / fewest)
+        columns, rows = np.clip(sides.astype(int), fewest, most).tolist()
+        part = columns, rows, layers
+        # Nets of a part are shorter, in proportion to its sides, and it has fewer edges.
+        share = math.sqrt(columns * rows / (options.grid[0] * options.grid[1]))
         inner = replace(
             options,
             count=1,
-            grid=tuple(part),
+            grid=part,
             nets=max(round(nets * share), 1),
             max_pins=max_pins,
             capacity=capacity,

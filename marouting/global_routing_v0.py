@@ -104,7 +104,8 @@ and `mixed` nets are paid for what they do to each other.
 
 A task is **joined** when the agent reaches its target, and **fails** after `max_steps` steps. Then
 the next one starts. An agent is **terminated** when all its tasks are joined. It is **truncated**
-when its last task has ended and at least one failed. Its last info holds the `metrics` (overflow,
+when its last task has ended and at least one failed. Agents that end with the game, the last of all
+or with `agents_persist` every one, have the game's `metrics` in their last info (overflow,
 wirelength, tasks joined, tasks, steps), and as `overflow`, `wirelength`, `joined`, `tasks`, `open`,
 `steps` and `is_success` what loggers look for.
 

@@ -100,8 +100,15 @@ class GameOptions(RuleOptions):
             defined = {method for base in given.cls.__mro__ for method in vars(base)}
             what = f"an object that has {' and '.join(methods)}, found {given.name}"
             check(name, defined.issuperset(methods), what)
-        check("mask_key", self.mask_key != self.observation_key, "a name of its own")
+        taken = {self.observation_key, *TOLD}
+        check("mask_key", self.mask_key not in taken, "a name of its own")
 
+
+TOLD = (
+    "active", "is_success", "joined", "metrics", "net", "open", "overflow", "problem", "steps",
+    "task_ended", "task_mask", "task_obs", "tasks", "wirelength",
+)  # fmt: skip
+"""What infos hold beside the mask."""
 
 ORDERS: dict[Agents, TurnOrder] = {"single": "sequential", "multi": "round_robin"}
 """The turn order for one agent and for many, if the options give none."""

@@ -2,7 +2,7 @@
 
 import copy
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -44,12 +44,21 @@ def checked_source(source: Source) -> tuple[Problem, ...] | GeneratorOptions | t
         return source
     if isinstance(source, Problem):
         return (source,)
-    if isinstance(source, list | tuple) and source and isinstance(source[0], Problem):
-        if not all(isinstance(problem, Problem) for problem in source):
-            raise InputError("problem: expected only objects of class Problem in the list")
+    if isinstance(source, list | tuple) and any(isinstance(one, Problem) for one in source):
+        if not all(isinstance(one, Problem) for one in source):
+            raise InputError(
+                "problem: expected only objects of class Problem in the list, or only files"
+            )
         return tuple(source)
     if isinstance(source, str | os.PathLike):
         return (os.fspath(source),)  # which need not be UTF-8, as the text of a configuration is
+    if isinstance(source, Scenario):
+        raise InputError(f"problem: expected scenario={source.name!r} in place of it")
+    if isinstance(source, Iterator):
+        raise InputError(
+            "problem: expected a list, whose problems are drawn at random, or a generator's "
+            f"options, found a {type(source).__name__}, which can be read only once"
+        )
     checked = build(GameOptions, {"problem": source}).problem
     checked = SMALL if checked is None else checked
     return (checked,) if isinstance(checked, str) else checked

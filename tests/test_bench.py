@@ -1,15 +1,17 @@
 """The speed command: what it measures is there and adds up; how fast it is, no test asks."""
 
+import itertools
 import json
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
-from policies.bench import SECTIONS, Bench, negotiation
+from policies.bench import SECTIONS, Bench, environment, negotiation, oracle
 from policies.bench.measure import rate
 from policies.bench.training import operations
 from policies.cli import main as cli
+from policies.routers.pathfinder import PathfinderOptions
 
 
 def test_rates_are_taken_in_turns() -> None:
@@ -64,6 +66,18 @@ def test_negotiation_is_compared_over_seeds() -> None:
     ]
 
 
+def test_rows_of_every_observation_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(environment, "_RADII", (1,))
+    monkeypatch.setattr(environment, "_KINDS", {"few": ({"nets": 3}, 2)})
+    rows = itertools.islice(environment.observation(Bench(repeats=1)), 3)  # what a row costs
+    names = [row.name for row in rows if row.unit == "ns a row" and row.value > 0]
+    assert names == [
+        "window, radius 1, 322 numbers, few",
+        "window, radius 2, no demand, 476 numbers, few",
+        "outlook, 252 numbers, few",
+    ]
+
+
 @pytest.mark.slow
 def test_negotiation_against_another_checkout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -77,6 +91,34 @@ def test_negotiation_against_another_checkout(
     rows = json.loads(file.read_text())
     assert [row["router"] for row in rows] == ["before", "now"] * 2
     assert all(row["connected"] for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("kind", "others"),
+    [("prices", ["prices x 1", "prices x 0.5"]), ("schedule", ["best schedule"])],
+)
+def test_oracles_are_compared_with_the_defaults(
+    kind: str,
+    others: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(negotiation.GENERATED["c"], "count", 1)
+    file = tmp_path / "rows.json"
+    arguments = [kind, "--families", "c", "--seeds", "2", "--seconds", "0.01", "--long", "0.02"]
+    arguments += ["--trials", "1", "--count", "1", "--out", str(file)]
+    oracle.main(arguments, standalone_mode=False)
+    rows = json.loads(file.read_text())
+    assert [row["router"] for row in rows] == ["defaults", *others] * 2
+    assert all(row["wirelength"] > 0 for row in rows)
+    for row in rows:
+        chosen = row.get("options", {})
+        PathfinderOptions(**chosen)
+        assert all(
+            oracle.RANGES[name].low <= chosen[name] <= oracle.RANGES[name].high for name in chosen
+        )
+    assert f"| c | 0.01 | {others[-1]} | " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

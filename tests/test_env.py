@@ -173,7 +173,7 @@ def play_side_by_side(
             flags = status[n] == Status.TERMINATED, status[n] == Status.TRUNCATED
             assert (terminations[agent], truncations[agent]) == flags
             assert ended.get(agent, (False, False)) == flags
-            assert ("metrics" in infos[agent]) == any(flags)
+            assert ("metrics" in infos[agent]) == (not parallel.agents)
         assert set(actions) == set(seen) == set(rewards) == set(terminations) == set(infos)
         assert parallel.agents == [a for a in actions if not any(ended.get(a, ()))]
         assert aec.metrics() == parallel.metrics() == vars(engine.metrics())
@@ -702,13 +702,14 @@ def test_an_episode_of_random_moves_ends(turn_order: str) -> None:
         if termination or truncation:
             assert termination != truncation
             ends[agent] += 1
-            last = info["metrics"]
+            last = info.get("metrics")
+            assert (last is not None) == (len(env.agents) == 1)
             env.step(None)
         else:
             env.step(env.action_space(agent).sample())
     assert env.agents == []
     assert set(ends.values()) == {1}
-    # The metrics of the last to end are those of the whole episode.
+    # Only the last to end is told metrics: those of the whole episode.
     assert last == env.metrics()
     judged = evaluate(env.unwrapped.solution().problem, env.unwrapped.solution())
     assert (judged.overflow, judged.wirelength) == (last["overflow"], last["wirelength"])
@@ -878,6 +879,7 @@ def test_make_from_a_file(tmp_path: Path) -> None:
         ({"turn_order": "sequentiel"}, "turn_order: expected 'sequential' or 'round_robin'"),
         ({"mask_in_observation": "yes"}, "mask_in_observation: expected a valid boolean"),
         ({"mask_key": "observation"}, "mask_key: expected a name of its own"),
+        ({"mask_key": "metrics"}, "mask_key: expected a name of its own"),
         ({"mask_key": 1}, "mask_key: expected a valid string, found 1"),
         ({"render_mode": "svg"}, "render_mode: expected 'ansi', 'rgb_array' or 'human'"),
         ({"problem": {"nets": 0}}, "nets: expected at least 1, found 0"),

@@ -17,6 +17,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.text import Text
 from scipy import stats
 
 from marouting import (
@@ -1179,6 +1180,40 @@ def test_a_study_without_anything_to_compare() -> None:
     for columns, panels in (({}, ("reward",)), ({"A": column}, ())):
         with pytest.raises(InputError, match="study: expected at least one"):
             figures.study(columns, panels)
+
+
+def test_narrow_panels_of_a_study_are_readable() -> None:
+    """Legends cover no marks and stay inside; titles are no wider than panels, letters beside."""
+    problem = generate(1, grid=(4, 4, 2), nets=3)[0]
+    solution = AStarRouter().route(problem)
+    astar = np.arange(300.0, 340)
+    dqn = astar[::-1].copy()  # marks everywhere: high on the left and high on the right
+    open_nets = np.where(np.arange(40) % 9 == 0, dqn, math.nan)
+    dqn[::9] = math.nan
+    column = figures.ColumnData(
+        problem,
+        solution,
+        solution,
+        {"A*": astar, "DQN, row 5": dqn},
+        {"A*": astar, "DQN, row 5": dqn},
+        {},
+        {},
+        {"DQN, row 5": open_nets},
+        {"DQN, row 5": open_nets},
+    )
+    columns = {f"γ = {number}": column for number in range(4)}
+    drawn = figures.study(columns, ("wirelength", "overflow", "decrease"))
+    drawn.canvas.draw()
+    for axes in drawn.axes[:8]:
+        legend = axes.get_legend().get_window_extent()
+        assert axes.get_window_extent().x0 <= legend.x0
+        assert legend.x1 <= axes.get_window_extent().x1
+        marks = [axes.transData.transform(line.get_xydata()) for line in axes.get_lines()]
+        assert max(np.nanmax(own[:, 1]) for own in marks) < legend.y0
+    for axes in drawn.axes[8:]:
+        letter = next(text for text in axes.findobj(Text) if text.get_text().startswith("("))
+        assert letter.get_window_extent().x1 < axes.title.get_window_extent().x0
+        assert axes.get_title().count("\n") <= 3
 
 
 def test_decreases_fall_into_their_bars() -> None:

@@ -470,6 +470,14 @@ def test_reward_curves_have_a_title_and_a_legend():
     assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 12
 
 
+def test_the_legend_of_rewards_is_no_wider_than_the_picture():
+    curves = {f"test_benchmark_{number}": [1.0, 2.0] for number in range(11)}
+    figure = figures.reward_curves(curves)
+    figure.canvas.draw()
+    (legend,) = figure.legends
+    assert legend.get_window_extent().width <= figure.bbox.width
+
+
 def test_very_many_reward_curves_are_drawn_with_their_mean():
     curves = {str(i): [i, i + 1, i + 4] for i in range(13)}
     curves["12"].pop()  # a training that is not finished

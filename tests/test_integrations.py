@@ -350,7 +350,7 @@ def test_a_recipe_joins_the_nets(run: str) -> None:
     assert done.returncode == 0, done.stderr
     *_, (_, seconds, joined) = re.findall(r"^(\d+) ([\d.]+) ([\d.]+)$", done.stdout, re.MULTILINE)
     assert float(joined) >= 0.95
-    assert float(seconds) <= 300
+    assert float(seconds) <= 180
 
 
 def test_every_recipe_is_listed_and_short() -> None:

@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 from pettingzoo.test import api_test, parallel_api_test
 
-from marouting import InputError, Net, Pin, Problem, generate, global_routing_v0, make
+from marouting import (
+    InputError,
+    Net,
+    Pin,
+    Problem,
+    generate,
+    global_routing_v0,
+    make,
+    scenarios,
+)
 from marouting.env.single import GlobalRoutingSingle
 from marouting.vector import BatchEnv
 
@@ -229,6 +238,9 @@ def test_a_set_in_all_its_forms(tmp_path: Path) -> None:
     [
         ([SET[0], generate(1, grid=(5, 4, 2), nets=3)[0]], "problem: expected one grid shape"),
         ([SET[0], "a.gr"], "problem: expected only objects of class Problem"),
+        (["a.gr", SET[0]], "problem: expected only objects of class Problem"),
+        (scenarios.get("toy-4x4-v0"), "problem: expected scenario='toy-4x4-v0'"),
+        (scenarios.get("toy-4x4-v0").train(0), "problem: expected a list.* found a generator"),
         ({"count": 2, "seed": None}, "problem.count: expected 1 without a seed, found 2"),
         ({"count": 10**6}, "problem.count: expected at most 10000, found 1000000"),
     ],

@@ -212,8 +212,8 @@ def test_the_command_takes_files_folders_and_run_folders(tmp_path, capfd):
         return [s["name"] for s in json.loads(Page(out.read_text("utf-8")).scripts[0])["solutions"]]
 
     assert names(run / "q.astar.solution") == ["q.astar"]
-    assert names(tmp_path / "run") == ["astar", "mine"]
-    assert names(rounds, run / "p.astar.solution") == ["r9", "r10", "astar"]
+    assert names(tmp_path / "run") == ["A*", "mine"]  # as figures call it
+    assert names(rounds, run / "p.astar.solution") == ["r9", "r10", "A*"]
     assert names(rounds / "r9.solution", rounds / "r9.solution") == ["r9", "r9 (2)"]
 
 
@@ -296,6 +296,19 @@ def traces(page, scene="scene"):
             .map((t) => [t.name, t.x.filter((x) => !Number.isNaN(x)).length]))""",
         scene,
     )
+
+
+@pytest.mark.slow
+def test_titles_side_by_side_do_not_meet(shown):
+    problem, solution = routed()
+    name = "a router that somebody has tuned for days and days, and then for days"
+    page = shown(problem, {name: solution, f"{name} again": empty(problem)})
+    for panels in ("scene", "map0"):
+        titles = page.locator(f"#{panels} .annotation-text")
+        left, right = (titles.nth(n).bounding_box() for n in range(2))
+        assert left["x"] + left["width"] < right["x"]
+        assert "wirelength" in titles.first.text_content()
+    assert name in page.locator(".card").first.text_content()
 
 
 @pytest.mark.slow

@@ -114,7 +114,8 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
         else:
             self.terminations[agent] = terminated
             self.truncations[agent] = truncated
-            self.infos[agent] = game.info(game.mask(number), over=True) | self._ended[agent]
+            told = game.info(game.mask(number), over=following == NOBODY)
+            self.infos[agent] = told | self._ended[agent]
             # The agent is selected once more, to be removed from the list, before the next one is.
             self._skip_agent_selection = None if following == NOBODY else game.names[following]
         if self.render_mode == "human":

@@ -193,7 +193,7 @@ class BaseGame:
         return observation
 
     def info(self, mask: NDArray[np.int8], over: bool) -> dict[str, Any]:
-        """An agent's info: its mask and, when its episode is over, the present metrics."""
+        """An agent's info: its mask and, when the game is over, the metrics."""
         info: dict[str, Any] = {self.mask_key: mask}
         if over:
             info |= self.result()
@@ -214,7 +214,7 @@ class BaseGame:
         return {"task_ended": ending, "task_obs": seen, "task_mask": mask}
 
     def result(self) -> dict[str, Any]:
-        """What an agent's last info holds: the metrics, once more as loggers look for them."""
+        """What infos hold when the game is over: the metrics, also where loggers look for them."""
         metrics = self.metrics()
         return {
             "metrics": metrics,

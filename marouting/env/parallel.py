@@ -115,9 +115,10 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
         cut = dict(zip(agents, truncated.tolist(), strict=True))
         rewards = dict(zip(agents, paid.tolist(), strict=True))
         if not stays.all():
-            result = self._game.result()
-            for k in np.flatnonzero(~stays):
-                infos[agents[k]] |= {**result, "metrics": dict(result["metrics"])}
+            if not stays.any():  # the game is over: its figures change no more
+                result = self._game.result()
+                for info in infos.values():
+                    info |= {**result, "metrics": dict(result["metrics"])}
             self._numbers = numbers[stays]
             self.agents = [agents[k] for k in np.flatnonzero(stays)]
         if self.render_mode == "human":

@@ -5,20 +5,25 @@ lies towards +x and +y, and one shape fits every grid, number of layers and capa
 longer to compute and is much smaller: the layers are folded into one, and two searches tell for
 every move how much farther than the best it leads.
 
-A row consists of these blocks; s(q) = q / (1 + |q|), and a net's track is its demand on an edge of
-the layer, at least 1.
+A row consists of these blocks; s(q) = q / (1 + |q|), far(d) is d in eighths up to 8 Gcells and then
+grows as the logarithm, 1 + ln(d / 8), up to 4; and a net's track is its demand on an edge of the
+layer, at least 1.
 
 =======  ===  =====================================================================================
 numbers  16   as in :mod:`marouting.game.window`
 detour   12   for +x, −x, +y, −y of the frame, up and down: s(d), where d is by how much the
               cheapest way to the end that begins with the move is dearer than the cheapest of all;
               1 where there is none. First with the capacity there is, then with predicted slack
+span     6    for the same moves: s(d), where d is by how much more edges the rest of the net takes
+              if the move is made than after the best of them, as a spanning tree counts it; 1
+              where the agent cannot go
 crossed  8    of the edges towards +x, −x, +y, −y: s(tracks of remaining capacity, rounded down) of
               the four, then s(predicted slack in tracks) of the four; −1 off the grid
-pins     35   of the target, then of up to four other open pins, the nearest to the agent first:
-              1; its distance in x and y of the frame and in z, in eighths and within −2 to 2;
-              s(cost of the cheapest way from there to the end); the distance of where that way
-              ends in x and y of the frame, likewise. 0 for pins that there are not
+pins     40   of the target, then of up to four other open pins, the nearest to the agent first:
+              1; far(its distance) in x and y of the frame and in z; far(cost of the cheapest way
+              from there to the end), 4 if there is none; far(the distance of where that way ends)
+              in x and y of the frame; far(distance to the nearest Gcell at an edge of the net or
+              with the agent). 0 for pins that there are not
 room_x        s(tracks of remaining capacity) of the edges along x that touch the window, the
               largest in all layers; 0 off the grid
 room_y        the same along y
@@ -27,6 +32,12 @@ slack_y       the same along y
 own           1 for Gcells of the window where, in any layer, the net uses an edge
 open          1 for Gcells of the window where, in any layer, an open task has its target
 =======  ===  =====================================================================================
+
+**The spanning tree** joins, by as few edges as it can, the Gcell that the move leads to, with all
+that the net has wired so far; the end of the task; and the other open pins that are seen. From the
+move's Gcell to the end, and from a pin to the end, it counts the cheapest way with the capacity
+there is; between pins, and from a pin to what is wired, the distance. The move's own edge counts as
+well. A move towards two pins at once is best where the tree has branches to both.
 
 **The cheapest way** leads from a Gcell to one that ends the task: with ``target: tree`` any Gcell
 of the net's tree, otherwise the target. Every edge costs 1, those of the present walk included. One
@@ -50,6 +61,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from marouting.config import check
+from marouting.game.bits import byte_at, places
 from marouting.game.edges import demand_of, uses
 from marouting.game.engine import Engine, check_rows
 from marouting.game.expected import (
@@ -69,8 +81,11 @@ from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 
-_NUMBERS, _DETOURS, _CROSSED, _PIN, _PINS = 16, 12, 8, 7, 5
-_FIXED = _NUMBERS + _DETOURS + _CROSSED + _PIN * _PINS
+_NUMBERS, _DETOURS, _CROSSED, _PIN, _PINS = 16, 12, 8, 8, 5
+_SPANS = _NUMBERS + _DETOURS
+_EDGES = _SPANS + MOVES
+_FIRST_PIN = _EDGES + _CROSSED
+_FIXED = _FIRST_PIN + _PIN * _PINS
 DETOURS = _NUMBERS
 """Where the block ``detour`` begins in a row."""
 
@@ -79,6 +94,7 @@ _OVERFLOW = 32 * _UNIT
 _SCARCE = 4 * _UNIT
 _BUCKETS = 256  # more than any edge costs
 _FARTHEST = 2**30
+_MOST_FAR = np.float32(4)
 
 
 class Ways(NamedTuple):
@@ -94,6 +110,10 @@ class Ways(NamedTuple):
     head: NDArray[np.int32]  # (256,) the first entry of each bucket
     after: NDArray[np.int32]  # (entries,) the next entry of the bucket
     entry: NDArray[np.int32]  # (entries,) the Gcell of an entry
+    wired: NDArray[np.int32]  # (K,) distance of a task's pin to what its net has wired
+    seen: NDArray[np.int32]  # (4,) tasks of the other open pins that are seen
+    span: NDArray[np.int64]  # (5,) working: of the end and the pins, their distance to the tree
+    total: NDArray[np.int64]  # (6,) working: edges of the spanning tree after each move
 
 
 _ways: WeakKeyDictionary[Engine, tuple[Ways, NDArray[np.int64]]] = WeakKeyDictionary()
@@ -118,6 +138,10 @@ def ways_of(engine: Engine) -> Ways:
             head=np.full(_BUCKETS, NOBODY, np.int32),
             after=np.zeros(entries, np.int32),
             entry=np.zeros(entries, np.int32),
+            wired=np.zeros(len(engine.static.tasks), np.int32),
+            seen=np.zeros(_PINS - 1, np.int32),
+            span=np.zeros(_PINS, np.int64),
+            total=np.zeros(MOVES, np.int64),
         )
         known = _ways[engine] = ways, np.full(m, NOBODY, np.int64)
     ways, of = known
@@ -154,6 +178,7 @@ class OutlookObservation:
         sizes = {
             "numbers": _NUMBERS,
             "detour": _DETOURS,
+            "span": MOVES,
             "crossed": _CROSSED,
             "pins": _PIN * _PINS,
             **dict.fromkeys(("room_x", "room_y", "slack_x", "slack_y"), (side + 1) * side),
@@ -176,8 +201,8 @@ class OutlookObservation:
         del problems, overflow
         low, high = np.full(self.size, -1, np.float32), np.ones(self.size, np.float32)
         low[5:8], high[5:8] = -4, 4
-        low[self.layout["pins"]], high[self.layout["pins"]] = -2, 2
-        for name in ("detour", "own", "open"):
+        low[self.layout["pins"]], high[self.layout["pins"]] = -_MOST_FAR, _MOST_FAR
+        for name in ("detour", "span", "own", "open"):
             low[self.layout[name]] = 0
         return Box(low, high, dtype=np.float32)
 
@@ -409,9 +434,85 @@ def find_ways(
 
 
 @inlined
-def _away(far: int) -> Any:
-    """float32, a distance in eighths, within −2 to 2."""
-    return np.float32(min(max(far, -16), 16)) / np.float32(8)
+def _far(distance: Any) -> Any:
+    """float32, a distance; see far(d) in the module's docstring."""
+    eighths = np.float32(abs(distance)) / np.float32(8)
+    if eighths > 1:
+        eighths = min(np.float32(1) + np.log(eighths), _MOST_FAR)
+    return eighths if distance >= 0 else -eighths
+
+
+@inlined
+def _apart(static: Static, a: int, b: int) -> int:
+    """The distance of two Gcells over x, y and layers."""
+    distance = wide(0)
+    for axis in range(AXES):
+        distance += abs(wide(static.position[a, axis]) - wide(static.position[b, axis]))
+    return distance
+
+
+@inlined
+def _pin_of(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> int:
+    """The Gcell that is seen as the pin of an open task."""
+    agent = dynamic.agents[m, n]
+    return place(agent.target) if task == agent.task else place(static.tasks[task, 1])
+
+
+@inlined
+def note_wire(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int, cell: int) -> None:
+    """Takes a Gcell into what an agent's net has wired."""
+    agent = dynamic.agents[m, n]
+    for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+        if task == agent.task or is_later(static, dynamic, m, n, wide(task)):
+            distance = _apart(static, _pin_of(static, dynamic, m, n, wide(task)), cell)
+            ways.wired[task] = min(wide(ways.wired[task]), distance)
+
+
+@compiled
+def find_wires(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> None:
+    """Finds how far the open pins are from the Gcells at the net's edges and from the agent.
+
+    While the agent walks, :func:`note_wire` of every Gcell that it gets to keeps them right.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        ways: filled.
+        m: the problem.
+        n: the agent.
+    """
+    ways.wired[static.first[m, n] : static.first[m, n + 1]] = _FARTHEST
+    note_wire(static, dynamic, ways, m, n, place(dynamic.agents[m, n].cell))
+    for at in range(places(dynamic.used, m, n)):
+        byte, bits = byte_at(dynamic.used, m, n, at)
+        edge = wide(8 * byte)
+        while bits != 0:
+            if bits & 1:
+                cell = place(edge // AXES)
+                note_wire(static, dynamic, ways, m, n, cell)
+                ahead = place(static.neighbour[cell, 2 * (edge % AXES)])
+                note_wire(static, dynamic, ways, m, n, ahead)
+            bits, edge = bits >> 1, edge + 1
+
+
+@inlined
+def _move_of(static: Static, cell: int, target: int, way: int) -> int:
+    """The move on the grid that a move of the frame is."""
+    axis = way // 2
+    if axis == VIA_AXIS:
+        return way
+    return way ^ wide(static.position[target, axis] < static.position[cell, axis])
+
+
+@inlined
+def _ahead(static: Static, ways: Ways, m: int, cell: int, move: int) -> int:
+    """The Gcell that a move leads to; NOBODY off the grid or outside the box of the ways."""
+    if not static.exits[cell] >> move & 1:
+        return wide(NOBODY)
+    ahead = place(static.neighbour[cell, move])
+    x, y, _ = position(static, ahead)
+    inside = ways.low[m, 0] <= x <= ways.high[m, 0] and ways.low[m, 1] <= y <= ways.high[m, 1]
+    return wide(ahead) if inside else wide(NOBODY)
 
 
 @inlined
@@ -433,19 +534,11 @@ def _write_moves(
         least = wide(_FARTHEST)
         for turn in range(2):
             for way in range(MOVES):
-                axis = way // 2
-                back = wide(0)
-                if axis != VIA_AXIS:
-                    back = wide(static.position[target, axis] < static.position[cell, axis])
-                move = way ^ back
-                whole = wide(_FARTHEST)
-                if static.exits[cell] >> move & 1:
-                    ahead = place(static.neighbour[cell, move])
-                    x, y, _ = position(static, ahead)
-                    inside = ways.low[m, 0] <= x <= ways.high[m, 0]
-                    if inside and ways.low[m, 1] <= y <= ways.high[m, 1]:
-                        cost = _edge_cost(static, dynamic, maps, m, n, cell, move, kind == 1)
-                        whole = min(cost + wide(ways.cost[m, kind, ahead]), whole)
+                move = _move_of(static, cell, target, wide(way))
+                ahead, whole = _ahead(static, ways, m, cell, move), wide(_FARTHEST)
+                if ahead != NOBODY:
+                    cost = _edge_cost(static, dynamic, maps, m, n, cell, move, kind == 1)
+                    whole = min(cost + wide(ways.cost[m, kind, place(ahead)]), whole)
                 if turn == 0:
                     least = min(least, whole)
                 elif whole == _FARTHEST:
@@ -454,8 +547,7 @@ def _write_moves(
                     dearer = np.float32(whole - least) / np.float32(_UNIT)
                     out[row, _NUMBERS + MOVES * kind + way] = squashed(dearer)
     for way in range(2 * VIA_AXIS):
-        axis = way // 2
-        move = way ^ wide(static.position[target, axis] < static.position[cell, axis])
+        axis, move = way // 2, _move_of(static, cell, target, wide(way))
         room = left = np.float32(-1)
         if static.exits[cell] >> move & 1:
             edge = place(static.edge[cell, move])
@@ -463,8 +555,87 @@ def _write_moves(
             remaining = wide(dynamic.remaining[m, edge])
             room = squashed(np.floor(np.float32(remaining) / track))
             left = squashed(slack_of(maps, m, place(edge // AXES), axis, remaining, track))
-        out[row, _NUMBERS + _DETOURS + way] = room
-        out[row, _NUMBERS + _DETOURS + 2 * VIA_AXIS + way] = left
+        out[row, _EDGES + way] = room
+        out[row, _EDGES + 2 * VIA_AXIS + way] = left
+
+
+@inlined
+def _find_pins(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> None:
+    """Finds which open pins are seen beside the target, the nearest to the agent first."""
+    task, far = wide(NOBODY), wide(-1)
+    for k in range(_PINS - 1):
+        if k == 0 or task != NOBODY:
+            task, far = next_nearest(static, dynamic, m, n, far, task)
+        ways.seen[k] = task
+
+
+@inlined
+def _span(static: Static, ways: Ways, m: int, pins: int, cell: int) -> int:
+    """Edges of the spanning tree from a Gcell, times _UNIT, by Prim's algorithm.
+
+    Nodes are the end of the task (0) and the open pins that are seen (from 1), in ``ways.span``
+    their distance to the tree, or -1 once they are in it.
+    """
+    ways.span[0] = ways.cost[m, 0, cell]
+    for k in range(pins):
+        task = place(ways.seen[k])
+        near = min(_apart(static, place(static.tasks[task, 1]), cell), wide(ways.wired[task]))
+        ways.span[k + 1] = _UNIT * near
+    total = wide(0)
+    for _ in range(pins + 1):
+        nearest = wide(NOBODY)
+        for k in range(pins + 1):
+            open_ = ways.span[k] >= 0
+            if open_ and (nearest == NOBODY or ways.span[k] < ways.span[nearest]):
+                nearest = wide(k)
+        total += wide(ways.span[nearest])
+        ways.span[nearest] = -1
+        for k in range(pins + 1):
+            if ways.span[k] < 0:
+                continue
+            if nearest == 0 or k == 0:
+                pin = place(static.tasks[place(ways.seen[nearest + k - 1]), 1])
+                apart = wide(ways.cost[m, 0, pin])
+            else:
+                a, b = place(ways.seen[nearest - 1]), place(ways.seen[k - 1])
+                pin = place(static.tasks[a, 1])
+                apart = _UNIT * _apart(static, pin, place(static.tasks[b, 1]))
+            ways.span[k] = min(wide(ways.span[k]), apart)
+    return total
+
+
+@inlined
+def _write_spans(
+    static: Static,
+    dynamic: Dynamic,
+    maps: Maps,
+    ways: Ways,
+    m: int,
+    n: int,
+    out: Any,
+    row: int,
+) -> None:
+    """Writes the block ``span``."""
+    agent = dynamic.agents[m, n]
+    cell, target = place(agent.cell), place(agent.target)
+    pins, least = wide(0), wide(1 << 62)
+    while pins < _PINS - 1 and ways.seen[pins] != NOBODY:
+        pins += 1
+    for way in range(MOVES):
+        ways.total[way] = NOBODY
+        move = _move_of(static, cell, target, wide(way))
+        ahead = _ahead(static, ways, m, cell, move)
+        # Where the detour is unknown the agent cannot go.
+        if ahead == NOBODY or out[row, _NUMBERS + way] == 1:
+            continue
+        total = _span(static, ways, m, pins, place(ahead))
+        ways.total[way] = total + _edge_cost(static, dynamic, maps, m, n, cell, move, False)
+        least = min(least, wide(ways.total[way]))
+    for way in range(MOVES):
+        more = np.float32(1)
+        if ways.total[way] != NOBODY:
+            more = squashed(np.float32(ways.total[way] - least) / np.float32(_UNIT))
+        out[row, _SPANS + way] = more
 
 
 @inlined
@@ -477,30 +648,30 @@ def _write_pins(
     x, y, z = position(static, cell)
     sign_x = 1 if static.position[target, 0] >= x else -1
     sign_y = 1 if static.position[target, 1] >= y else -1
-    first, side = _NUMBERS + _DETOURS + _CROSSED, 2 * radius + 1
+    first, side = _FIRST_PIN, 2 * radius + 1
     opened = out.shape[1] - side * side
     for k in range(_PIN * _PINS):
         out[row, first + k] = 0
     begin, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
-    pin, task, far = target, wide(NOBODY), wide(-1)
     for count in range(_PINS):
+        task = wide(agent.task)
         if count > 0:
-            task, far = next_nearest(static, dynamic, m, n, far, task)
+            task = wide(ways.seen[count - 1])
             if task == NOBODY:
                 break
-            pin = place(static.tasks[task, 1])
+        pin = _pin_of(static, dynamic, m, n, task)
         px, py, pz = position(static, pin)
         at = first + _PIN * count
         out[row, at] = 1
-        out[row, at + 1] = _away(sign_x * (px - x))
-        out[row, at + 2] = _away(sign_y * (py - y))
-        out[row, at + 3] = _away(pz - z)
-        cost = np.float32(ways.cost[m, 0, pin]) / np.float32(_UNIT)
-        out[row, at + 4] = squashed(cost)
+        out[row, at + 1] = _far(sign_x * (px - x))
+        out[row, at + 2] = _far(sign_y * (py - y))
+        out[row, at + 3] = _far(pz - z)
+        out[row, at + 4] = _far(np.float32(ways.cost[m, 0, pin]) / np.float32(_UNIT))
         if ways.cost[m, 0, pin] < _FARTHEST:
             px, py, _ = position(static, place(ways.end[m, pin]))
-        out[row, at + 5] = _away(sign_x * (px - x))
-        out[row, at + 6] = _away(sign_y * (py - y))
+        out[row, at + 5] = _far(sign_x * (px - x))
+        out[row, at + 6] = _far(sign_y * (py - y))
+        out[row, at + 7] = _far(wide(ways.wired[task]))
     for other in range(begin, end):
         if other == agent.task or is_later(static, dynamic, m, n, wide(other)):
             pin = target if other == agent.task else place(static.tasks[other, 1])
@@ -586,7 +757,7 @@ def write_outlook(
         static: the static state of the games.
         dynamic: their dynamic state.
         maps: up to date, without the agent.
-        ways: found for the agent's present task.
+        ways: found for the agent's present task, with the wires there are.
         m: the problem.
         n: the agent.
         radius: of the window.
@@ -596,6 +767,8 @@ def write_outlook(
     write_numbers(static, dynamic, m, n, out, row)
     _write_moves(static, dynamic, maps, ways, m, n, out, row)
     _write_folded(static, dynamic, maps, m, n, radius, out, row)
+    _find_pins(static, dynamic, ways, m, n)
+    _write_spans(static, dynamic, maps, ways, m, n, out, row)
     _write_pins(static, dynamic, ways, m, n, radius, out, row)
 
 
@@ -625,5 +798,6 @@ def _write(
         if not _are_found(static, dynamic, maps, ways, m, n, wide(margin)):
             find_ways(static, dynamic, maps, ways, m, n, wide(margin))
             _note(static, dynamic, maps, ways, m, n, wide(margin))
+        find_wires(static, dynamic, ways, m, n)
         write_outlook(static, dynamic, maps, ways, m, n, wide(radius), out, i)
     return True

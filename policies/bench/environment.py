@@ -20,6 +20,7 @@ from marouting import (
     generate,
     global_routing_v0,
 )
+from marouting.game.outlook import OutlookObservation
 from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.bench.measure import Bench, Measurement, Work
@@ -100,16 +101,19 @@ def _rows(engine: Engine, observation: Any, steps: int) -> Work:
 
 
 def observation(bench: Bench) -> Iterator[Measurement]:
-    """What a row of the window costs, beside the paper's 12 numbers, and steps with it."""
+    """What a row of window and outlook costs, beside the paper's 12 numbers, and steps with it."""
     for name, (options, copies) in _KINDS.items():
         problems = generate(1, **options) * copies
-        seen = {
+        seen: dict[str, WindowObservation | OutlookObservation] = {
             f"window, radius {radius}": WindowObservation(radius=radius) for radius in _RADII
-        } | {"window, radius 2, no demand": WindowObservation(channels=("capacity", "own"))}
-        works = [
-            _rows(Engine(problems, turn_order="round_robin"), piece, 10)
-            for piece in (PaperObservation(), *seen.values())
-        ]
+        }
+        seen["window, radius 2, no demand"] = WindowObservation(channels=("capacity", "own"))
+        seen["outlook"] = OutlookObservation()
+        works = []
+        for piece in (PaperObservation(), *seen.values()):
+            # The outlook searches for every row: a look of 10 000 nets takes seconds.
+            steps = 1 if copies == 1 and isinstance(piece, OutlookObservation) else 10
+            works.append(_rows(Engine(problems, turn_order="round_robin"), piece, steps))
         for work in works:
             work()
         turns = [[work() for work in works] for _ in range(bench.repeats)]
@@ -126,21 +130,24 @@ def observation(bench: Bench) -> Iterator[Measurement]:
                 paper,
                 paper / cost,
             )
-    window = {"kind": "window", "radius": 2}
-    yield bench.versus(
-        "BatchEnv with window, radius 2, 128 problems of 50 nets",
-        "agent-steps/s",
-        _batched(1, 10, 128, observation=window),
-        "the same with the paper's observation",
-        _batched(1, 60, 128),
-    )
-    yield bench.versus(
-        "AEC environment with window, radius 2: last() and step()",
-        "steps/s",
-        _turns(global_routing_v0.env(_problem(), observation=window)),
-        "the same with the paper's observation",
-        _turns(global_routing_v0.env(_problem())),
-    )
+    for name, options in (
+        ("window, radius 2", {"kind": "window", "radius": 2}),
+        ("outlook", {"kind": "outlook"}),
+    ):
+        yield bench.versus(
+            f"BatchEnv with {name}, 128 problems of 50 nets",
+            "agent-steps/s",
+            _batched(1, 10, 128, observation=options),
+            "the same with the paper's observation",
+            _batched(1, 60, 128),
+        )
+        yield bench.versus(
+            f"AEC environment with {name}: last() and step()",
+            "steps/s",
+            _turns(global_routing_v0.env(_problem(), observation=options)),
+            "the same with the paper's observation",
+            _turns(global_routing_v0.env(_problem())),
+        )
 
 
 def _parallel(env: Any, steps: int = 300) -> Work:

@@ -124,11 +124,14 @@ def measure(
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """A table in Markdown: sums over the problems, mean and standard deviation over seeds."""
+    """A table in Markdown: sums over the problems, mean and standard deviation over seeds.
+
+    The router whose rows come first is the one that the others are compared with.
+    """
     yield "| family | seconds | | overflow | wirelength |\n|---|---:|---|---:|---:|\n"
     for family, seconds in dict.fromkeys((row["family"], row["seconds"]) for row in rows):
-        means: dict[str, float] = {}
-        for router in ("before", "now"):
+        base: float | None = None
+        for router in dict.fromkeys(row["router"] for row in rows):
             sums: dict[int, list[int]] = {}
             for row in rows:
                 if (row["family"], row["seconds"], row["router"]) == (family, seconds, router):
@@ -138,13 +141,12 @@ def summary(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
             if not sums:
                 continue
             overflow, wirelength = zip(*sums.values(), strict=True)
-            means[router] = fmean(overflow)
+            mean = fmean(overflow)
             spread = stdev(overflow) if len(overflow) > 1 else 0.0
-            gain = ""
-            if router == "now" and means.get("before"):
-                gain = f" ({means['now'] / means['before'] - 1:+.1%})"
+            gain = f" ({mean / base - 1:+.1%})" if base else ""
+            base = mean if base is None else base
             yield (
-                f"| {family} | {seconds:g} | {router} | {means[router]:.1f} ± {spread:.1f}{gain} | "
+                f"| {family} | {seconds:g} | {router} | {mean:.1f} ± {spread:.1f}{gain} | "
                 f"{fmean(wirelength):.0f} |\n"
             )
 

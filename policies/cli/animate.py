@@ -13,7 +13,7 @@ from policies.cli.completion import routers
 from policies.cli.options import FILE, json_option, tell
 from policies.cli.source import ProblemFile, problem_argument
 from policies.results.run_folder import solution_name
-from policies.routers.registry import is_learner, make_router
+from policies.routers.registry import is_learner, make_router, router_label
 
 if TYPE_CHECKING:
     from marouting import Engine
@@ -87,7 +87,7 @@ def animate(
             click.echo(f"{open_nets} open nets go on as A* would", err=True)
         states = replay(loaded, routes, turn_order or "sequential")
     scenes = record(states, frames)
-    save_animation(scenes, loaded, out, f"{problem.stem}: {name}", fps)
+    save_animation(scenes, loaded, out, f"{problem.stem}: {router_label(name)}", fps)
     count, caption = len(scenes), scenes[-1].caption
     tell(as_json, f"{count} pictures in {out}: {caption}", out=out, pictures=count, caption=caption)
 

@@ -10,6 +10,7 @@ from marouting.files import check_writable, write_text
 from policies.cli.options import FILE, json_option, tell
 from policies.cli.source import ProblemFile, problem_argument
 from policies.results.run_folder import solution_name
+from policies.routers.registry import labelled
 
 
 @click.command()
@@ -34,7 +35,7 @@ def view(problem: ProblemFile, solutions: tuple[Path, ...], out: Path, as_json: 
             name = f"{base} ({len(found) + 1})"
         found[name] = Solution.read(file, loaded)
     check_writable(out)
-    write_text(out, page(loaded, found, problem.stem))
+    write_text(out, page(loaded, labelled(found), problem.stem))
     text = f"{len(found)} solution{'s' if len(found) > 1 else ''} in {out}"
     tell(as_json, text, out=out, solutions=list(found))
 

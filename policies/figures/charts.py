@@ -56,9 +56,15 @@ def reward_curves(
     draw_rewards(axes, curves, log, smoothing)
     title = literal("\n".join(filter(None, (title or "Rewards of a training", note(smoothing)))))
     axes.set_title(fitted(title, 8), fontsize=11)
-    shown = min(len(curves), _NAMED)
-    figure.legend(frameon=False, loc="outside lower center", fontsize=9, ncols=min(shown, 6))
+    figure.legend(frameon=False, loc="outside lower center", fontsize=9, ncols=_across(axes, 6))
     return figure
+
+
+def _across(axes: Axes, most: int) -> int:
+    """How many columns the legend of a plot may have, below it and no wider."""
+    _, labels = axes.get_legend_handles_labels()
+    longest = max(map(len, labels), default=0)
+    return max(1, min(len(labels), most, int(110 / (longest + 6))))
 
 
 def note(smoothing: int) -> str:
@@ -178,9 +184,7 @@ def by_problem(
     axes = figure.subplots()
     draw_by_problem(axes, values, order, quantity, order_by, open_values=open_values)
     axes.set_title(fitted(literal(title), 8, 12), fontsize=12)
-    _, labels = axes.get_legend_handles_labels()
-    ncols = max(1, min(len(values), 4, int(110 / (max(map(len, labels)) + 6))))
-    figure.legend(frameon=False, loc="outside lower center", ncols=ncols)
+    figure.legend(frameon=False, loc="outside lower center", ncols=_across(axes, 4))
     return figure
 
 

@@ -28,7 +28,7 @@ from policies.results.statistics import (
 )
 from policies.results.study import FigureOptions, Study, StudyColumn
 from policies.routers.astar import AStarRouter
-from policies.routers.registry import router_label
+from policies.routers.registry import labelled, router_label
 
 
 def reward_figures(metrics: Path, folder: Path) -> list[Path]:
@@ -85,10 +85,7 @@ def problem_figures(
         for kind, figure in draw.items():
             write(figure(problem, solution, router_label(name)), f"{stem}_{kind}")
     if len(solutions) > 1:
-        called = {router_label(name): solution for name, solution in solutions.items()}
-        if len(called) < len(solutions):  # a file's name may be what we call another
-            called = dict(solutions)
-        write(figures.comparison(called), "comparison")
+        write(figures.comparison(labelled(solutions)), "comparison")
     return written
 
 

@@ -104,12 +104,13 @@ def study(columns: Mapping[str, ColumnData], panels: Sequence[Panel]) -> Figure:
         title = titles[index] if index < len(titles) else ""
         note = axes.get_title().replace("\n", " ")  # it may have been fitted to another width
         axes.set_title("")
-        axes.set_title(f"({ascii_lowercase[index % 26]})", fontsize=10, loc="left")
+        letter = f"({ascii_lowercase[index % 26]})"
+        # Above the numbers of the axis, so that the title has all the width of the panel.
+        axes.set_title(letter, fontsize=10, loc="left", x=-0.02, ha="right")
         # A configuration's titles may contain dollar signs that do not mean formulas.
         both = "\n".join(filter(None, (title, note)))
-        # The letter stands to the left of it.
-        both = fitted(both, 0.8 * max(widths) - 0.5, 10)
-        axes.set_title(both, fontsize=10, parse_math=False)
+        both = fitted(both, max(widths) - _AXIS, 9)
+        axes.set_title(both, fontsize=9, parse_math=False)
         axes.xaxis.label.set_fontsize(9)
         axes.yaxis.label.set_fontsize(9)
     handles = [note for kind in kinds for column in of for note in kind.notes(column)]
@@ -190,12 +191,22 @@ def _by_problem_row(
         order = np.argsort(lengths, kind="stable")
         by = f"{astar}'s wirelength"
         draw_by_problem(axes, whole, order, quantity, by, 5.0, opened)
-        axes.legend(frameon=False, fontsize=8)
         same.setdefault(lengths.tobytes(), []).append(axes)
+    width, height = (inches - _AXIS for inches in _by_problem_size(columns))
     for panels in same.values():
-        low, high = zip(*(axes.get_ylim() for axes in panels), strict=True)
+        lows, highs = zip(*(axes.get_ylim() for axes in panels), strict=True)
+        low, high = min(lows), max(highs)
+        legends = []
         for axes in panels:
-            axes.set_ylim(min(low), max(high))
+            handles, labels = axes.get_legend_handles_labels()
+            legends.append((handles, [fitted(label, width - 0.5, 8) for label in labels]))
+        lines = max(sum(label.count("\n") + 1 for label in labels) for _, labels in legends)
+        # Legends lie above everything that is drawn.
+        high = low + (high - low) / (1 - min((0.16 * lines + 0.1) / height, 0.6))
+        for axes, (handles, labels) in zip(panels, legends, strict=True):
+            axes.set_ylim(low, high)
+            look = {"frameon": False, "fontsize": 8, "borderaxespad": 0.2, "labelspacing": 0.3}
+            axes.legend(handles, labels, loc="upper left", **look)
 
 
 def _decrease_row(row: Sequence[Axes], columns: Sequence[ColumnData]) -> None:
@@ -255,6 +266,11 @@ def _plain_size(columns: Sequence[ColumnData]) -> tuple[float, float]:
     return (3.6 if len(columns) < 4 else 3.0), 2.9
 
 
+def _by_problem_size(columns: Sequence[ColumnData]) -> tuple[float, float]:
+    width, height = _plain_size(columns)
+    return width, height + 0.6  # for the legend
+
+
 def _map_size(columns: Sequence[ColumnData]) -> tuple[float, float]:
     over = map_scale([utilisation_maps(of.problem, of.solution) for of in columns]).overflow
     return 4.2 + SECOND_BAR * bool(over), 3.3
@@ -287,6 +303,9 @@ def _reward_notes(_column: ColumnData) -> Sequence[Artist]:
 
 _SMOOTHING = 50
 
+_AXIS = 0.7
+"""Inches of a panel beside or below its axes."""
+
 
 class _Kind(NamedTuple):
     """A kind of panel.
@@ -309,8 +328,8 @@ _KINDS: dict[Panel, _Kind] = {
     "horizontal": _Kind(_map_row("horizontal"), _map_size, _map_notes),
     "histogram": _Kind(_histogram_row),
     "routes": _Kind(_routes_row, _routes_size, _route_notes),
-    "wirelength": _Kind(_wirelength_row),
-    "overflow": _Kind(_overflow_row),
+    "wirelength": _Kind(_wirelength_row, _by_problem_size),
+    "overflow": _Kind(_overflow_row, _by_problem_size),
     "decrease": _Kind(_decrease_row),
     "reward": _Kind(_reward_row, notes=_reward_notes),
     "mean_reward": _Kind(_mean_reward_row, notes=_reward_notes),

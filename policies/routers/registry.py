@@ -6,12 +6,14 @@ A problem is routed by a registered router, by a registered learner, which is tr
 
 import inspect
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from marouting.config import Piece, piece
 from marouting.errors import InputError, nearest
 from marouting.registry import lookup, names
 from policies.routers.base import Router
+
+Found = TypeVar("Found")
 
 
 def router_names() -> tuple[str, ...]:
@@ -39,6 +41,12 @@ def router_label(name: str) -> str:
     if learner in names("learner"):
         return learner.upper() + (", saved policy" if learner != name else "")
     return _LABELS.get(name, name)
+
+
+def labelled(of: Mapping[str, Found]) -> dict[str, Found]:
+    """Things of routers by what figures call these; by their names if two were called alike."""
+    called = {router_label(name): thing for name, thing in of.items()}
+    return dict(of) if len(called) < len(of) else called
 
 
 def unknown(what: str, found: str, known: tuple[str, ...]) -> InputError:

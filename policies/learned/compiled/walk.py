@@ -26,6 +26,8 @@ from marouting.game.outlook import (
     OutlookObservation,
     Ways,
     find_ways,
+    find_wires,
+    note_wire,
     ways_of,
     write_outlook,
 )
@@ -230,6 +232,9 @@ def _look(
             refresh(static, dynamic, maps, m, n)
             given.counted[m] = True
         find_ways(static, dynamic, maps, ways, m, n, given.margin)
+        find_wires(static, dynamic, ways, m, n)
+    else:
+        note_wire(static, dynamic, ways, m, n, place(dynamic.agents[m, n].cell))
     write_outlook(static, dynamic, maps, ways, m, n, given.radius, given.rows, row)
 
 

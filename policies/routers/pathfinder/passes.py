@@ -14,6 +14,7 @@ from policies.routers.pathfinder.patterns import route_pattern
 from policies.routers.pathfinder.repair import choose, repair
 from policies.routers.pathfinder.state import (
     DONE,
+    EARLY,
     NEGOTIATE,
     PATTERN,
     PAUSED,
@@ -72,7 +73,8 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
         load_best(problem, routing, parameters.via)
     elif round_over or (progress.kind == REPAIR and progress.since >= parameters.repairs):
         if progress.kind == REPAIR:
-            more = more and progress.passes < parameters.persistence * progress.found
+            found = max(progress.found, EARLY)
+            more = more and progress.passes < parameters.persistence * found
             progress.since = 0
         progress.kind, progress.began = RELAX, progress.passes
         progress.present = parameters.present

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from marouting import Problem, Solution
 from policies.routers.pathfinder.batches import Crew
@@ -47,12 +48,14 @@ class Routed:
         seconds: time taken.
         history: every pass, in order; the first is that of patterns.
         stop: why the search ended.
+        prices: (E,) what past overflow adds to the cost of every edge in the end, in edges.
     """
 
     solution: Solution
     seconds: float
     history: tuple[Pass, ...]
     stop: Stop
+    prices: NDArray[np.float64]
 
     @property
     def iterations(self) -> int:
@@ -105,12 +108,18 @@ class PathfinderRouter:
         """
         return self.solve(problem).solution
 
-    def solve(self, problem: Problem, start: Solution | None = None) -> Routed:
+    def solve(
+        self,
+        problem: Problem,
+        start: Solution | None = None,
+        prices: NDArray[np.float64] | None = None,
+    ) -> Routed:
         """Routes a problem like :meth:`route` and tells how the solution was found.
 
         Args:
             problem: the problem.
             start: a solution to begin with; None: the one of the option ``start``, if there is one.
+            prices: (E,) prices to begin with, as in :class:`Routed`; None: 0 everywhere.
         """
         began, worked = time.perf_counter(), time.thread_time()
         limit = self.options.seconds
@@ -120,6 +129,8 @@ class PathfinderRouter:
             start = Solution.read(self.options.start, problem)
         if start is not None:
             routing = with_trees(routing, start)
+        if prices is not None:
+            routing.price[:] = prices * UNIT
         progress = routing.progress[0]
         passes: list[Pass] = []
         ended = len(routing.order) == 0
@@ -149,7 +160,8 @@ class PathfinderRouter:
                         keep_best(routing)
         self._best = None
         solution = _best(problem, routing)
-        return Routed(solution, time.perf_counter() - began, tuple(passes), stop)
+        prices = routing.price / UNIT
+        return Routed(solution, time.perf_counter() - began, tuple(passes), stop, prices)
 
 
 def _best(problem: Problem, routing: Routing) -> Solution:

@@ -34,6 +34,10 @@ FIRST_BOX = 4096
 MOST_TOGETHER = 5
 """Nets that are ripped up together to repair a solution."""
 
+EARLY = 20
+"""A solution that is found in an earlier pass counts as found in this one when the search decides
+whether to go on: passes over few nets take next to no time."""
+
 LARGE = 5_000
 """With more nets than these, negotiating begins with patterns; otherwise with shortest trees."""
 
