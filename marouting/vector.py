@@ -341,6 +341,10 @@ def _batch(problems: Sequence[Problem] | int | None, options: GameOptions) -> Se
     if options.scenario is None:
         what = f"a list of problems, or a scenario beside it; found {found}"
         check("problems", problems is not None, what)
+        what = "a list of Problem objects (problem= takes files, folders and generators)"
+        listed = isinstance(problems, Sequence) and not isinstance(problems, str)
+        for item in cast(Sequence[Problem], problems) if listed else (problems,):
+            check("problems", listed and isinstance(item, Problem), f"{what}; found {item!r}")
         return cast(Sequence[Problem], problems)
     endless = options.split == "train"
     what = f"how many of {options.scenario} are drawn, found {found}"

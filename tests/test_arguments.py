@@ -119,6 +119,11 @@ def test_masks_and_observations_are_those_of_agents(problems: Any, agents: Any) 
         (lambda: global_routing_v0.env(reward=object()), "an object that has __call__"),
         (lambda: Engine([PROBLEM], max_steps=2.5), "max_steps: expected 1 to 1000000, found 2.5"),
         (lambda: Engine(["a.gr"]), "problems: expected objects of class Problem, found 'a.gr'"),
+        (lambda: BatchEnv("a.gr"), r"a list of Problem objects \(problem= .*; found 'a.gr'"),
+        (
+            lambda: BatchEnv(["a.gr"]),
+            r"a list of Problem objects \(problem= .*; found 'a.gr'",
+        ),
         (lambda: BatchEnv([PROBLEM], threads=1.5), "threads: expected a whole number from 1"),
         (lambda: GeneratorOptions(grid=(4.0, 4.0, 2.0)), "grid: expected whole numbers"),
         (lambda: generate(1.5), "count: expected a number"),

@@ -116,14 +116,6 @@ def check_own_algorithm(out: str) -> None:
     assert len(re.findall(r" sarsa +0 +\d+ +8/8", out)) == 2
 
 
-def check_ppo_on_the_batch(out: str) -> None:
-    before, after = numbers(r"joined: (\S+) -> (\S+)", out)
-    assert before < 0.5
-    assert after > 0.9
-    wirelength, astar = numbers(r"wirelength: (\d+) \(A\*: (\d+)\)", out)
-    assert wirelength <= 1.2 * astar
-
-
 def run_example(name: str, folder: Path, path: Path = ROOT) -> None:
     """Runs a copy of an example in a folder and checks what it prints."""
     shutil.copy(EXAMPLES / f"{name}.py", folder)

@@ -32,6 +32,7 @@ PANELS = {
     "AgileRL": {"agilerl_ippo": "IPPO"},
     "skrl": {"skrl_ippo": "IPPO"},
     "PufferLib": {"pufferlib_emulation": "PPO written out"},
+    "BatchEnv alone": {"batch_ppo": "PPO in one file"},
 }
 # Told apart by colour, mark and dashes, so that colours are not needed.
 LINES = ((BLUE, "o", "-"), (ORANGE, "s", "--"), (TEAL, "^", ":"))
@@ -61,7 +62,7 @@ def draw(path: Path) -> None:
     if sorted(shown) != sorted(found):
         raise ValueError(f"panels and curves differ in {set(shown) ^ set(found)}")
     mpl.rcParams.update({"font.size": 11, "svg.fonttype": "path", "svg.hashsalt": "libraries"})
-    figure, axes = plt.subplots(3, 3, figsize=(10, 8), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(2, 5, figsize=(14, 6), sharey=True, layout="constrained")
     for panel, (library, recipes) in zip(axes.flat, PANELS.items(), strict=True):
         for (recipe, label), (colour, mark, dashes) in zip(recipes.items(), LINES, strict=False):
             steps, joined = zip(*found[recipe], strict=True)
