@@ -1,5 +1,6 @@
 """Routers and policies, against the same moves made by hand through the environment's faces."""
 
+import gc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba.core.dispatcher import Dispatcher
 from reference import STEPS, Edge, between, capacity_of, distance, gcell_of, is_via
 from strategies import problems
 
@@ -27,12 +29,13 @@ from marouting.config import build
 from marouting.env.single import GlobalRoutingSingle
 from marouting.search.astar import AStar
 from policies.learned.config import Config
+from policies.learned.generalist import GeneralistOptions, GeneralistRouter
 from policies.learned.networks.mlp import MLP
 from policies.learned.policy import TrainedPolicy
 from policies.learned.router import LearnedRouter
 from policies.learned.trainer import Episode, Trainer
 from policies.routers.astar import AStarRouter
-from policies.routers.base import Policy
+from policies.routers.base import Policy, warm_up
 from policies.routers.heuristic import HeuristicRouter
 from policies.routers.random import RandomPolicy, RandomRouter
 
@@ -431,3 +434,15 @@ def test_the_heuristic_is_its_plain_version() -> None:
         open_nets += len(found.disconnected)
     assert detours > 0
     assert open_nets > 0
+
+
+@pytest.mark.parametrize(("grid", "nets"), [((8, 8, 2), 20), ((32, 32, 2), 512)])
+def test_nothing_is_left_to_compile_after_warming_up(grid: tuple[int, int, int], nets: int) -> None:
+    """Routes of large problems are stored in another way, which is compiled apart."""
+    problem = generate(1, grid, nets=nets, max_pins=3, seed=1)[0]
+    router = GeneralistRouter(GeneralistOptions(seconds=2))
+    warm_up(router, problem)
+    kernels = [one for one in gc.get_objects() if issubclass(type(one), Dispatcher)]
+    before = [len(kernel.signatures) for kernel in kernels]
+    assert router.solve(problem).report["rounds"] > 1
+    assert [len(kernel.signatures) for kernel in kernels] == before

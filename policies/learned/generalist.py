@@ -126,6 +126,11 @@ class GeneralistRouter:
         neighbours = options.neighbours if options.rounds else 0
         self._rules = replace(rules, rip_up_rounds=options.rounds, rip_up_neighbours=neighbours)
 
+    def warm_up(self, problem: Problem) -> None:
+        """Compiles what routing needs, in a round at most."""
+        options = replace(self.options, rounds=min(1, self.options.rounds), seconds=None)
+        GeneralistRouter(options).route(problem)
+
     def route(self, problem: Problem) -> Solution:
         """Routes a problem; in the solution every net is joined whose pins any way joins."""
         return self.solve(problem).solution

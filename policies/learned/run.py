@@ -319,8 +319,8 @@ class Run:
         each = self._seconds / len(self.problems)
         learner = self.config.learner.name
         best = self.trainer.solutions()
-        warm_up(AStarRouter())
         for name, problem in self.problems.items():
+            warm_up(AStarRouter(), problem)
             start = time.perf_counter()
             astar = AStarRouter().route(problem)
             seconds = time.perf_counter() - start

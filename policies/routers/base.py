@@ -5,6 +5,8 @@ from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 from marouting import InputError, Problem, Solution, generate
+from marouting.game.setup import is_hashed
+from marouting.problem.grid import Grid
 
 
 class Policy(Protocol):
@@ -85,19 +87,34 @@ class Keeper(Watched, Protocol):
         ...
 
 
-def small_problem() -> Problem:
-    """A small problem, to make ready what compiles or loads when it is first used."""
+def is_large(problem: Problem) -> bool:
+    """Whether the game of a problem stores routes as large ones do, which is compiled apart."""
+    return is_hashed(len(problem.nets), Grid.of(problem.grid).edges)
+
+
+def small_problem(*, large: bool = False) -> Problem:
+    """A small problem, to make ready what compiles or loads when it is first used.
+
+    Args:
+        large: whether it is just large enough for :func:`is_large`.
+    """
+    if large:
+        return generate(1, (40, 40, 2), nets=150, max_pins=2, capacity=3, reduced_edges=0)[0]
     return generate(1, (4, 4, 2), nets=8, max_pins=3, capacity=1, reduced_edges=0)[0]
 
 
-def warm_up(router: Router) -> None:
+def warm_up(router: Router, problem: Problem) -> None:
     """Routes a small problem, so that the next time is that of routing alone.
 
     Whatever the router compiles or loads is ready then. A learner that would be trained on the
     problem learns two short episodes. What the small problem does not suit is left to the next one.
     Who watches the router does not hear of it.
+
+    Args:
+        router: the router.
+        problem: what will be routed: the small problem is stored in the same way.
     """
-    small = small_problem()
+    small = small_problem(large=is_large(problem))
     with contextlib.ExitStack() as stack:
         if isinstance(router, Watched):
             stack.callback(setattr, router, "watch", router.watch)

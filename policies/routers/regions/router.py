@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from marouting import Problem, Solution
 from marouting.config import MOST, check
 from policies.engines import Call, Engine, EngineName, cores, opened
-from policies.routers.base import warm_up
+from policies.routers.base import small_problem
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 from policies.routers.regions.cutting import Box, Piece, cut, figures, joined, lines
 
@@ -222,7 +222,7 @@ def negotiate(
 @functools.cache
 def _warm() -> None:
     """Compiles once per process, so that the limit is that of routing."""
-    warm_up(PathfinderRouter())
+    PathfinderRouter().route(small_problem())
 
 
 def _boxes(kind: Kind, axis: int, at: Sequence[int], size: int) -> list[Box]:
