@@ -1024,9 +1024,11 @@ def test_saved_networks_are_ordinary_modules_that_walk_alike(name: str, multi: b
     learner, player = started(name, multi)
     play(learner, player, 10)
     problems = [tiny(7, nets=5), tiny(8, nets=3)]
+    pairs = player_of([*problems, *problems], multi)  # of both networks beside one another
+    learner.walk(pairs, np.arange(2))
     for row, weights in enumerate(learner.weights()):
         walked, other = player_of(problems, multi), player_of(problems, multi)
-        learner.walk(walked, row)
+        learner.walk(walked, np.array([row]))
         module = learner.network(learner.options, (FEATURES,))
         module.load_state_dict(weights)
         now = other.buffers
@@ -1042,6 +1044,7 @@ def test_saved_networks_are_ordinary_modules_that_walk_alike(name: str, multi: b
         for m in range(2):
             assert walked.engine.solution(m) == other.engine.solution(m)
             assert walked.engine.metrics(m) == other.engine.metrics(m)
+            assert walked.engine.metrics(m) == pairs.engine.metrics(2 * row + m)
 
 
 # --- PPO ------------------------------------------------------------------------------------------

@@ -167,18 +167,20 @@ class Learner(Rows, abc.ABC):
             steps: how many at most; it returns after one in which an episode ended.
         """
 
-    def walk(self, player: Player, network: int) -> None:
-        """Plays the games of a player to their end by one network, without exploration.
+    def walk(self, player: Player, networks: NDArray[np.int64]) -> None:
+        """Plays the games of a player to their end, without exploration.
 
         Args:
-            player: its episodes have just begun.
-            network: the network's row.
+            player: of M games, whose episodes have just begun.
+            networks: (R,) the rows of the networks that play M/R games each, one network's after
+                another's.
         """
-        view = self.networks.row(network)
+        view = self.networks.part(networks)
         masking = self.masks(self.options)
 
         def rate(obs: Tensor) -> Tensor:
-            return view(obs.to(self.device)[None])[0]
+            each = obs.to(self.device).view(len(networks), -1, *obs.shape[1:])
+            return view(each).flatten(0, 1)
 
         play_out(player, rate, masking=masking)
 

@@ -318,37 +318,38 @@ class Trainer:
 
     def _evaluate(self, problems: NDArray[np.int64]) -> None:
         """Has networks that are due play without exploration, and keeps the best of each."""
-        train = self.config.train
+        train, of = self.config.train, self._networks(np.arange(len(self.names)))
         self.walks = []
-        for network in np.unique(self._networks(problems)).tolist():
-            taught = np.arange(len(self.names)) if train.shared else np.array([network])
-            played = np.broadcast_to(self.episodes, len(self.names))[taught]
-            episodes = int(played.min())
-            last = episodes >= train.episodes
-            due = episodes >= self._evaluated[network] + train.evaluate_every
-            if episodes == self._evaluated[network] or not (due or last):
-                continue
-            self._evaluated[network] = episodes
-            row = 0 if train.shared else int(np.searchsorted(self.places, network))
-            walked = self._walk(taught, row)
-            score = tuple(np.sum([_score(of, None) for of in walked], axis=0).tolist())
+        played = np.broadcast_to(self.episodes, len(self.names))
+        networks = np.unique(of[problems])
+        episodes = np.array([played[of == network].min() for network in networks], np.int64)
+        before = self._evaluated[networks]
+        due = (episodes >= before + train.evaluate_every) | (episodes >= train.episodes)
+        due &= episodes != before
+        networks, episodes = networks[due], episodes[due]
+        if not len(networks):
+            return
+        self._evaluated[networks] = episodes
+        rows = np.zeros(1, np.int64) if train.shared else np.searchsorted(self.places, networks)
+        taught = np.flatnonzero(np.isin(of, networks)).reshape(len(networks), -1)
+        player = self._whole.part(taught.ravel())
+        player.reset()
+        self.learner.walk(player, rows)
+        walked = np.array([player.engine.metrics(m) for m in range(taught.size)], object)
+        for network, row, now, places, metrics in zip(
+            networks, rows, episodes, taught, walked.reshape(taught.shape), strict=True
+        ):
+            score = tuple(np.sum([_score(one, None) for one in metrics], axis=0).tolist())
             best = bool(score < tuple(self.policy_score[network].tolist()))
             self.walks += [
-                Walk(self.names[m], seen, best=best, **asdict(metrics))
-                for m, seen, metrics in zip(taught.tolist(), played.tolist(), walked, strict=True)
+                Walk(self.names[m], int(played[m]), best=best, **asdict(one))
+                for m, one in zip(places, metrics, strict=True)
             ]
             if best:
                 self.policy_score[network] = score
             if best or train.policy == "last":
-                self.policy_episode[network] = episodes
+                self.policy_episode[network] = now
                 self._policies[network] = self.learner.networks.flat[row].detach().cpu()
-
-    def _walk(self, problems: NDArray[np.int64], network: int) -> list[Metrics]:
-        """What a network gets in one episode of each problem without exploration."""
-        player = self._whole.part(problems)
-        player.reset()
-        self.learner.walk(player, network)
-        return [player.engine.metrics(m) for m in range(len(problems))]
 
     def solutions(self) -> dict[str, Solution]:
         """The best episode's routes of every problem that has finished one.

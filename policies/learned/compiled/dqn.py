@@ -163,14 +163,17 @@ def _walk(
     static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers, known: Known,
     sizes: NDArray[np.int64], weights: NDArray[np.float32], masking: bool,
 ) -> None:  # fmt: skip
-    """:meth:`FusedDQN.walk` by the network with the weights (P,), as long as there is room."""
+    """:meth:`FusedDQN.walk` by networks with the weights (R, P), as long as there is room."""
+    each = len(b.over) // len(weights)
     values = np.empty((*b.agents.shape, MOVES), np.float32)
     activations = np.empty(units_of(sizes) * b.agents.size, np.float32)
     keys, counters = np.zeros(len(b.over), np.uint64), np.zeros(len(b.over), np.int64)
     never = np.zeros(len(b.over))  # a random move
     short = False
     while b.active.any() and not short:
-        q_values(sizes, weights, b.obs, activations, values)
+        for n in range(len(weights)):
+            games = slice(n * each, (n + 1) * each)
+            q_values(sizes, weights[n], b.obs[games], activations, values[games])
         for m in range(len(b.over)):
             choose(keys, counters, never, b.active, b.mask, values, masking, b.actions, m)
             step_problem(static, dynamic, kernel_buffers, known, m)
@@ -247,9 +250,9 @@ class FusedDQN(DQN):
         else:
             _play(steps, play, self._nets, self._rule)
 
-    def walk(self, player: Player, network: int) -> None:
+    def walk(self, player: Player, networks: NDArray[np.int64]) -> None:
         """See :meth:`policies.learned.learner.Learner.walk`."""
-        weights = self.networks.flat.numpy()[network]
+        weights = self.networks.flat.numpy()[networks]
         engine = player.engine
         while player.buffers.active.any():
             player.make_room()

@@ -134,6 +134,14 @@ class Stack(Rows):
         buffers = {name: b[first : first + len(flat)] for name, b in self._buffers.items()}
         return View(self.module, flat, buffers, self._stacked)
 
+    def part(self, which: NDArray[np.integer]) -> View:
+        """Some of the networks, as they are now."""
+        if len(which) == 1:
+            return self.row(int(which[0]))
+        rows = torch.from_numpy(which).to(self.flat.device)
+        buffers = {name: buffer[rows] for name, buffer in self._buffers.items()}
+        return View(self.module, self.flat[rows], buffers, self._stacked)
+
     def row(self, row: int) -> View:
         """One of the networks."""
         if row not in self._rows:
