@@ -1038,7 +1038,15 @@ def test_too_much_memory_to_ask_for(refused: Callable[..., str]) -> None:
 def test_resume_of_nothing(refused: Callable[..., str]) -> None:
     assert "--resume nowhere" in refused("train", "small.yaml", "--resume", "nowhere")
     assert "--resume file" in refused("train", "small.yaml", "--resume", "file")
-    assert "CONFIG: expected a YAML file, or --resume" in refused("train")
+    assert "environment: unknown key" in refused("train", "environment.problem=p")
+
+
+def test_every_key_of_a_training_has_a_default(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = ["env.problem={nets: 3, grid: [4, 4, 2]}", "train.episodes=2", "learner.burn_in_size=100"]
+    assert "policy after 2 episodes" in printed(capsys, "train", *few, "out=bare")
+    assert (here / "bare" / "policy.pt").exists()
 
 
 # --- checkpoints ----------------------------------------------------------------------------------

@@ -402,7 +402,7 @@ def train(
 ) -> None:
     """Train a learner on the problems of CONFIG, a YAML file.
 
-    KEY=VALUE changes a key of CONFIG, such as train.episodes=200. Everything is written to the run
+    Without CONFIG every key has its default. KEY=VALUE changes a key of CONFIG, such as train.episodes=200. Everything is written to the run
     folder, the key `out`. A run that is resumed, finished or not, may get more episodes, with
     --resume DIR train.episodes=N.
     """
@@ -413,15 +413,13 @@ def train(
     from policies.learned.run import Run
     from policies.results.run_folder import CHECKPOINT
 
-    if resume is not None and config is not None and "=" in str(config) and not config.exists():
+    if config is not None and "=" in str(config) and not config.exists():
         config, overrides = None, (str(config), *overrides)
     if resume is not None and not (resume / "config.yaml").exists():
         raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
-    if config is None and resume is None:
-        raise InputError("CONFIG: expected a YAML file, or --resume with a run folder")
     if config is not None:
         check_kind(config, "train")
-    settings = load_config(config or cast(Path, resume) / "config.yaml", overrides)
+    settings = load_config(config or (resume and resume / "config.yaml"), overrides)
     if resume is not None:
         settings = replace(settings, out=str(resume))
     run = Run(settings, resume=resume is not None)

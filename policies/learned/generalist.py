@@ -34,8 +34,9 @@ from policies.learned.streams import keys
 _SURE = 8.0
 """How much a Gcell of detour lowers a move's score without a network; see ``mind``."""
 
-_STEPS = 64
-"""Moves of every copy between two looks at the clock: half a millisecond on small grids."""
+_STEPS, _MOST_STEPS = 32, 2**20
+"""Moves of every copy between two looks at the clock, at least (a fifth of a millisecond on small
+grids) and at most."""
 
 _OFTEN = 0.1
 """Seconds between two lines to who watches."""
@@ -150,7 +151,7 @@ class GeneralistRouter:
         names = [str(copy) for copy in range(o.copies)]
         own = keys(o.seed, names, "walk")
         given = make_walk(engine, self._observation, self._sizes, self._weights, warmth, own)
-        while not walk(engine, given, _STEPS, True):
+        while not walk(engine, given, _MOST_STEPS, True):
             pass
         warmth[:] = o.warmth
         self._rip_up(engine, given, began)
@@ -173,14 +174,22 @@ class GeneralistRouter:
                 line = f"round {game['round']}; overflow {overflow}, wirelength {wirelength}"
                 if self.watch(line):
                     return False
-            return o.seconds is None or time.thread_time() - began < o.seconds
+            return left() > 0
+
+        def left() -> float:
+            return np.inf if o.seconds is None else o.seconds - (time.thread_time() - began)
+
+        def steps() -> int:
+            """So many that a call costs little beside them, and half the time at most."""
+            made = given.counters.max() / max(time.thread_time() - began, 1e-6)
+            return int(np.clip(made * min(left(), _OFTEN) / 2, _STEPS, _MOST_STEPS))
 
         if o.rounds and in_time():
             walk_on(engine, given)
             over = False
             while not over and in_time():
-                over = walk(engine, given, _STEPS, False)
-            while not walk(engine, given, _STEPS, True):
+                over = walk(engine, given, steps(), False)
+            while not walk(engine, given, _MOST_STEPS, True):
                 pass
 
 
