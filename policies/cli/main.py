@@ -402,9 +402,9 @@ def train(
 ) -> None:
     """Train a learner on the problems of CONFIG, a YAML file.
 
-    Without CONFIG every key has its default. KEY=VALUE changes a key of CONFIG, such as train.episodes=200. Everything is written to the run
-    folder, the key `out`. A run that is resumed, finished or not, may get more episodes, with
-    --resume DIR train.episodes=N.
+    Without CONFIG every key has its default. KEY=VALUE changes a key, such as train.episodes=200.
+    Everything is written to the run folder, the key `out`. A run that is resumed, finished or not,
+    may get more episodes, with --resume DIR train.episodes=N.
     """
     from policies.cli.progress import training_bar
     from policies.cli.resolved import check_kind
