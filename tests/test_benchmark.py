@@ -364,7 +364,7 @@ def test_the_ablation_adds_one_thing_at_a_time_and_has_the_grown_learner() -> No
     rows = {contender.entry.name: contender.entry.options for contender in contenders}
     assert list(rows) == sorted(rows)  # in the order in which things are added
     grown = plain(load_config("configs/grown.yaml"))
-    options = rows["f-rounds"]
+    options = rows["l-grown"]
     for part in ("env", "learner"):
         assert options[part] == {key: grown[part][key] for key in options[part]}
     assert options["train"]["episodes"] == grown["train"]["episodes"]

@@ -24,8 +24,8 @@ from marouting.game.state import Ending
 from marouting.player import Player, StepBuffers
 from marouting.problem.grid import MOVES
 from policies.learned.algorithms.dqn import DQN, DQNOptions
+from policies.learned.algorithms.fused_dqn import FusedDQN, obstacle
 from policies.learned.algorithms.ppo import PPO, PPOOptions, losses
-from policies.learned.compiled.dqn import FusedDQN, obstacle
 from policies.learned.compiled.small_gemm import small_gemm, sparse_row
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Before, Learner, Setup

@@ -27,8 +27,8 @@ from marouting.player import Player
 from marouting.source import load_problems
 from policies.cli.main import status
 from policies.learned.algorithms.dqn import DQN, DQNOptions
+from policies.learned.algorithms.fused_dqn import FusedDQN
 from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT
-from policies.learned.compiled.dqn import FusedDQN
 from policies.learned.config import Config, TrainOptions, load_config
 from policies.learned.learner import Setup
 from policies.learned.logs import Logs
@@ -354,6 +354,8 @@ def test_policy_file_plays(finished: Path) -> None:
         problem = Problem.read(finished / "problems" / f"{name}.gr")
         routed = policy.solve(problem)
         assert evaluate(problem, routed.solution).tasks == 3
+        *_, engine = policy.play(problem)  # move by move, by the module
+        assert engine.solution() == routed.solution
         same = TrainedPolicy.load(finished / "checkpoint.pt", name).solve(problem)
         assert (same.solution, same.report) == (routed.solution, routed.report)
         seen = np.arange(12, dtype=np.float32)

@@ -51,11 +51,9 @@ POLICIES = (
     (
         ("learned/networks", "modules, stacked", 1, True),
         ("learned/memory, exploration", "replay, rollouts, ε", 1, False),
+        ("learned/compiled", "kernels", 0.6, False),
     ),
-    (
-        ("learned/algorithms", "dqn, ppo: subclasses of Learner", 1, True),
-        ("learned/compiled", "the fused DQN", 0.6, False),
-    ),
+    (("learned/algorithms", "dqn, ppo, imitation: subclasses of Learner", 1, True),),
     (("learned/trainer, run, router", "any learner, on any problems, in a run folder", 1, False),),
     (
         ("experiment/", "problem sets × routers × seeds", 1, False),

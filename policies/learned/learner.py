@@ -9,7 +9,7 @@ each problem, or one that all problems share.
 import abc
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import torch
@@ -19,7 +19,9 @@ from torch import Tensor, nn
 from marouting.game.state import NOBODY
 from marouting.player import Player
 from marouting.problem.grid import MOVES
+from policies.learned.compiled import greedy
 from policies.learned.memory.before import Before
+from policies.learned.networks.mlp import MLP
 from policies.learned.networks.stack import Stack
 from policies.learned.rows import COUNT, Rows
 from policies.learned.streams import keys
@@ -175,14 +177,19 @@ class Learner(Rows, abc.ABC):
             networks: (R,) the rows of the networks that play M/R games each, one network's after
                 another's.
         """
+        masking, module = self.masks(self.options), self.networks.module
+        if self.device.type == "cpu" and greedy.applies(player, module):
+            weights = self.networks.flat.numpy()[networks]
+            greedy.play_out(player, cast(MLP, module).sizes, weights, masking=masking)
+            return
         view = self.networks.part(networks)
-        masking = self.masks(self.options)
 
         def rate(obs: Tensor) -> Tensor:
             each = obs.to(self.device).view(len(networks), -1, *obs.shape[1:])
             return view(each).flatten(0, 1)
 
-        play_out(player, rate, masking=masking)
+        for _ in play_steps(player, rate, masking=masking):
+            pass
 
     def weights(self) -> list[dict[str, Tensor]]:
         """The networks as ``state_dict`` of ordinary modules, on the processor."""
@@ -214,12 +221,6 @@ def play_steps(
         b.actions[:] = np.where(b.active, moves.reshape(b.actions.shape), NOBODY)
         player.step()
         yield
-
-
-def play_out(player: Player, rate: Callable[[Tensor], Tensor], *, masking: bool) -> None:
-    """:func:`play_steps` to the end."""
-    for _ in play_steps(player, rate, masking=masking):
-        pass
 
 
 def best_moves(outputs: Tensor, mask: NDArray[np.int8] | None) -> NDArray[np.int8]:

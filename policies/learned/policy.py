@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -22,7 +22,9 @@ from marouting.options import ORDERS
 from marouting.player import Player
 from marouting.source import Draws
 from policies.learned.checkpoint import checked, read_checkpoint
+from policies.learned.compiled import greedy
 from policies.learned.learner import best_moves, play_steps
+from policies.learned.networks.mlp import MLP
 
 SHIPPED = Path(__file__).with_name("generalist.pt")
 """The weights of the generalist that are shipped."""
@@ -182,8 +184,16 @@ class TrainedPolicy:
             InputError: the game shows observations of another shape than the network was trained
                 on.
         """
-        *_, engine = self.play(problem)  # to the end
-        return Routed(engine.solution(), {"from": self.origin})
+        player = self.check(problem)
+        player.reset()
+        if greedy.applies(player, self.module):
+            sizes = cast(MLP, self.module).sizes
+            flat = torch.cat([w.detach().reshape(-1) for w in self.module.parameters()])
+            greedy.play_out(player, sizes, flat[None].numpy(), masking=self.masking)
+        else:
+            for _ in play_steps(player, self.module, masking=self.masking):
+                pass
+        return Routed(player.engine.solution(), {"from": self.origin})
 
     def play(self, problem: Problem) -> Iterator[Engine]:
         """The game of :meth:`solve`.

@@ -3,6 +3,6 @@
 from marouting.registry import register
 
 # The first is the default. It is algorithms.dqn, in compiled code where that applies.
-register("learner", "dqn", "policies.learned.compiled.dqn:FusedDQN")
+register("learner", "dqn", "policies.learned.algorithms.fused_dqn:FusedDQN")
 register("learner", "ppo", "policies.learned.algorithms.ppo:PPO")
 register("learner", "imitation", "policies.learned.algorithms.imitation:Imitation")

@@ -61,7 +61,7 @@ class DQNOptions:
         priority_exponent: α of Schaul et al.; 0 would be uniform.
         importance_exponent: their β at the start; it rises to 1 with the last episode.
         fused: whether the compiled learner does it, see
-            :func:`policies.learned.compiled.dqn.obstacle`; None: where it applies.
+            :func:`policies.learned.algorithms.fused_dqn.obstacle`; None: where it applies.
     """
 
     __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012

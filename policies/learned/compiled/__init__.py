@@ -1,1 +1,1 @@
-"""The fused DQN: whole steps of play and learning as compiled code, where they apply."""
+"""Compiled kernels of the learned half: gradient steps, and whole games of small networks."""

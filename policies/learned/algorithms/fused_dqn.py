@@ -158,28 +158,6 @@ def _play_threaded(
         _play_network(n, steps, play, nets, rule)
 
 
-@allocating
-def _walk(
-    static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers, known: Known,
-    sizes: NDArray[np.int64], weights: NDArray[np.float32], masking: bool,
-) -> None:  # fmt: skip
-    """:meth:`FusedDQN.walk` by networks with the weights (R, P), as long as there is room."""
-    each = len(b.over) // len(weights)
-    values = np.empty((*b.agents.shape, MOVES), np.float32)
-    activations = np.empty(units_of(sizes) * b.agents.size, np.float32)
-    keys, counters = np.zeros(len(b.over), np.uint64), np.zeros(len(b.over), np.int64)
-    never = np.zeros(len(b.over))  # a random move
-    short = False
-    while b.active.any() and not short:
-        for n in range(len(weights)):
-            games = slice(n * each, (n + 1) * each)
-            q_values(sizes, weights[n], b.obs[games], activations, values[games])
-        for m in range(len(b.over)):
-            choose(keys, counters, never, b.active, b.mask, values, masking, b.actions, m)
-            step_problem(static, dynamic, kernel_buffers, known, m)
-            short |= lacks_room(static, dynamic, wide(m))
-
-
 class FusedDQN(DQN):
     """:class:`policies.learned.algorithms.dqn.DQN`, one network after the other in compiled code.
 
@@ -249,17 +227,6 @@ class FusedDQN(DQN):
             _play_threaded(steps, *games, rest, steps_per_update, self._nets, self._rule)
         else:
             _play(steps, play, self._nets, self._rule)
-
-    def walk(self, player: Player, networks: NDArray[np.int64]) -> None:
-        """See :meth:`policies.learned.learner.Learner.walk`."""
-        weights = self.networks.flat.numpy()[networks]
-        engine = player.engine
-        while player.buffers.active.any():
-            player.make_room()
-            _walk(
-                engine.static, engine.dynamic, player.buffers, player.kernel_buffers,
-                player.known, self._nets.sizes, weights, self.options.masking,
-            )  # fmt: skip
 
     def learn(self, due: NDArray[np.int64]) -> None:
         """See :meth:`policies.learned.algorithms.dqn.DQN.learn`."""
