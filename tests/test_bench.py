@@ -6,8 +6,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+import torch
 
-from policies.bench import SECTIONS, Bench, environment, negotiation, oracle
+from marouting import generate
+from policies.bench import SECTIONS, Bench, environment, negotiation, oracle, predicted
 from policies.bench.measure import rate
 from policies.bench.training import operations
 from policies.cli import main as cli
@@ -119,6 +121,37 @@ def test_oracles_are_compared_with_the_defaults(
             oracle.RANGES[name].low <= chosen[name] <= oracle.RANGES[name].high for name in chosen
         )
     assert f"| c | 0.01 | {others[-1]} | " in capsys.readouterr().out
+
+
+def test_predicted_prices_are_compared_with_the_defaults(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(negotiation.GENERATED["c"], "count", 1)
+    file = tmp_path / "rows.json"
+    arguments = ["--families", "c", "--seeds", "2", "--seconds", "0.05", "--shares", "0.5"]
+    arguments += ["--count", "2", "--longest", "0.05", "--epochs", "1", "--out", str(file)]
+    predicted.main(arguments, standalone_mode=False)
+    rows = json.loads(file.read_text())
+    assert [row["router"] for row in rows] == ["defaults", "predicted x 0.5"] * 2
+    assert "| c | 0.05 | predicted x 0.5 | " in capsys.readouterr().out
+
+
+def test_predicted_prices_are_where_the_edges_are() -> None:
+    """What the network sees and what it says lies on the edges that have capacity."""
+    torch.manual_seed(1)
+    network = predicted.Prices(units=4, dilations=(1,))
+    problem = generate(1, (7, 5, 2), nets=6, max_pins=3, capacity=2, reduced_edges=0, seed=4)[0]
+    prices = predicted.predict(network, problem)
+    assert prices.shape == problem.capacity.shape
+    assert prices[problem.capacity > 0].any()
+    assert not prices[problem.capacity == 0].any()
+    along_x, along_y = predicted.see(problem)
+    assert along_x.shape == (predicted.CHANNELS, 7, 5)
+    assert along_y.shape == (predicted.CHANNELS, 5, 7)
+    for seen in (along_x, along_y):  # the last column has no edges, and no demand
+        assert not seen[5, -1].any()
+        assert seen[5, :-1].all()
+        assert not seen[0, -1].any()
 
 
 @pytest.mark.parametrize(
