@@ -130,7 +130,7 @@ def test_an_example_does_what_it_says(name: str, tmp_path: Path) -> None:
 def test_every_example_is_listed_and_short() -> None:
     listed = re.findall(r"\]\((\w+)\.py\)", (EXAMPLES / "README.md").read_text(encoding="utf-8"))
     assert sorted(listed) == NAMES
-    assert len(NAMES) == 8
+    assert len(NAMES) == 7
     for name in NAMES:
         lines = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()
         assert len(lines) <= 150, name
