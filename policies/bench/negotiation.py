@@ -18,7 +18,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
@@ -157,32 +157,64 @@ def write_rows(file: Path, rows: Sequence[dict[str, Any]]) -> None:
     write_text(file, f"[\n{lines}\n]\n")
 
 
-@click.command()
-@click.option("--against", type=Path, help="An earlier checkout of this project.")
-@click.option("--families", default=",".join((*GENERATED, *SCENARIOS)), show_default=True)
-@click.option("--seeds", default=3, show_default=True, help="Seeds of the router per problem.")
-@click.option("--seconds", default="1", show_default=True, help="Processor time: 0.2,1,5.")
-@click.option("--out", type=Path, required=True, help="The JSON file to write.")
-def main(against: Path | None, families: str, seeds: int, seconds: str, out: Path) -> None:
-    """Measures negotiated congestion; writes rows to a file, a table to standard output."""
-    try:
-        for family in families.split(","):
-            problems(family)
-        times = [float(text) for text in seconds.split(",")]
-    except (InputError, ValueError) as error:
-        raise click.UsageError(str(error)) from None
-    checkouts = {} if against is None else {"before": Checkout(against)}
-    checkouts["now"] = Checkout(Path(__file__).resolve().parents[2])
+def report(found: Iterable[dict[str, Any]], out: Path) -> None:
+    """Writes rows to a file as they come, and their table to standard output."""
     rows: list[dict[str, Any]] = []
-    for row in measure(checkouts, families.split(","), seeds, times):
+    for row in found:
         rows.append(row)
         click.echo(json.dumps(row), err=True)
-        if len(rows) % 20 == 0:
-            write_rows(out, rows)
+        write_rows(out, rows)
+    click.echo("".join(summary(rows)), nl=False)
+
+
+def _checked(_context: click.Context, _option: click.Parameter, text: str) -> list[str]:
+    names = text.split(",")
+    try:
+        for name in names:
+            problems(name)
+    except InputError as error:
+        raise click.UsageError(str(error)) from None
+    return names
+
+
+def numbers(_context: click.Context, _option: click.Parameter, text: str) -> list[float]:
+    """The numbers of an option's text, which commas part."""
+    try:
+        return [float(number) for number in text.split(",")]
+    except ValueError:
+        raise click.BadParameter(f"expected numbers such as 0.2,1, found {text}") from None
+
+
+families_option = click.option(
+    "--families",
+    default=",".join((*GENERATED, *SCENARIOS)),
+    show_default=True,
+    callback=_checked,
+    help="Families of problems.",
+)
+
+
+@click.command()
+@click.option("--against", type=Path, help="An earlier checkout of this project.")
+@families_option
+@click.option("--seeds", default=3, show_default=True, help="Seeds of the router per problem.")
+@click.option(
+    "--seconds",
+    default="1",
+    show_default=True,
+    callback=numbers,
+    help="Processor time: 0.2,1,5.",
+)
+@click.option("--out", type=Path, required=True, help="The JSON file to write.")
+def main(
+    against: Path | None, families: list[str], seeds: int, seconds: list[float], out: Path
+) -> None:
+    """Measures negotiated congestion; writes rows to a file, a table to standard output."""
+    checkouts = {} if against is None else {"before": Checkout(against)}
+    checkouts["now"] = Checkout(Path(__file__).resolve().parents[2])
+    report(measure(checkouts, families, seeds, seconds), out)
     for checkout in checkouts.values():
         checkout.close()
-    write_rows(out, rows)
-    click.echo("".join(summary(rows)), nl=False)
 
 
 if __name__ == "__main__":

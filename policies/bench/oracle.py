@@ -21,8 +21,15 @@ import click
 import numpy as np
 from scipy.optimize import Bounds, differential_evolution
 
-from marouting import InputError, Problem, evaluate, generate, scenarios
-from policies.bench.negotiation import GENERATED, SCENARIOS, SEED, problems, summary, write_rows
+from marouting import Problem, evaluate, generate, scenarios
+from policies.bench.negotiation import (
+    GENERATED,
+    SCENARIOS,
+    SEED,
+    families_option,
+    problems,
+    report,
+)
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 SCALES = (1.0, 0.5)
@@ -156,7 +163,7 @@ def with_schedule(
 
 @click.command()
 @click.argument("oracle", type=click.Choice(("prices", "schedule")))
-@click.option("--families", default=",".join((*GENERATED, *SCENARIOS)), show_default=True)
+@families_option
 @click.option("--seeds", default=3, show_default=True, help="Seeds of the router per problem.")
 @click.option("--seconds", default=1.0, show_default=True, help="Processor time of a search.")
 @click.option("--long", default=30.0, show_default=True, help="The same where prices are found.")
@@ -165,7 +172,7 @@ def with_schedule(
 @click.option("--out", type=Path, required=True, help="The JSON file to write.")
 def main(
     oracle: str,
-    families: str,
+    families: list[str],
     seeds: int,
     seconds: float,
     long: float,
@@ -174,23 +181,15 @@ def main(
     out: Path,
 ) -> None:
     """Measures what an oracle brings; writes rows to a file, a table to standard output."""
-    try:
-        warm = [problems(family)[0] for family in families.split(",")]
-    except InputError as error:
-        raise click.UsageError(str(error)) from None
     for exact in (2, 5):
-        play(warm[0], {"seconds": 0.2, "exact_pins": exact})  # compiles
-    rows: list[dict[str, Any]] = []
-    for family in families.split(","):
+        play(problems(families[0])[0], {"seconds": 0.2, "exact_pins": exact})  # compiles
+
+    def rows(family: str) -> Iterator[dict[str, Any]]:
         if oracle == "prices":
-            found = with_prices(family, seeds, seconds, long)
-        else:
-            found = with_schedule(family, seeds, seconds, trials, count)
-        for row in found:
-            rows.append(row)
-            click.echo(json.dumps(row), err=True)
-            write_rows(out, rows)
-    click.echo("".join(summary(rows)), nl=False)
+            return with_prices(family, seeds, seconds, long)
+        return with_schedule(family, seeds, seconds, trials, count)
+
+    report(itertools.chain.from_iterable(map(rows, families)), out)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ not fit at once. The router begins with a share of what it predicts on the probl
 counted. No price is plain negotiation.
 """
 
-import json
+import itertools
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -22,10 +22,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from marouting import InputError, Problem, evaluate, generate
+from marouting import Problem, generate
 from marouting.problem.grid import AXES, VIA_AXIS
-from policies.bench.negotiation import GENERATED, SCENARIOS, problems, summary, write_rows
-from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
+from policies.bench.negotiation import families_option, numbers, problems, report
+from policies.bench.oracle import play
+from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter, Routed
 
 SEED = 90_000
 """Of the problems that the network practises on: none of those that are compared."""
@@ -34,6 +35,9 @@ LONG_SEEDS = (200, 201)
 """Of the searches whose mean prices are to be predicted."""
 
 CHANNELS = 7
+"""Demand per capacity of the edge, of the one across it, and what exceeds 1; one over the capacity;
+pins per track; whether there is an edge; the problem's mean demand per capacity."""
+
 _ALONG = (0, 2, 3, 5)
 """The channels that tell of edges along the axis; 1 tells of those across it."""
 
@@ -64,7 +68,7 @@ class Example(NamedTuple):
     """The edges of a problem along one axis."""
 
     seen: Tensor  # (CHANNELS, columns, rows)
-    prices: Tensor  # (columns, rows) those of long searches
+    prices: Tensor  # (columns, rows) those of long searches, in edges
 
 
 def _along(problem: Problem, values: NDArray[Any], axis: int) -> NDArray[np.float64]:
@@ -75,7 +79,12 @@ def _along(problem: Problem, values: NDArray[Any], axis: int) -> NDArray[np.floa
 
 
 def see(problem: Problem) -> list[Tensor]:
-    """What the network sees of the edges along x and along y."""
+    """What the network sees of the edges along x and along y.
+
+    Returns:
+        float32 (CHANNELS, columns, rows) for the edges along x, (CHANNELS, rows, columns) for those
+        along y.
+    """
     demand = PathfinderRouter(PathfinderOptions(passes=1)).solve(problem).solution.edge_demand
     capacity = [_along(problem, problem.capacity, axis) for axis in range(VIA_AXIS)]
     used = [
@@ -101,7 +110,12 @@ def see(problem: Problem) -> list[Tensor]:
 
 
 def practice(index: int, longest: float) -> list[Example]:
-    """A generated problem with the prices of long searches; none if it is easy."""
+    """A generated problem with the mean prices of long searches; nothing if one proves its optimum.
+
+    Args:
+        index: which problem.
+        longest: most processor seconds of a search.
+    """
     rng = np.random.default_rng(SEED + index)
     columns, rows = (int(rng.choice((16, 24, 32, 32, 40)) + rng.integers(-3, 4)) for _ in range(2))
     nets, most = int(columns * rows * rng.uniform(0.3, 0.7)), int(rng.integers(2, 6))
@@ -111,7 +125,7 @@ def practice(index: int, longest: float) -> list[Example]:
         grid = (columns, rows, 2)
         return generate(1, grid, nets=nets, max_pins=most, capacity=capacity, seed=SEED + index)[0]
 
-    def solved(problem: Problem, **options: Any) -> Any:
+    def solved(problem: Problem, **options: Any) -> Routed:
         return PathfinderRouter(PathfinderOptions(**options)).solve(problem)
 
     edges = columns * (rows - 1) + rows * (columns - 1)
@@ -172,7 +186,7 @@ def train(examples: Sequence[Example], epochs: int) -> Prices:
 
 @torch.no_grad()
 def predict(network: Prices, problem: Problem) -> NDArray[np.float64]:
-    """(E,) the prices of a problem's edges, 0 across layers."""
+    """(E,) the prices of a problem's edges, in edges; 0 across layers."""
     prices = np.zeros((*problem.grid, AXES))
     for axis, seen in enumerate(see(problem)):
         found = network(seen[None])[0].relu().double().numpy()
@@ -190,61 +204,55 @@ def compared(
                 began = time.process_time()
                 prices = share * predict(network, problem) if share else None
                 left = seconds - (time.process_time() - began)
-                options = PathfinderOptions(seconds=left, seed=seed)
-                routed = PathfinderRouter(options).solve(problem, prices=prices)
-                figures = evaluate(problem, routed.solution)
-                yield {
-                    "router": f"predicted x {share:g}" if share else "defaults",
-                    "family": family,
-                    "problem": index,
-                    "seconds": seconds,
-                    "seed": seed,
-                    "overflow": figures.overflow,
-                    "wirelength": figures.wirelength,
-                }
+                router = f"predicted x {share:g}" if share else "defaults"
+                where = {"family": family, "problem": index, "seconds": seconds, "seed": seed}
+                options = {"seconds": left, "seed": seed}
+                yield {"router": router, **where, **play(problem, options, prices)}
 
 
 @click.command()
-@click.option("--families", default=",".join((*GENERATED, *SCENARIOS)), show_default=True)
+@families_option
 @click.option("--seeds", default=3, show_default=True, help="Seeds of the router per problem.")
-@click.option("--seconds", default="1", show_default=True, help="Processor time: 0.3,1,5.")
-@click.option("--shares", default="0.15,0.3", show_default=True, help="Of the predicted prices.")
+@click.option(
+    "--seconds",
+    default="1",
+    show_default=True,
+    callback=numbers,
+    help="Processor time: 0.3,1,5.",
+)
+@click.option(
+    "--shares",
+    default="0.15,0.3",
+    show_default=True,
+    callback=numbers,
+    help="Of the predicted prices.",
+)
 @click.option("--count", default=150, show_default=True, help="Problems to practise on.")
 @click.option("--longest", default=6.0, show_default=True, help="Time of their searches.")
 @click.option("--epochs", default=80, show_default=True, help="Of the training.")
 @click.option("--out", type=Path, required=True, help="The JSON file to write.")
 def main(
-    families: str,
+    families: list[str],
     seeds: int,
-    seconds: str,
-    shares: str,
+    seconds: list[float],
+    shares: list[float],
     count: int,
     longest: float,
     epochs: int,
     out: Path,
 ) -> None:
     """Measures what predicted prices bring; writes rows to a file, a table to standard output."""
-    try:
-        for family in families.split(","):
-            problems(family)
-        times = [float(text) for text in seconds.split(",")]
-        tried = [float(text) for text in shares.split(",")]
-    except (InputError, ValueError) as error:
-        raise click.UsageError(str(error)) from None
     torch.set_num_threads(1)
     examples: list[Example] = []
     for index in range(count):
         examples += practice(index, longest)
         click.echo(f"problem {index + 1} of {count}: {len(examples)} examples", err=True)
     network = train(examples, epochs)
-    rows: list[dict[str, Any]] = []
-    for limit in times:
-        for family in families.split(","):
-            for row in compared(network, family, seeds, limit, tried):
-                rows.append(row)
-                click.echo(json.dumps(row), err=True)
-                write_rows(out, rows)
-    click.echo("".join(summary(rows)), nl=False)
+    found = (
+        compared(network, family, seeds, limit, shares)
+        for limit, family in itertools.product(seconds, families)
+    )
+    report(itertools.chain.from_iterable(found), out)
 
 
 if __name__ == "__main__":

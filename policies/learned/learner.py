@@ -9,7 +9,7 @@ each problem, or one that all problems share.
 import abc
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -21,7 +21,6 @@ from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned.compiled import greedy
 from policies.learned.memory.before import Before
-from policies.learned.networks.mlp import MLP
 from policies.learned.networks.stack import Stack
 from policies.learned.rows import COUNT, Rows
 from policies.learned.streams import keys
@@ -177,10 +176,11 @@ class Learner(Rows, abc.ABC):
             networks: (R,) the rows of the networks that play M/R games each, one network's after
                 another's.
         """
-        masking, module = self.masks(self.options), self.networks.module
-        if self.device.type == "cpu" and greedy.applies(player, module):
+        masking = self.masks(self.options)
+        layers = greedy.layers_of(player, self.networks.module)
+        if layers is not None and self.device.type == "cpu":
             weights = self.networks.flat.numpy()[networks]
-            greedy.play_out(player, cast(MLP, module).sizes, weights, masking=masking)
+            greedy.play_out(player, layers, weights, masking=masking)
             return
         view = self.networks.part(networks)
 

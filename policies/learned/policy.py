@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,7 +24,6 @@ from marouting.source import Draws
 from policies.learned.checkpoint import checked, read_checkpoint
 from policies.learned.compiled import greedy
 from policies.learned.learner import best_moves, play_steps
-from policies.learned.networks.mlp import MLP
 
 SHIPPED = Path(__file__).with_name("generalist.pt")
 """The weights of the generalist that are shipped."""
@@ -186,10 +185,10 @@ class TrainedPolicy:
         """
         player = self.check(problem)
         player.reset()
-        if greedy.applies(player, self.module):
-            sizes = cast(MLP, self.module).sizes
-            flat = torch.cat([w.detach().reshape(-1) for w in self.module.parameters()])
-            greedy.play_out(player, sizes, flat[None].numpy(), masking=self.masking)
+        layers = greedy.layers_of(player, self.module)
+        if layers is not None:
+            weights = nn.utils.parameters_to_vector(self.module.parameters()).detach()
+            greedy.play_out(player, layers, weights[None].numpy(), masking=self.masking)
         else:
             for _ in play_steps(player, self.module, masking=self.masking):
                 pass

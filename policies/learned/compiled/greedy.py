@@ -14,30 +14,32 @@ from policies.learned.exploration import choose
 from policies.learned.networks.mlp import MLP
 
 
-def applies(player: Player, module: nn.Module) -> bool:
-    """Whether :func:`play_out` does a network of this kind, in these games."""
-    plain = isinstance(module, MLP) and module.activation == "relu" and not module.dueling
-    known = player.known
-    return plain and known.observation and known.reward and player.engine.actions == MOVES
+def layers_of(player: Player, module: nn.Module) -> tuple[int, ...] | None:
+    """Units of a network's layers, inputs first, if :func:`play_out` does it in these games."""
+    if not isinstance(module, MLP) or module.activation != "relu" or module.dueling:
+        return None
+    known = player.known.observation and player.known.reward
+    return module.sizes if known and player.engine.actions == MOVES else None
 
 
 def play_out(
-    player: Player, sizes: tuple[int, ...], weights: NDArray[np.float32], *, masking: bool
+    player: Player, layers: tuple[int, ...], weights: NDArray[np.float32], *, masking: bool
 ) -> None:
     """Plays the games of a player to their end, always by the move that is rated highest.
 
     Args:
         player: of M games, whose episodes have begun.
-        sizes: units of the layers, inputs first.
-        weights: (R, P) of the networks that play M/R games each, one network's after another's.
+        layers: see :func:`layers_of`.
+        weights: (R, P) float32, of the networks that play M/R games each, one network's after
+            another's.
         masking: whether only moves that cross an edge are chosen.
     """
-    engine, layers = player.engine, np.array(sizes, np.int64)
+    engine, sizes = player.engine, np.array(layers, np.int64)
     while player.buffers.active.any():
         player.make_room()
         _play_out(
             engine.static, engine.dynamic, player.buffers, player.kernel_buffers,
-            player.known, layers, weights, masking,
+            player.known, sizes, weights, masking,
         )  # fmt: skip
 
 
