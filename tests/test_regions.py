@@ -15,7 +15,16 @@ from marouting.problem.grid import AXES
 from policies.engines import Call
 from policies.routers.astar import AStarRouter
 from policies.routers.regions import RegionsOptions, RegionsRouter, router
-from policies.routers.regions.cutting import Box, Piece, cut, figures, joined, lines
+from policies.routers.regions.cutting import (
+    Box,
+    Piece,
+    chip_edges,
+    cut,
+    figures,
+    joined,
+    lines,
+    work_inside,
+)
 
 
 class Here:
@@ -47,6 +56,15 @@ def chip(seed: int = 1, nets: int = 60) -> Problem:
 def routed(problem: Problem) -> Solution:
     """Every net joined, with nothing that joins nothing."""
     return AStarRouter().route(problem).pruned()
+
+
+def priced(problem: Problem, seed: int = 0) -> np.ndarray:
+    """A price for about half of the edges."""
+    rng = np.random.default_rng(seed)
+    price = np.maximum(rng.uniform(-1, 1, (*problem.grid, AXES)), 0).astype(np.float32)
+    for axis in range(AXES):  # no edge leaves the chip
+        price[(slice(None),) * axis + (-1, ..., axis)] = 0
+    return price.reshape(-1)
 
 
 def within(problem: Problem, box: Box, edge: int) -> bool:
@@ -94,7 +112,7 @@ def test_what_is_cut_joins_again(seed: int, axis: int, data: st.DataObject) -> N
     solution = routed(problem)
     low = data.draw(st.integers(0, problem.grid[axis] - 2))
     box = Box(axis, low, data.draw(st.integers(low + 2, problem.grid[axis])))
-    piece, nets = cut(solution, box)
+    piece, nets = cut(solution, priced(problem), box)
     if not len(nets):
         return
     own = piece.problem()
@@ -107,6 +125,13 @@ def test_what_is_cut_joins_again(seed: int, axis: int, data: st.DataObject) -> N
             assert own.capacity[moved(problem, box, piece, edge)] == problem.capacity[edge]
     net, edge = there.uses
     assert joined(solution, box, nets[net], edge.astype(np.int32)) == solution
+    # With the same prices of the same edges.
+    prices = priced(problem)
+    paid = {edge: prices[edge] for edge in np.flatnonzero(prices) if within(problem, box, edge)}
+    assert dict(zip(piece.priced.tolist(), piece.price, strict=True)) == {
+        moved(problem, box, piece, edge): price for edge, price in paid.items()
+    }
+    assert chip_edges(problem, box, piece.priced).tolist() == list(paid)
 
 
 @settings(max_examples=10, deadline=None)
@@ -116,7 +141,7 @@ def test_a_box_that_is_routed_anew_joins_all(seed: int) -> None:
     solution = routed(problem)
     axis, at = lines(solution, 2)
     box = Box(axis, 0, at[0])
-    piece, nets = cut(solution, box)
+    piece, nets = cut(solution, priced(problem), box)
     net, edge = AStarRouter().route(piece.problem()).uses
     other = joined(solution, box, nets[net], edge.astype(np.int32))
     found = evaluate(problem, other)
@@ -144,13 +169,31 @@ def test_lines_are_where_few_wires_cross() -> None:
     assert len(lines(solution, 99)[1]) <= 2
 
 
+def test_work_is_where_nets_meet() -> None:
+    """Nets on full edges count ten times, by a count of every use."""
+    solution = routed(chip(2, nets=200))
+    problem = solution.problem
+    use: dict[int, int] = {}
+    for own in solution.edges:
+        for edge in own.tolist():
+            use[edge] = use.get(edge, 0) + 1
+    full = {e for e, n in use.items() if e % AXES < 2 and n > problem.capacity[e]}
+    assert full
+    expected = [0, 0]
+    for own in solution.edges:
+        weight = 10 if full & set(own.tolist()) else 1
+        for edge in own.tolist():
+            expected[int(np.unravel_index(edge // AXES, problem.grid)[1] >= 7)] += weight
+    assert work_inside(solution, [Box(1, 0, 7), Box(1, 7, 24)]).tolist() == expected
+
+
 def test_a_layer_without_wires_stays_so() -> None:
     problem = chip()
     wires = np.array([[True, False], [False, True], [True, True]])
     lines_ = (np.arange(size + 1, dtype=np.int64) for size in problem.grid[:2])
     x, y = lines_
     object.__setattr__(problem, "chip", Chip(("a", "b", "c"), x, y, wires))
-    piece, _ = cut(routed(problem), Box(0, 0, 10))
+    piece, _ = cut(routed(problem), priced(problem), Box(0, 0, 10))
     found = piece.problem().chip
     assert found is not None
     np.testing.assert_array_equal(found.wires, wires)
@@ -166,7 +209,8 @@ def test_the_router_joins_all(regions: int) -> None:
     judged = evaluate(problem, found.solution)
     assert judged.connected
     assert len(found.lines) == regions - 1
-    assert [step.kind for step in found.history] == ["patterns", "regions", "strips"]
+    kinds = [step.kind for step in found.history]
+    assert kinds == ["patterns", *["regions", "strips"] * 2]
     steps = [(step.overflow, step.wirelength) for step in found.history]
     assert steps == sorted(steps, reverse=True)
     assert steps[-1] < steps[0]

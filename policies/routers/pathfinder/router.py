@@ -49,6 +49,7 @@ class Routed:
         history: every pass, in order; the first is that of patterns.
         stop: why the search ended.
         prices: (E,) what past overflow adds to the cost of every edge in the end, in edges.
+        present: factor by which one net too many raises the cost of an edge in the end.
     """
 
     solution: Solution
@@ -56,6 +57,7 @@ class Routed:
     history: tuple[Pass, ...]
     stop: Stop
     prices: NDArray[np.float64]
+    present: float
 
     @property
     def iterations(self) -> int:
@@ -113,6 +115,7 @@ class PathfinderRouter:
         problem: Problem,
         start: Solution | None = None,
         prices: NDArray[np.float64] | None = None,
+        present: float = 0.0,
     ) -> Routed:
         """Routes a problem like :meth:`route` and tells how the solution was found.
 
@@ -120,6 +123,7 @@ class PathfinderRouter:
             problem: the problem.
             start: a solution to begin with; None: the one of the option ``start``, if there is one.
             prices: (E,) prices to begin with, as in :class:`Routed`; None: 0 everywhere.
+            present: factor to go on from, as in :class:`Routed`; 0: the option ``present``.
         """
         began, worked = time.perf_counter(), time.thread_time()
         limit = self.options.seconds
@@ -132,6 +136,7 @@ class PathfinderRouter:
         if prices is not None:
             routing.price[:] = prices * UNIT
         progress = routing.progress[0]
+        progress["present"] = present
         passes: list[Pass] = []
         ended = len(routing.order) == 0
         stop: Stop = "optimal" if ended else "settled"
@@ -161,7 +166,8 @@ class PathfinderRouter:
         self._best = None
         solution = _best(problem, routing)
         prices = routing.price / UNIT
-        return Routed(solution, time.perf_counter() - began, tuple(passes), stop, prices)
+        factor = float(progress["present"])
+        return Routed(solution, time.perf_counter() - began, tuple(passes), stop, prices, factor)
 
 
 def _best(problem: Problem, routing: Routing) -> Solution:

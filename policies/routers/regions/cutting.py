@@ -1,5 +1,6 @@
 """Cutting: from a solution of a whole chip to the problems of its regions, and back."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,10 @@ from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.net import Adjustment, Net, Pin
 
 _SLACK = 0.1
-"""How far a line may be from where it parts the wire evenly, as a share of all wire."""
+"""How far a line may be from where it parts the work evenly, as a share of all work."""
+
+_AGAIN = 9
+"""About how often a net on a full edge is rerouted before all nets are rerouted once."""
 
 
 class Box(NamedTuple):
@@ -45,6 +49,8 @@ class Piece(NamedTuple):
         width: (nets,) minimum width of the nets' wires.
         net: (uses,) the net of every use of an edge as the routes are now, ascending.
         edge: (uses,) the edge, ascending for each net.
+        priced: (m,) edges with a price.
+        price: (m,) what past overflow adds to their cost, in edges.
     """
 
     grid: tuple[int, int, int]
@@ -58,6 +64,8 @@ class Piece(NamedTuple):
     width: NDArray[np.int32]
     net: NDArray[np.int32]
     edge: NDArray[np.int32]
+    priced: NDArray[np.int32]
+    price: NDArray[np.float32]
 
     @property
     def size(self) -> int:
@@ -97,10 +105,34 @@ class Piece(NamedTuple):
         )
 
 
+def work(solution: Solution) -> NDArray[np.float64]:
+    """About how much work negotiation has with each use of an edge: more where nets overflow.
+
+    Returns:
+        (uses,) 1 for a net that nothing disturbs.
+    """
+    problem = solution.problem
+    net, edge = solution.uses
+    used, tracks = solution.used_edges
+    full = used[(used % AXES != VIA_AXIS) & (tracks > problem.capacity_of(used))]
+    disturbed = np.zeros(len(problem.nets), np.bool_)
+    disturbed[net[np.isin(edge, full)]] = True
+    return np.where(disturbed[net], 1.0 + _AGAIN, 1.0)
+
+
+def work_inside(solution: Solution, boxes: Sequence[Box]) -> NDArray[np.float64]:
+    """The :func:`work` in each of several boxes with the same axis."""
+    problem, axis = solution.problem, boxes[0].axis
+    at = solution.uses[1] // AXES // problem.strides[axis] % problem.grid[axis]
+    upto = np.bincount(at, work(solution), problem.grid[axis]).cumsum()
+    upto = np.concatenate(([0.0], upto))
+    return np.array([upto[box.high] - upto[box.low] for box in boxes])
+
+
 def lines(solution: Solution, regions: int) -> tuple[int, list[int]]:
     """Where to cut a chip: axis and places of ``regions`` - 1 lines.
 
-    Each is where the fewest wires cross, of those places near where the wire is parted evenly.
+    Each is where the fewest wires cross, of those places near where the work is parted evenly.
 
     Returns:
         The axis of the wires that are cut, and for each line, ascending, the column or row behind
@@ -109,14 +141,15 @@ def lines(solution: Solution, regions: int) -> tuple[int, list[int]]:
     problem = solution.problem
     edge = solution.uses[1]
     places = np.unravel_index(edge // AXES, problem.grid)
+    weight = work(solution)
     found = []
     for axis in range(VIA_AXIS):
         size = problem.grid[axis]
         crossing = np.bincount(places[axis][edge % AXES == axis], minlength=size)
-        work = np.cumsum(np.bincount(places[axis], minlength=size)) / max(len(edge), 1)
+        upto = np.bincount(places[axis], weight, size).cumsum() / max(weight.sum(), 1.0)
         at: list[int] = []
         for i in range(1, regions):
-            share = np.abs(work[:-1] - i / regions)
+            share = np.abs(upto[:-1] - i / regions)
             near = np.flatnonzero(share <= max(_SLACK / regions, share.min()))
             line = int(near[crossing[near].argmin()]) + 1
             if line - (at[-1] if at else 0) >= LEAST and size - line >= LEAST:
@@ -130,13 +163,16 @@ LEAST = 8
 """Columns or rows of the smallest region."""
 
 
-def cut(solution: Solution, box: Box) -> tuple[Piece, NDArray[np.int64]]:
+def cut(
+    solution: Solution, prices: NDArray[np.float32], box: Box
+) -> tuple[Piece, NDArray[np.int64]]:
     """The problem of a box: its parts of the nets, as the routes leave the box now.
 
     The parts of a net in the box are those that its edges in the box join, and each becomes a net.
 
     Args:
         solution: the routes.
+        prices: (E,) what past overflow adds to the cost of every edge of the chip, in edges.
         box: the box.
 
     Returns:
@@ -178,8 +214,9 @@ def cut(solution: Solution, box: Box) -> tuple[Piece, NDArray[np.int64]]:
     starts = np.concatenate(([0], np.cumsum(counts)))
     nets = vertex[end[starts[:-1]]] // gcells
     adjusted, capacity = problem.adjusted
-    there = _inside(problem, box, adjusted // AXES)
-    there &= _inside(problem, box, adjusted // AXES + problem.strides[adjusted % AXES])
+    there = _within(problem, box, adjusted)
+    priced = np.flatnonzero(prices)
+    priced = priced[_within(problem, box, priced)]
     width = np.fromiter((problem.nets[i].min_width for i in nets.tolist()), np.int32, len(nets))
     piece = Piece(
         grid=_grid(problem, box),
@@ -193,6 +230,8 @@ def cut(solution: Solution, box: Box) -> tuple[Piece, NDArray[np.int64]]:
         width=width,
         net=number_of[order].astype(np.int32),
         edge=used[order],
+        priced=_local_edges(problem, box, priced),
+        price=prices[priced],
     )
     return piece, nets
 
@@ -210,15 +249,10 @@ def joined(
     """
     problem = solution.problem
     kept_net, kept_edge = solution.uses
-    near, axis = np.divmod(kept_edge, AXES)
-    inside = _inside(problem, box, near) & _inside(problem, box, near + problem.strides[axis])
-    x, y, z = np.unravel_index(edge // AXES, _grid(problem, box))
-    at = [x.astype(np.int64), y.astype(np.int64)]
-    at[box.axis] += box.low
-    gcell = at[0] * problem.strides[0] + at[1] * problem.strides[1] + z
+    inside = _within(problem, box, kept_edge)
     size = AXES * int(np.prod(problem.grid))
     uses = np.concatenate((
-        kept_net[~inside] * size + kept_edge[~inside], net * size + AXES * gcell + edge % AXES
+        kept_net[~inside] * size + kept_edge[~inside], net * size + chip_edges(problem, box, edge)
     ))  # fmt: skip
     return Solution.of_uses(problem, *np.divmod(np.unique(uses), size))
 
@@ -249,6 +283,21 @@ def _local(problem: Problem, box: Box, gcell: NDArray[np.int64]) -> NDArray[np.i
     at = list(np.unravel_index(gcell, problem.grid))
     at[box.axis] = at[box.axis] - box.low
     return np.ravel_multi_index(tuple(at), _grid(problem, box)).astype(np.int64)
+
+
+def _within(problem: Problem, box: Box, edge: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether both ends of edges are in a box."""
+    near, axis = np.divmod(edge, AXES)
+    return _inside(problem, box, near) & _inside(problem, box, near + problem.strides[axis])
+
+
+def chip_edges(problem: Problem, box: Box, edge: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The numbers that edges of a box's problem have in the chip."""
+    x, y, z = np.unravel_index(edge // AXES, _grid(problem, box))
+    at = [x.astype(np.int64), y.astype(np.int64)]
+    at[box.axis] += box.low
+    gcell = at[0] * problem.strides[0] + at[1] * problem.strides[1] + z
+    return AXES * gcell + edge % AXES
 
 
 def _local_edges(problem: Problem, box: Box, edge: NDArray[np.int64]) -> NDArray[np.int32]:

@@ -15,7 +15,16 @@ from marouting.config import MOST, check
 from policies.engines import Call, Engine, EngineName, cores, opened
 from policies.routers.base import small_problem
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
-from policies.routers.regions.cutting import Box, Piece, cut, figures, joined, lines
+from policies.routers.regions.cutting import (
+    Box,
+    Piece,
+    chip_edges,
+    cut,
+    figures,
+    joined,
+    lines,
+    work_inside,
+)
 
 Stop = Literal["done", "asked", "small"]
 """Why a search ended: everything was negotiated; somebody asked it to stop; or the chip was so
@@ -26,8 +35,10 @@ _DONE: Stop = "done"
 Kind = Literal["regions", "strips"]
 
 _STEPS: tuple[tuple[Kind, float], ...] = (
-    ("regions", 0.8),
+    ("regions", 0.5),
     ("strips", 0.2),
+    ("regions", 0.2),
+    ("strips", 0.1),
 )
 """What is negotiated one after another, with the share of the time."""
 
@@ -61,6 +72,18 @@ class RegionsOptions:
         check("regions", 1 <= self.regions <= 1024, "a number from 1 to 1024")
         check("seconds", self.seconds is None or self.seconds >= 0, "a number from 0, or null")
         check("seed", 0 <= self.seed <= MOST, f"a number from 0 to {MOST}")
+
+
+class Congestion(NamedTuple):
+    """What negotiation goes on from, beside the routes.
+
+    Attributes:
+        prices: (E,) what past overflow adds to the cost of every edge, in edges.
+        present: factor by which one net too many raises the cost of an edge; 0: none so far.
+    """
+
+    prices: NDArray[np.float32]
+    present: float
 
 
 class Step(NamedTuple):
@@ -149,13 +172,14 @@ class RegionsRouter:
             last = Step("one piece", *figures(solution), spent, 0, 0)
             return Routed(solution, (first, last), axis, (), "small")
         history, stop = [first], _DONE
+        congestion = Congestion(np.zeros(problem.topology.edges, np.float32), 0.0)
         with opened(options.engine, min(len(at) + 1, cores()), 1) as engine:
             for number, (kind, share) in enumerate(_STEPS):
                 seconds = None if options.seconds is None else share * options.seconds
                 boxes = _boxes(kind, axis, at, problem.grid[axis])
                 seed = (options.seed + number * options.regions) % MOST
-                solution, step, asked = self._negotiated(
-                    engine, solution, kind, boxes, seconds, seed
+                solution, congestion, step, asked = self._negotiated(
+                    engine, solution, congestion, kind, boxes, seconds, seed
                 )
                 history.append(step)
                 if asked:
@@ -167,56 +191,95 @@ class RegionsRouter:
         self,
         engine: Engine,
         solution: Solution,
+        congestion: Congestion,
         kind: Kind,
         boxes: Sequence[Box],
         seconds: float | None,
         seed: int,
-    ) -> tuple[Solution, Step, bool]:
-        """A step: the solution after it, what it took, and whether somebody asked to stop."""
-        pieces = [cut(solution, box) for box in boxes]
-        pins = [len(piece.pin) for piece, _ in pieces]
-        parts = [number for number, size in enumerate(pins) if size]
+    ) -> tuple[Solution, Congestion, Step, bool]:
+        """A step: what is there after it, what it took, and whether somebody asked to stop."""
+        pieces = [cut(solution, congestion.prices, box) for box in boxes]
+        parts = [number for number, (piece, _) in enumerate(pieces) if len(piece.pin)]
+        work = work_inside(solution, boxes)
         calls = []
         for number in parts:
-            own = None if seconds is None else seconds * pins[number] / sum(pins)
-            calls.append(Call(negotiate, (pieces[number][0], own, (seed + number) % MOST)))
+            own = None if seconds is None else seconds * work[number] / work[parts].sum()
+            task = (pieces[number][0], congestion.present, own, (seed + number) % MOST)
+            calls.append(Call(negotiate, task))
         spent, returned, done, asked = 0.0, 0, 0, False
-        best = figures(solution)
+        best, prices, present = figures(solution), congestion.prices.copy(), congestion.present
+        hardest = work[parts].argmax() if parts else 0
         for found in engine.run(calls):
-            for number, (net, edge, took) in found.items():
-                box, (_, nets) = boxes[parts[number]], pieces[parts[number]]
-                other = joined(solution, box, nets[net], edge)
+            for number, part in found.items():
+                box, (piece, nets) = boxes[parts[number]], pieces[parts[number]]
+                other = joined(solution, box, nets[part.net], part.edge)
                 if (new := figures(other)) <= best:
                     solution, best = other, new
-                spent, returned, done = spent + took, returned + net.nbytes + edge.nbytes, done + 1
+                prices[chip_edges(solution.problem, box, piece.priced)] = 0
+                prices[chip_edges(solution.problem, box, part.priced)] = part.price
+                if number == hardest:
+                    present = part.present
+                spent, returned, done = spent + part.seconds, returned + part.size, done + 1
             line = f"{kind}, {done} of {len(calls)}; best: overflow {best[0]}, wirelength {best[1]}"
             if self.watch is not None and self.watch(line):
                 asked = True
                 break
         sent = sum(pieces[number][0].size for number in parts)
-        return solution, Step(kind, *best, spent, sent, returned), asked
+        return (
+            solution,
+            Congestion(prices, present),
+            Step(kind, *best, spent, sent, returned),
+            asked,
+        )
 
 
-def negotiate(
-    piece: Piece, seconds: float | None, seed: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32], float]:
+class Part(NamedTuple):
+    """What comes back from a task.
+
+    Attributes:
+        net: (uses,) the net of every use of an edge.
+        edge: (uses,) the edge.
+        priced: (m,) edges with a price.
+        price: (m,) theirs.
+        present: factor for one net too many.
+        seconds: processor seconds that it took.
+    """
+
+    net: NDArray[np.int32]
+    edge: NDArray[np.int32]
+    priced: NDArray[np.int32]
+    price: NDArray[np.float32]
+    present: float
+    seconds: float
+
+    @property
+    def size(self) -> int:
+        """The bytes of its arrays."""
+        return sum(part.nbytes for part in self if isinstance(part, np.ndarray))
+
+
+def negotiate(piece: Piece, present: float, seconds: float | None, seed: int) -> Part:
     """A task: routes a piece.
 
     Args:
         piece: the problem.
+        present: factor for one net too many, to go on from; 0 to begin.
         seconds: limit of processor time; None for no limit.
         seed: seed of the random numbers.
-
-    Returns:
-        Net and edge of every use, and the processor seconds that it took.
     """
     _warm()
     began = time.thread_time()
     options = PathfinderOptions(seconds=seconds, seed=seed)
     problem = piece.problem()
     now = Solution.of_uses(problem, piece.net.astype(np.int64), piece.edge.astype(np.int64))
-    net, edge = PathfinderRouter(options).solve(problem, now).solution.uses
-    return net.astype(np.int32), edge.astype(np.int32), time.thread_time() - began
+    prices = np.zeros(problem.topology.edges)
+    prices[piece.priced] = piece.price
+    found = PathfinderRouter(options).solve(problem, now, prices, present)
+    net, edge = (part.astype(np.int32) for part in found.solution.uses)
+    priced = np.flatnonzero(found.prices)
+    price = found.prices[priced].astype(np.float32)
+    spent = time.thread_time() - began
+    return Part(net, edge, priced.astype(np.int32), price, found.present, spent)
 
 
 @functools.cache
