@@ -164,6 +164,7 @@ class Game:
     rip_up_rounds: int = 0
     rip_up: str = "all"
     rip_up_neighbours: int = 0
+    rip_up_patience: int = 0
     agents: list[Agent] = field(init=False)
     order: list[int] = field(init=False)
     users: dict[Edge, set[int]] = field(init=False)
@@ -277,7 +278,10 @@ class Game:
         }
         counts = {o: len(edges & self.edges_of(o)) for o in range(len(self.agents)) if o != n}
         weights = {o: count * lot(self.round, n, o) for o, count in counts.items() if count}
-        return sorted(weights, key=lambda o: (-weights[o], o))[: self.rip_up_neighbours]
+        most = self.rip_up_neighbours
+        if self.rip_up_patience:
+            most = min(most, (self.round - 1) // self.rip_up_patience)
+        return sorted(weights, key=lambda o: (-weights[o], o))[:most]
 
     def release(self, n: int) -> None:
         """A net and those in its way walk again."""

@@ -34,6 +34,7 @@ extensions = st.fixed_dictionaries(
         "rip_up_rounds": st.sampled_from([0, 1, 2, 3]),
         "rip_up": st.sampled_from(["all", "conflicts", "price", "agents"]),
         "rip_up_neighbours": st.sampled_from([0, 1, 2]),
+        "rip_up_patience": st.sampled_from([0, 1]),
     }
 )
 seeds = st.integers(0, 2**32)

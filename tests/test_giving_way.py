@@ -110,10 +110,24 @@ def test_agents_are_asked() -> None:
     assert engine.games[0]["agent"] == NOBODY
 
 
+def test_neighbours_come_by_and_by() -> None:
+    problem = generate(1, grid=(4, 4, 2), nets=12, max_pins=3, capacity=1, seed=3)[0]
+    engine = Engine([problem], rip_up_rounds=8, rip_up_neighbours=3, rip_up_patience=2, max_steps=9)
+    rng = np.random.default_rng(0)
+    most = np.zeros(9, int)
+    while engine.games[0]["agent"] != NOBODY:
+        masks = engine.masks(*engine.pairs(everyone=False))
+        engine.step(np.array([rng.choice(np.flatnonzero(masks[0]))]))
+        number = engine.games[0]["round"]
+        most[number] = max(most[number], engine.games[0]["again"])
+    assert most.tolist()[1:] == [1, 1, 2, 2, 3, 3, 4, 4]
+
+
 rounds = st.fixed_dictionaries(
     {
         "rip_up": st.sampled_from(["all", "conflicts", "price", "agents"]),
         "rip_up_neighbours": st.sampled_from([0, 2]),
+        "rip_up_patience": st.sampled_from([0, 0, 1]),
         "turn_order": st.sampled_from(["sequential", "round_robin"]),
         "overflow": st.sampled_from(["forbidden", "allowed"]),
         "target": st.sampled_from(["pin", "tree"]),
@@ -236,6 +250,7 @@ def test_pettingzoo_accepts_rounds(rip_up: str, more: dict[str, Any]) -> None:
         ({"rip_up": "some"}, "rip_up: expected one of"),
         ({"rip_up_rounds": -1}, "rip_up_rounds: expected 0 to"),
         ({"rip_up_neighbours": 1000}, "rip_up_neighbours: expected 0 to"),
+        ({"rip_up_patience": -1}, "rip_up_patience: expected 0 to"),
         ({"give_back": 2}, "give_back: expected true or false"),
         ({"mask_visited": "no"}, "mask_visited: expected true or false"),
     ],

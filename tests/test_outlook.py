@@ -12,12 +12,12 @@ from reference import Edge, all_edges, between, contested, edge_number
 from seeing import Gcell, expected, gcell, open_tasks, squash
 
 import marouting
-from marouting import Engine, InputError, Problem
+from marouting import Engine, InputError, Problem, evaluate
 from marouting.game.outlook import OutlookObservation
 from marouting.game.rules import GIVE_WAY
 from marouting.game.state import NOBODY, Status
 from marouting.game.window import mirrored
-from policies.learned.compiled.walk import make_walk, walk, walk_on
+from policies.learned.compiled.walk import follow, make_walk, walk, walk_on
 
 STEPS = (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)
 
@@ -397,3 +397,32 @@ def test_the_loop_stops_when_nets_have_walked_and_goes_on() -> None:
     assert engine.games["agent"].tolist()[0] == NOBODY
     assert engine.metrics(0).wirelength <= before[0]
     assert engine.metrics(1).wirelength == before[1]
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 2**32), nets=st.integers(1, 20), max_pins=st.integers(2, 6))
+def test_nets_follow_the_routes_of_another_game(seed: int, nets: int, max_pins: int) -> None:
+    """By ordinary moves; what does not lead from pin to pin is left out."""
+    problem = marouting.generate(1, (6, 5, 2), nets=nets, max_pins=max_pins, seed=seed)[0]
+    other: dict[str, Any] = {"decomposition": "steiner", "next_task": "listed"}
+    guide, engine = Engine([problem], **GAME | other), Engine([problem] * 2, **GAME)
+    seen = OutlookObservation()
+    # Along the cheapest ways.
+    weights = np.zeros((seen.size + 1, 6), np.float32)
+    weights[seen.layout["detour"]][:6] = -9 * np.eye(6)
+    cold, drawn = np.zeros(2, np.float32), np.arange(2).astype(np.uint64)
+
+    def walks(where: Engine, games: int) -> Any:
+        sizes = (seen.size, 6)
+        return make_walk(where, seen, sizes, weights.ravel(), cold[:games], drawn[:games])
+
+    assert walk(guide, walks(guide, 1), 10**6, False)
+    assert guide.metrics().joined == guide.metrics().tasks
+    assert walk(engine, follow(walks(engine, 2), guide), 10**6, False)
+    for n in range(len(engine.tasks[0])):
+        taken, given_ = engine.dynamic.used[0, n], guide.dynamic.used[0, n]
+        assert not (taken & ~given_).any()
+    followed, led = engine.metrics(0), guide.metrics()
+    assert (followed.joined, followed.tasks) == (engine.metrics(1).tasks,) * 2
+    assert followed.wirelength <= led.wirelength
+    assert evaluate(problem, engine.solution(0)).connected

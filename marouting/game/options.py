@@ -24,7 +24,7 @@ MOST_STEPS = 1_000_000
 """The largest ``max_steps``: a policy that goes in circles takes them all."""
 
 MOST_ROUNDS = 100_000
-"""The largest ``rip_up_rounds``."""
+"""The largest ``rip_up_rounds`` and ``rip_up_patience``."""
 
 MOST_NEIGHBOURS = 100
 """The largest ``rip_up_neighbours``."""
@@ -59,6 +59,8 @@ class RuleOptions:
             or on full edges; ``price``, those on edges that were full in this or earlier rounds,
             the costliest first; or ``agents``, those whose agents choose so by a seventh action.
         rip_up_neighbours: how many nets that stand in its way walk again together with a net.
+        rip_up_patience: rounds after which one more of them does so, from none in the first rounds;
+            0: all of them from the first round on.
 
     Raises:
         InputError: an option is out of range.
@@ -78,6 +80,7 @@ class RuleOptions:
     rip_up_rounds: int = 0
     rip_up: RipUpChoice = "all"
     rip_up_neighbours: int = 0
+    rip_up_patience: int = 0
 
     def __post_init__(self) -> None:
         if self.turn_order is not None:
@@ -91,7 +94,12 @@ class RuleOptions:
         check_choice("target", self.target, Target)
         check_choice("next_task", self.next_task, NextTask)
         check_choice("rip_up", self.rip_up, RipUpChoice)
-        for name, most in (("rip_up_rounds", MOST_ROUNDS), ("rip_up_neighbours", MOST_NEIGHBOURS)):
+        numbers = {
+            "rip_up_rounds": MOST_ROUNDS,
+            "rip_up_neighbours": MOST_NEIGHBOURS,
+            "rip_up_patience": MOST_ROUNDS,
+        }
+        for name, most in numbers.items():
             number = getattr(self, name)
             in_range = is_whole(number) and 0 <= number <= most
             check(name, in_range, f"0 to {most}, found {number}")

@@ -18,7 +18,9 @@ by the number of full edges that it uses: of those that the other uses too, and 
 around the other's pins (and one Gcell beyond, if the other has a task open). Of all such nets those
 with the largest product of this number and a lot are taken. Lots are numbers from 1 to 1024 that
 follow from the round and the two nets (:func:`lot`), so that a net walks again with others in
-every round.
+every round. With ``rip_up_patience: R`` there are more of them as rounds go by: none in the first
+R rounds, at most one in the next R, and so on up to K. What one net can repair is repaired first;
+what takes several comes later.
 
 When all of them have walked, the problem is judged by its open tasks, its overflow and its
 wirelength, in this order. If it is worse than before they gave their edges back, they get them all
@@ -157,6 +159,8 @@ def _box(static: Static, m: int, n: int, joined: int) -> tuple[int, int, int, in
 def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """Fills ``again`` with a net and those that stand in its way; returns how many they are."""
     o, most = static.options, static.options[Option.AGAIN_MOST]
+    if o[Option.PATIENCE] > 0:
+        most = min(most, 1 + (wide(dynamic.games[m].round) - 1) // o[Option.PATIENCE])
     again = dynamic.numbers[m, o[Option.AGAIN] : o[Option.AGAIN] + most]
     counts = dynamic.numbers[m, o[Option.QUEUE] : o[Option.QUEUE] + most]
     blocking = place(o[Option.KEPT])

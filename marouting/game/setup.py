@@ -191,6 +191,7 @@ def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int6
     options[Option.ROUNDS] = rules.rip_up_rounds
     options[Option.RIP_UP] = RipUp[rules.rip_up.upper()]
     options[Option.AGAIN_MOST] = again
+    options[Option.PATIENCE] = rules.rip_up_patience
     rows = {
         Option.TREE: agents * tree,
         Option.VISITED: agents * rules.mask_visited,

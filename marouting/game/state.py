@@ -112,18 +112,19 @@ class Option(enum.IntEnum):
     ROUNDS = 4  #: rip-up rounds
     RIP_UP = 5  #: RipUp
     AGAIN_MOST = 6  #: P, the most nets that walk again at a time
-    TREE = 7  #: N sets of Gcells that edges join to the first pin
-    VISITED = 8  #: N sets of Gcells visited in the present task
-    TAKEN = 9  #: N sets of edges newly used in the present task
-    KEPT = 10  #: P sets of edges that nets had before they walked again
-    TRIED = 11  #: N sets of tasks that have been begun, counted from the net's first
-    LINE = 12  #: N places in turn order, in the order of the rip-up round
-    AGAIN = 13  #: P nets that walk again; NOBODY where there is none
-    KEPT_JOINED = 14  #: P numbers of tasks that they had joined
-    HISTORY = 15  #: E numbers of rip-up rounds at whose start the edge was full
-    QUEUE = 16  #: G, or at least P, numbers to work with
-    ROWS = 17  #: R, all rows
-    COLUMNS = 18  #: C, all columns
+    PATIENCE = 7  #: rounds after which one more net walks again at a time; 0: P from the first
+    TREE = 8  #: N sets of Gcells that edges join to the first pin
+    VISITED = 9  #: N sets of Gcells visited in the present task
+    TAKEN = 10  #: N sets of edges newly used in the present task
+    KEPT = 11  #: P sets of edges that nets had before they walked again
+    TRIED = 12  #: N sets of tasks that have been begun, counted from the net's first
+    LINE = 13  #: N places in turn order, in the order of the rip-up round
+    AGAIN = 14  #: P nets that walk again; NOBODY where there is none
+    KEPT_JOINED = 15  #: P numbers of tasks that they had joined
+    HISTORY = 16  #: E numbers of rip-up rounds at whose start the edge was full
+    QUEUE = 17  #: G, or at least P, numbers to work with
+    ROWS = 18  #: R, all rows
+    COLUMNS = 19  #: C, all columns
 
 
 class Static(NamedTuple):

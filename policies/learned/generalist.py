@@ -1,11 +1,13 @@
 """The generalist: one network for all nets and problems, and a search by rip-up rounds.
 
 The router plays the problem in the game that the network was trained in: all nets walk, by the
-best moves. Then it goes through rip-up rounds (:mod:`marouting.game.rounds`), with drawn moves: net
-after net is asked whether it gives way, it and some of those in its way walk again, and what is
-worse is undone. With ``copies`` the
-problem is played several times side by side, all but the first with drawn moves and the nets in an
-order of their own, and the best of them go through the rounds. The result is the best copy when the
+best moves, from pin to pin. In another game they walk along Steiner trees
+(:mod:`marouting.trees.steiner`), which are shorter where there is room; if that ends better, they
+walk along its routes in the first game too. Then the router goes through rip-up rounds
+(:mod:`marouting.game.rounds`), with drawn moves: net after net is asked whether it gives way, it
+and some of those in its way walk again, and what is worse is undone. With ``copies`` the problem is
+played several times side by side, all but the first with drawn moves and the nets in an order of
+their own, and the best of them go through the rounds. The result is the best copy when the
 time is over.
 
 The moves are ordinary moves of the environment and the rounds ordinary rounds; all that is special
@@ -15,7 +17,7 @@ is that they are compiled (:mod:`policies.learned.compiled.walk`).
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +28,7 @@ from marouting.game.engine import Engine
 from marouting.game.options import MOST_NEIGHBOURS, MOST_ROUNDS
 from marouting.game.outlook import DETOURS, OutlookObservation
 from marouting.problem.grid import MOVES
-from policies.learned.compiled.walk import Walk, make_walk, walk, walk_on
+from policies.learned.compiled.walk import Walk, follow, make_walk, walk, walk_on
 from policies.learned.networks.mlp import MLP
 from policies.learned.policy import SHIPPED, Routed, TrainedPolicy
 from policies.learned.streams import keys
@@ -37,6 +39,17 @@ _SURE = 8.0
 _STEPS, _MOST_STEPS = 32, 2**20
 """Moves of every copy between two looks at the clock, at least (a fifth of a millisecond on small
 grids) and at most."""
+
+_STEINER: dict[str, Any] = {
+    "decomposition": "steiner",
+    "next_task": "listed",
+    "rip_up_rounds": 0,
+    "rip_up_neighbours": 0,
+}
+"""What is different in the game in which nets walk along Steiner trees."""
+
+_AGAIN = 4
+"""That game is played if the first one took less than the time divided by this."""
 
 _OFTEN = 0.1
 """Seconds between two lines to who watches."""
@@ -59,6 +72,8 @@ class GeneralistOptions:
         keep: how many of them go through rip-up rounds.
         warmth: the temperature at which moves are drawn.
         neighbours: the most nets that walk again with a net because they stand in its way.
+        patience: rounds after which one more of them does so, from none in the first rounds; 0: all
+            of them from the first round on.
         seed: seed of the random numbers.
         mind: who chooses the moves: ``network``; or, to see what the search does without learning,
             ``ways``, whose moves lead along the cheapest way, or ``chance``.
@@ -76,6 +91,7 @@ class GeneralistOptions:
     keep: int = 1
     warmth: float = 1.0
     neighbours: int = 3
+    patience: int = 1
     seed: int = 0
     mind: Mind = "network"
 
@@ -88,6 +104,7 @@ class GeneralistOptions:
         check("warmth", self.warmth >= 0, "a number from 0")
         many = f"a number from 0 to {MOST_NEIGHBOURS}"
         check("neighbours", 0 <= self.neighbours <= MOST_NEIGHBOURS, many)
+        check("patience", 0 <= self.patience <= MOST_ROUNDS, f"a number from 0 to {MOST_ROUNDS}")
         check("seed", 0 <= self.seed < 2**63, "a number from 0")
 
 
@@ -125,7 +142,12 @@ class GeneralistRouter:
             env = policy.env
         rules = replace(env, turn_order="sequential", rip_up="agents")
         neighbours = options.neighbours if options.rounds else 0
-        self._rules = replace(rules, rip_up_rounds=options.rounds, rip_up_neighbours=neighbours)
+        self._rules = replace(
+            rules,
+            rip_up_rounds=options.rounds,
+            rip_up_neighbours=neighbours,
+            rip_up_patience=options.patience,
+        )
 
     def warm_up(self, problem: Problem) -> None:
         """Compiles what routing needs, in a round at most."""
@@ -150,15 +172,27 @@ class GeneralistRouter:
         warmth[0] = 0
         names = [str(copy) for copy in range(o.copies)]
         own = keys(o.seed, names, "walk")
-        given = make_walk(engine, self._observation, self._sizes, self._weights, warmth, own)
-        while not walk(engine, given, _MOST_STEPS, True):
-            pass
+        seen = self._observation, self._sizes, self._weights
+        given = make_walk(engine, *seen, warmth, own)
+        _all_walk(engine, given)
+        steiner = None
+        if o.seconds is None or time.thread_time() - began < o.seconds / _AGAIN:
+            steiner = Engine([problem], replace(self._rules, **_STEINER))
+            first = make_walk(steiner, *seen, np.zeros(1, np.float32), own[:1])
+            _all_walk(steiner, first)
+            given.counters[0] += first.counters[0]
+            if self._rules.target == "tree" and _cost(steiner, 0) < _cost(engine, 0):
+                engine.reset(np.arange(o.copies) == 0)
+                _all_walk(engine, follow(given, steiner))
         warmth[:] = o.warmth
         self._rip_up(engine, given, began)
-        best = _ranking(engine)[0]
+        best = int(_ranking(engine)[0])
         moves, rounds = int(given.counters.sum()), int(engine.games["round"].max())
         report = {"copies": o.copies, "moves": moves, "rounds": rounds}
-        return Routed(engine.solution(int(best)), report)
+        if steiner is not None and _cost(steiner, 0) < _cost(engine, best):
+            # A net could not follow its routes, whose tasks were shorter.
+            engine, best = steiner, 0
+        return Routed(engine.solution(best), report)
 
     def _rip_up(self, engine: Engine, given: Walk, began: float) -> None:
         """Rip-up rounds of the best copies, until the time is over."""
@@ -189,8 +223,7 @@ class GeneralistRouter:
             over = False
             while not over and in_time():
                 over = walk(engine, given, steps(), False)
-            while not walk(engine, given, _MOST_STEPS, True):
-                pass
+            _all_walk(engine, given)
 
 
 def _read(
@@ -205,6 +238,18 @@ def _read(
     assert isinstance(module, MLP)
     flat = [weights.detach().numpy().reshape(-1) for weights in module.parameters()]
     return seen, module.sizes, np.concatenate(flat)
+
+
+def _all_walk(engine: Engine, given: Walk) -> None:
+    """Plays on until all nets have walked that have begun."""
+    while not walk(engine, given, _MOST_STEPS, True):
+        pass
+
+
+def _cost(engine: Engine, m: int) -> tuple[int, int, int]:
+    """What a game is judged by: open tasks, overflow and wirelength."""
+    game, first = engine.games[m], engine.static.first[m]
+    return first[-1] - first[0] - game["joined"], game["overflow"], game["wirelength"]
 
 
 def _orders(engine: Engine, seed: int) -> NDArray[np.int32]:

@@ -4,6 +4,9 @@ It plays the game in turn order with the observation ``outlook``. While one net 
 demand of the others and the cheapest ways stay as they are, so they are found once a task; this is
 what makes it many times as fast as the same policy through the player.
 
+An agent may be guided: then it walks along given routes of its net, from its pin towards the first
+pin of the net, until it meets the tree. So the routes of another game become moves of this one.
+
 An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way.
 
 An agent that is asked whether its net gives way (``rip_up: agents``) says so with a reason: a task
@@ -18,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.game.bits import byte_at, places
+from marouting.game.edges import uses
 from marouting.game.engine import Engine
 from marouting.game.expected import Maps, maps_of, recount, refresh, sum_up
 from marouting.game.growth import lacks_room
@@ -61,6 +65,13 @@ class Walk(NamedTuple):
     playing: NDArray[np.bool_]  # (M,) which games are played
     shortest: NDArray[np.int64]  # (M, N) the fewest edges that have joined a whole net so far
     counted: NDArray[np.bool_]  # (M,) whether the agents stand in the maps of predicted demand
+    guided: NDArray[np.bool_]  # (M,) whether the agents follow the guide
+    guide: NDArray[
+        Any
+    ]  # rows of bits, the edges that each net uses in the only game of another engine
+    towards: NDArray[np.int8]  # (M, G) the guide's move from each Gcell towards a net's first pin
+    reached: NDArray[np.int32]  # (M, G) the last net for which that was found
+    queue: NDArray[np.int32]  # (G,) working
 
 
 def make_walk(
@@ -72,7 +83,7 @@ def make_walk(
     keys: NDArray[np.uint64],
 ) -> Walk:
     """The working arrays of a walk; see :class:`Walk`."""
-    count = len(engine.games)
+    count, cells = len(engine.games), engine.grid.gcells
     return Walk(
         sizes=sizes,
         weights=weights,
@@ -88,7 +99,18 @@ def make_walk(
         playing=np.ones(count, np.bool_),
         shortest=np.full(engine.nets.shape, np.iinfo(np.int64).max),
         counted=np.zeros(count, np.bool_),
+        guided=np.zeros(count, np.bool_),
+        guide=engine.dynamic.used,
+        towards=np.zeros((count, cells), np.int8),
+        reached=np.full((count, cells), NOBODY, np.int32),
+        queue=np.zeros(cells, np.int32),
     )
+
+
+def follow(given: Walk, guide: Engine) -> Walk:
+    """The same walk, but the first game follows the routes of the only game of another engine."""
+    guided = np.arange(len(given.game)) == 0
+    return given._replace(guide=guide.dynamic.used, guided=guided)
 
 
 def walk(engine: Engine, given: Walk, steps: int, stops: bool) -> bool:
@@ -188,6 +210,13 @@ def _walk(
                 _step(static, dynamic, maps, given, wide(m), place(n), move, stops)
                 answered = True
                 continue
+            if given.guided[m]:
+                if given.reached[m, static.tasks[static.first[m, n], 0]] != n:
+                    _read_guide(static, given, wide(m), n)
+                move = wide(given.towards[m, dynamic.agents[m, n].cell])
+                _step(static, dynamic, maps, given, wide(m), place(n), move, stops)
+                answered = True
+                continue
             _look(static, dynamic, maps, ways, given, wide(m), place(n), count)
             given.game[count] = m
             count += 1
@@ -209,6 +238,27 @@ def _walk(
             given.counters[m] += 1
             _step(static, dynamic, maps, given, m, n, move, stops)
     return False, wide(0)
+
+
+@compiled
+def _read_guide(static: Static, given: Walk, m: int, n: int) -> None:
+    """Finds the moves that lead along a net's routes of the guide to its first pin."""
+    given.queue[0], at, size = static.tasks[static.first[m, n], 0], 0, 1
+    given.reached[m, given.queue[0]] = n
+    while at < size:
+        cell = place(given.queue[at])
+        at += 1
+        for move in range(MOVES):
+            ahead = wide(static.neighbour[cell, move])
+            if (
+                static.exits[cell] >> move & 1
+                and uses(given.guide, 0, n, place(static.edge[cell, move]))
+                and given.reached[m, ahead] != n
+            ):
+                given.reached[m, ahead] = n
+                given.towards[m, ahead] = move ^ 1
+                given.queue[size] = ahead
+                size += 1
 
 
 @compiled
