@@ -48,8 +48,10 @@ _STEINER: dict[str, Any] = {
 }
 """What is different in the game in which nets walk along Steiner trees."""
 
-_AGAIN = 4
-"""That game is played if the first one took less than the time divided by this."""
+_LEAST, _ROOM, _TIGHT = 0.01, 2, 8
+"""That game is played if there are so many seconds, and if the first one took at most half of them
+where it ended without overflow, at most an eighth elsewhere: on tight problems Steiner trees gain
+little, and in a few milliseconds rip-ups gain more."""
 
 _OFTEN = 0.1
 """Seconds between two lines to who watches."""
@@ -175,23 +177,25 @@ class GeneralistRouter:
         seen = self._observation, self._sizes, self._weights
         given = make_walk(engine, *seen, warmth, own)
         _all_walk(engine, given)
-        steiner = None
-        if o.seconds is None or time.thread_time() - began < o.seconds / _AGAIN:
-            steiner = Engine([problem], replace(self._rules, **_STEINER))
-            first = make_walk(steiner, *seen, np.zeros(1, np.float32), own[:1])
-            _all_walk(steiner, first)
-            given.counters[0] += first.counters[0]
-            if self._rules.target == "tree" and _cost(steiner, 0) < _cost(engine, 0):
+        guide = None
+        share = _TIGHT if any(_cost(engine, 0)[:2]) else _ROOM
+        seconds = np.inf if o.seconds is None else o.seconds
+        if seconds >= max(_LEAST, share * (time.thread_time() - began)):
+            guide = Engine([problem], replace(self._rules, **_STEINER))
+            alone = make_walk(guide, *seen, np.zeros(1, np.float32), own[:1])
+            _all_walk(guide, alone)
+            given.counters[0] += alone.counters[0]
+            if self._rules.target == "tree" and _cost(guide, 0) < _cost(engine, 0):
                 engine.reset(np.arange(o.copies) == 0)
-                _all_walk(engine, follow(given, steiner))
+                _all_walk(engine, follow(given, guide))
         warmth[:] = o.warmth
         self._rip_up(engine, given, began)
         best = int(_ranking(engine)[0])
         moves, rounds = int(given.counters.sum()), int(engine.games["round"].max())
         report = {"copies": o.copies, "moves": moves, "rounds": rounds}
-        if steiner is not None and _cost(steiner, 0) < _cost(engine, best):
+        if guide is not None and _cost(guide, 0) < _cost(engine, best):
             # A net could not follow its routes, whose tasks were shorter.
-            engine, best = steiner, 0
+            engine, best = guide, 0
         return Routed(engine.solution(best), report)
 
     def _rip_up(self, engine: Engine, given: Walk, began: float) -> None:
