@@ -66,9 +66,7 @@ class Walk(NamedTuple):
     shortest: NDArray[np.int64]  # (M, N) the fewest edges that have joined a whole net so far
     counted: NDArray[np.bool_]  # (M,) whether the agents stand in the maps of predicted demand
     guided: NDArray[np.bool_]  # (M,) whether the agents follow the guide
-    guide: NDArray[
-        Any
-    ]  # rows of bits, the edges that each net uses in the only game of another engine
+    guide: NDArray[Any]  # (1, N, …) bits, the edges that each net uses in another engine's game
     towards: NDArray[np.int8]  # (M, G) the guide's move from each Gcell towards a net's first pin
     reached: NDArray[np.int32]  # (M, G) the last net for which that was found
     queue: NDArray[np.int32]  # (G,) working
