@@ -113,29 +113,58 @@ def _follow(
         out[i] = NOBODY
         if n == NOBODY or dynamic.agents[m, n].status != Status.ACTIVE:
             continue
-        cell, target = place(dynamic.agents[m, n].cell), place(dynamic.agents[m, n].target)
         s.plain.search[0] += 1
-        search = s.plain.search[0]
-        reached[0] = target
-        seen[target] = search
-        at, size = 0, 1
-        while at < size and seen[cell] != search:
-            here = place(reached[at])
-            at += 1
-            for move in range(MOVES):
-                if not static.exits[here] >> move & 1:
-                    continue
-                beside = place(static.neighbour[here, move])
-                if (
-                    seen[beside] != search
-                    and uses(route, m, n, place(static.edge[here, move]))
-                    and may_cross(static, dynamic, m, n, beside, move ^ 1)  # the opposite move
-                ):
-                    seen[beside] = search
-                    reached[size] = beside
-                    size += 1
-                    if beside == cell:
-                        out[i] = move ^ 1
+        out[i] = move_along(static, dynamic, m, n, route, m, reached, seen, s.plain.search[0])
         if out[i] == NOBODY:
-            shortest_path(static, dynamic, s, m, n, cell, target)
+            agent = dynamic.agents[m, n]
+            shortest_path(static, dynamic, s, m, n, place(agent.cell), place(agent.target))
             out[i] = s.path[0]
+
+
+@compiled
+def move_along(
+    static: Static,
+    dynamic: Dynamic,
+    m: int,
+    n: int,
+    route: Any,
+    row: int,
+    reached: Any,
+    seen: Any,
+    search: int,
+) -> int:
+    """An agent's move on the shortest way along a route to its target; NOBODY if there is none.
+
+    Args:
+        static: the game.
+        dynamic: its state.
+        m: the problem.
+        n: the agent, which is active.
+        route: routes, rows of bits like ``dynamic.used``.
+        row: the problem of ``route`` that is meant.
+        reached: (G,) int32, working array: Gcells from which the route leads to the target.
+        seen: (G,) int64, working array: the last search that reached each Gcell.
+        search: number of this search, larger than all before.
+    """
+    cell, target = place(dynamic.agents[m, n].cell), place(dynamic.agents[m, n].target)
+    reached[0] = target
+    seen[target] = search
+    at, size = 0, 1
+    while at < size:
+        here = place(reached[at])
+        at += 1
+        for move in range(MOVES):
+            if not static.exits[here] >> move & 1:
+                continue
+            beside = place(static.neighbour[here, move])
+            if (
+                seen[beside] != search
+                and uses(route, row, n, place(static.edge[here, move]))
+                and may_cross(static, dynamic, m, n, beside, move ^ 1)  # the opposite move
+            ):
+                if beside == cell:
+                    return wide(move ^ 1)
+                seen[beside] = search
+                reached[size] = beside
+                size += 1
+    return wide(NOBODY)

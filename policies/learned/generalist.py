@@ -252,8 +252,9 @@ def _all_walk(engine: Engine, given: Walk) -> None:
 
 def _cost(engine: Engine, m: int) -> tuple[int, int, int]:
     """What a game is judged by: open tasks, overflow and wirelength."""
-    game, first = engine.games[m], engine.static.first[m]
-    return first[-1] - first[0] - game["joined"], game["overflow"], game["wirelength"]
+    game = engine.games[m]
+    still_open = int(engine.tasks[m].sum()) - int(game["joined"])
+    return still_open, int(game["overflow"]), int(game["wirelength"])
 
 
 def _orders(engine: Engine, seed: int) -> NDArray[np.int32]:

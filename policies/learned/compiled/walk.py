@@ -4,8 +4,9 @@ It plays the game in turn order with the observation ``outlook``. While one net 
 demand of the others and the cheapest ways stay as they are, so they are found once a task; this is
 what makes it many times as fast as the same policy through the player.
 
-An agent may be guided: then it walks along given routes of its net, from its pin towards the first
-pin of the net, until it meets the tree. So the routes of another game become moves of this one.
+An agent may be guided: then it walks along given routes of its net, as far as they lead to its
+target (:mod:`marouting.search.route_follower`). So the routes of another game become moves of this
+one.
 
 An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way.
 
@@ -21,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.game.bits import byte_at, places
-from marouting.game.edges import uses
 from marouting.game.engine import Engine
 from marouting.game.expected import Maps, maps_of, recount, refresh, sum_up
 from marouting.game.growth import lacks_room
@@ -39,6 +39,7 @@ from marouting.game.rules import GIVE_WAY, free_moves, move_player, pass_turn, s
 from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
 from marouting.kernels import allocating, compiled, inlined, place, wide
 from marouting.problem.grid import MOVES, VIA_AXIS
+from marouting.search.route_follower import move_along
 from policies.learned.compiled.gradient import forward, forward_one
 from policies.learned.streams import uniform
 
@@ -67,9 +68,9 @@ class Walk(NamedTuple):
     counted: NDArray[np.bool_]  # (M,) whether the agents stand in the maps of predicted demand
     guided: NDArray[np.bool_]  # (M,) whether the agents follow the guide
     guide: NDArray[Any]  # (1, N, …) bits, the edges that each net uses in another engine's game
-    towards: NDArray[np.int8]  # (M, G) the guide's move from each Gcell towards a net's first pin
-    reached: NDArray[np.int32]  # (M, G) the last net for which that was found
-    queue: NDArray[np.int32]  # (G,) working
+    searches: NDArray[np.int64]  # (1,) how many have been made along the guide
+    seen: NDArray[np.int64]  # (G,) the last of them that reached a Gcell
+    reached: NDArray[np.int32]  # (G,) working: the Gcells that it reached
 
 
 def make_walk(
@@ -99,14 +100,18 @@ def make_walk(
         counted=np.zeros(count, np.bool_),
         guided=np.zeros(count, np.bool_),
         guide=engine.dynamic.used,
-        towards=np.zeros((count, cells), np.int8),
-        reached=np.full((count, cells), NOBODY, np.int32),
-        queue=np.zeros(cells, np.int32),
+        searches=np.zeros(1, np.int64),
+        seen=np.zeros(cells, np.int64),
+        reached=np.zeros(cells, np.int32),
     )
 
 
 def follow(given: Walk, guide: Engine) -> Walk:
-    """The same walk, but the first game follows the routes of the only game of another engine."""
+    """The same walk, but the first game follows the routes of the only game of another engine.
+
+    Both play the same problem. An agent that the routes do not lead to its target goes on by the
+    network.
+    """
     guided = np.arange(len(given.game)) == 0
     return given._replace(guide=guide.dynamic.used, guided=guided)
 
@@ -209,12 +214,22 @@ def _walk(
                 answered = True
                 continue
             if given.guided[m]:
-                if given.reached[m, static.tasks[static.first[m, n], 0]] != n:
-                    _read_guide(static, given, wide(m), n)
-                move = wide(given.towards[m, dynamic.agents[m, n].cell])
-                _step(static, dynamic, maps, given, wide(m), place(n), move, stops)
-                answered = True
-                continue
+                given.searches[0] += 1
+                move = move_along(
+                    static,
+                    dynamic,
+                    wide(m),
+                    wide(n),
+                    given.guide,
+                    wide(0),
+                    given.reached,
+                    given.seen,
+                    wide(given.searches[0]),
+                )
+                if move != NOBODY:
+                    _step(static, dynamic, maps, given, wide(m), place(n), move, stops)
+                    answered = True
+                    continue
             _look(static, dynamic, maps, ways, given, wide(m), place(n), count)
             given.game[count] = m
             count += 1
@@ -236,27 +251,6 @@ def _walk(
             given.counters[m] += 1
             _step(static, dynamic, maps, given, m, n, move, stops)
     return False, wide(0)
-
-
-@compiled
-def _read_guide(static: Static, given: Walk, m: int, n: int) -> None:
-    """Finds the moves that lead along a net's routes of the guide to its first pin."""
-    given.queue[0], at, size = static.tasks[static.first[m, n], 0], 0, 1
-    given.reached[m, given.queue[0]] = n
-    while at < size:
-        cell = place(given.queue[at])
-        at += 1
-        for move in range(MOVES):
-            ahead = wide(static.neighbour[cell, move])
-            if (
-                static.exits[cell] >> move & 1
-                and uses(given.guide, 0, n, place(static.edge[cell, move]))
-                and given.reached[m, ahead] != n
-            ):
-                given.reached[m, ahead] = n
-                given.towards[m, ahead] = move ^ 1
-                given.queue[size] = ahead
-                size += 1
 
 
 @compiled
