@@ -180,6 +180,7 @@ def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int6
     """(len(Option),) int64, what the options say, for N agents, G Gcells and E edges."""
     agents, gcells, edges = shape
     rounds = rules.rip_up_rounds > 0
+    prices = rounds and rules.rip_up_prices
     nearest = rules.next_task == "nearest"
     tree = rules.target == "tree" or nearest
     again = (1 + rules.rip_up_neighbours) * rounds
@@ -198,12 +199,15 @@ def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int6
         Option.TAKEN: agents * rules.give_back,
         Option.KEPT: again,
         Option.TRIED: agents * nearest,
+        Option.BEST: agents * prices,
     }
     columns = {
         Option.LINE: agents * rounds,
         Option.AGAIN: again,
         Option.KEPT_JOINED: again,
         Option.HISTORY: edges * rounds,
+        Option.PRICES: edges * prices,
+        Option.BEST_JOINED: agents * prices,
         Option.QUEUE: max(gcells * tree, again),
     }
     for total, sizes in ((Option.ROWS, rows), (Option.COLUMNS, columns)):
@@ -230,10 +234,13 @@ class More(NamedTuple):
     taken: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
     kept: NDArray[Any]  # (M, P, ceil(E / 8)) uint8
     tried: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
+    best: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
     line: NDArray[np.int64]  # (M, N)
     again: NDArray[np.int64]  # (M, P)
     kept_joined: NDArray[np.int64]  # (M, P)
     history: NDArray[np.int64]  # (M, E)
+    prices: NDArray[np.int64]  # (M, E)
+    best_joined: NDArray[np.int64]  # (M, N)
 
 
 def more_of(static: Static, dynamic: Dynamic) -> More:
@@ -284,7 +291,7 @@ def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
     return lengthened(dynamic, *needed_room(static, dynamic)) if hashed else dynamic
 
 
-PER_NET, PER_EDGE = 512, 4
+PER_NET, PER_EDGE = 4096, 4
 """Bytes up to which rows of bits are wide: so many for each net, and for each edge as many as its
 capacity takes."""
 

@@ -99,7 +99,7 @@ def small_problem(*, large: bool = False) -> Problem:
         large: whether it is just large enough for :func:`is_large`.
     """
     if large:
-        return generate(1, (40, 40, 2), nets=150, max_pins=2, capacity=3, reduced_edges=0)[0]
+        return generate(1, (90, 90, 2), nets=150, max_pins=2, capacity=3, reduced_edges=0)[0]
     return generate(1, (4, 4, 2), nets=8, max_pins=3, capacity=1, reduced_edges=0)[0]
 
 
