@@ -115,7 +115,8 @@ that of its next task. In the AEC environment it comes with the agent's next tur
 use `task_obs` after a failed task, which only ran out of steps, and nothing after a joined one.
 
 With `rip_up_rounds` nets give their edges back after all have routed, and walk again with the
-others in place (:mod:`marouting.game.rounds`). Agents stay then, as with `agents_persist`.
+others in place (:mod:`marouting.game.rounds`). Agents stay then, as with `agents_persist`. With
+`rip_up_prices` they negotiate: edges with overflow get dearer (:mod:`marouting.game.prices`).
 
 ## Problems
 

@@ -165,6 +165,7 @@ class Game:
     rip_up: str = "all"
     rip_up_neighbours: int = 0
     rip_up_patience: int = 0
+    rip_up_prices: bool = False
     agents: list[Agent] = field(init=False)
     order: list[int] = field(init=False)
     users: dict[Edge, set[int]] = field(init=False)
@@ -177,7 +178,17 @@ class Game:
     history: dict[Edge, int] = field(init=False, default_factory=dict)
     again: dict[int, tuple[set[Edge], int]] = field(init=False, default_factory=dict)
     before: tuple[int, int, int] = field(init=False, default=(0, 0, 0))
+    before_cost: int = field(init=False, default=0)
     asked: bool = field(init=False, default=False)
+    prices: dict[Edge, int] = field(init=False, default_factory=dict)
+    present: int = field(init=False, default=0)
+    plain: int = field(init=False, default=0)
+    stuck: int = field(init=False, default=0)
+    fewest: float = field(init=False, default=float("inf"))
+    began: tuple[int, int, int] = field(init=False, default=(0, 0, 0))
+    best: tuple[tuple[int, int, int], list[tuple[set[Edge], int]]] | None = field(
+        init=False, default=None
+    )
 
     def __post_init__(self) -> None:
         problem = self.problem
@@ -280,7 +291,9 @@ class Game:
         weights = {o: count * lot(self.round, n, o) for o, count in counts.items() if count}
         most = self.rip_up_neighbours
         if self.rip_up_patience:
-            most = min(most, (self.round - 1) // self.rip_up_patience)
+            most = min(most, (self.plain - 1) // self.rip_up_patience)
+        if self.priced():
+            most = 0
         return sorted(weights, key=lambda o: (-weights[o], o))[:most]
 
     def release(self, n: int) -> None:
@@ -289,6 +302,7 @@ class Game:
         members = [n, *self.in_the_way(n)]
         self.again = {o: (self.edges_of(o), self.agents[o].joined) for o in members}
         self.picked += 1
+        self.before_cost = self.cost(n)
         for o in members:
             for edge in self.edges_of(o):
                 self.users[edge].remove(o)
@@ -298,28 +312,116 @@ class Game:
 
     def judge(self) -> None:
         """Undoes what made things worse."""
-        if self.score() > self.before:
+        worse = self.score() > self.before
+        if self.priced():
+            (n,) = self.again
+            worse = (self.score()[0], self.cost(n)) > (self.before[0], self.before_cost)
+        if worse:
             for o, (edges, joined) in self.again.items():
-                for edge in self.edges_of(o):
-                    self.users[edge].remove(o)
-                for edge in edges:
-                    self.users[edge].add(o)
-                self.agents[o].joined = joined
+                self.give(o, edges, joined)
         self.again = {}
+
+    def give(self, n: int, edges: set[Edge], joined: int) -> None:
+        """A net has just these edges."""
+        for edge in self.edges_of(n):
+            self.users[edge].remove(n)
+        for edge in edges:
+            self.users[edge].add(n)
+        self.agents[n].joined = joined
+
+    # --- priced rounds -----------------------------------------------------------------------
+
+    def priced(self) -> bool:
+        """Whether edges have prices in the present round."""
+        return self.rip_up_prices and self.round > 0 and self.plain == 0
+
+    def cost(self, n: int) -> int:
+        """What a net's edges cost it at the prices, in sixteenths."""
+        return sum(self.edge_cost(n, edge) for edge in self.edges_of(n))
+
+    def edge_cost(self, n: int, edge: Edge) -> int:
+        """What an edge costs a net, whether it uses it or not."""
+        demand, capacity = self.demand(n, edge), self.capacity[edge]
+        if capacity is None:
+            return 16
+        if demand > capacity:
+            return 60 * 16
+        over = sum(self.demand(o, edge) for o in self.users[edge] - {n}) + demand - capacity
+        cost = 16 + self.prices.get(edge, 0)
+        if over > 0 and demand:
+            cost = cost * (1024 + self.present * over // demand) // 1024
+        return min(cost, 60 * 16)
+
+    def note_best(self) -> None:
+        """Notes the routes if there were none better after any round."""
+        if self.best is None or self.score() < self.best[0]:
+            self.best = (
+                self.score(),
+                [(self.edges_of(n), agent.joined) for n, agent in enumerate(self.agents)],
+            )
+
+    def put_best(self) -> None:
+        """Nets take the best routes."""
+        self.note_best()
+        assert self.best is not None
+        for n, (edges, joined) in enumerate(self.best[1]):
+            self.give(n, edges, joined)
+
+    def choose_kind(self) -> None:
+        """Whether the next round is priced."""
+        if not self.rip_up_prices:
+            self.plain += 1
+            return
+        self.note_best()
+        open_, overflow, wirelength = self.score()
+        if self.plain:
+            gained = (
+                open_ < self.began[0]
+                or overflow < 0.99 * self.began[1]
+                or 2000 * wirelength < 1999 * self.began[2]
+            )
+            self.stuck = 0 if gained else self.stuck + 1
+            if self.stuck < 2:
+                self.plain += 1
+                return
+            self.prices = {edge: price * 80 // 100 for edge, price in self.prices.items()}
+            self.plain = self.stuck = self.present = 0
+            self.fewest = float("inf")
+        else:
+            self.stuck += 1
+            if overflow < 0.99 * self.fewest:
+                self.fewest, self.stuck = overflow, 0
+            if overflow == 0 or self.stuck == 10:
+                self.plain, self.stuck = 1, 0
+                assert self.best is not None
+                if self.best[0][:2] < (open_, overflow):
+                    self.put_best()
+                return
+        for edge in self.capacity:
+            if self.overflow_of(edge):
+                self.prices[edge] = self.prices.get(edge, 0) + 5
+        self.present = min(max(102, self.present + self.present * 15 // 100), 2048)
 
     def next_walk(self) -> int | None:
         """Who walks again, or is asked, when nobody is active; None: the end."""
         while True:
             if not self.line:
                 if self.round == self.rip_up_rounds or (self.round and not self.picked):
+                    if self.rip_up_prices:
+                        self.put_best()
                     for agent in self.agents:
                         all_joined = agent.joined == len(agent.tasks)
                         agent.status = "TERMINATED" if all_joined else "TRUNCATED"
                     return None
+                self.choose_kind()
                 self.round, self.picked, self.line = self.round + 1, 0, list(self.order)
+                self.began = self.score()
+                if self.priced():
+                    self.line.sort(key=lambda n: -lot(self.round, n, -1))
                 for edge in filter(self.full, self.capacity):
                     self.history[edge] = self.history.get(edge, 0) + 1
                 if self.rip_up == "price":
+                    self.line = list(self.order)
                     self.line.sort(key=lambda n: self.price(n), reverse=True)
             n = self.line.pop(0)
             if self.rip_up == "agents":

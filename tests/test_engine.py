@@ -35,6 +35,7 @@ extensions = st.fixed_dictionaries(
         "rip_up": st.sampled_from(["all", "conflicts", "price", "agents"]),
         "rip_up_neighbours": st.sampled_from([0, 1, 2]),
         "rip_up_patience": st.sampled_from([0, 1]),
+        "rip_up_prices": st.booleans(),
     }
 )
 seeds = st.integers(0, 2**32)
@@ -115,6 +116,8 @@ def test_engine_plays_by_the_options(
 ) -> None:
     if more["next_task"] == "nearest":
         chosen = {**chosen, "decomposition": "mst"}
+    if more["rip_up_prices"]:
+        chosen = {**chosen, "overflow": "allowed"}
     test_engine_plays_by_the_rules.hypothesis.inner_test(problem, {**chosen, **more}, seed, form)
 
 

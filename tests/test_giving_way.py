@@ -168,6 +168,74 @@ def test_no_round_makes_anything_worse(options: dict[str, Any], seed: int) -> No
     assert ended.joined >= now.joined
 
 
+@settings(deadline=None, max_examples=25)
+@given(
+    st.sampled_from(["all", "conflicts", "price", "agents"]),
+    st.sampled_from(["sequential", "round_robin"]),
+    st.sampled_from(["pin", "tree"]),
+    st.integers(0, 999),
+)
+def test_nets_negotiate_and_end_with_the_best_routes(
+    rip_up: Any, turn_order: Any, target: Any, seed: int
+) -> None:
+    """Prices rise where there is overflow; a state can be saved at any time and goes on alike."""
+    problem = generate(1, grid=(5, 5, 2), nets=9, max_pins=3, capacity=1, seed=seed)
+    engine = Engine(
+        problem,
+        turn_order=turn_order,
+        target=target,
+        max_steps=14,
+        overflow="allowed",
+        rip_up=rip_up,
+        rip_up_rounds=12,
+        rip_up_neighbours=1,
+        rip_up_prices=True,
+    )
+    guide, rng = AStar(engine), np.random.default_rng(seed)
+    scores, number, over = [], 0, np.zeros(engine.grid.edges, np.bool_)
+    prices = engine.more.prices[0].copy()
+    while engine.games[0]["agent"] != NOBODY:
+        problems, agents = engine.pairs(everyone=False)
+        move = guide.moves(problems, agents)
+        if rng.random() < 0.3 or engine.games[0]["asked"]:
+            move = rng.choice(np.flatnonzero(engine.masks(problems, agents)[0]), 1)
+        engine.step(np.asarray(move, np.int8))
+        engine.check_saved(engine.save())
+        game = engine.games[0]
+        if game["round"] > number:
+            number = game["round"]
+            scores.append((-game["began_joined"], game["began_overflow"], game["began_wirelength"]))
+            over = engine.dynamic.remaining[0] < 0
+            risen = engine.more.prices[0] > prices
+            if game["plain"] == 0 and not game["ripped"]:
+                assert (risen == over).all() or number == 1
+            prices = engine.more.prices[0].copy()
+    now = engine.metrics()
+    assert all((-now.joined, now.overflow, now.wirelength) <= score for score in scores)
+    assert (now.overflow, now.wirelength) == (
+        int(np.maximum(-engine.dynamic.remaining[0], 0).sum()),
+        int(sum(map(len, engine.solution().edges))),
+    )
+
+
+def test_prices_part_two_nets() -> None:
+    """Two nets on one track: the one that finds the free way nearly as short leaves, by itself."""
+    wide_ = replace(CROSSING, nets=CROSSING.nets[:2])
+    engine = Engine([wide_], rip_up_rounds=40, rip_up_prices=True, overflow="allowed", max_steps=6)
+    walk(engine, E, E, E, E)
+    assert engine.games[0]["began_overflow"] == 2
+    prices = [0]
+    while engine.games[0]["began_overflow"] > 0:
+        assert engine.games[0]["plain"] == 0
+        prices.append(int(engine.more.prices[0].max()))
+        # Each in its turn tries the way over the upper row, which is two edges longer.
+        walk(engine, N, E, E, S)
+    assert prices == sorted(prices)
+    assert len(set(prices)) > 2  # not at once: at first two edges more cost more than sharing
+    assert engine.games[0]["began_wirelength"] == 6
+    assert engine.games[0]["plain"] == 1
+
+
 def judged(engine: Engine, best: Any) -> Any:
     """The present score, no worse than the best so far."""
     now = engine.metrics()
@@ -188,9 +256,12 @@ OPTIONS: dict[str, Any] = {
 PROBLEM = generate(1, grid=(4, 4, 2), nets=4, max_pins=3, capacity=1, seed=3)[0]
 
 
+@pytest.mark.parametrize("prices", [False, True])
 @pytest.mark.parametrize("rip_up", ["all", "conflicts", "price", "agents"])
-def test_every_interface_plays_the_same_rounds(rip_up: str) -> None:
+def test_every_interface_plays_the_same_rounds(rip_up: str, prices: bool) -> None:
     options = {**OPTIONS, "rip_up": rip_up}
+    if prices:
+        options |= {"rip_up_prices": True, "overflow": "allowed", "rip_up_rounds": 5}
     aec = game.env(PROBLEM, **options, turn_order="sequential")
     parallel = game.parallel_env(PROBLEM, **options, turn_order="sequential")
     single = GlobalRoutingSingle(PROBLEM, **options)
@@ -229,7 +300,7 @@ def test_every_interface_plays_the_same_rounds(rip_up: str) -> None:
     assert aec.terminations | aec.truncations
     assert all(aec.terminations[a] or aec.truncations[a] for a in aec.agents)
     assert aec.metrics() == parallel.metrics() == single.metrics()
-    assert info["is_success"] == joined
+    assert info["is_success"] == (joined and info["overflow"] == 0)
     assert aec.solution() == single.solution()
 
 
@@ -251,6 +322,8 @@ def test_pettingzoo_accepts_rounds(rip_up: str, more: dict[str, Any]) -> None:
         ({"rip_up_rounds": -1}, "rip_up_rounds: expected 0 to"),
         ({"rip_up_neighbours": 1000}, "rip_up_neighbours: expected 0 to"),
         ({"rip_up_patience": -1}, "rip_up_patience: expected 0 to"),
+        ({"rip_up_prices": True}, "rip_up_prices: expected false, unless overflow is allowed"),
+        ({"rip_up_prices": 1}, "rip_up_prices: expected true or false"),
         ({"give_back": 2}, "give_back: expected true or false"),
         ({"mask_visited": "no"}, "mask_visited: expected true or false"),
     ],

@@ -32,6 +32,11 @@ def apart(a: Gcell, b: Gcell) -> int:
     return sum(abs(p - q) for p, q in zip(a, b, strict=True))
 
 
+def is_priced(engine: Engine, m: int) -> bool:
+    game = engine.games[m]
+    return engine.rules.rip_up_prices and game["round"] > 0 and game["plain"] == 0
+
+
 def edge_costs(
     engine: Engine, m: int, n: int, taken: dict[Edge, Any] | None
 ) -> dict[Edge, float | None]:
@@ -46,13 +51,20 @@ def edge_costs(
         demand = int(engine.static.demand[m, n, edge[0][2]])
         own = np.unpackbits(engine.dynamic.used[m, n], bitorder="little")[number]
         remaining = int(engine.dynamic.remaining[m, number]) + demand * int(own)
-        if remaining < demand:
+        if is_priced(engine, m):
+            game, price = engine.games[m], int(engine.more.prices[m, number])
+            cost, over = 16 + price, demand - remaining
+            if over > 0 and demand:
+                cost = cost * (1024 + int(game["present"]) * over // demand) // 1024
+            blocked = demand > engine.static.capacity[m, number]
+            costs[edge] = 60.0 if blocked else min(cost / 16, 60)
+        elif remaining < demand:
             costs[edge] = 33.0 if engine.static.overflow_allowed else None
-        elif taken is not None:
+        if remaining >= demand and taken is not None:
             # In float32 like the router's, so that both round the same quarters down.
             slack = (np.float32(remaining) - np.float32(taken[edge])) / np.float32(max(demand, 1))
             scarce = max(-4 * (slack - np.float32(1)), 0)
-            costs[edge] = 1 + min(int(scarce), 16) / 4
+            costs[edge] += min(int(scarce), 16) / 4  # type: ignore[operator]
     return costs
 
 
@@ -62,6 +74,8 @@ def ways(engine: Engine, m: int, n: int, costs: dict[Edge, float | None], margin
     tasks = open_tasks(engine, m, n)
     both = [gcell(engine, int(g)) for g in static.tasks[agent["task"]]]
     ends = [*both, gcell(engine, agent["target"]), *(far for _, far in tasks[1:])]
+    if is_priced(engine, m):
+        margin += 2 * int(engine.games[m]["stuck"])
     low, high = np.min(ends, axis=0)[:2] - margin, np.max(ends, axis=0)[:2] + margin
     graph: nx.Graph[Gcell] = nx.Graph()
     inside = [
@@ -195,7 +209,8 @@ rules = st.fixed_dictionaries(
         "overflow": st.sampled_from(["forbidden", "allowed"]),
         "target": st.sampled_from(["pin", "tree"]),
         "next_task": st.sampled_from(["listed", "nearest"]),
-        "rip_up_rounds": st.sampled_from([0, 2]),
+        "rip_up_rounds": st.sampled_from([0, 4]),
+        "rip_up_prices": st.booleans(),
         "mask_visited": st.booleans(),
     }
 )
@@ -212,6 +227,7 @@ rules = st.fixed_dictionaries(
 def test_every_number_is_as_the_oracle_says(
     problem: Problem, seen: OutlookObservation, rules: dict[str, Any], order: str, seed: int
 ) -> None:
+    rules = rules | {"rip_up_prices": rules["rip_up_prices"] and rules["overflow"] == "allowed"}
     engine = Engine([problem, problem], turn_order=order, max_steps=7, **rules)
     rng = np.random.default_rng(seed)
     space = seen.space([problem], rules["overflow"] == "allowed")
@@ -237,13 +253,16 @@ def test_every_number_is_as_the_oracle_says(
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.sampled_from(["pin", "tree"]), st.booleans())
-def test_rows_do_not_depend_on_what_was_seen_before(seed: int, target: Any, own: bool) -> None:
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["pin", "tree"]), st.booleans(), st.booleans())
+def test_rows_do_not_depend_on_what_was_seen_before(
+    seed: int, target: Any, own: bool, prices: bool
+) -> None:
     """Ways are kept while an agent walks; whatever happens between, they are those found anew."""
     rng = np.random.default_rng(seed)
     problems = marouting.generate(2, grid=(5, 5, 2), nets=5, max_pins=3, capacity=2, seed=seed)
     order: Any = "sequential" if own else "round_robin"
-    engine = Engine(problems, turn_order=order, overflow="allowed", target=target, rip_up_rounds=1)
+    rounds = {"rip_up_rounds": 4, "rip_up_prices": prices}
+    engine = Engine(problems, turn_order=order, overflow="allowed", target=target, **rounds)
     seen = [OutlookObservation(margin=1), OutlookObservation(margin=2)]
     saved = engine.save()
     for _ in range(40):
@@ -304,10 +323,11 @@ GAME: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("rip_up", ["all", "agents"])
-def test_the_loop_walks_as_the_network_does(rip_up: str) -> None:
+@pytest.mark.parametrize(("rip_up", "rounds"), [("all", 2), ("agents", 2), ("agents", 25)])
+def test_the_loop_walks_as_the_network_does(rip_up: str, rounds: int) -> None:
     """The same moves as by the observation, a product of matrices and the engine's steps."""
-    more = {"rip_up": rip_up, "rip_up_rounds": 2, "rip_up_neighbours": 1}
+    more: dict[str, Any] = {"rip_up": rip_up, "rip_up_rounds": rounds, "rip_up_neighbours": 1}
+    more["rip_up_prices"] = rounds > 2
     problems = marouting.generate(2, nets=15, max_pins=4, capacity=3, seed=3)
     seen = OutlookObservation(radius=1)
     sizes = (seen.size, 16, 6)
@@ -325,6 +345,7 @@ def test_the_loop_walks_as_the_network_does(rip_up: str) -> None:
     rows, steps = np.zeros((2, seen.size), np.float32), 0
     shortest: dict[tuple[int, int], int] = {}
     answers: set[bool] = set()
+    kinds: set[tuple[bool, bool]] = set()
 
     def length(m: int, n: int) -> int:
         return int(np.unpackbits(engine.dynamic.used[m, n]).sum())
@@ -334,8 +355,16 @@ def test_the_loop_walks_as_the_network_does(rip_up: str) -> None:
         over = np.packbits(engine.dynamic.remaining[m] < 0, bitorder="little")
         if engine.agents[m, n]["joined"] < engine.tasks[m, n]:
             return True
+        first = game["present"] == 102
+        kinds.add((is_priced(engine, m), bool(first)))
+        if is_priced(engine, m) and not first:
+            return bool((edges & over[: len(edges)]).any())
         if (game["turn"] + game["round"]) % 8 == 0:
             return True
+        if is_priced(engine, m):
+            costs, bits = edge_costs(engine, m, n, None), np.unpackbits(edges, bitorder="little")
+            uses = [e for e in costs if bits[edge_number(engine.problems[m], e)]]
+            return sum(costs[e] or 0 for e in uses) > shortest[m, n]
         if game["overflow"] > 0:
             return bool((edges & over[: len(edges)]).any())
         return length(m, n) > shortest[m, n]
@@ -366,6 +395,7 @@ def test_the_loop_walks_as_the_network_does(rip_up: str) -> None:
                 shortest[m, n] = min(shortest.get((m, n), length(m, n)), length(m, n))
     assert steps > 50
     assert answers == ({True, False} if rip_up == "agents" else set())
+    assert rounds == 2 or {(True, True), (True, False), (False, False)} <= kinds
     for m in range(2):
         assert engine.metrics(m) == loop.metrics(m)
     np.testing.assert_array_equal(engine.dynamic.used, loop.dynamic.used)

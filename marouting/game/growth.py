@@ -6,6 +6,7 @@ come of it. It is easy to say what may come: a net crosses one edge at most.
 
 from marouting.game.bits import length, longer
 from marouting.game.state import Dynamic, Option, Static
+from marouting.game.tasks import is_on
 from marouting.kernels import compiled, inlined, wide
 from marouting.memory import check_memory
 
@@ -26,6 +27,10 @@ def _needed(static: Static, dynamic: Dynamic, m: int) -> tuple[int, int]:
     if static.extended is not None:
         used *= 2  # a net may cross an edge, and get back those that it had, in the same step
         sets = _TIMES * sets + _PER_EDGE * (wide(dynamic.games[m].wirelength) + 2 * agents)
+        if is_on(static, Option.PRICES):  # all routes may be noted, or taken from those noted
+            best = _PER_EDGE * (wide(dynamic.games[m].best_wirelength) + 2 * agents)
+            used += best
+            sets += best + _PER_EDGE * wide(dynamic.games[m].wirelength)
         if most > 1:  # a row for all full edges
             sets += wide(static.capacity.shape[1])
     return used, sets

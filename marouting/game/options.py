@@ -61,6 +61,8 @@ class RuleOptions:
         rip_up_neighbours: how many nets that stand in its way walk again together with a net.
         rip_up_patience: rounds after which one more of them does so, from none in the first rounds;
             0: all of them from the first round on.
+        rip_up_prices: whether nets negotiate in some of the rounds: edges with overflow get dearer,
+            and nets keep the routes that cost them less. With ``overflow: allowed`` only.
 
     Raises:
         InputError: an option is out of range.
@@ -81,6 +83,7 @@ class RuleOptions:
     rip_up: RipUpChoice = "all"
     rip_up_neighbours: int = 0
     rip_up_patience: int = 0
+    rip_up_prices: bool = False
 
     def __post_init__(self) -> None:
         if self.turn_order is not None:
@@ -103,9 +106,11 @@ class RuleOptions:
             number = getattr(self, name)
             in_range = is_whole(number) and 0 <= number <= most
             check(name, in_range, f"0 to {most}, found {number}")
-        for name in ("mask_visited", "give_back"):
+        for name in ("mask_visited", "give_back", "rip_up_prices"):
             value = getattr(self, name)
             check(name, isinstance(value, bool), f"true or false, found {value!r}")
+        allowed = not self.rip_up_prices or self.overflow == "allowed"
+        check("rip_up_prices", allowed, "false, unless overflow is allowed")
         pins_only = self.next_task == "listed" or self.decomposition == "mst"
         check("next_task", pins_only, "listed, for a decomposition other than mst")
 

@@ -43,8 +43,10 @@ well. A move towards two pins at once is best where the tree has branches to bot
 of the net's tree, otherwise the target. Every edge costs 1, those of the present walk included. One
 without room for the net costs 32 more if overflow is allowed, and cannot be crossed otherwise. With
 the predicted slack, an edge that would be left with less than nothing costs up to 4 more, 1 per
-track. Ways stay within ``margin`` Gcells of the box around the task's ends and the net's other open
-pins.
+track. In a priced round (:mod:`marouting.game.rounds`) an edge costs what it costs the net by
+:mod:`marouting.game.prices`. Ways stay within ``margin`` Gcells of the box around the task's ends
+and the net's other open pins; in a priced round the box grows by two Gcells more on each side for
+every round before it in a row that gained nothing.
 
 Predicted demand is explained in :mod:`marouting.game.expected`; that of the agent itself is left
 out. Moves are those of the grid; :func:`marouting.game.window.mirrored` translates them.
@@ -72,8 +74,9 @@ from marouting.game.expected import (
     squashed,
 )
 from marouting.game.places import grid_of, position
+from marouting.game.prices import UNIT, edge_cost, is_priced, price_of
 from marouting.game.rules import is_agent
-from marouting.game.state import NOBODY, Dynamic, Option, Static
+from marouting.game.state import NOBODY, Crossing, Dynamic, Option, Static
 from marouting.game.tasks import holds, is_later, is_on, next_nearest
 from marouting.game.window import MOST_RADIUS, move_order, write_numbers
 from marouting.kernels import compiled, inlined, place, wide
@@ -89,11 +92,13 @@ _FIXED = _FIRST_PIN + _PIN * _PINS
 DETOURS = _NUMBERS
 """Where the block ``detour`` begins in a row."""
 
-_UNIT = 4  # the cost of an edge, so that the cost of scarcity has steps below it
+_UNIT = UNIT  # the cost of an edge
 _OVERFLOW = 32 * _UNIT
-_SCARCE = 4 * _UNIT
-_BUCKETS = 256  # more than any edge costs
+_STEP = _UNIT // 4  # of the cost of scarcity
+_SCARCE = 16  # such steps at most
+_BUCKETS = 1024  # more than any edge costs
 _FARTHEST = 2**30
+_KEY, _SIZE, _WAITING = range(3)  # the cost that comes next; entries made; of these, in buckets
 _MOST_FAR = np.float32(4)
 
 
@@ -104,12 +109,20 @@ class Ways(NamedTuple):
     end: NDArray[np.int32]  # (M, G) the Gcell that it ends in, with the capacity there is
     low: NDArray[np.int32]  # (M, 2) the box that was searched, in x and y
     high: NDArray[np.int32]  # (M, 2)
-    found: NDArray[np.int32]  # (M, 3) the agent, task and margin that this is for; NOBODY: unknown
+    found: NDArray[np.int32]  # (M, 4) the agent, task and margin that this is for, and what one net
+    # too many costs in a priced round (NOBODY in others); NOBODY, …: unknown
     room: NDArray[np.int32]  # (M, G, 2) what it was found from: capacity towards +x and +y
+    price: NDArray[np.int32]  # (M, G, 2) the prices there, if edges may have them
     load: NDArray[np.int64]  # (M, G, 2) and the demand that was expected there
-    head: NDArray[np.int32]  # (256,) the first entry of each bucket
-    after: NDArray[np.int32]  # (entries,) the next entry of the bucket
-    entry: NDArray[np.int32]  # (entries,) the Gcell of an entry
+    kinds: NDArray[np.int32]  # (M,) how many searches there are: 1 if nothing is scarce
+    front: NDArray[np.int64]  # (M, 2, 3) how far they are: _KEY, _SIZE, _WAITING
+    head: NDArray[np.int32]  # (M, 2, 1024) the first entry of each bucket
+    after: NDArray[np.int32]  # (M, 2, entries) the next entry of the bucket
+    entry: NDArray[np.int32]  # (M, 2, entries) the Gcell of an entry
+    touched: NDArray[np.int64]  # (M, X·Y) the last count in ``counts`` of which an edge of the net
+    # of that time touches the column, in any layer
+    counts: NDArray[np.int64]  # (M,) how often wires have been found
+    start: NDArray[np.int32]  # (M,) where the agent was then
     wired: NDArray[np.int32]  # (K,) distance of a task's pin to what its net has wired
     seen: NDArray[np.int32]  # (4,) tasks of the other open pins that are seen
     span: NDArray[np.int64]  # (5,) working: of the end and the pins, their distance to the tree
@@ -132,12 +145,18 @@ def ways_of(engine: Engine) -> Ways:
             end=np.zeros((m, cells), np.int32),
             low=np.zeros((m, 2), np.int32),
             high=np.zeros((m, 2), np.int32),
-            found=np.full((m, 3), NOBODY, np.int32),
+            found=np.full((m, 4), NOBODY, np.int32),
             room=np.zeros((m, cells, VIA_AXIS), np.int32),
+            price=np.zeros((m, cells * engine.rules.rip_up_prices, VIA_AXIS), np.int32),
             load=np.zeros((m, cells, VIA_AXIS), np.int64),
-            head=np.full(_BUCKETS, NOBODY, np.int32),
-            after=np.zeros(entries, np.int32),
-            entry=np.zeros(entries, np.int32),
+            kinds=np.zeros(m, np.int32),
+            front=np.zeros((m, 2, 3), np.int64),
+            head=np.full((m, 2, _BUCKETS), NOBODY, np.int32),
+            after=np.zeros((m, 2, entries), np.int32),
+            entry=np.zeros((m, 2, entries), np.int32),
+            touched=np.zeros((m, cells // engine.grid.shape[VIA_AXIS]), np.int64),
+            counts=np.zeros(m, np.int64),
+            start=np.zeros(m, np.int32),
             wired=np.zeros(len(engine.static.tasks), np.int32),
             seen=np.zeros(_PINS - 1, np.int32),
             span=np.zeros(_PINS, np.int64),
@@ -269,24 +288,28 @@ def _edge_cost(
     # As if the net did not use the edge yet: so nothing changes while the agent walks.
     remaining = wide(dynamic.remaining[m, edge]) + demand * uses(dynamic.used, m, n, edge)
     cost = wide(_UNIT)
-    if remaining < demand:
+    if is_priced(static, dynamic, m):
+        cost = edge_cost(static, dynamic, m, wide(edge), demand, remaining)
+    elif remaining < demand:
         cost = wide(_UNIT + _OVERFLOW) if static.overflow_allowed else wide(_FARTHEST)
-    elif scarcity:
+    if scarcity and remaining >= demand:
         at = place(edge // AXES)
         track = np.float32(max(demand, 1))
         left = slack_of(maps, m, at, axis, remaining, track) - np.float32(1)
         if left < 0:
-            cost += min(wide(np.float32(-_UNIT) * left), wide(_SCARCE))
+            cost += _STEP * min(wide(np.float32(-4) * left), wide(_SCARCE))
     return cost
 
 
 @inlined
-def _put(ways: Ways, size: int, key: int, cell: int) -> None:
-    """Puts a Gcell into the bucket of a cost, as the entry number ``size``."""
-    bucket = key & (_BUCKETS - 1)
-    ways.entry[size] = cell
-    ways.after[size] = ways.head[bucket]
-    ways.head[bucket] = size
+def _put(ways: Ways, m: int, kind: int, key: int, cell: int) -> None:
+    """Puts a Gcell into the bucket of a cost."""
+    bucket, size = key & (_BUCKETS - 1), ways.front[m, kind, _SIZE]
+    ways.entry[m, kind, size] = cell
+    ways.after[m, kind, size] = ways.head[m, kind, bucket]
+    ways.head[m, kind, bucket] = size
+    ways.front[m, kind, _SIZE] += 1
+    ways.front[m, kind, _WAITING] += 1
 
 
 @inlined
@@ -312,6 +335,18 @@ def _room(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, axis: int
 
 
 @inlined
+def _widened(static: Static, dynamic: Dynamic, m: int, margin: int) -> int:
+    """The margin of the present round: the longer priced rounds gain nothing, the wider it is."""
+    return margin + 2 * wide(dynamic.games[m].stuck) * is_priced(static, dynamic, m)
+
+
+@inlined
+def _present(static: Static, dynamic: Dynamic, m: int) -> int:
+    """What one net too many costs in a priced round; NOBODY in others."""
+    return wide(dynamic.games[m].present) if is_priced(static, dynamic, m) else wide(NOBODY)
+
+
+@inlined
 def _is_end(static: Static, dynamic: Dynamic, m: int, n: int, cell: int) -> bool:
     """Whether an agent's task ends in a Gcell."""
     if is_on(static, Option.TREE_TARGET):
@@ -332,9 +367,12 @@ def _note(
                 for axis in range(VIA_AXIS):
                     ways.room[m, cell, axis] = _room(static, dynamic, m, n, cell, wide(axis))
                     ways.load[m, cell, axis] = maps.expected[m, cell, axis]
+                    if is_priced(static, dynamic, m):
+                        ways.price[m, cell, axis] = price_of(static, dynamic, m, AXES * cell + axis)
     ways.found[m, 0] = n
     ways.found[m, 1] = dynamic.agents[m, n].task
-    ways.found[m, 2] = margin
+    ways.found[m, 2] = _widened(static, dynamic, m, margin)
+    ways.found[m, 3] = _present(static, dynamic, m)
 
 
 @compiled
@@ -346,7 +384,10 @@ def _are_found(
     To look costs a small part of finding them, and while an agent walks it is all that is needed.
     """
     found = ways.found[m]
+    margin = _widened(static, dynamic, m, margin)
     if found[0] != n or found[1] != dynamic.agents[m, n].task or found[2] != margin:
+        return False
+    if found[3] != _present(static, dynamic, m):
         return False
     for axis in range(VIA_AXIS):
         low, high = _box(static, dynamic, m, n, wide(axis))
@@ -362,6 +403,10 @@ def _are_found(
                 for axis in range(VIA_AXIS):
                     if ways.load[m, cell, axis] != maps.expected[m, cell, axis]:
                         return False
+                    if is_priced(static, dynamic, m):
+                        price = price_of(static, dynamic, m, AXES * cell + axis)
+                        if ways.price[m, cell, axis] != price:
+                            return False
                     room = _room(static, dynamic, m, n, cell, wide(axis))
                     if ways.room[m, cell, axis] != room:
                         return False
@@ -372,9 +417,10 @@ def _are_found(
 def find_ways(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
 ) -> None:
-    """Finds what the cheapest ways cost from every Gcell of the box to the end of the task.
+    """Begins to find what the cheapest ways cost from the Gcells of the box to the end of the task.
 
-    While only this agent moves, they stay the same until its next task begins.
+    :func:`_reach` carries the searches on as far as somebody looks. While only this agent moves,
+    what they find stays the same until its next task begins.
 
     Args:
         static: the static state of the games.
@@ -386,48 +432,89 @@ def find_ways(
         margin: Gcells around the open pins.
     """
     columns, rows, layers = grid_of(static)
+    margin = _widened(static, dynamic, m, margin)
     ways.found[m, 0] = NOBODY
     for axis in range(VIA_AXIS):
         low, high = _box(static, dynamic, m, n, wide(axis))
         ways.low[m, axis], ways.high[m, axis] = low - margin, high + margin
+    for kind in range(2):
+        ways.head[m, kind, :] = NOBODY
+        ways.front[m, kind, :] = 0
+    # Where nobody else is expected, and room for the net is a track at least, nothing is scarce.
+    scarce = False
+    for z in range(layers):
+        scarce |= static.demand[m, n, z] < 1
+    for x in range(max(wide(ways.low[m, 0]), 0), min(wide(ways.high[m, 0]), columns - 1) + 1):
+        for y in range(max(wide(ways.low[m, 1]), 0), min(wide(ways.high[m, 1]), rows - 1) + 1):
+            for z in range(layers):
+                cell = place((x * rows + y) * layers + z)
+                for axis in range(VIA_AXIS):
+                    scarce |= maps.expected[m, cell, axis] != 0
+                ends = _is_end(static, dynamic, m, n, cell)
+                for kind in range(2):
+                    ways.cost[m, kind, cell] = 0 if ends else _FARTHEST
+                    if ends:
+                        ways.end[m, cell] = cell
+                        _put(ways, m, wide(kind), wide(0), cell)
+    ways.kinds[m] = 1 + scarce
+
+
+@compiled
+def _reach(
+    static: Static,
+    dynamic: Dynamic,
+    maps: Maps,
+    ways: Ways,
+    m: int,
+    n: int,
+    kind: int,
+    cell: int,
+) -> int:
+    """The cost of the cheapest way from a Gcell of the box to the end of an agent's task.
+
+    The search for all Gcells (Dijkstra's, with a bucket for every cost) goes on until it has passed
+    this one.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        maps: as when the ways began to be found, like all that edges cost.
+        ways: carried on.
+        m: the problem.
+        n: the agent.
+        kind: 0 with the capacity there is, 1 with predicted slack.
+        cell: the Gcell.
+    """
+    kind = min(kind, wide(ways.kinds[m]) - 1)
+    front = ways.front[m, kind]
+    columns, rows, _ = grid_of(static)
     x0, x1 = max(wide(ways.low[m, 0]), 0), min(wide(ways.high[m, 0]), columns - 1)
     y0, y1 = max(wide(ways.low[m, 1]), 0), min(wide(ways.high[m, 1]), rows - 1)
-    for kind in range(2):
-        size, waiting, key = wide(0), wide(0), wide(0)
-        for x in range(x0, x1 + 1):
-            for y in range(y0, y1 + 1):
-                for z in range(layers):
-                    cell = place((x * rows + y) * layers + z)
-                    ways.cost[m, kind, cell] = _FARTHEST
-                    if _is_end(static, dynamic, m, n, cell):
-                        ways.cost[m, kind, cell] = 0
-                        ways.end[m, cell] = cell
-                        _put(ways, size, wide(0), cell)
-                        size, waiting = size + 1, waiting + 1
-        while waiting > 0:
-            bucket = key & (_BUCKETS - 1)
-            while ways.head[bucket] != NOBODY:
-                first = place(ways.head[bucket])
-                ways.head[bucket] = ways.after[first]
-                waiting -= 1
-                cell = place(ways.entry[first])
-                if ways.cost[m, kind, cell] != key:
-                    continue  # a cheaper way has come first
-                for move in range(MOVES):
-                    if not static.exits[cell] >> move & 1:
-                        continue
-                    ahead = place(static.neighbour[cell, move])
-                    x, y, _ = position(static, ahead)
-                    if not (x0 <= x <= x1 and y0 <= y <= y1):
-                        continue
-                    cost = key + _edge_cost(static, dynamic, maps, m, n, cell, move, kind == 1)
-                    if cost < ways.cost[m, kind, ahead]:
-                        ways.cost[m, kind, ahead] = cost
-                        if kind == 0:
-                            ways.end[m, ahead] = ways.end[m, cell]
-                        _put(ways, size, cost, ahead)
-                        size, waiting = size + 1, waiting + 1
-            key += 1
+    while front[_WAITING] > 0 and ways.cost[m, kind, cell] > front[_KEY]:
+        key = wide(front[_KEY])
+        bucket = key & (_BUCKETS - 1)
+        while ways.head[m, kind, bucket] != NOBODY:
+            first = place(ways.head[m, kind, bucket])
+            ways.head[m, kind, bucket] = ways.after[m, kind, first]
+            front[_WAITING] -= 1
+            here = place(ways.entry[m, kind, first])
+            if ways.cost[m, kind, here] != key:
+                continue  # a cheaper way has come first
+            for move in range(MOVES):
+                if not static.exits[here] >> move & 1:
+                    continue
+                ahead = place(static.neighbour[here, move])
+                x, y, _ = position(static, ahead)
+                if not (x0 <= x <= x1 and y0 <= y <= y1):
+                    continue
+                cost = key + _edge_cost(static, dynamic, maps, m, n, here, wide(move), kind == 1)
+                if cost < ways.cost[m, kind, ahead]:
+                    ways.cost[m, kind, ahead] = cost
+                    if kind == 0:
+                        ways.end[m, ahead] = ways.end[m, here]
+                    _put(ways, m, kind, cost, ahead)
+        front[_KEY] += 1
+    return wide(ways.cost[m, kind, cell])
 
 
 # --- rows -----------------------------------------------------------------------------------------
@@ -459,7 +546,14 @@ def _pin_of(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> int:
 
 
 @inlined
-def note_wire(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int, cell: int) -> None:
+def _touch(static: Static, ways: Ways, m: int, cell: int) -> None:
+    """Notes that an edge of the net touches a Gcell."""
+    layers = grid_of(static)[VIA_AXIS]
+    ways.touched[m, place(cell // layers)] = ways.counts[m]
+
+
+@inlined
+def _note_wire(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int, cell: int) -> None:
     """Takes a Gcell into what an agent's net has wired."""
     agent = dynamic.agents[m, n]
     for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
@@ -468,11 +562,21 @@ def note_wire(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int, cell
             ways.wired[task] = min(wide(ways.wired[task]), distance)
 
 
+@inlined
+def note_move(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> None:
+    """Takes the Gcell that an agent has got to into what its net has wired."""
+    agent = dynamic.agents[m, n]
+    _note_wire(static, dynamic, ways, m, n, place(agent.cell))
+    if agent.crossing == Crossing.NEW or agent.crossing == Crossing.OWN:
+        _touch(static, ways, m, place(agent.cell))
+        _touch(static, ways, m, place(ways.start[m]))
+
+
 @compiled
 def find_wires(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> None:
     """Finds how far the open pins are from the Gcells at the net's edges and from the agent.
 
-    While the agent walks, :func:`note_wire` of every Gcell that it gets to keeps them right.
+    While the agent walks, :func:`note_move` after every move keeps them right.
 
     Args:
         static: the static state of the games.
@@ -481,17 +585,20 @@ def find_wires(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> 
         m: the problem.
         n: the agent.
     """
+    ways.counts[m] += 1
+    ways.start[m] = dynamic.agents[m, n].cell
     ways.wired[static.first[m, n] : static.first[m, n + 1]] = _FARTHEST
-    note_wire(static, dynamic, ways, m, n, place(dynamic.agents[m, n].cell))
+    _note_wire(static, dynamic, ways, m, n, place(dynamic.agents[m, n].cell))
     for at in range(places(dynamic.used, m, n)):
         byte, bits = byte_at(dynamic.used, m, n, at)
         edge = wide(8 * byte)
         while bits != 0:
             if bits & 1:
                 cell = place(edge // AXES)
-                note_wire(static, dynamic, ways, m, n, cell)
                 ahead = place(static.neighbour[cell, 2 * (edge % AXES)])
-                note_wire(static, dynamic, ways, m, n, ahead)
+                for end in (cell, ahead):
+                    _note_wire(static, dynamic, ways, m, n, end)
+                    _touch(static, ways, m, end)
             bits, edge = bits >> 1, edge + 1
 
 
@@ -538,7 +645,8 @@ def _write_moves(
                 ahead, whole = _ahead(static, ways, m, cell, move), wide(_FARTHEST)
                 if ahead != NOBODY:
                     cost = _edge_cost(static, dynamic, maps, m, n, cell, move, kind == 1)
-                    whole = min(cost + wide(ways.cost[m, kind, place(ahead)]), whole)
+                    on = _reach(static, dynamic, maps, ways, m, n, wide(kind), place(ahead))
+                    whole = min(cost + on, whole)
                 if turn == 0:
                     least = min(least, whole)
                 elif whole == _FARTHEST:
@@ -620,6 +728,8 @@ def _write_spans(
     cell, target = place(agent.cell), place(agent.target)
     pins, least = wide(0), wide(1 << 62)
     while pins < _PINS - 1 and ways.seen[pins] != NOBODY:
+        pin = place(static.tasks[place(ways.seen[pins]), 1])
+        _ = _reach(static, dynamic, maps, ways, m, n, wide(0), pin)
         pins += 1
     for way in range(MOVES):
         ways.total[way] = NOBODY
@@ -640,7 +750,15 @@ def _write_spans(
 
 @inlined
 def _write_pins(
-    static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int, radius: int, out: Any, row: int
+    static: Static,
+    dynamic: Dynamic,
+    maps: Maps,
+    ways: Ways,
+    m: int,
+    n: int,
+    radius: int,
+    out: Any,
+    row: int,
 ) -> None:
     """Writes the block ``pins``, and sets what is 1 in the block ``open``."""
     agent = dynamic.agents[m, n]
@@ -666,8 +784,9 @@ def _write_pins(
         out[row, at + 1] = _far(sign_x * (px - x))
         out[row, at + 2] = _far(sign_y * (py - y))
         out[row, at + 3] = _far(pz - z)
-        out[row, at + 4] = _far(np.float32(ways.cost[m, 0, pin]) / np.float32(_UNIT))
-        if ways.cost[m, 0, pin] < _FARTHEST:
+        cost = _reach(static, dynamic, maps, ways, m, n, wide(0), pin)
+        out[row, at + 4] = _far(np.float32(cost) / np.float32(_UNIT))
+        if cost < _FARTHEST:
             px, py, _ = position(static, place(ways.end[m, pin]))
         out[row, at + 5] = _far(sign_x * (px - x))
         out[row, at + 6] = _far(sign_y * (py - y))
@@ -686,6 +805,7 @@ def _write_folded(
     static: Static,
     dynamic: Dynamic,
     maps: Maps,
+    ways: Ways,
     m: int,
     n: int,
     radius: int,
@@ -727,14 +847,8 @@ def _write_folded(
         gx = x + i if right else x - i
         for j in range(-radius, radius + 1):
             gy = y + j if up else y - j
-            own = wide(0)
-            if 0 <= gx < columns and 0 <= gy < rows:
-                for z in range(layers):
-                    at = place((gx * rows + gy) * layers + z)
-                    for move in range(MOVES):
-                        edge = place(static.edge[at, move])
-                        own |= uses(dynamic.used, m, n, edge) & (static.exits[at] >> move)
-            out[row, p] = own & 1
+            own = 0 <= gx < columns and 0 <= gy < rows
+            out[row, p] = own and ways.touched[m, place(gx * rows + gy)] == ways.counts[m]
             out[row, p + side * side] = 0
             p += 1
 
@@ -766,10 +880,10 @@ def write_outlook(
     """
     write_numbers(static, dynamic, m, n, out, row)
     _write_moves(static, dynamic, maps, ways, m, n, out, row)
-    _write_folded(static, dynamic, maps, m, n, radius, out, row)
+    _write_folded(static, dynamic, maps, ways, m, n, radius, out, row)
     _find_pins(static, dynamic, ways, m, n)
     _write_spans(static, dynamic, maps, ways, m, n, out, row)
-    _write_pins(static, dynamic, ways, m, n, radius, out, row)
+    _write_pins(static, dynamic, maps, ways, m, n, radius, out, row)
 
 
 @compiled

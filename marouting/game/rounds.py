@@ -27,21 +27,37 @@ wirelength, in this order. If it is worse than before they gave their edges back
 back: no connection is ever lost, and the routes are always the best so far. A round in which no net
 walks again is the last one.
 
+With ``rip_up_prices`` nets negotiate as well. Some rounds are **priced**: edges cost what
+:mod:`marouting.game.prices` says, every net walks again alone, and it keeps its new routes if they
+join as many tasks and cost it no more than the old ones, whatever becomes of the whole problem. So
+nets part that share an edge with others. In rounds that are not priced, the **plain** ones, all is
+as without the option, but patience counts plain rounds in a row.
+
+* After the first walk, and after a priced round, the next round is priced if there is overflow,
+  unless ten priced rounds in a row have not lowered it by one per cent of the least since the last
+  plain round. Otherwise it is plain. If earlier routes have joined more tasks or had less overflow,
+  nets take the best of them first.
+* After a plain round the next one is plain, unless two in a row have gained nothing: no task, not
+  one per cent of the overflow, not a two-thousandth of the wirelength. Otherwise it is priced.
+* In a priced round nets come in an order drawn by lots, unless ``rip_up: price`` says in which.
+* With the end of the last round nets take the best routes that they had after any round.
+
+No move is made, and no reward paid, when nets take earlier routes.
+
 An edge is full if it has no remaining capacity. In rip-up rounds agents wait
 (:attr:`marouting.game.state.Status.WAITING`), and all are terminated or truncated with the last.
 """
 
+from marouting.game.best import put_best, take_routes
 from marouting.game.bits import byte_at, byte_of, empty, places, put, set_byte, span
 from marouting.game.edges import use_edges
 from marouting.game.places import grid_of
+from marouting.game.prices import choose_kind, is_priced, net_cost
 from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
 from marouting.game.tasks import (
     begin_net,
     begin_task,
-    clear,
-    grow_tree,
     is_on,
-    keeps_tree,
     next_task,
     wait,
 )
@@ -91,12 +107,30 @@ def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
     return min(price, _OPEN - 1) + _OPEN * missing
 
 
+@inlined
+def lot(number: int, n: int, other: int) -> int:
+    """A number from 1 to 1024 that follows from a round and two agents, as if it were drawn.
+
+    Args:
+        number: of the round, from 1.
+        n: the agent that walks again.
+        other: one that stands in its way.
+    """
+    mixed = (number * 0x9E3779B1 ^ n * 0x85EBCA6B ^ other * 0xC2B2AE35) & _LOT
+    for _ in range(2):
+        mixed = (mixed ^ mixed >> 16) * 0x45D9F3B & _LOT
+    return 1 + (mixed >> 22)
+
+
 @compiled
 def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     """Counts full edges, and lines up the nets."""
     game = dynamic.games[m]
+    choose_kind(static, dynamic, m)
     game.round += 1
     game.place = game.picked = 0
+    game.began_joined, game.began_overflow = game.joined, game.overflow
+    game.began_wirelength = game.wirelength
     history, first = place(static.options[Option.HISTORY]), place(static.options[Option.LINE])
     for edge in range(static.capacity.shape[1]):
         if is_full(static, dynamic, m, edge):
@@ -106,6 +140,8 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
         price = wide(0)
         if static.options[Option.RIP_UP] == RipUp.PRICE:
             price = _price(static, dynamic, m, wide(static.order[m, size]), False)
+        elif is_priced(static, dynamic, m):
+            price = lot(wide(game.round), wide(static.order[m, size]), wide(NOBODY))
         push(line, size, price << _SHIFT | (_LAST - size))
         size += 1
     # The smallest key goes to the end, to the place that the heap no longer needs.
@@ -121,21 +157,6 @@ def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
     if rip_up == RipUp.CONFLICTS or rip_up == RipUp.PRICE:
         return _price(static, dynamic, m, n, rip_up == RipUp.CONFLICTS) > 0
     return True
-
-
-@inlined
-def lot(number: int, n: int, other: int) -> int:
-    """A number from 1 to 1024 that follows from a round and two agents, as if it were drawn.
-
-    Args:
-        number: of the round, from 1.
-        n: the agent that walks again.
-        other: one that stands in its way.
-    """
-    mixed = (number * 0x9E3779B1 ^ n * 0x85EBCA6B ^ other * 0xC2B2AE35) & _LOT
-    for _ in range(2):
-        mixed = (mixed ^ mixed >> 16) * 0x45D9F3B & _LOT
-    return 1 + (mixed >> 22)
 
 
 @inlined
@@ -160,7 +181,9 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """Fills ``again`` with a net and those that stand in its way; returns how many they are."""
     o, most = static.options, static.options[Option.AGAIN_MOST]
     if o[Option.PATIENCE] > 0:
-        most = min(most, 1 + (wide(dynamic.games[m].round) - 1) // o[Option.PATIENCE])
+        most = min(most, 1 + (wide(dynamic.games[m].plain) - 1) // o[Option.PATIENCE])
+    if is_priced(static, dynamic, m):
+        most = wide(1)
     again = dynamic.numbers[m, o[Option.AGAIN] : o[Option.AGAIN] + most]
     counts = dynamic.numbers[m, o[Option.QUEUE] : o[Option.QUEUE] + most]
     blocking = place(o[Option.KEPT])
@@ -235,6 +258,8 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
             if bits != 0:
                 set_byte(dynamic.sets, m, kept, byte, bits)
                 use_edges(static, dynamic, m, member, byte, wide(0))
+        if is_priced(static, dynamic, m):
+            game.kept_cost = net_cost(static, dynamic, m, member, dynamic.sets, kept, wide(0))
         agent.status = Status.ACTIVE
         wait(dynamic, m, member)
         begin_net(static, dynamic, m, member)
@@ -265,26 +290,16 @@ def judge(static: Static, dynamic: Dynamic, m: int) -> None:
         worse = game.overflow > game.kept_overflow
         if game.overflow == game.kept_overflow:
             worse = game.wirelength > game.kept_wirelength
+        if is_priced(static, dynamic, m):
+            n = place(dynamic.numbers[m, static.options[Option.AGAIN]])
+            cost = net_cost(static, dynamic, m, n, dynamic.used, n, wide(1))
+            worse = cost > game.kept_cost
     o = static.options
     for k in range(game.again):
         member = place(dynamic.numbers[m, o[Option.AGAIN] + k])
-        agent = dynamic.agents[m, member]
         if worse:
-            kept = place(o[Option.KEPT] + k)
-            for at in range(places(dynamic.used, m, member)):
-                byte, bits = byte_at(dynamic.used, m, member, at)
-                if bits != 0:
-                    route = byte_of(dynamic.sets, m, kept, byte)
-                    use_edges(static, dynamic, m, member, byte, route)
-            for at in range(places(dynamic.sets, m, kept)):
-                byte, bits = byte_at(dynamic.sets, m, kept, at)
-                if bits != 0:
-                    use_edges(static, dynamic, m, member, byte, bits)
-            agent.joined = dynamic.numbers[m, o[Option.KEPT_JOINED] + k]
-            if is_on(static, Option.GIVE_BACK):
-                clear(static, dynamic, m, Option.TAKEN, member)
-            if keeps_tree(static):
-                grow_tree(static, dynamic, m, member)
+            kept, joined = place(o[Option.KEPT] + k), dynamic.numbers[m, o[Option.KEPT_JOINED] + k]
+            take_routes(static, dynamic, m, member, kept, joined)
         dynamic.numbers[m, o[Option.AGAIN] + k] = NOBODY
     if worse:
         game.joined = game.kept_joined
@@ -329,6 +344,8 @@ def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
         else:
             rip_up(static, dynamic, m, n)
         return
+    if is_on(static, Option.PRICES):
+        put_best(static, dynamic, m)
     game.agent = NOBODY
     for n in range(agents):
         if dynamic.agents[m, n].status == Status.WAITING:

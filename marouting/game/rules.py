@@ -17,7 +17,7 @@ The agent routes them one after the other, one Gcell per move, from a task's sta
 
 These are the paper's rules. Options extend them: trees as targets and the choice of tasks
 (:mod:`marouting.game.tasks`), nets that give their edges back and walk again
-(:mod:`marouting.game.rounds`), and
+(:mod:`marouting.game.rounds`), at prices or not (:mod:`marouting.game.prices`), and
 
 * ``mask_visited``: masks leave out moves to Gcells that the agent has visited in its task, as long
   as others are left;
@@ -31,6 +31,7 @@ from typing import Any
 
 from marouting.game.bits import byte_at, byte_of, empty, forget, places, put
 from marouting.game.edges import demand_of, may_cross, take, use_edges, uses
+from marouting.game.prices import NO_LIMIT
 from marouting.game.rounds import (
     all_have_walked,
     answer,
@@ -247,7 +248,11 @@ def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
     forget(dynamic.sets, m)
     game = dynamic.games[m]
     game.round = game.place = game.again = game.picked = game.ripped = game.asked = 0
-    game.kept_joined = game.kept_overflow = game.kept_wirelength = 0
+    game.kept_joined = game.kept_overflow = game.kept_wirelength = game.kept_cost = 0
+    game.plain = game.present = game.stuck = 0
+    game.fewest = NO_LIMIT
+    game.began_joined = game.began_overflow = game.began_wirelength = 0
+    game.best_joined, game.best_overflow, game.best_wirelength = NOBODY, 0, 0
     if is_on(static, Option.ROUNDS):
         for column in range(static.options[Option.AGAIN], static.options[Option.KEPT_JOINED]):
             dynamic.numbers[m, column] = NOBODY

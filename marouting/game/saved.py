@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from marouting.game.bits import are_within, byte_at, copy_rows, longer, places
 from marouting.game.edges import demand_of
+from marouting.game.prices import LARGEST, RISE
 from marouting.game.setup import more_of
 from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
 from marouting.kernels import compiled, wide
@@ -100,16 +101,32 @@ def _check_extended(static: Static, saved: Dynamic) -> None:
         joined[members] = more.kept_joined[m, : len(members)]
         _expect("tasks joined", _within(joined, 0, np.diff(static.first[m])))
         if len(members):
-            before = saved.used[m : m + 1].copy()
-            if before.ndim == 2:
-                before = longer(before, 4 * (before.shape[1] + saved.sets.shape[1]))
-            kept = int(static.options[Option.KEPT]) + np.arange(len(members))
-            copy_rows(before, members, saved.sets[m : m + 1], kept, 0)
-            uses, demand = checked_demand(static, before, m)
-            over = np.maximum(demand - static.capacity[m], 0).sum()
             found = [game[f"kept_{name}"] for name in ("wirelength", "overflow", "joined")]
-            _expect("routes before", found == [uses, over, joined.sum()])
+            before = _cost_with(static, saved, m, members, Option.KEPT)
+            _expect("routes before", found == [*before, joined.sum()])
         _expect("congestion", _within(more.history[m], 0, rounds))
+        _expect("rounds without gain", min(game["plain"], game["stuck"]) >= 0)
+        _expect("present", _within(game["present"], 0, LARGEST))
+        _expect("prices", _within(more.prices[m], 0, rounds * RISE))
+        if len(more.best_joined[m]) and game["best_joined"] != NOBODY:
+            joined = more.best_joined[m]
+            _expect("best routes", _within(joined, 0, np.diff(static.first[m])))
+            found = [game[f"best_{name}"] for name in ("wirelength", "overflow", "joined")]
+            best = _cost_with(static, saved, m, np.arange(agents.shape[1]), Option.BEST)
+            _expect("best routes", found == [*best, joined.sum()])
+
+
+def _cost_with(
+    static: Static, saved: Dynamic, m: int, members: NDArray[np.integer], which: Option
+) -> tuple[int, int]:
+    """Wirelength and overflow of problem m if some nets (K,) had the edges of K sets of a kind."""
+    used = saved.used[m : m + 1].copy()
+    if used.ndim == 2:
+        used = longer(used, 4 * (used.shape[1] + saved.sets.shape[1]))
+    rows = int(static.options[which]) + np.arange(len(members))
+    copy_rows(used, members, saved.sets[m : m + 1], rows, 0)
+    uses, demand = checked_demand(static, used, m)
+    return uses, int(np.maximum(demand - static.capacity[m], 0).sum())
 
 
 def checked_demand(

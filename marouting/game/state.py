@@ -91,6 +91,18 @@ GAME = np.dtype(
         ("kept_joined", np.int32),  # tasks joined before nets gave their edges back
         ("kept_overflow", np.int64),  # overflow likewise
         ("kept_wirelength", np.int64),  # wirelength likewise
+        ("kept_cost", np.int64),  # what the routes before cost their net, in a priced round
+        ("began_joined", np.int32),  # tasks joined at the beginning of the round
+        ("began_overflow", np.int64),  # overflow likewise
+        ("began_wirelength", np.int64),  # wirelength likewise
+        ("plain", np.int32),  # rounds in a row that have not been priced, this one included
+        # Of priced rounds:
+        ("present", np.int32),  # what one net too many adds to the cost of an edge, in parts of it
+        ("stuck", np.int32),  # rounds in a row without gain
+        ("fewest", np.int64),  # least overflow after a priced round since the last plain one
+        ("best_joined", np.int32),  # tasks joined by the best routes so far
+        ("best_overflow", np.int64),  # overflow likewise
+        ("best_wirelength", np.int64),  # wirelength likewise
     ],
     align=True,
 )
@@ -101,7 +113,7 @@ class Option(enum.IntEnum):
     """Places in ``Static.options``.
 
     The state of the options is kept in two arrays, because every array costs time whenever compiled
-    code is called. From ``TREE`` to ``TRIED`` are rows of ``Dynamic.sets``, from ``LINE`` on
+    code is called. From ``TREE`` to ``BEST`` are rows of ``Dynamic.sets``, from ``LINE`` on
     columns of ``Dynamic.numbers``; -1 stands for an option that is switched off.
     """
 
@@ -118,13 +130,16 @@ class Option(enum.IntEnum):
     TAKEN = 10  #: N sets of edges newly used in the present task
     KEPT = 11  #: P sets of edges that nets had before they walked again
     TRIED = 12  #: N sets of tasks that have been begun, counted from the net's first
-    LINE = 13  #: N places in turn order, in the order of the rip-up round
-    AGAIN = 14  #: P nets that walk again; NOBODY where there is none
-    KEPT_JOINED = 15  #: P numbers of tasks that they had joined
-    HISTORY = 16  #: E numbers of rip-up rounds at whose start the edge was full
-    QUEUE = 17  #: G, or at least P, numbers to work with
-    ROWS = 18  #: R, all rows
-    COLUMNS = 19  #: C, all columns
+    BEST = 13  #: N sets of edges, the best routes so far
+    LINE = 14  #: N places in turn order, in the order of the rip-up round
+    AGAIN = 15  #: P nets that walk again; NOBODY where there is none
+    KEPT_JOINED = 16  #: P numbers of tasks that they had joined
+    HISTORY = 17  #: E numbers of rip-up rounds at whose start the edge was full
+    PRICES = 18  #: E prices of edges
+    BEST_JOINED = 19  #: N numbers of tasks that the best routes so far have joined
+    QUEUE = 20  #: G, or at least P, numbers to work with
+    ROWS = 21  #: R, all rows
+    COLUMNS = 22  #: C, all columns
 
 
 class Static(NamedTuple):

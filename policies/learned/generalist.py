@@ -5,7 +5,9 @@ best moves, from pin to pin. In another game they walk along Steiner trees
 (:mod:`marouting.trees.steiner`), which are shorter where there is room; if that ends better, they
 walk along its routes in the first game too. Then the router goes through rip-up rounds
 (:mod:`marouting.game.rounds`), with drawn moves: net after net is asked whether it gives way, it
-and some of those in its way walk again, and what is worse is undone. With ``copies`` the problem is
+and some of those in its way walk again, and what is worse is undone. In priced rounds nets walk
+alone, past edges that past overflow has made dearer, and keep what costs them less; the best routes
+of all rounds are noted. With ``copies`` the problem is
 played several times side by side, all but the first with drawn moves and the nets in an order of
 their own, and the best of them go through the rounds. The result is the best copy when the
 time is over.
@@ -28,7 +30,7 @@ from marouting.game.engine import Engine
 from marouting.game.options import MOST_NEIGHBOURS, MOST_ROUNDS
 from marouting.game.outlook import DETOURS, OutlookObservation
 from marouting.problem.grid import MOVES
-from policies.learned.compiled.walk import Walk, follow, make_walk, walk, walk_on
+from policies.learned.compiled.walk import Walk, follow, make_walk, take_best, walk, walk_on
 from policies.learned.networks.mlp import MLP
 from policies.learned.policy import SHIPPED, Routed, TrainedPolicy
 from policies.learned.streams import keys
@@ -74,8 +76,10 @@ class GeneralistOptions:
         keep: how many of them go through rip-up rounds.
         warmth: the temperature at which moves are drawn.
         neighbours: the most nets that walk again with a net because they stand in its way.
-        patience: rounds after which one more of them does so, from none in the first rounds; 0: all
-            of them from the first round on.
+        patience: plain rounds in a row after which one more of them does so, from none in the first
+            ones; 0: all of them from the first on.
+        prices: whether nets negotiate in some of the rounds (:mod:`marouting.game.prices`). Without
+            ``overflow: allowed``, of which the weights tell, they cannot.
         seed: seed of the random numbers.
         mind: who chooses the moves: ``network``; or, to see what the search does without learning,
             ``ways``, whose moves lead along the cheapest way, or ``chance``.
@@ -94,6 +98,7 @@ class GeneralistOptions:
     warmth: float = 1.0
     neighbours: int = 3
     patience: int = 1
+    prices: bool = True
     seed: int = 0
     mind: Mind = "network"
 
@@ -149,6 +154,7 @@ class GeneralistRouter:
             rip_up_rounds=options.rounds,
             rip_up_neighbours=neighbours,
             rip_up_patience=options.patience,
+            rip_up_prices=options.prices and options.rounds > 0 and env.overflow == "allowed",
         )
 
     def warm_up(self, problem: Problem) -> None:
@@ -208,7 +214,8 @@ class GeneralistRouter:
             if self.watch is not None and time.perf_counter() - said >= _OFTEN:
                 said = time.perf_counter()
                 game = engine.games[_ranking(engine)[0]]
-                overflow, wirelength = game["kept_overflow"], game["kept_wirelength"]
+                which = "best" if self._rules.rip_up_prices else "kept"
+                overflow, wirelength = (game[f"{which}_{n}"] for n in ("overflow", "wirelength"))
                 line = f"round {game['round']}; overflow {overflow}, wirelength {wirelength}"
                 if self.watch(line):
                     return False
@@ -228,6 +235,8 @@ class GeneralistRouter:
             while not over and in_time():
                 over = walk(engine, given, steps(), False)
             _all_walk(engine, given)
+            if self._rules.rip_up_prices:
+                take_best(engine)
 
 
 def _read(

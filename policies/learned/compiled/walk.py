@@ -13,7 +13,9 @@ An agent that has taken a quarter of its steps and not arrived goes on by the ch
 An agent that is asked whether its net gives way (``rip_up: agents``) says so with a reason: a task
 of its own is open; or it uses an edge with overflow; or, if there is none in the problem, its net
 was shorter after an earlier walk (one that was undone counts as well, but for the last net of it).
-Without a reason it says so in one round out of eight, in every round other agents.
+In the first of some priced rounds the reason is that its edges cost more than its shortest routes
+would without prices; in the others, overflow alone. Without a reason it says so in one round out of
+eight, in every round other agents, but not where overflow alone counts.
 """
 
 from typing import Any, NamedTuple
@@ -21,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.game.best import put_best
 from marouting.game.bits import byte_at, places
 from marouting.game.engine import Engine
 from marouting.game.expected import Maps, maps_of, recount, refresh, sum_up
@@ -31,10 +34,11 @@ from marouting.game.outlook import (
     Ways,
     find_ways,
     find_wires,
-    note_wire,
+    note_move,
     ways_of,
     write_outlook,
 )
+from marouting.game.prices import FIRST, UNIT, is_priced, net_cost
 from marouting.game.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
 from marouting.kernels import allocating, compiled, inlined, place, wide
@@ -45,6 +49,9 @@ from policies.learned.streams import uniform
 
 _ANYWAY = 8
 """In one round out of these a net gives way without reason."""
+
+_COOLER = 0.5
+"""Share of the warmth in priced rounds: prices drive nets apart as well."""
 
 
 class Walk(NamedTuple):
@@ -142,6 +149,19 @@ def walk_on(engine: Engine, given: Walk) -> None:
     _walk_on(engine.static, engine.dynamic, given)
 
 
+def take_best(engine: Engine) -> None:
+    """Nets of games with prices take the best routes so far."""
+    engine.make_room()
+    _take_best(engine.static, engine.dynamic)
+
+
+@compiled
+def _take_best(static: Static, dynamic: Dynamic) -> None:
+    for m in range(len(dynamic.games)):
+        if dynamic.games[m].round > 0:
+            put_best(static, dynamic, wide(m))
+
+
 @compiled
 def _walk_on(static: Static, dynamic: Dynamic, given: Walk) -> None:
     given.counted[:] = False
@@ -158,7 +178,7 @@ def _in_frame(rows: Any, row: int, move: int) -> int:
 
 
 @inlined
-def _choose(given: Walk, m: int, row: int, free: int, at: int, late: bool) -> int:
+def _choose(given: Walk, m: int, row: int, free: int, at: int, late: bool, warm: float) -> int:
     """The move on the grid that a row takes; its scores begin at ``at``.
 
     A draw adds to every score −log(−log(u)) times the temperature, for u in (0, 1) (Gumbel).
@@ -175,10 +195,10 @@ def _choose(given: Walk, m: int, row: int, free: int, at: int, late: bool) -> in
         if free != 0 and not free >> move & 1:
             continue
         score = given.scores[at + way]
-        if given.warmth[m] > 0:
+        if warm > 0:
             u = uniform(given.keys[m], given.counters[m], way)
             noise = -np.log(-np.log(max(u, 1e-12)))
-            score += np.float32(given.warmth[m] * noise)
+            score += np.float32(warm * noise)
         if score > most:
             best, most = move, score
     return best
@@ -247,7 +267,8 @@ def _walk(
             n = place(dynamic.games[m].agent)
             free = free_moves(static, dynamic, m, n)
             late = 4 * wide(dynamic.agents[m, n].steps) >= static.max_steps
-            move = _choose(given, m, wide(row), free, at + row * given.sizes[-1], late)
+            warm = given.warmth[m] * (_COOLER if is_priced(static, dynamic, m) else 1.0)
+            move = _choose(given, m, wide(row), free, at + row * given.sizes[-1], late, warm)
             given.counters[m] += 1
             _step(static, dynamic, maps, given, m, n, move, stops)
     return False, wide(0)
@@ -276,7 +297,7 @@ def _look(
         find_ways(static, dynamic, maps, ways, m, n, given.margin)
         find_wires(static, dynamic, ways, m, n)
     else:
-        note_wire(static, dynamic, ways, m, n, place(dynamic.agents[m, n].cell))
+        note_move(static, dynamic, ways, m, n)
     write_outlook(static, dynamic, maps, ways, m, n, given.radius, given.rows, row)
 
 
@@ -342,8 +363,16 @@ def _gives_way(static: Static, dynamic: Dynamic, given: Walk, m: int, n: int) ->
     period = 1
     while period < min(_ANYWAY, static.order.shape[1]) and static.order[m, period] != NOBODY:
         period += 1
-    if not _is_whole(static, dynamic, m, n) or (wide(game.turn) + wide(game.round)) % period == 0:
+    if not _is_whole(static, dynamic, m, n):
         return True
+    anyway = (wide(game.turn) + wide(game.round)) % period == 0
+    if anyway and (not is_priced(static, dynamic, m) or game.present == FIRST):
+        return True
+    if is_priced(static, dynamic, m):
+        if game.present != FIRST:
+            return _is_over(dynamic, m, n)
+        cost = net_cost(static, dynamic, m, n, dynamic.used, n, wide(1))
+        return cost > UNIT * given.shortest[m, n]
     if game.overflow > 0:
         return _is_over(dynamic, m, n)
     return _length(dynamic, m, n) > given.shortest[m, n]

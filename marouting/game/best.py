@@ -1,0 +1,74 @@
+"""The best routes so far: noted, and taken again.
+
+The better routes have more tasks joined, then less overflow, then less wirelength.
+"""
+
+from marouting.game.bits import byte_at, byte_of, copy_row, places
+from marouting.game.edges import use_edges
+from marouting.game.state import Dynamic, Option, Static
+from marouting.game.tasks import clear, grow_tree, is_on, keeps_tree
+from marouting.kernels import compiled, inlined, place, wide
+
+
+@inlined
+def _is_best(dynamic: Dynamic, m: int) -> bool:
+    """Whether the present routes are better than the best of earlier rounds."""
+    game = dynamic.games[m]
+    if game.joined != game.best_joined:
+        return game.joined > game.best_joined
+    if game.overflow != game.best_overflow:
+        return game.overflow < game.best_overflow
+    return game.wirelength < game.best_wirelength
+
+
+@compiled
+def note_best(static: Static, dynamic: Dynamic, m: int) -> None:
+    """Notes the present routes if they are the best so far."""
+    if not _is_best(dynamic, m):
+        return
+    game = dynamic.games[m]
+    game.best_joined, game.best_overflow = game.joined, game.overflow
+    game.best_wirelength = game.wirelength
+    for n in range(dynamic.agents.shape[1]):
+        row = wide(static.options[Option.BEST] + n)
+        copy_row(dynamic.sets, m, row, dynamic.used, m, wide(n))
+        joined = dynamic.agents[m, n].joined
+        dynamic.numbers[m, static.options[Option.BEST_JOINED] + n] = joined
+
+
+@compiled
+def put_best(static: Static, dynamic: Dynamic, m: int) -> None:
+    """Nets take the best routes so far."""
+    note_best(static, dynamic, m)
+    for n in range(dynamic.agents.shape[1]):
+        row = place(static.options[Option.BEST] + n)
+        joined = dynamic.numbers[m, static.options[Option.BEST_JOINED] + n]
+        take_routes(static, dynamic, m, n, row, joined)
+    dynamic.games[m].joined = dynamic.games[m].best_joined
+
+
+@compiled
+def take_routes(static: Static, dynamic: Dynamic, m: int, n: int, row: int, joined: int) -> None:
+    """A net uses just the edges of a set.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        m: the problem.
+        n: the agent.
+        row: of the set in ``dynamic.sets``.
+        joined: how many of the net's tasks these edges join.
+    """
+    for at in range(places(dynamic.used, m, n)):
+        byte, bits = byte_at(dynamic.used, m, n, at)
+        if bits != 0:
+            use_edges(static, dynamic, m, n, byte, byte_of(dynamic.sets, m, row, byte))
+    for at in range(places(dynamic.sets, m, row)):
+        byte, bits = byte_at(dynamic.sets, m, row, at)
+        if bits != 0:
+            use_edges(static, dynamic, m, n, byte, bits)
+    dynamic.agents[m, n].joined = joined
+    if is_on(static, Option.GIVE_BACK):
+        clear(static, dynamic, m, Option.TAKEN, n)
+    if keeps_tree(static):
+        grow_tree(static, dynamic, m, n)

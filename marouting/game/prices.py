@@ -1,0 +1,172 @@
+"""Prices of edges: how nets learn from each other, round by round, which edges are in demand.
+
+With ``rip_up_prices`` most rip-up rounds (:mod:`marouting.game.rounds`) are **priced**. In them an
+edge inside a layer costs a net
+
+    (1 + price) · (1 + present · over / demand),
+
+where ``price`` is what the edge's past overflow has added; ``over`` is what the net would be over
+the remaining capacity, in tracks; and ``present`` grows from one priced round to the next. So nets
+share edges cheaply at first, and those that find another way nearly as short leave. A via costs 1.
+An edge that can never hold the net costs the most.
+
+This is negotiated congestion, after McMurchie and Ebeling, "PathFinder: a negotiation-based
+performance-driven router for FPGAs", FPGA 1995, with nets that walk. Costs are whole numbers of
+which an edge without a price has :data:`UNIT`.
+"""
+
+from typing import Any
+
+from marouting.game.best import note_best, put_best
+from marouting.game.bits import byte_at, places
+from marouting.game.state import Dynamic, Option, Static
+from marouting.game.tasks import is_on
+from marouting.kernels import compiled, inlined, place, wide
+from marouting.problem.grid import AXES, VIA_AXIS
+
+UNIT = 16
+"""The cost of an edge without a price."""
+
+MOST = 60 * UNIT
+"""The most that an edge costs."""
+
+WHOLE = 1024
+"""``GAME.present`` counts in parts of this."""
+
+FIRST = WHOLE // 10
+"""``present`` in the first priced round of all, and after plain rounds."""
+
+LARGEST = 2 * WHOLE
+"""The largest ``present``: were it larger, it would hide what prices say."""
+
+RISE = 5
+"""What overflow adds to the price of an edge before a priced round, in parts of ``UNIT``."""
+
+NO_LIMIT = 1 << 55
+"""More overflow than there can be."""
+
+_PRICED, _PLAIN = 10, 2
+"""Rounds in a row without gain after which priced rounds end, and plain ones."""
+
+_GROWTH = 15  # per cent by which present grows
+_KEPT = 80  # per cent of the prices that are left after plain rounds
+
+
+@inlined
+def is_priced(static: Static, dynamic: Dynamic, m: int) -> bool:
+    """Whether the present round is priced; see :mod:`marouting.game.rounds`."""
+    game = dynamic.games[m]
+    return is_on(static, Option.PRICES) and game.round > 0 and game.plain == 0
+
+
+@inlined
+def price_of(static: Static, dynamic: Dynamic, m: int, edge: int) -> int:
+    """The price of an edge, in parts of UNIT."""
+    return wide(dynamic.numbers[m, static.options[Option.PRICES] + edge])
+
+
+@inlined
+def edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int, room: int) -> int:
+    """What an edge inside a layer costs a net in a priced round.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        m: the problem.
+        edge: the edge.
+        demand: tracks that the net takes of it.
+        room: its remaining capacity if the net does not use it.
+    """
+    if demand > static.capacity[m, edge]:
+        return wide(MOST)
+    cost = UNIT + price_of(static, dynamic, m, edge)
+    if room < demand and demand > 0:
+        parts = wide(dynamic.games[m].present) * (demand - room) // demand
+        cost = cost * (WHOLE + parts) // WHOLE
+    return min(cost, wide(MOST))
+
+
+@compiled
+def net_cost(
+    static: Static, dynamic: Dynamic, m: int, n: int, rows: Any, row: int, own: int
+) -> int:
+    """What a net's edges cost it in a priced round.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        m: the problem.
+        n: the agent.
+        rows: of bits, one of which says what the edges are.
+        row: this one.
+        own: 1 if the net uses these edges at the moment, 0 if it has given them back.
+    """
+    cost = wide(0)
+    for at in range(places(rows, m, row)):
+        byte, bits = byte_at(rows, m, row, at)
+        edge = wide(8 * byte)
+        while bits != 0:
+            if bits & 1:
+                axis, cell = edge % AXES, place(edge // AXES)
+                if axis == VIA_AXIS:
+                    cost += UNIT
+                else:
+                    demand = wide(static.demand[m, n, static.position[cell, VIA_AXIS]])
+                    room = wide(dynamic.remaining[m, edge]) + own * demand
+                    cost += edge_cost(static, dynamic, m, edge, demand, room)
+            bits, edge = bits >> 1, edge + 1
+    return cost
+
+
+@compiled
+def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
+    """Before a priced round: edges with overflow get dearer."""
+    prices = place(static.options[Option.PRICES])
+    for edge in range(static.capacity.shape[1]):
+        if dynamic.remaining[m, edge] < 0:
+            dynamic.numbers[m, prices + edge] += RISE
+    game = dynamic.games[m]
+    present = game.present + game.present * _GROWTH // 100
+    game.present = min(max(present, FIRST), LARGEST)
+
+
+@compiled
+def _lower(static: Static, dynamic: Dynamic, m: int) -> None:
+    """Before priced rounds that follow plain ones: prices fall, and nets share cheaply again."""
+    prices = place(static.options[Option.PRICES])
+    for edge in range(static.capacity.shape[1]):
+        price = dynamic.numbers[m, prices + edge]
+        dynamic.numbers[m, prices + edge] = price * _KEPT // 100
+    dynamic.games[m].present = 0
+
+
+@compiled
+def choose_kind(static: Static, dynamic: Dynamic, m: int) -> None:
+    """Before a round: whether it is priced, and what prices are then."""
+    game = dynamic.games[m]
+    if not is_on(static, Option.PRICES):
+        game.plain += 1
+        return
+    note_best(static, dynamic, m)
+    if game.plain > 0:
+        gained = game.joined > game.began_joined
+        gained |= 100 * game.overflow < 99 * game.began_overflow
+        gained |= 2000 * game.wirelength < 1999 * game.began_wirelength
+        game.stuck = 0 if gained else game.stuck + 1
+        if game.stuck < _PLAIN:
+            game.plain += 1
+            return
+        _lower(static, dynamic, m)
+        _raise(static, dynamic, m)
+        game.plain = game.stuck = 0
+        game.fewest = NO_LIMIT
+        return
+    game.stuck += 1
+    if 100 * game.overflow < 99 * game.fewest:
+        game.fewest, game.stuck = game.overflow, 0
+    if game.overflow > 0 and game.stuck < _PRICED:
+        _raise(static, dynamic, m)
+    else:
+        game.plain, game.stuck = 1, 0
+        if game.best_joined > game.joined or game.best_overflow < game.overflow:
+            put_best(static, dynamic, m)
