@@ -28,7 +28,7 @@ PLAYED = 36  #: capacities of each problem that is played: as given, at the star
 STATE = 105  #: bounds of the state space of an environment
 EXPECTED = 36  #: expected demand and agents, of each problem that is seen through windows
 SEARCH = 121  #: working arrays of A* (97), and room for a route (24)
-NEGOTIATION = 75  #: topology, capacities and prices of negotiated congestion
+NEGOTIATION = 87  #: topology, capacities, prices and users of edges in negotiated congestion
 PROOF = 300  #: wires and prices of the proof of an optimum
 
 # Bytes of each object.

@@ -2,6 +2,8 @@
 
 import itertools
 import json
+import subprocess
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -93,6 +95,18 @@ def test_negotiation_against_another_checkout(
     rows = json.loads(file.read_text())
     assert [row["router"] for row in rows] == ["before", "now"] * 2
     assert all(row["connected"] for row in rows)
+
+
+@pytest.mark.slow
+def test_growth_is_measured_in_processes_of_their_own(tmp_path: Path) -> None:
+    file = tmp_path / "rows.json"
+    subprocess.run(
+        [sys.executable, "-m", "policies.bench.growth", "--nets", "100,400", "--out", str(file)],
+        check=True,
+    )
+    rows = json.loads(file.read_text())
+    assert [(row["nets"], row["grid"]) for row in rows] == [(100, "10x10x9"), (400, "20x20x9")]
+    assert all(row["connected"] and row["overflow"] == 0 for row in rows)
 
 
 @pytest.mark.parametrize(

@@ -554,6 +554,7 @@ def test_is_a_router() -> None:
         ({"again": -0.5}, "again: expected a number from 0 to 1"),
         ({"least_fall": 1.5}, "least_fall: expected a number from 0 to 1"),
         ({"patience": 0}, "patience: expected a number from 1"),
+        ({"calm": -0.1}, "calm: expected a number from 0"),
         ({"repairs": 0}, "repairs: expected a number from 1"),
         ({"persistence": 0}, "persistence: expected a number from 1"),
         ({"passes": 0}, "passes: expected a number from 1"),

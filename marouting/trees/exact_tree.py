@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, MOVES
-from marouting.trees.heap import pop, push
+from marouting.trees.heap import exchange, pop, push
 from marouting.trees.lattice import CLOSED, Lattice
 
 _TIE_BITS = 12  # among equal f the entry nearest to the goal goes first, as far as these can tell
 _TIE_SHIFT = 3
+_NO_KEY = (1 << 63) - 1
 
 
 class Search(NamedTuple):
@@ -68,15 +69,19 @@ def _shift(groups: int) -> int:
 
 
 @compiled
+def _span(least: Any, most: Any, joined: int, lines: Any, axis: int, at: int) -> int:
+    """How far a place on an axis and all not yet joined lie apart along this axis."""
+    line = lines[axis, at]
+    return max(least[joined, axis], line) - min(most[joined, axis], line)
+
+
+@compiled
 def _box(least: Any, most: Any, joined: int, lines: Any, x: int, y: int, z: int) -> int:
     """The half-perimeter, over three axes, of the box around a point and all not yet joined."""
     return (
-        max(least[joined, 0], lines[0, x])
-        - min(most[joined, 0], lines[0, x])
-        + max(least[joined, 1], lines[1, y])
-        - min(most[joined, 1], lines[1, y])
-        + max(least[joined, 2], lines[2, z])
-        - min(most[joined, 2], lines[2, z])
+        _span(least, most, joined, lines, wide(0), x)
+        + _span(least, most, joined, lines, wide(1), y)
+        + _span(least, most, joined, lines, wide(2), z)
     )
 
 
@@ -138,9 +143,19 @@ def exact_tree(lattice: Lattice, s: Search, starts: int, groups: int, random: in
         mark[label], costs[label], came[label] = found, 0, MOVES
         push(heap, size, _key(ahead, ahead, label ^ salt, bits))
         size += 1
-    while size > 0:
-        label = (pop(heap, size) & ((1 << bits) - 1)) ^ salt
-        size -= 1
+    # The smallest key of those that the last label led to stays outside the heap. More often than
+    # not it is the next one: labels nearer to the goal go first.
+    last = wide(_NO_KEY)
+    while size > 0 or last != _NO_KEY:
+        key = last
+        if size > 0 and heap[0] < last:
+            if last == _NO_KEY:
+                key = pop(heap, size)
+                size -= 1
+            else:
+                key = exchange(heap, size, last)
+        last = wide(_NO_KEY)
+        label = (key & ((1 << bits) - 1)) ^ salt
         if mark[label] == -found:
             continue
         mark[label] = -found  # the bound is consistent, so this tree is a cheapest one
@@ -151,36 +166,51 @@ def exact_tree(lattice: Lattice, s: Search, starts: int, groups: int, random: in
             _trace(came, heap, strides, lattice.tree, label, shift)
             return costs[label]
         row = point // nz
-        x, y, z = row // ny, row % ny, point - row * nz
-        # Six moves to neighbouring points, then all sets whose trees could be merged in here.
-        others = every & ~joined
-        way, part = 0, others
-        while way < MOVES or part > 0:
-            if way < MOVES:
-                how, step = way, wide(moves[point, way])
-                way += 1
-                if step == CLOSED:
-                    continue
-                there = label + (strides[how] << shift)
-                forward = 1 - 2 * (how & 1)
-                i = x + forward if how < 2 else x
-                j = y + forward if how >> 1 == 1 else y
-                k = z + forward if how > 3 else z
-                ahead = _box(least, most, joined, lines, i, j, k)
-            else:
-                how, there, partner = MOVES + part, label + part, (point << shift) + part - 1
-                merged = joined | part
-                part = (part - 1) & others
-                if mark[partner] != -found:
-                    continue
-                step = costs[partner]
-                ahead = _box(least, most, merged, lines, x, y, z)
-            cost = costs[label] + step
+        x = row // ny
+        y, z = row - x * ny, point - row * nz
+        below = costs[label]
+        wide_x = _span(least, most, joined, lines, wide(0), x)
+        wide_y = _span(least, most, joined, lines, wide(1), y)
+        wide_z = _span(least, most, joined, lines, wide(2), z)
+        for how in range(MOVES):
+            step = wide(moves[point, how])
+            if step == CLOSED:
+                continue
+            there, cost = label + (strides[how] << shift), below + step
             if mark[there] == -found or (mark[there] == found and costs[there] <= cost):
                 continue
+            axis, forward = wide(how >> 1), 1 - 2 * (how & 1)
+            at = (x if axis == 0 else y if axis == 1 else z) + forward
+            ahead = wide_x + wide_y + wide_z
+            ahead -= wide_x if axis == 0 else wide_y if axis == 1 else wide_z
+            ahead += _span(least, most, joined, lines, axis, at)
             mark[there], costs[there], came[there] = found, cost, how
-            push(heap, size, _key(cost + ahead, ahead, there ^ salt, bits))
-            size += 1
+            key = _key(cost + ahead, ahead, there ^ salt, bits)
+            if key < last:
+                key, last = last, key
+            if key != _NO_KEY:
+                push(heap, size, key)
+                size += 1
+        # All sets whose trees could be merged in here.
+        others = every & ~joined
+        part = others
+        while part > 0:
+            there, partner = label + part, (point << shift) + part - 1
+            how, merged = MOVES + part, joined | part
+            part = (part - 1) & others
+            if mark[partner] != -found:
+                continue
+            cost = below + costs[partner]
+            if mark[there] == -found or (mark[there] == found and costs[there] <= cost):
+                continue
+            ahead = _box(least, most, merged, lines, x, y, z)
+            mark[there], costs[there], came[there] = found, cost, how
+            key = _key(cost + ahead, ahead, there ^ salt, bits)
+            if key < last:
+                key, last = last, key
+            if key != _NO_KEY:
+                push(heap, size, key)
+                size += 1
     return CLOSED
 
 

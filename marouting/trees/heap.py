@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from marouting.kernels import compiled
+from marouting.kernels import compiled, wide
 
 
 @compiled
@@ -19,17 +19,24 @@ def push(heap: Any, size: int, key: int) -> None:
 
 
 @compiled
-def pop(heap: Any, size: int) -> int:
-    """Takes the smallest key out of the heap ``heap[:size]``, which is then one shorter."""
-    first, key = heap[0], heap[size - 1]
+def exchange(heap: Any, size: int, key: int) -> int:
+    """Takes the smallest key out of the heap ``heap[:size]`` and puts another one in."""
+    first = heap[0]
+    # The hole moves all the way down, since the key nearly always belongs there, and then up.
+    # The smaller child is chosen by arithmetic: a branch would be guessed wrongly half of the time.
     at, below = 0, 1
-    while below < size - 1:
-        if below + 1 < size - 1 and heap[below + 1] < heap[below]:
-            below += 1
-        if heap[below] >= key:
-            break
+    while below + 1 < size:
+        below += wide(heap[below + 1] < heap[below])
+        heap[at] = heap[below]
+        at, below = below, 2 * below + 1
+    if below < size:
         heap[at] = heap[below]
         at = below
-        below = 2 * at + 1
-    heap[at] = key
+    push(heap, at, key)
     return first
+
+
+@compiled
+def pop(heap: Any, size: int) -> int:
+    """Takes the smallest key out of the heap ``heap[:size]``, which is then one shorter."""
+    return exchange(heap, size - 1, heap[size - 1]) if size > 1 else heap[0]

@@ -17,12 +17,13 @@ nothing better any more, passes of a fourth kind improve the best solution:
 
 * **relax** reroutes every net at the prices left by the earlier rounds. In the first round there
   are no prices yet, so every net takes its shortest route.
-* **negotiate** reroutes every net that uses an overflowed edge. Prices rise from pass to pass.
+* **negotiate** reroutes every net that uses an overflowed edge. Prices rise from pass to pass, in
+  later rounds by smaller steps.
 * **squeeze** reroutes every net for least overflow, then for least length. No net gets worse. As
   soon as a pass gains too little, the next round begins.
-* **repair** reroutes two to five nets together that meet where something overflows or takes a
-  detour, for least overflow and then for least length. They keep their new trees unless these are
-  worse (:mod:`~policies.routers.pathfinder.repair`).
+* **repair** lets a net that overflows or takes a detour displace others, and these yet others, a
+  few at a time. They keep their new trees unless these are worse
+  (:mod:`~policies.routers.pathfinder.repair`).
 
 The result is the best solution after any pass. Which kind of pass follows does not depend on
 the time limit, so that more time never gives a worse result.
@@ -31,9 +32,9 @@ A net with few pins gets a cheapest tree (:func:`marouting.trees.exact_tree.exac
 box around its pins and its previous tree. A larger net grows pin by pin, from a random first pin,
 always joining the pin nearest to the tree. Then each path between two branching points or pins is
 replaced by a cheapest one. In negotiating passes only the smallest nets get cheapest trees: many
-good trees reach further in the same time than few best ones. Searches are kept short by a lower
-bound of what a tree costs across each column and row of the box
-(:func:`~policies.routers.pathfinder.kernels.set_costs`).
+good trees reach further in the same time than few best ones. Of larger nets, most keep their tree
+but for the paths that overflow. Searches are kept short by a lower bound of what a tree costs
+across each column and row of the box (:func:`~policies.routers.pathfinder.kernels.set_costs`).
 
 Where to look:
 
@@ -42,7 +43,7 @@ Where to look:
 * :mod:`~policies.routers.pathfinder.kernels`: compiled code that finds a tree for one net.
 * :mod:`~policies.routers.pathfinder.patterns`: compiled code for the first pass.
 * :mod:`~policies.routers.pathfinder.trees`: compiled code that gives nets their trees.
-* :mod:`~policies.routers.pathfinder.repair`: compiled code that reroutes nets together.
+* :mod:`~policies.routers.pathfinder.repair`: compiled code for nets that displace each other.
 * :mod:`~policies.routers.pathfinder.passes`: compiled code for passes and rounds.
 * :mod:`~policies.routers.pathfinder.batches`: passes in batches, and their threads.
 * :mod:`~policies.routers.pathfinder.router`: the router, and what it reports.

@@ -13,6 +13,7 @@ from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree
 from marouting.trees.lattice import CLOSED, Lattice, set_cost, set_size
 from policies.routers.pathfinder.state import (
+    DISPLACE,
     FULL,
     SQUEEZE,
     UNIT,
@@ -60,7 +61,7 @@ def edge_cost(
         demand: tracks that the net would take.
         own: tracks of these that it takes at the moment.
         present: factor for one net too many.
-        kind: kind of the current pass.
+        kind: kind of the current pass, or DISPLACE.
 
     Returns:
         FULL or more if the net should avoid the edge at all costs.
@@ -68,7 +69,7 @@ def edge_cost(
     over = demand - own - remaining[edge]
     if kind >= SQUEEZE:
         return UNIT + FULL * min(max(over, 0), min(demand, _MOST_OVERFLOW))
-    cost = UNIT + price[edge]
+    cost = UNIT + (0.0 if kind == DISPLACE else price[edge])
     if over > 0 and demand > 0:
         cost *= 1.0 + present * over / demand
     blocked = demand > capacity[edge]
@@ -184,13 +185,13 @@ def set_costs(
     via: int,
     net: int,
     limit: int,
-    own: int,
 ) -> None:
     """Gives the moves in a net's box their costs and clears the lattice's tree.
 
     Two neighbouring columns of the box (or two rows) are as far apart as the cheapest of the edges
     between them costs. Searches know by that how much a tree must still cost at least. Where
-    everything overflows, that is far more than the number of edges, and searches stay short.
+    everything overflows, that is far more than the number of edges, and searches stay short. The
+    tracks of the net's present tree are free for a new one.
 
     Args:
         problem: the problem.
@@ -200,8 +201,6 @@ def set_costs(
         via: cost of a via.
         net: the net.
         limit: moves that cost this much or more are closed.
-        own: 1 if the net's tree still takes tracks, which are free for a new one; 0 if the net is
-            ripped up.
     """
     nx, ny, nz = lattice.size[0], lattice.size[1], lattice.size[2]
     set_size(lattice, nx, ny, nz)
@@ -209,42 +208,42 @@ def set_costs(
         for i in range(lattice.size[axis]):
             lattice.line[axis, i] = i * via if axis == VIA_AXIS else NO_LIMIT
     present, kind = routing.progress[0].present, routing.progress[0].kind
+    # Fields are read once: every access makes the compiler handle the whole tuple.
+    capacity, remaining, price = problem.capacity, routing.remaining, routing.price
+    costs, line, layers = lattice.cost, lattice.line, problem.size[2]
     point = wide(0)
     for x in range(nx):
         for y in range(ny):
-            gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * problem.size[2]
+            gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * layers
             for z in range(nz):
                 demand = wide(problem.demand[net, z])
+                beside = ny * nz
                 for axis in range(AXES):
-                    at = z
-                    if axis < VIA_AXIS:
-                        at = y if axis else x
+                    at, last = x, nx - 1
+                    if axis == 1:
+                        at, last, beside = y, ny - 1, nz
+                    elif axis == VIA_AXIS:
+                        at, last, beside = z, nz - 1, wide(1)
                     if at == 0:
-                        lattice.cost[point, 2 * axis + 1] = CLOSED
-                    if at + 1 == lattice.size[axis]:
-                        lattice.cost[point, 2 * axis] = CLOSED
+                        costs[point, 2 * axis + 1] = CLOSED
+                    if at == last:
+                        costs[point, 2 * axis] = CLOSED
                         continue
                     cost = wide(via)
                     if axis < VIA_AXIS:
                         edge = AXES * (gcell + z) + axis
                         cost = edge_cost(
-                            problem.capacity,
-                            routing.remaining,
-                            routing.price,
-                            edge,
-                            demand,
-                            wide(0),
-                            present,
-                            kind,
+                            capacity, remaining, price, edge, demand, wide(0), present, kind
                         )
-                        if cost >= limit or problem.capacity[edge] < 0:
+                        if cost >= limit or capacity[edge] < 0:
                             cost = wide(CLOSED)
                         else:
-                            lattice.line[axis, at + 1] = min(lattice.line[axis, at + 1], cost)
-                    set_cost(lattice, point, axis, cost)
+                            line[axis, at + 1] = min(line[axis, at + 1], cost)
+                    costs[point, 2 * axis] = cost
+                    costs[point + beside, 2 * axis + 1] = cost
                 point += 1
     first = wide(routing.start[net])
-    for i in range(first, first + own * routing.length[net]):
+    for i in range(first, first + routing.length[net]):
         edge = wide(routing.edge[routing.progress[0].pool, i])
         gcell = edge // AXES
         axis = edge - AXES * gcell
@@ -267,12 +266,11 @@ def set_costs(
 @compiled
 def _extend_bounds(lattice: Lattice, search: Search, group: int, point: int, size: int) -> None:
     """Extends the bounding box of a group (or of the goal) of ``size`` points by one point."""
-    nz = lattice.size[2]
+    ny, nz = lattice.size[1], lattice.size[2]
     row = point // nz
+    x = row // ny
     for axis in range(AXES):
-        at = point - row * nz
-        if axis < VIA_AXIS:
-            at = row % lattice.size[1] if axis else row // lattice.size[1]
+        at = x if axis == 0 else row - x * ny if axis == 1 else point - row * nz
         line = lattice.line[axis, at]
         if size == 0 or line < search.low[group, axis]:
             search.low[group, axis] = line
@@ -418,15 +416,73 @@ def _list_part(
 
 
 @compiled
-def _other_end(lattice: Lattice, buffers: NetBuffers, key: int, move: int) -> int:
-    """The key to which a path of the tree leads that leaves another key by a move."""
-    point = key + lattice.stride[move]
-    while not buffers.pin[point] and _degree(lattice.tree[point]) == 2:
-        back, move = move ^ 1, 0
-        while move == back or not lattice.tree[point] >> move & 1:
+def _other_end(
+    problem: ProblemArrays,
+    remaining: Any,
+    lattice: Lattice,
+    buffers: NetBuffers,
+    key: int,
+    move: int,
+    worn: bool,
+) -> int:
+    """The key to which a path of the tree leads that leaves another key by a move.
+
+    Args:
+        problem: the problem.
+        remaining: ``Routing.remaining``.
+        lattice: holds the tree.
+        buffers: marks the net's pins, and holds the box.
+        key: where the path begins.
+        move: by which it leaves.
+        worn: whether only paths count that use an overflowed edge.
+
+    Returns:
+        The key, or -1 if the path does not count.
+    """
+    tree, stride, pin, low = lattice.tree, lattice.stride, buffers.pin, buffers.low
+    ny, nz = lattice.size[1], lattice.size[2]
+    row = key // nz
+    gcell = (low[0] + row // ny) * problem.size[1] + low[1] + row % ny
+    gcell = gcell * problem.size[2] + key - row * nz
+    point, counts = key, not worn
+    while True:
+        beside, step = point + stride[move], 1 - 2 * (move & 1)
+        if move < 2:
+            step *= problem.size[1] * problem.size[2]
+        elif move < 2 * VIA_AXIS:
+            step *= problem.size[2]
+        edge = AXES * (gcell + min(step, 0)) + (move >> 1)
+        counts |= move < 2 * VIA_AXIS and remaining[edge] < 0
+        gcell += step
+        point = beside
+        if pin[point] or _degree(tree[point]) != 2:
+            return point if counts else wide(-1)
+        back, move = move ^ 1, wide(0)
+        while move == back or not tree[point] >> move & 1:
             move += 1
-        point += lattice.stride[move]
-    return point
+
+
+@compiled
+def load_tree(
+    problem: ProblemArrays, routing: Routing, lattice: Lattice, low: Any, net: int
+) -> bool:
+    """Makes a net's tree that of the lattice, and returns whether it could.
+
+    It cannot if the tree uses an edge that is closed; the lattice's tree then is empty as before.
+    """
+    is_open = True
+    for i in range(routing.start[net], routing.start[net] + routing.length[net]):
+        edge = wide(routing.edge[routing.progress[0].pool, i])
+        gcell = edge // AXES
+        move = 2 * (edge - AXES * gcell)
+        point = point_of(problem.position, low, lattice.size, gcell)
+        is_open &= lattice.cost[point, move] != CLOSED
+        lattice.tree[point] |= np.uint8(1 << move)
+        lattice.tree[point + lattice.stride[move]] |= np.uint8(2 << move)
+    if not is_open:
+        for point in range(lattice.size[0] * lattice.size[1] * lattice.size[2]):
+            lattice.tree[point] = 0
+    return is_open
 
 
 @compiled
@@ -439,17 +495,27 @@ def _is_listed(points: Any, end: int, point: int) -> bool:
 
 
 @compiled
-def mend(progress: Any, lattice: Lattice, search: Search, buffers: NetBuffers, root: int) -> int:
+def mend(
+    problem: ProblemArrays,
+    routing: Routing,
+    lattice: Lattice,
+    search: Search,
+    buffers: NetBuffers,
+    root: int,
+    worn: bool,
+) -> int:
     """Replaces each path between two keys of a tree, once, by a cheapest one.
 
     Keys are pins and the points where the tree branches.
 
     Args:
-        progress: state of the random numbers.
+        problem: the problem.
+        routing: holds the state of the random numbers, and tells which edges overflow.
         lattice: its tree is changed.
         search: working memory.
         buffers: ``pin`` marks the net's pins.
         root: a point of the tree.
+        worn: whether to replace only paths that use an overflowed edge.
 
     Returns:
         By how much the tree's cost fell.
@@ -469,7 +535,8 @@ def mend(progress: Any, lattice: Lattice, search: Search, buffers: NetBuffers, r
             continue
         if not buffers.pin[key] and _degree(lattice.tree[key]) < 3:
             continue  # no longer a branching point
-        if _is_listed(buffers.key, place // MOVES, _other_end(lattice, buffers, key, move)):
+        end = _other_end(problem, routing.remaining, lattice, buffers, key, wide(move), worn)
+        if end < 0 or _is_listed(buffers.key, place // MOVES, end):
             continue
         # Remove the path from this key to the next.
         point = key
@@ -508,7 +575,7 @@ def mend(progress: Any, lattice: Lattice, search: Search, buffers: NetBuffers, r
                     search.start[i] = search.start[near + i]
                 for i in range(near):
                     search.start[starts + i] = buffers.key[keys + i]
-            saved -= exact_tree(lattice, search, starts, wide(1), draw(progress))
+            saved -= exact_tree(lattice, search, starts, wide(1), draw(routing.progress[0]))
             for i in range(starts, both):
                 search.goal[search.start[i]] = 0
         else:

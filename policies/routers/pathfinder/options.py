@@ -28,6 +28,10 @@ class PathfinderOptions:
         history: amount that an overflowed edge's price rises before each negotiating pass, in
             edges (h in PathFinder).
         decay: share of the prices that is kept when the next round begins.
+        calm: how soon prices come to rest. After r rounds they rise by ``history / (1 + calm r)``,
+            and lose ``(1 - decay) / (1 + calm r)`` when the next one begins: such steps are usual
+            in subgradient methods (Held, Wolfe and Crowder, "Validation of subgradient
+            optimization", Mathematical Programming 6, 1974). 0: all rounds are alike.
         stuck: a round stops negotiating after this many passes in a row without a decrease in
             overflow.
         least_fall: share by which the overflow has to fall to count as a decrease.
@@ -65,6 +69,7 @@ class PathfinderOptions:
     growth: float = 1.15
     history: float = 0.3
     decay: float = 0.8
+    calm: float = 0.1
     stuck: int = 10
     least_fall: float = 0.01
     least_gain: float = 0.0005
@@ -86,6 +91,7 @@ class PathfinderOptions:
         check("growth", 1 <= self.growth <= 1000, "a number from 1 to 1000")
         check("history", 0 <= self.history <= 1000, "a number from 0 to 1000")
         check("decay", 0 <= self.decay <= 1, "a number from 0 to 1")
+        check("calm", 0 <= self.calm <= 1000, "a number from 0 to 1000")
         check("stuck", 1 <= self.stuck <= MOST, f"a number from 1 to {MOST}")
         check("least_gain", 0 <= self.least_gain <= 1, "a number from 0 to 1")
         check("again", 0 <= self.again <= 1, "a number from 0 to 1")

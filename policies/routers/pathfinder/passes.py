@@ -11,7 +11,7 @@ from marouting.trees.exact_tree import Search
 from marouting.trees.lattice import Lattice
 from policies.routers.pathfinder.kernels import draw
 from policies.routers.pathfinder.patterns import route_pattern
-from policies.routers.pathfinder.repair import choose, repair
+from policies.routers.pathfinder.repair import repair
 from policies.routers.pathfinder.state import (
     DONE,
     EARLY,
@@ -28,7 +28,14 @@ from policies.routers.pathfinder.state import (
     ProblemArrays,
     Routing,
 )
-from policies.routers.pathfinder.trees import compact, keep_best, load_best, overflows, reroute
+from policies.routers.pathfinder.trees import (
+    compact,
+    keep_best,
+    link_all,
+    load_best,
+    overflows,
+    reroute,
+)
 
 _WORK = 1 << 18  # labels opened per call, about 50 ms, so that the caller can look at the clock
 
@@ -63,6 +70,7 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
         progress.fewest, progress.stuck = progress.overflow, 0
     else:
         progress.stuck += 1
+    step = 1.0 / (1.0 + parameters.calm * progress.rounds)
     round_over = progress.kind == SQUEEZE and not gained
     if progress.kind == REPAIR:
         progress.since = 0 if better else progress.since + 1
@@ -71,16 +79,18 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
     if round_over and progress.since >= parameters.patience:
         progress.kind, progress.since = REPAIR, 0
         load_best(problem, routing, parameters.via)
+        link_all(routing)
     elif round_over or (progress.kind == REPAIR and progress.since >= parameters.repairs):
         if progress.kind == REPAIR:
             found = max(progress.found, EARLY)
             more = more and progress.passes < parameters.persistence * found
-            progress.since = 0
+            progress.since = progress.linked = 0
         progress.kind, progress.began = RELAX, progress.passes
         progress.present = parameters.present
         progress.fewest, progress.stuck = np.iinfo(np.int64).max, 0
         for edge in range(len(routing.price)):
-            routing.price[edge] *= parameters.decay
+            routing.price[edge] *= 1.0 - step * (1.0 - parameters.decay)
+        progress.rounds += 1
     elif progress.kind < SQUEEZE or progress.kind == PATTERN:
         progress.kind = SQUEEZE
         if progress.overflow > 0 and progress.stuck < parameters.stuck:
@@ -89,7 +99,7 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
             progress.present = parameters.present if first else progress.present * parameters.growth
             for edge in range(len(routing.price)):
                 if routing.remaining[edge] < 0:
-                    routing.price[edge] += parameters.history * UNIT
+                    routing.price[edge] += step * parameters.history * UNIT
     for i in range(len(routing.order) - 1, 0, -1):
         j = draw(progress) % (i + 1)
         routing.order[i], routing.order[j] = routing.order[j], routing.order[i]
@@ -138,8 +148,7 @@ def advance(
                 code = route_pattern(problem, parameters, routing, lattice, buffers, net)
                 search.tally[1] += 64  # about the work of so many labels
             elif progress.kind == REPAIR:
-                routed = choose(problem, parameters, routing)
-                code = repair(problem, parameters, routing, lattice, search, buffers, routed)
+                routed, code = repair(problem, parameters, routing, lattice, search, buffers)
             elif progress.kind != NEGOTIATE or overflows(routing, net):
                 code = reroute(problem, parameters, routing, lattice, search, buffers, net)
             if code == POOL_TOO_SMALL and compact(routing):

@@ -1,19 +1,22 @@
-"""Compiled code that improves a finished solution, a neighbourhood of nets at a time.
+"""Compiled code that improves a finished solution, a few nets at a time.
 
-This is a large neighbourhood search (Shaw, "Using constraint programming and local search methods
-to solve vehicle routing problems", CP 1998): nets that are close to each other are ripped up
-together and routed again, each for least overflow and then for least length, in random order. They
-keep their new trees unless all together are worse.
+A net that takes a detour, or overflows, takes the place of others; these look for other places, and
+may take those of further nets. Such chains of displaced nets are known as ejection chains (Glover,
+"Ejection chains, reference structures and alternating path methods for traveling salesman
+problems", Discrete Applied Mathematics 65, 1996). Nets keep their new trees unless all together are
+worse.
 """
 
 from marouting.kernels import compiled, wide
-from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.exact_tree import Search
 from marouting.trees.lattice import Lattice
 from policies.routers.pathfinder.kernels import draw
 from policies.routers.pathfinder.state import (
+    DISPLACE,
     DONE,
     MOST_TOGETHER,
+    REPAIR,
+    SQUEEZE,
     NetBuffers,
     Parameters,
     ProblemArrays,
@@ -21,69 +24,61 @@ from policies.routers.pathfinder.state import (
 )
 from policies.routers.pathfinder.trees import overflows, reroute, tree_length, use_tree
 
-_RADIUS = 2  # the centre is at most so many Gcells away from an edge of each other net
+_STEPS = 24
+"""Nets are rerouted so often, at most, until no more overflows than before."""
+
+_PRESENT, _GROWTH = 0.5, 1.3
+"""Factor by which one net too many raises the cost of an edge to the first net, and by which this
+grows from one net to the next."""
 
 
 @compiled
-def _has_detour(routing: Routing, via: int, net: int) -> bool:
-    """Whether a net's tree is longer than its shortest."""
-    return tree_length(routing, via, net) > routing.ideal[net]
-
-
-@compiled
-def _is_near(problem: ProblemArrays, routing: Routing, net: int, centre: int, radius: int) -> bool:
-    """Whether a net's tree has an edge inside a layer within a radius of a Gcell, in x and y."""
-    for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        edge = wide(routing.edge[routing.progress[0].pool, i])
-        gcell = edge // AXES
-        if edge - AXES * gcell != VIA_AXIS:
-            across = abs(wide(problem.position[gcell, 0]) - problem.position[centre, 0])
-            along = abs(wide(problem.position[gcell, 1]) - problem.position[centre, 1])
-            if max(across, along) <= radius:
-                return True
-    return False
-
-
-@compiled
-def choose(problem: ProblemArrays, parameters: Parameters, routing: Routing) -> int:
-    """Chooses nets to rip up together, in random order, into ``routing.together``.
-
-    The first one overflows, or has a detour. One of its edges (an overflowed one, if it overflows)
-    is the centre, and the others have edges close to that.
-
-    Returns:
-        How many there are.
-    """
-    progress = routing.progress[0]
-    count = len(routing.order)
+def _choose(parameters: Parameters, routing: Routing) -> int:
+    """A net that overflows, or that takes a detour; any net if there is none."""
+    progress, count = routing.progress[0], len(routing.order)
     shorten = progress.overflow == 0 or draw(progress) % 4 == 0
     begin = draw(progress) % count
     for i in range(count):
-        first = routing.order[(begin + i) % count]
-        if _has_detour(routing, parameters.via, first) if shorten else overflows(routing, first):
-            break
-    centre, ties = problem.pin[problem.first[first]], wide(0)
-    for i in range(routing.start[first], routing.start[first] + routing.length[first]):
-        edge = wide(routing.edge[progress.pool, i])
-        if shorten or routing.remaining[edge] < 0:
+        net = routing.order[(begin + i) % count]
+        if shorten:
+            if tree_length(routing, parameters.via, net) > routing.ideal[net]:
+                return net
+        elif overflows(routing, net):
+            return net
+    return routing.order[begin]
+
+
+@compiled
+def _displaced(routing: Routing, together: int, last: int) -> int:
+    """Another net than the last one on an overflowed edge of those in ``routing.together``.
+
+    Args:
+        routing: holds the nets.
+        together: how many there are in ``routing.together``.
+        last: the net that was rerouted last.
+
+    Returns:
+        The net; -1 if there is none.
+    """
+    progress = routing.progress[0]
+    ties, found, chosen = wide(0), wide(-1), wide(-1)
+    for k in range(together):
+        net = routing.together[k, 0]
+        for i in range(routing.start[net], routing.start[net] + routing.length[net]):
+            edge = wide(routing.edge[progress.pool, i])
+            if routing.remaining[edge] < 0:
+                ties += 1
+                if draw(progress) % ties == 0:
+                    found = edge
+    if found < 0:
+        return chosen
+    ties, at = wide(0), wide(routing.head[found])
+    while at >= 0:
+        if routing.owner[at] != last:
             ties += 1
             if draw(progress) % ties == 0:
-                centre = edge // AXES
-    radius = draw(progress) % (_RADIUS + 1)
-    wanted = 2 + draw(progress) % (MOST_TOGETHER - 1)
-    routing.together[0, 0] = first
-    chosen = wide(1)
-    begin = draw(progress) % count
-    for i in range(count):
-        if chosen == wanted:
-            break
-        net = routing.order[(begin + i) % count]
-        if net != first and _is_near(problem, routing, net, centre, radius):
-            # The new one swaps places with any.
-            j = draw(progress) % (chosen + 1)
-            routing.together[chosen, 0] = routing.together[j, 0]
-            routing.together[j, 0] = net
-            chosen += 1
+                chosen = wide(routing.owner[at])
+        at = wide(routing.after[at])
     return chosen
 
 
@@ -95,42 +90,61 @@ def repair(
     lattice: Lattice,
     search: Search,
     buffers: NetBuffers,
-    chosen: int,
-) -> int:
-    """Reroutes some nets that are close to each other; no worse solution comes of it.
+) -> tuple[int, int]:
+    """Reroutes some nets that displace each other; no worse solution comes of it.
+
+    They negotiate without prices: it is these that have made the first one take its detour. When
+    nothing overflows beyond what did before, each is squeezed.
 
     Args:
         problem: the problem.
         parameters: the options.
-        routing: holds the nets in ``together``, and their trees.
+        routing: where the search stands; changed.
         lattice: working memory, like the two that follow.
         search: likewise.
         buffers: likewise.
-        chosen: how many nets there are in ``together``.
 
     Returns:
-        DONE; or BOX_TOO_SMALL or POOL_TOO_SMALL, in which case all nets are left as they were.
+        How many were rerouted before they were squeezed; and DONE, or BOX_TOO_SMALL or
+        POOL_TOO_SMALL, in which case all nets are left as they were.
     """
     progress = routing.progress[0]
-    overflow, length = wide(progress.overflow), wide(progress.length)
-    for i in range(chosen):
-        net = routing.together[i, 0]
-        routing.together[i, 1], routing.together[i, 2] = routing.start[net], routing.length[net]
-        use_tree(problem, routing, parameters.via, net, wide(-1))
-    code, routed = DONE, wide(0)
-    while code == DONE and routed < chosen:
-        net = routing.together[routed, 0]
+    overflow, length, top = wide(progress.overflow), wide(progress.length), wide(progress.top)
+    present = progress.present
+    progress.kind, progress.present = DISPLACE, _PRESENT
+    code, routed, together = DONE, wide(0), wide(0)
+    net = wide(_choose(parameters, routing))
+    while code == DONE and net >= 0 and routed < _STEPS:
+        known = False
+        for k in range(together):
+            known |= routing.together[k, 0] == net
+        if not known:
+            if together == MOST_TOGETHER:
+                break
+            routing.together[together, 0] = net
+            routing.together[together, 1] = routing.start[net]
+            routing.together[together, 2] = routing.length[net]
+            together += 1
         code = reroute(problem, parameters, routing, lattice, search, buffers, net)
-        routed += code == DONE
+        routed += 1
+        progress.present *= _GROWTH
+        if routed > 1 and progress.overflow <= overflow:
+            break
+        net = wide(_displaced(routing, together, net))
+    progress.kind = SQUEEZE
+    if progress.overflow <= overflow:
+        for k in range(together):
+            if code == DONE:
+                net = routing.together[k, 0]
+                code = reroute(problem, parameters, routing, lattice, search, buffers, net)
+    progress.kind, progress.present = REPAIR, present
     longer = progress.overflow == overflow and progress.length > length
     if code != DONE or progress.overflow > overflow or longer:
-        for i in range(chosen):
-            net = routing.together[i, 0]
-            if i < routed:
-                use_tree(problem, routing, parameters.via, net, wide(-1))
-            routing.start[net], routing.length[net] = (
-                routing.together[i, 1],
-                routing.together[i, 2],
-            )
+        for k in range(together):
+            net = routing.together[k, 0]
+            use_tree(problem, routing, parameters.via, net, wide(-1))
+            routing.start[net] = routing.together[k, 1]
+            routing.length[net] = routing.together[k, 2]
             use_tree(problem, routing, parameters.via, net, wide(1))
-    return code
+        progress.top = top
+    return routed, code

@@ -28,11 +28,15 @@ EXACT_LABELS = 1 << 17
 NEGOTIATED_LABELS = 1 << 12
 """The same in negotiating passes, which are many: good trees reach further than few best ones."""
 
+MENDED = 80
+"""Of a hundred nets that negotiate and are too large for a cheapest tree, so many keep their tree
+but for the paths that overflow. The others grow new ones, or all would keep their trees' shapes."""
+
 FIRST_BOX = 4096
 """Points in the largest box that the working memory has room for at first."""
 
-MOST_TOGETHER = 5
-"""Nets that are ripped up together to repair a solution."""
+MOST_TOGETHER = 16
+"""Nets that are rerouted together to repair a solution."""
 
 EARLY = 20
 """A solution that is found in an earlier pass counts as found in this one when the search decides
@@ -55,6 +59,9 @@ _HISTORY_ROWS = 64  # passes after which the compiled code returns, at the lates
 Kind = Literal["relax", "negotiate", "squeeze", "repair", "pattern"]
 KINDS: tuple[Kind, ...] = ("relax", "negotiate", "squeeze", "repair", "pattern")
 RELAX, NEGOTIATE, SQUEEZE, REPAIR, PATTERN = range(len(KINDS))
+
+DISPLACE = -1
+"""No kind of pass: within a repairing pass, costs are as if all negotiated, but without prices."""
 
 DONE, PAUSED, BOX_TOO_SMALL, POOL_TOO_SMALL = range(4)
 """Why a call of compiled code returned."""
@@ -89,6 +96,8 @@ PROGRESS = np.dtype(
         ("random", np.int64),  # state of the random numbers
         ("unproven", np.int64),  # nets whose ideal length may not be the shortest possible
         ("proven", np.int64),  # whether the present solution is known to be the best
+        ("rounds", np.int64),  # completed rounds
+        ("linked", np.int64),  # whether Routing.head leads to the users of every edge
         ("history", np.int64),  # filled rows of Routing.history
     ],
     align=True,
@@ -117,6 +126,7 @@ class Parameters(NamedTuple):
     growth: float
     history: float
     decay: float
+    calm: float
     stuck: int
     least_fall: float
     least_gain: float
@@ -138,9 +148,12 @@ class Routing(NamedTuple):
     edge: NDArray[np.int32]  # (2, pool) edges of the trees, in the pool in use
     start: NDArray[np.int64]  # (N,) a net's edges are edge[pool, start : start + length]
     length: NDArray[np.int64]  # (N,)
+    head: NDArray[np.int32]  # (E,) an edge's users: the place in the pool of one of them; -1: none
+    after: NDArray[np.int32]  # (pool,) the place of the next one
+    owner: NDArray[np.int32]  # (pool,) the net whose tree has a place
     best: NDArray[np.int32]  # (pool,) edges of the best solution
     best_first: NDArray[np.int64]  # (N + 1,) a net's are best[best_first[n] : best_first[n + 1]]
-    together: NDArray[np.int64]  # (MOST_TOGETHER, 3) nets ripped up together, their old trees
+    together: NDArray[np.int64]  # (MOST_TOGETHER, 3) nets repaired together, their old trees
     history: NDArray[np.int64]  # (_HISTORY_ROWS, 4) kind, overflow, length, routed of new passes
 
 
@@ -217,6 +230,9 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         edge=np.empty((2, pool), np.int32),
         start=np.zeros(nets, np.int64),
         length=np.zeros(nets, np.int64),
+        head=np.empty(grid.edges, np.int32),
+        after=np.empty(pool, np.int32),
+        owner=np.empty(pool, np.int32),
         best=np.empty(pool, np.int32),
         best_first=np.zeros(nets + 1, np.int64),
         together=np.zeros((MOST_TOGETHER, 3), np.int64),
@@ -246,9 +262,10 @@ def make_buffers(
 
 def with_larger_pool(routing: Routing, size: int) -> Routing:
     """The routing with room for ``size`` edges in each pool; its other arrays are shared."""
-    best = np.empty(size, np.int32)
-    best[: len(routing.best)] = routing.best
-    return routing._replace(edge=widened(routing.edge, size), best=best)
+    rows = np.stack([routing.best, routing.after, routing.owner])
+    best, after, owner = widened(rows, size)
+    edge = widened(routing.edge, size)
+    return routing._replace(edge=edge, best=best, after=after, owner=owner)
 
 
 def with_trees(routing: Routing, solution: Solution) -> Routing:

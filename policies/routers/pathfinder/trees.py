@@ -14,6 +14,7 @@ from policies.routers.pathfinder.kernels import (
     draw,
     grow,
     join_all,
+    load_tree,
     mend,
     point_of,
     set_box,
@@ -22,16 +23,17 @@ from policies.routers.pathfinder.kernels import (
 )
 from policies.routers.pathfinder.state import (
     BOX_TOO_SMALL,
+    DISPLACE,
     DONE,
     EDGES,
     EXACT,
     EXACT_LABELS,
     FULL,
+    MENDED,
     NEGOTIATE,
     NEGOTIATED_LABELS,
     POOL_TOO_SMALL,
     RELAX,
-    REPAIR,
     UNIT,
     NetBuffers,
     Parameters,
@@ -44,6 +46,11 @@ from policies.routers.pathfinder.state import (
 def use_tree(problem: ProblemArrays, routing: Routing, via: int, net: int, sign: int) -> None:
     """Adds the demand of a net's tree (sign 1) or removes it (sign -1)."""
     progress = routing.progress[0]
+    if progress.linked:
+        if sign > 0:
+            link(routing, net)
+        else:
+            unlink(routing, net)
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
         edge = wide(routing.edge[progress.pool, i])
         gcell = edge // AXES
@@ -55,6 +62,39 @@ def use_tree(problem: ProblemArrays, routing: Routing, via: int, net: int, sign:
         layer = problem.position[gcell, VIA_AXIS]
         routing.remaining[edge] -= sign * wide(problem.demand[net, layer])
         progress.overflow += max(-routing.remaining[edge], 0) - over
+
+
+@compiled
+def link(routing: Routing, net: int) -> None:
+    """Puts a net's edges into the lists that lead from an edge to all nets that use it."""
+    for i in range(routing.start[net], routing.start[net] + routing.length[net]):
+        edge = routing.edge[routing.progress[0].pool, i]
+        routing.owner[i], routing.after[i] = net, routing.head[edge]
+        routing.head[edge] = i
+
+
+@compiled
+def unlink(routing: Routing, net: int) -> None:
+    """Takes a net's edges out of these lists."""
+    for i in range(routing.start[net], routing.start[net] + routing.length[net]):
+        edge = routing.edge[routing.progress[0].pool, i]
+        if routing.head[edge] == i:
+            routing.head[edge] = routing.after[i]
+            continue
+        before = wide(routing.head[edge])
+        while routing.after[before] != i:
+            before = wide(routing.after[before])
+        routing.after[before] = routing.after[i]
+
+
+@compiled
+def link_all(routing: Routing) -> None:
+    """Makes these lists."""
+    routing.progress[0].linked = 1
+    for edge in range(len(routing.head)):
+        routing.head[edge] = -1
+    for net in range(len(routing.length)):
+        link(routing, net)
 
 
 @compiled
@@ -93,6 +133,8 @@ def compact(routing: Routing) -> bool:
             ]
         routing.start[net] = progress.top
         progress.top += routing.length[net]
+    if progress.linked:
+        link_all(routing)
     return True
 
 
@@ -151,9 +193,8 @@ def plan(
 ) -> int:
     """Looks for a cheapest tree for a net, with the trees of all others in place.
 
-    The net's own tree stays in place, and its tracks are free for the new one. In a repairing pass
-    the net is ripped up already, together with others, and gets a new tree in any case. All
-    changes are to working memory: the tree's edges are in ``buffers.tree``, and ``buffers.plan``
+    The net's own tree stays in place, and its tracks are free for the new one. All changes are to
+    working memory: the tree's edges are in ``buffers.tree``, and ``buffers.plan``
     tells about it.
 
     Returns:
@@ -162,25 +203,32 @@ def plan(
     progress = routing.progress[0]
     pins = problem.first[net + 1] - problem.first[net]
     margin, limit = parameters.margin, wide(FULL)
-    own = wide(progress.kind != REPAIR)
     while True:
         points = set_box(problem, routing, net, margin, buffers.low, lattice.size)
         if points > len(buffers.pin):
             progress.need = points
             return BOX_TOO_SMALL
-        set_costs(problem, routing, lattice, buffers.low, parameters.via, net, limit, own)
+        set_costs(problem, routing, lattice, buffers.low, parameters.via, net, limit)
         search.tally[1] += points
         exact = True
-        labels = NEGOTIATED_LABELS if progress.kind == NEGOTIATE else EXACT_LABELS
+        quick = progress.kind == NEGOTIATE or progress.kind == DISPLACE
+        labels = NEGOTIATED_LABELS if quick else EXACT_LABELS
         if pins == 2 or (pins <= parameters.exact_pins and points << (pins - 1) <= labels):
             cost = join_all(problem, progress, lattice, search, buffers.low, net)
         else:
-            cost = grow(problem, progress, lattice, search, buffers, net)
+            worn = (
+                progress.kind == NEGOTIATE
+                and draw(progress) % 100 < MENDED
+                and load_tree(problem, routing, lattice, buffers.low, net)
+            )
+            cost = wide(0)
+            if not worn:
+                cost = grow(problem, progress, lattice, search, buffers, net)
             if cost != CLOSED:
                 for i in range(problem.first[net], problem.first[net + 1]):
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
                     buffers.pin[point] = 1
-                cost -= mend(progress, lattice, search, buffers, wide(point))
+                mend(problem, routing, lattice, search, buffers, wide(point), worn)
                 exact = False
                 for i in range(problem.first[net], problem.first[net + 1]):
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
@@ -225,12 +273,9 @@ def adopt(
     if progress.top + plan[EDGES] > routing.edge.shape[1]:
         progress.need = progress.top + plan[EDGES]
         return POOL_TOO_SMALL
-    better = progress.kind == REPAIR  # the net is ripped up, and gets a new tree in any case
-    if not better:
-        use_tree(problem, routing, via, net, wide(-1))
-        cost = tree_cost(problem, routing, via, net, edges, row, first, last, wide(0))
-        better = cost <= present_cost(problem, routing, via, net, wide(0))
-    if better:
+    use_tree(problem, routing, via, net, wide(-1))
+    cost = tree_cost(problem, routing, via, net, edges, row, first, last, wide(0))
+    if cost <= present_cost(problem, routing, via, net, wide(0)):
         store_tree(routing, net, edges, row, first, last)
     length, ideal = tree_length(routing, via, net), wide(routing.ideal[net])
     progress.unproven += ideal < 0 and not (plan[EXACT] and progress.kind == RELAX)
@@ -255,7 +300,7 @@ def reroute(
     Returns:
         DONE; or BOX_TOO_SMALL or POOL_TOO_SMALL, in which case the net is left as it was.
     """
-    if routing.progress[0].kind != REPAIR and is_settled(problem, parameters, routing, net):
+    if is_settled(problem, parameters, routing, net):
         return DONE
     code = plan(problem, parameters, routing, lattice, search, buffers, net)
     if code != DONE:
