@@ -60,7 +60,7 @@ def edge_costs(
             costs[edge] = 60.0 if blocked else min(cost / 16, 60)
         elif remaining < demand:
             costs[edge] = 33.0 if engine.static.overflow_allowed else None
-        if remaining >= demand and taken is not None:
+        elif taken is not None:
             # In float32 like the router's, so that both round the same quarters down.
             slack = (np.float32(remaining) - np.float32(taken[edge])) / np.float32(max(demand, 1))
             scarce = max(-4 * (slack - np.float32(1)), 0)

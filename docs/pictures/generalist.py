@@ -73,7 +73,7 @@ def draw(path: Path) -> None:
         episodes, over, color=ORANGE, marker="s", linestyle="--", label="overflow, elsewhere"
     )
     right.set(xlabel="episodes", ylabel="above negotiation, %", ylim=(0, None))
-    right.legend(loc="upper right")
+    right.legend(loc="lower right")
     for panel in (left, right):
         panel.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, metadata={"Date": None})

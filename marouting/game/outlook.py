@@ -292,7 +292,7 @@ def _edge_cost(
         cost = edge_cost(static, dynamic, m, wide(edge), demand, remaining)
     elif remaining < demand:
         cost = wide(_UNIT + _OVERFLOW) if static.overflow_allowed else wide(_FARTHEST)
-    if scarcity and remaining >= demand:
+    elif scarcity:
         at = place(edge // AXES)
         track = np.float32(max(demand, 1))
         left = slack_of(maps, m, at, axis, remaining, track) - np.float32(1)
