@@ -32,7 +32,7 @@ small that it was routed in one piece."""
 
 _DONE: Stop = "done"
 
-Kind = Literal["regions", "strips", "chip"]
+Kind = Literal["regions", "strips"]
 
 _STEPS: tuple[tuple[Kind, float], ...] = (
     ("regions", 0.5),
@@ -289,9 +289,9 @@ def _warm() -> None:
 
 
 def _boxes(kind: Kind, axis: int, at: Sequence[int], size: int) -> list[Box]:
-    """The regions between lines, the strips along them, or all in one piece."""
-    ends = (0, size) if kind == "chip" else (0, *at, size)
-    if kind != "strips":
+    """The regions between lines, or the strips along them."""
+    ends = (0, *at, size)
+    if kind == "regions":
         return [Box(axis, low, high) for low, high in itertools.pairwise(ends)]
     reach = [round(_WIDTH * (high - low)) for low, high in itertools.pairwise(ends)]
     return [
