@@ -1,8 +1,9 @@
-"""Ctrl-C, put off while LLVM is at work.
+"""Ctrl-C, put off while it would be lost.
 
 LLVM calls back into Python where it loads and stores compiled code, and goes on with what the
 callback should have set: an exception raised there is printed and forgotten, and the process may
-end with a segmentation fault.
+end with a segmentation fault. Python itself prints and forgets an exception that is raised while a
+weak reference tells that an object is gone; numba has such references to its types.
 """
 
 import contextlib
@@ -11,19 +12,23 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
+_TYPE_IS_GONE = "_on_type_disposal"
+"""The function of numba that is told by weak references."""
+
 AGAIN = 0.02
 """Seconds after which an interrupt that has been put off is tried again."""
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """Answers a signal as Python does, or later if the frame is of llvmlite or called by it.
+    """Answers a signal as Python does, or later if an exception would be lost in the frame.
 
     Raises:
         KeyboardInterrupt: unless it is put off.
     """
     inner = frame
     while inner is not None:
-        if str(inner.f_globals.get("__name__")).partition(".")[0] == "llvmlite":
+        module = str(inner.f_globals.get("__name__")).partition(".")[0]
+        if module == "llvmlite" or inner.f_code.co_name == _TYPE_IS_GONE:
             later = threading.Timer(AGAIN, _again, (number,))
             later.daemon = True
             later.start()

@@ -145,14 +145,14 @@ def test_the_loss_by_hand() -> None:
 def test_the_search_without_learning(mind: str) -> None:
     problem = generate(1, nets=40, max_pins=4, seed=5)[0]
     single = GeneralistOptions(mind=mind, rounds=0, copies=1, keep=1)  # type: ignore[arg-type]
-    longer = GeneralistOptions(mind=mind, rounds=4, copies=3, seconds=None)  # type: ignore[arg-type]
+    longer = GeneralistOptions(mind=mind, rounds=40, copies=3, seconds=None)  # type: ignore[arg-type]
     first, more, again = (
         GeneralistRouter(options).solve(problem) for options in (single, longer, longer)
     )
     figures = [evaluate(problem, routed.solution) for routed in (first, more, again)]
     assert all(each.connected for each in figures)
     assert figures[1] == figures[2]
-    assert more.report["rounds"] == 4
+    assert more.report["rounds"] == 40
     worst, best = ((each.overflow, each.wirelength) for each in figures[:2])
     assert best < worst
     best_known = evaluate(problem, PathfinderRouter().route(problem))

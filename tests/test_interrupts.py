@@ -2,10 +2,12 @@
 
 import signal
 import time
+import weakref
 from collections.abc import Callable, Iterator
 
 import pytest
 from llvmlite import binding, ir
+from numba.core.types import abstract
 
 from policies.interrupts import interruptible
 
@@ -55,6 +57,29 @@ def test_llvm_is_not_interrupted() -> None:
         run(load)
     assert events == ["went on", "loaded"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_type_that_numba_forgets_does_not_swallow_an_interrupt() -> None:
+    events = []
+
+    class Type:
+        """Stands for a type."""
+
+    def pop(*_: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+        events.append("went on")
+
+    def work() -> None:
+        held = Type()
+        reference = weakref.ref(held, lambda gone: abstract._on_type_disposal(gone, pop))  # type: ignore[attr-defined]
+        del held
+        assert reference() is None
+        time.sleep(10)
+        events.append("slept")
+
+    with pytest.raises(KeyboardInterrupt):
+        run(work)
+    assert events == ["went on"]
 
 
 def test_all_else_is_interrupted_at_once() -> None:
