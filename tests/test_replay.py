@@ -121,11 +121,12 @@ def test_what_cannot_be_replayed() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not IBM01.exists(), reason="../shared/data/ispd98 is not there")
 def test_ibm01_as_a_game() -> None:
-    """11 507 agents, of which 9 128 have something to route; solutions replayed move by move."""
+    """11 507 nets, of which 9 128 have something to route; solutions replayed move by move."""
     problem = Problem.read(IBM01)
     env = global_routing_v0.parallel_env(problem, max_steps=2000, overflow="allowed")
     env.reset(seed=0)
-    assert len(env.possible_agents) == len(problem.nets) == 11_507
+    assert len(problem.nets) == 11_507
+    assert env.agents == env.possible_agents
     assert len(env.agents) == sum(len(pins) > 1 for pins in problem.pin_gcells) == 9128
 
     negotiated = PathfinderRouter(PathfinderOptions(seconds=30)).route(problem)
