@@ -388,9 +388,10 @@ class Game:
             self.plain = self.stuck = self.present = 0
             self.fewest = float("inf")
         else:
-            self.stuck += 1
-            if overflow < 0.99 * self.fewest:
-                self.fewest, self.stuck = overflow, 0
+            if self.round:
+                self.stuck += 1
+                if overflow < 0.99 * self.fewest:
+                    self.fewest, self.stuck = overflow, 0
             if overflow == 0 or self.stuck == 10:
                 self.plain, self.stuck = 1, 0
                 assert self.best is not None

@@ -161,9 +161,11 @@ def choose_kind(static: Static, dynamic: Dynamic, m: int) -> None:
         game.plain = game.stuck = 0
         game.fewest = NO_LIMIT
         return
-    game.stuck += 1
-    if 100 * game.overflow < 99 * game.fewest:
-        game.fewest, game.stuck = game.overflow, 0
+    # The first walk is not priced: what it leaves is no measure for rounds that are.
+    if game.round > 0:
+        game.stuck += 1
+        if 100 * game.overflow < 99 * game.fewest:
+            game.fewest, game.stuck = game.overflow, 0
     if game.overflow > 0 and game.stuck < _PRICED:
         _raise(static, dynamic, m)
     else:

@@ -34,8 +34,8 @@ nets part that share an edge with others. In rounds that are not priced, the **p
 as without the option, but patience counts plain rounds in a row.
 
 * After the first walk, and after a priced round, the next round is priced if there is overflow,
-  unless ten priced rounds in a row have not lowered it by one per cent of the least since the last
-  plain round. Otherwise it is plain. If earlier routes have joined more tasks or had less overflow,
+  unless ten priced rounds in a row have not lowered it by one per cent of the least that a priced
+  round has left since the last plain one. Otherwise it is plain. If earlier routes have joined more tasks or had less overflow,
   nets take the best of them first.
 * After a plain round the next one is plain, unless two in a row have gained nothing: no task, not
   one per cent of the overflow, not a two-thousandth of the wirelength. Otherwise it is priced.
