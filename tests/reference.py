@@ -181,7 +181,7 @@ class Game:
     before_cost: int = field(init=False, default=0)
     asked: bool = field(init=False, default=False)
     prices: dict[Edge, int] = field(init=False, default_factory=dict)
-    present: int = field(init=False, default=0)
+    present: int = field(init=False, default=102)
     plain: int = field(init=False, default=0)
     stuck: int = field(init=False, default=0)
     fewest: float = field(init=False, default=float("inf"))
@@ -333,7 +333,7 @@ class Game:
 
     def priced(self) -> bool:
         """Whether edges have prices in the present round."""
-        return self.rip_up_prices and self.round > 0 and self.plain == 0
+        return self.rip_up_prices and self.rip_up_rounds > 0 and self.plain == 0
 
     def cost(self, n: int) -> int:
         """What a net's edges cost it at the prices, in sixteenths."""
@@ -388,10 +388,9 @@ class Game:
             self.plain = self.stuck = self.present = 0
             self.fewest = float("inf")
         else:
-            if self.round:
-                self.stuck += 1
-                if overflow < 0.99 * self.fewest:
-                    self.fewest, self.stuck = overflow, 0
+            self.stuck += 1
+            if overflow < 0.99 * self.fewest:
+                self.fewest, self.stuck = overflow, 0
             if overflow == 0 or self.stuck == 10:
                 self.plain, self.stuck = 1, 0
                 assert self.best is not None
@@ -401,7 +400,7 @@ class Game:
         for edge in self.capacity:
             if self.overflow_of(edge):
                 self.prices[edge] = self.prices.get(edge, 0) + 5
-        self.present = min(max(102, self.present + self.present * 15 // 100), 2048)
+        self.present = min(max(102, self.present + self.present * 25 // 100), 2048)
 
     def next_walk(self) -> int | None:
         """Who walks again, or is asked, when nobody is active; None: the end."""

@@ -34,7 +34,7 @@ def apart(a: Gcell, b: Gcell) -> int:
 
 def is_priced(engine: Engine, m: int) -> bool:
     game = engine.games[m]
-    return engine.rules.rip_up_prices and game["round"] > 0 and game["plain"] == 0
+    return engine.rules.rip_up_prices and engine.rules.rip_up_rounds > 0 and game["plain"] == 0
 
 
 def edge_costs(
@@ -355,7 +355,7 @@ def test_the_loop_walks_as_the_network_does(rip_up: str, rounds: int) -> None:
         over = np.packbits(engine.dynamic.remaining[m] < 0, bitorder="little")
         if engine.agents[m, n]["joined"] < engine.tasks[m, n]:
             return True
-        first = game["present"] == 102
+        first = game["present"] == 102 or game["round"] == 1
         kinds.add((is_priced(engine, m), bool(first)))
         if is_priced(engine, m) and not first:
             return bool((edges & over[: len(edges)]).any())

@@ -1,7 +1,7 @@
 """Prices of edges: how nets learn from each other, round by round, which edges are in demand.
 
-With ``rip_up_prices`` most rip-up rounds (:mod:`marouting.game.rounds`) are **priced**. In them an
-edge inside a layer costs a net
+With ``rip_up_prices`` the first walk and most rip-up rounds (:mod:`marouting.game.rounds`) are
+**priced**. In them an edge inside a layer costs a net
 
     (1 + price) · (1 + present · over / demand),
 
@@ -34,7 +34,7 @@ WHOLE = 1024
 """``GAME.present`` counts in parts of this."""
 
 FIRST = WHOLE // 10
-"""``present`` in the first priced round of all, and after plain rounds."""
+"""``present`` in the first walk, and in the first priced round after plain ones."""
 
 LARGEST = 2 * WHOLE
 """The largest ``present``: were it larger, it would hide what prices say."""
@@ -48,15 +48,14 @@ NO_LIMIT = 1 << 55
 _PRICED, _PLAIN = 10, 2
 """Rounds in a row without gain after which priced rounds end, and plain ones."""
 
-_GROWTH = 15  # per cent by which present grows
+_GROWTH = 25  # per cent by which present grows
 _KEPT = 80  # per cent of the prices that are left after plain rounds
 
 
 @inlined
 def is_priced(static: Static, dynamic: Dynamic, m: int) -> bool:
-    """Whether the present round is priced; see :mod:`marouting.game.rounds`."""
-    game = dynamic.games[m]
-    return is_on(static, Option.PRICES) and game.round > 0 and game.plain == 0
+    """Whether the first walk or the present round is; see :mod:`marouting.game.rounds`."""
+    return is_on(static, Option.PRICES) and dynamic.games[m].plain == 0
 
 
 @inlined
@@ -161,11 +160,9 @@ def choose_kind(static: Static, dynamic: Dynamic, m: int) -> None:
         game.plain = game.stuck = 0
         game.fewest = NO_LIMIT
         return
-    # The first walk is not priced: what it leaves is no measure for rounds that are.
-    if game.round > 0:
-        game.stuck += 1
-        if 100 * game.overflow < 99 * game.fewest:
-            game.fewest, game.stuck = game.overflow, 0
+    game.stuck += 1
+    if 100 * game.overflow < 99 * game.fewest:
+        game.fewest, game.stuck = game.overflow, 0
     if game.overflow > 0 and game.stuck < _PRICED:
         _raise(static, dynamic, m)
     else:

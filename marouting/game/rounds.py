@@ -27,15 +27,15 @@ wirelength, in this order. If it is worse than before they gave their edges back
 back: no connection is ever lost, and the routes are always the best so far. A round in which no net
 walks again is the last one.
 
-With ``rip_up_prices`` nets negotiate as well. Some rounds are **priced**: edges cost what
-:mod:`marouting.game.prices` says, every net walks again alone, and it keeps its new routes if they
-join as many tasks and cost it no more than the old ones, whatever becomes of the whole problem. So
-nets part that share an edge with others. In rounds that are not priced, the **plain** ones, all is
+With ``rip_up_prices`` nets negotiate as well. The first walk and some of the rounds are **priced**:
+edges cost what :mod:`marouting.game.prices` says. In such a round every net walks again alone, and
+it keeps its new routes if they join as many tasks and cost it no more than the old ones, whatever
+becomes of the whole problem. So nets part that share an edge with others. In rounds that are not priced, the **plain** ones, all is
 as without the option, but patience counts plain rounds in a row.
 
 * After the first walk, and after a priced round, the next round is priced if there is overflow,
-  unless ten priced rounds in a row have not lowered it by one per cent of the least that a priced
-  round has left since the last plain one. Otherwise it is plain. If earlier routes have joined more tasks or had less overflow,
+  unless ten priced rounds in a row have not lowered it by one per cent of the least since the last
+  plain round. Otherwise it is plain. If earlier routes have joined more tasks or had less overflow,
   nets take the best of them first.
 * After a plain round the next one is plain, unless two in a row have gained nothing: no task, not
   one per cent of the overflow, not a two-thousandth of the wirelength. Otherwise it is priced.

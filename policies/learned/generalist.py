@@ -45,7 +45,6 @@ grids) and at most."""
 _STEINER: dict[str, Any] = {
     "decomposition": "steiner",
     "next_task": "listed",
-    "rip_up_rounds": 0,
     "rip_up_neighbours": 0,
 }
 """What is different in the game in which nets walk along Steiner trees."""
@@ -54,6 +53,10 @@ _LEAST, _ROOM, _TIGHT = 0.01, 2, 8
 """That game is played if there are so many seconds, and if the first one took at most half of them
 where it ended without overflow, at most an eighth elsewhere: on tight problems Steiner trees gain
 little, and in a few milliseconds rip-ups gain more."""
+
+_WALKS, _MOVE = 6, 7e-6
+"""Nets walk at prices from the first move on if there is time for so many walks of all, at so many
+seconds per edge of the half perimeters of their pins. In less time they first avoid overflow."""
 
 _OFTEN = 0.1
 """Seconds between two lines to who watches."""
@@ -78,8 +81,8 @@ class GeneralistOptions:
         neighbours: the most nets that walk again with a net because they stand in its way.
         patience: plain rounds in a row after which one more of them does so, from none in the first
             ones; 0: all of them from the first on.
-        prices: whether nets negotiate in some of the rounds (:mod:`marouting.game.prices`). Without
-            ``overflow: allowed``, of which the weights tell, they cannot.
+        prices: whether nets negotiate (:mod:`marouting.game.prices`), where there is time for it.
+            Without ``overflow: allowed``, of which the weights tell, they cannot.
         seed: seed of the random numbers.
         mind: who chooses the moves: ``network``; or, to see what the search does without learning,
             ``ways``, whose moves lead along the cheapest way, or ``chance``.
@@ -173,7 +176,8 @@ class GeneralistRouter:
         rip-up rounds that a copy has been through.
         """
         o, began = self.options, time.thread_time()
-        engine = Engine([problem] * o.copies, self._rules)
+        rules = self._rules
+        engine = Engine([problem] * o.copies, rules)
         if o.copies > 1:
             engine.set_order(_orders(engine, o.seed))
         warmth = np.full(o.copies, o.warmth, np.float32)
@@ -182,16 +186,28 @@ class GeneralistRouter:
         own = keys(o.seed, names, "walk")
         seen = self._observation, self._sizes, self._weights
         given = make_walk(engine, *seen, warmth, own)
-        _all_walk(engine, given)
-        guide = None
-        share = _TIGHT if any(_cost(engine, 0)[:2]) else _ROOM
+
+        def other_game(rules: EnvOptions) -> Engine:
+            """Another game of the problem, in which all nets have walked by the best moves."""
+            other = Engine([problem], rules)
+            alone = make_walk(other, *seen, np.zeros(1, np.float32), own[:1])
+            _all_walk(other, alone)
+            given.counters[0] += alone.counters[0]
+            return other
+
+        first, guide = engine, None
+        hurries = o.seconds is not None and o.seconds < _WALKS * _MOVE * _half_perimeters(problem)
+        if hurries and rules.rip_up_prices:
+            rules = replace(rules, rip_up_prices=False)
+            first = other_game(rules)
+            _all_walk(engine, follow(given, first))
+        else:
+            _all_walk(engine, given)
+        share = _TIGHT if any(_cost(first, 0)[: 2 - rules.rip_up_prices]) else _ROOM
         seconds = np.inf if o.seconds is None else o.seconds
         if seconds >= max(_LEAST, share * (time.thread_time() - began)):
-            guide = Engine([problem], replace(self._rules, **_STEINER))
-            alone = make_walk(guide, *seen, np.zeros(1, np.float32), own[:1])
-            _all_walk(guide, alone)
-            given.counters[0] += alone.counters[0]
-            if self._rules.target == "tree" and _cost(guide, 0) < _cost(engine, 0):
+            guide = other_game(replace(rules, **_STEINER))
+            if rules.target == "tree" and _walked(guide) < _walked(first):
                 engine.reset(np.arange(o.copies) == 0)
                 _all_walk(engine, follow(given, guide))
         warmth[:] = o.warmth
@@ -214,7 +230,7 @@ class GeneralistRouter:
             if self.watch is not None and time.perf_counter() - said >= _OFTEN:
                 said = time.perf_counter()
                 game = engine.games[_ranking(engine)[0]]
-                which = "best" if self._rules.rip_up_prices else "kept"
+                which = "best" if engine.rules.rip_up_prices else "kept"
                 overflow, wirelength = (game[f"{which}_{n}"] for n in ("overflow", "wirelength"))
                 line = f"round {game['round']}; overflow {overflow}, wirelength {wirelength}"
                 if self.watch(line):
@@ -235,7 +251,7 @@ class GeneralistRouter:
             while not over and in_time():
                 over = walk(engine, given, steps(), False)
             _all_walk(engine, given)
-            if self._rules.rip_up_prices:
+            if engine.rules.rip_up_prices:
                 take_best(engine)
 
 
@@ -264,6 +280,22 @@ def _cost(engine: Engine, m: int) -> tuple[int, int, int]:
     game = engine.games[m]
     still_open = int(engine.tasks[m].sum()) - int(game["joined"])
     return still_open, int(game["overflow"]), int(game["wirelength"])
+
+
+def _walked(engine: Engine) -> tuple[int, ...]:
+    """What the first walk of the first game is judged by; at prices overflow can still be parted."""
+    still_open, overflow, wirelength = _cost(engine, 0)
+    if engine.rules.rip_up_prices:
+        return still_open, overflow + wirelength
+    return still_open, overflow, wirelength
+
+
+def _half_perimeters(problem: Problem) -> int:
+    """Edges of the half perimeters around the pins of all nets, vias as well."""
+    first, cells = problem.flat_pin_gcells
+    at = problem.topology.position[cells]
+    sides = np.maximum.reduceat(at, first[:-1]) - np.minimum.reduceat(at, first[:-1])
+    return int(sides.sum())
 
 
 def _orders(engine: Engine, seed: int) -> NDArray[np.int32]:

@@ -13,7 +13,7 @@ An agent that has taken a quarter of its steps and not arrived goes on by the ch
 An agent that is asked whether its net gives way (``rip_up: agents``) says so with a reason: a task
 of its own is open; or it uses an edge with overflow; or, if there is none in the problem, its net
 was shorter after an earlier walk (one that was undone counts as well, but for the last net of it).
-In the first of some priced rounds the reason is that its edges cost more than its shortest routes
+In the first round, and the first of some priced ones, the reason is that its edges cost more than its shortest routes
 would without prices; in the others, overflow alone. Without a reason it says so in one round out of
 eight, in every round other agents, but not where overflow alone counts.
 """
@@ -366,10 +366,11 @@ def _gives_way(static: Static, dynamic: Dynamic, given: Walk, m: int, n: int) ->
     if not _is_whole(static, dynamic, m, n):
         return True
     anyway = (wide(game.turn) + wide(game.round)) % period == 0
-    if anyway and (not is_priced(static, dynamic, m) or game.present == FIRST):
+    begins = game.present == FIRST or game.round == 1
+    if anyway and (begins or not is_priced(static, dynamic, m)):
         return True
     if is_priced(static, dynamic, m):
-        if game.present != FIRST:
+        if not begins:
             return _is_over(dynamic, m, n)
         cost = net_cost(static, dynamic, m, n, dynamic.used, n, wide(1))
         return cost > UNIT * given.shortest[m, n]
