@@ -399,7 +399,7 @@ class Game:
                 return
         for edge in self.capacity:
             if self.overflow_of(edge):
-                self.prices[edge] = self.prices.get(edge, 0) + 5
+                self.prices[edge] = self.prices.get(edge, 0) + 3
         self.present = min(max(102, self.present + self.present * 25 // 100), 2048)
 
     def next_walk(self) -> int | None:

@@ -39,7 +39,7 @@ FIRST = WHOLE // 10
 LARGEST = 2 * WHOLE
 """The largest ``present``: were it larger, it would hide what prices say."""
 
-RISE = 5
+RISE = 3
 """What overflow adds to the price of an edge before a priced round, in parts of ``UNIT``."""
 
 NO_LIMIT = 1 << 55

@@ -1,16 +1,15 @@
 """The generalist: one network for all nets and problems, and a search by rip-up rounds.
 
-The router plays the problem in the game that the network was trained in: all nets walk, by the
-best moves, from pin to pin. In another game they walk along Steiner trees
+First all nets walk, by the best moves, from pin to pin: where there is time for it at prices, at
+which they share edges cheaply. In another game they walk along Steiner trees
 (:mod:`marouting.trees.steiner`), which are shorter where there is room; if that ends better, they
 walk along its routes in the first game too. Then the router goes through rip-up rounds
 (:mod:`marouting.game.rounds`), with drawn moves: net after net is asked whether it gives way, it
 and some of those in its way walk again, and what is worse is undone. In priced rounds nets walk
 alone, past edges that past overflow has made dearer, and keep what costs them less; the best routes
-of all rounds are noted. With ``copies`` the problem is
-played several times side by side, all but the first with drawn moves and the nets in an order of
-their own, and the best of them go through the rounds. The result is the best copy when the
-time is over.
+of all rounds are noted. With ``copies`` the problem is played several times side by side, all but
+the first with drawn moves and the nets in an order of their own, and the best of them go through
+the rounds. The result is the best copy when the time is over.
 
 The moves are ordinary moves of the environment and the rounds ordinary rounds; all that is special
 is that they are compiled (:mod:`policies.learned.compiled.walk`).
