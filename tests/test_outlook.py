@@ -6,18 +6,23 @@ from typing import Any
 import networkx as nx
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import Edge, all_edges, between, contested, edge_number
 from seeing import Gcell, expected, gcell, open_tasks, squash
+from torch import nn
 
 import marouting
-from marouting import Engine, InputError, Problem, evaluate
+from marouting import Engine, EnvOptions, InputError, Problem, evaluate
 from marouting.game.outlook import OutlookObservation
 from marouting.game.rules import GIVE_WAY
 from marouting.game.state import NOBODY, Status
 from marouting.game.window import mirrored
+from policies.learned.compiled import greedy
 from policies.learned.compiled.walk import follow, make_walk, walk, walk_on
+from policies.learned.learner import play_steps
+from policies.learned.policy import SHIPPED, TrainedPolicy, player_of
 
 STEPS = (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)
 
@@ -399,6 +404,40 @@ def test_the_loop_walks_as_the_network_does(rip_up: str, rounds: int) -> None:
     for m in range(2):
         assert engine.metrics(m) == loop.metrics(m)
     np.testing.assert_array_equal(engine.dynamic.used, loop.dynamic.used)
+
+
+@pytest.mark.parametrize("prices", [False, True])
+def test_games_with_many_rounds_are_played_out_as_step_by_step(prices: bool) -> None:
+    """Two networks, two games each: the moves are those of the plain player."""
+    problems = marouting.generate(4, nets=12, max_pins=4, capacity=2, seed=1)
+    rounds = {"rip_up_rounds": 6, "rip_up_neighbours": 1, "rip_up_prices": prices}
+    # So few steps that agents are slow, and some tasks fail.
+    few: dict[str, Any] = {"max_steps": 14, "agents": "single", "observation": {"kind": "outlook"}}
+    options = EnvOptions(**few, **GAME, **rounds)
+    module = TrainedPolicy.load(SHIPPED).module
+    own = nn.utils.parameters_to_vector(module.parameters()).detach()
+    weights = torch.stack((own, own + torch.linspace(-0.02, 0.02, len(own))))
+    player, other = player_of(options, problems), player_of(options, problems)
+    player.reset()
+    other.reset()
+    layers = greedy.layers_of(player, module, masking=True)
+    assert layers is not None
+    assert greedy.layers_of(player, module, masking=False) is None
+    greedy.play_out(player, layers, weights.numpy(), masking=True)
+    assert not player.buffers.active.any()
+    modules = [copy.deepcopy(module), copy.deepcopy(module)]
+    for one, row in zip(modules, weights, strict=True):
+        nn.utils.vector_to_parameters(row, one.parameters())
+
+    def rate(obs: torch.Tensor) -> torch.Tensor:
+        return torch.cat([one(part) for one, part in zip(modules, obs.split(2), strict=True)])
+
+    for _ in play_steps(other, rate, masking=True):
+        pass
+    metrics = [[p.engine.metrics(m) for m in range(4)] for p in (player, other)]
+    assert metrics[0] == metrics[1]
+    np.testing.assert_array_equal(player.engine.dynamic.used, other.engine.dynamic.used)
+    assert len({one.steps for one in metrics[0]}) > 1
 
 
 def test_the_loop_stops_when_nets_have_walked_and_goes_on() -> None:

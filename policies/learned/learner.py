@@ -177,7 +177,7 @@ class Learner(Rows, abc.ABC):
                 another's.
         """
         masking = self.masks(self.options)
-        layers = greedy.layers_of(player, self.networks.module)
+        layers = greedy.layers_of(player, self.networks.module, masking=masking)
         if layers is not None and self.device.type == "cpu":
             weights = self.networks.flat.numpy()[networks]
             greedy.play_out(player, layers, weights, masking=masking)

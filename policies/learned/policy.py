@@ -185,7 +185,7 @@ class TrainedPolicy:
         """
         player = self.check(problem)
         player.reset()
-        layers = greedy.layers_of(player, self.module)
+        layers = greedy.layers_of(player, self.module, masking=self.masking)
         if layers is not None:
             weights = nn.utils.parameters_to_vector(self.module.parameters()).detach()
             greedy.play_out(player, layers, weights[None].numpy(), masking=self.masking)

@@ -1,25 +1,47 @@
-"""Games played to their end by the best moves of small networks, in one compiled loop."""
+"""Games played to their end by the best moves of small networks, in compiled loops.
+
+One loop plays games with the paper's observation and reward. Games in turn order with the
+observation ``outlook`` are played by that of :mod:`policies.learned.compiled.walk` if they have
+many rip-up rounds: through the player, a move of one game takes a hundred times as long.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import nn
 
 from marouting.game.growth import lacks_room
-from marouting.game.state import Dynamic, Static
+from marouting.game.outlook import OutlookObservation
+from marouting.game.state import Dynamic, Option, Static
 from marouting.kernels import allocating, wide
 from marouting.player import Known, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
 from policies.learned.compiled.gradient import q_values, units_of
+from policies.learned.compiled.walk import make_walk, walk
 from policies.learned.exploration import choose
 from policies.learned.networks.mlp import MLP
 
+_MANY = 4
+"""Rip-up rounds from which on the loop for ``outlook`` is worth being loaded or compiled."""
 
-def layers_of(player: Player, module: nn.Module) -> tuple[int, ...] | None:
+_ALL = 2**20
+"""Moves in one go."""
+
+
+def layers_of(player: Player, module: nn.Module, *, masking: bool) -> tuple[int, ...] | None:
     """Units of a network's layers, inputs first, if :func:`play_out` does it in these games."""
     if not isinstance(module, MLP) or module.activation != "relu" or module.dueling:
         return None
     known = player.known.observation and player.known.reward
-    return module.sizes if known and player.engine.actions == MOVES else None
+    fits = known or (masking and _looks_out(player))
+    return module.sizes if fits and player.engine.actions == MOVES else None
+
+
+def _looks_out(player: Player) -> bool:
+    """Whether these are long games in turn order with the observation ``outlook``."""
+    engine = player.engine
+    many = engine.static.options[Option.ROUNDS] >= _MANY
+    in_turn = engine.static.sequential and not player.everyone
+    return bool(many and in_turn) and type(player.observation) is OutlookObservation
 
 
 def play_out(
@@ -28,19 +50,38 @@ def play_out(
     """Plays the games of a player to their end, always by the move that is rated highest.
 
     Args:
-        player: of M games, whose episodes have begun.
+        player: of M games, whose episodes have begun. With the observation ``outlook`` its buffers
+            stay as they are, but for ``active``.
         layers: see :func:`layers_of`.
         weights: (R, P) float32, of the networks that play M/R games each, one network's after
             another's.
         masking: whether only moves that cross an edge are chosen.
     """
     engine, sizes = player.engine, np.array(layers, np.int64)
+    if not player.known.observation:
+        _walk_out(player, layers, weights)
+        return
     while player.buffers.active.any():
         player.make_room()
         _play_out(
             engine.static, engine.dynamic, player.buffers, player.kernel_buffers,
             player.known, sizes, weights, masking,
         )  # fmt: skip
+
+
+def _walk_out(player: Player, layers: tuple[int, ...], weights: NDArray[np.float32]) -> None:
+    """:func:`play_out` with the observation ``outlook``."""
+    engine, observation = player.engine, player.observation
+    assert isinstance(observation, OutlookObservation)
+    games = len(engine.games)
+    of = np.arange(games) * len(weights) // games
+    cold, keys = np.zeros(games, np.float32), np.zeros(games, np.uint64)
+    for row, own in enumerate(weights):
+        given = make_walk(engine, observation, layers, own, cold, keys, helped=False)
+        given.playing[:] = of == row
+        while not walk(engine, given, _ALL, False):
+            pass
+    player.buffers.active[:] = False
 
 
 @allocating

@@ -8,7 +8,8 @@ An agent may be guided: then it walks along given routes of its net, as far as t
 target (:mod:`marouting.search.route_follower`). So the routes of another game become moves of this
 one.
 
-An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way.
+An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way, unless
+the network alone is to walk.
 
 An agent that is asked whether its net gives way (``rip_up: agents``) says so with a reason: a task
 of its own is open; or it uses an edge with overflow; or, if there is none in the problem, its net
@@ -61,6 +62,7 @@ class Walk(NamedTuple):
     weights: NDArray[np.float32]  # flat, as the parameters of the network lie one after another
     radius: int
     margin: int
+    late: int  # steps of a task after which an agent goes on by the cheapest way
     warmth: NDArray[
         np.float32
     ]  # (M,) 0: the best move; otherwise moves are drawn at this temperature
@@ -87,14 +89,27 @@ def make_walk(
     weights: NDArray[np.float32],
     warmth: NDArray[np.float32],
     keys: NDArray[np.uint64],
+    *,
+    helped: bool = True,
 ) -> Walk:
-    """The working arrays of a walk; see :class:`Walk`."""
-    count, cells = len(engine.games), engine.grid.gcells
+    """The working arrays of a walk; see :class:`Walk`.
+
+    Args:
+        engine: the games.
+        observation: what agents see.
+        sizes: units of the network's layers, the inputs first.
+        weights: of the network, as its parameters lie one after another.
+        warmth: (M,) see :class:`Walk`.
+        keys: (M,) of random numbers.
+        helped: whether an agent that has taken a quarter of its steps goes on by the cheapest way.
+    """
+    count, cells, most = len(engine.games), engine.grid.gcells, int(engine.static.max_steps)
     return Walk(
         sizes=sizes,
         weights=weights,
         radius=observation.radius,
         margin=observation.margin,
+        late=-(-most // 4) if helped else most + 1,
         warmth=warmth,
         keys=keys,
         counters=np.zeros(count, np.int64),
@@ -266,7 +281,7 @@ def _walk(
             m = place(given.game[row])
             n = place(dynamic.games[m].agent)
             free = free_moves(static, dynamic, m, n)
-            late = 4 * wide(dynamic.agents[m, n].steps) >= static.max_steps
+            late = wide(dynamic.agents[m, n].steps) >= given.late
             warm = given.warmth[m] * (_COOLER if is_priced(static, dynamic, m) else 1.0)
             move = _choose(given, m, wide(row), free, at + row * given.sizes[-1], late, warm)
             given.counters[m] += 1
