@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference import contested, random_moves
@@ -95,6 +95,7 @@ def content(rows: NDArray[Any]) -> list[list[set[int]]]:
 
 @settings(deadline=None)
 @given(changes, changes)
+@example([(1, 2, 72, 1)], [(1, 2, 0, 1), (1, 2, 8, 1), (1, 2, 16, 1), (1, 2, 24, 1)])
 def test_hashed_rows_are_sets(
     some: list[tuple[int, int, int, int]], more: list[tuple[int, int, int, int]]
 ) -> None:

@@ -281,27 +281,25 @@ def copy_row(bits: Any, m: int, row: int, others: Any, k: int, other: int) -> No
 @inlined
 def swap_rows(bits: Any, others: Any, m: int, row: int) -> None:
     """Swaps a row of problem m with the same row of others."""
-    # Of the bytes of the one, then of those that only the other has.
-    for at in range(places(bits, m, row)):
-        byte, value = byte_at(bits, m, row, at)
-        other = byte_of(others, m, row, byte)
-        if _is_byte(bits, m, row, at):
-            set_byte(bits, m, row, byte, other)
-            set_byte(others, m, row, byte, value)
     if bits.ndim == 2:
-        for at in range(places(others, m, row)):
-            byte, value = byte_at(others, m, row, at)
-            if value != 0 and bits[m, _slot(bits, m, row, byte)] == 0:
-                set_byte(bits, m, row, byte, value)
-                set_byte(others, m, row, byte, wide(0))
+        # A table that grows loses its zeros, so none is written to while it is gone through.
+        _flip(bits, others, m, row)
+        _flip(others, bits, m, row)
+        _flip(bits, others, m, row)
+    else:
+        for byte in range(bits.shape[2]):
+            value = bits[m, row, byte]
+            bits[m, row, byte] = others[m, row, byte]
+            others[m, row, byte] = value
 
 
-@inlined
-def _is_byte(bits: Any, m: int, row: int, at: int) -> bool:
-    """Whether one of a row's places has a byte."""
-    if bits.ndim == 2:
-        return bits[m, place(bits[m, _DIRECTORY + _RECORD * place(row)]) + at] != 0
-    return True
+@compiled
+def _flip(bits: Any, others: Any, m: int, row: int) -> None:
+    """Of every number in a row of others: takes it out of the same row of bits, or puts it in."""
+    for at in range(places(others, m, row)):
+        byte, value = byte_at(others, m, row, at)
+        if value != 0:
+            set_byte(bits, m, row, byte, byte_of(bits, m, row, byte) ^ value)
 
 
 @compiled
