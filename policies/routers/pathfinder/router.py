@@ -116,6 +116,7 @@ class PathfinderRouter:
         start: Solution | None = None,
         prices: NDArray[np.float64] | None = None,
         present: float = 0.0,
+        taken: NDArray[np.int64] | None = None,
     ) -> Routed:
         """Routes a problem like :meth:`route` and tells how the solution was found.
 
@@ -124,6 +125,9 @@ class PathfinderRouter:
             start: a solution to begin with; None: the one of the option ``start``, if there is one.
             prices: (E,) prices to begin with, as in :class:`Routed`; None: 0 everywhere.
             present: factor to go on from, as in :class:`Routed`; 0: the option ``present``.
+                With another one negotiating begins with ``start``, however few nets there are.
+            taken: (E,) tracks that others use of every edge; None: none. The overflow of a pass
+                leaves out what they cause alone.
         """
         began, worked = time.perf_counter(), time.thread_time()
         limit = self.options.seconds
@@ -137,6 +141,9 @@ class PathfinderRouter:
             routing.price[:] = prices * UNIT
         progress = routing.progress[0]
         progress["present"] = present
+        progress["large"] |= present > 0
+        if taken is not None:
+            routing.remaining[:] -= taken
         passes: list[Pass] = []
         ended = len(routing.order) == 0
         stop: Stop = "optimal" if ended else "settled"

@@ -3,20 +3,22 @@
 1. One pass of patterns gives every net of the whole chip a tree: in microseconds per pin, so that
    it is quick on any chip that one machine can hold
    (:mod:`policies.routers.pathfinder.patterns`).
-2. Lines across the chip part it into **regions** with about as much work each, where few wires
-   cross; nets on full edges are more work than others. A net that crosses a line is cut into parts
-   there: where a wire crosses, each of its two Gcells is a pin of a part. What joins the pins of
-   all its parts joins the net.
-3. Every region is a problem of its own, with all its parts of nets, and **negotiated** alone
-   (:mod:`policies.routers.pathfinder`). No edge belongs to two regions, so they need not know of
-   each other.
-4. The boundary is negotiated in the same way: a **strip** along every line is a problem of its own,
-   whose parts may cross the line anywhere; where they leave the strip they stay.
-5. Regions and strips take turns, and each goes on from the routes, the prices and the factor of
-   congestion that the one before has come to.
+2. Lines across the chip part it into **regions**. A net belongs to the region that has the middle
+   of its pins, and no other moves it. A region reaches a little beyond its lines. Where a net leads
+   farther, it is cut: where a wire crosses, the Gcell is a pin of what is inside, and what is
+   outside stays.
+3. Near a line regions share the **tracks** of every edge: each has those that its nets use, and of
+   what is free the more the nearer it is; of what is too much each has to give up as large a share.
+   So the regions need not know of each other, and what all of them find fits together.
+4. Every region is a problem of its own and makes a few passes of **negotiation**
+   (:mod:`policies.routers.pathfinder`). That is a step.
+5. The next step has other lines, and goes on from the routes, the prices and the factor of
+   congestion that the one before has come to. **Calm** and **even** lines take turns. At calm lines
+   the fewest nets on full edges cross, so that wires can spread out of hot spots. Even lines part
+   the work, where it is, so that all regions have as much. Steps grow longer when they bring
+   little; the last one has calm lines.
 
-What comes back replaces what was there unless it is worse, by overflow and then wirelength. So
-there is a whole solution at any time.
+No step makes a solution worse, so there is a whole solution at any time.
 
 * :mod:`~policies.routers.regions.cutting`: from a solution to the problems of its regions, and
   back.

@@ -1,7 +1,7 @@
 """Cutting: from a solution of a whole chip to the problems of its regions, and back."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,18 @@ from marouting.problem.chip import Chip
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.net import Adjustment, Net, Pin
 
-_SLACK = 0.1
-"""How far a line may be from where it parts the work evenly, as a share of all work."""
+LEAST = 8
+"""Columns or rows between two lines, at least."""
 
-_AGAIN = 9
-"""About how often a net on a full edge is rerouted before all nets are rerouted once."""
+_REACH = 0.04
+"""How far regions reach beyond their lines, as a share of a region of mean width."""
+
+_ASIDE = 0.125
+"""How far the first lines may be from where regions are as wide as each other, as a share of a
+region."""
+
+_AGAIN = 49
+"""How much more work the wire of a net on a full edge is than that of others, which stay."""
 
 
 class Box(NamedTuple):
@@ -44,6 +51,8 @@ class Piece(NamedTuple):
         wires: (Z, 2) whether there may be wires along x and y; None if all may be.
         adjusted: (n,) edges with another capacity.
         adjusted_capacity: (n,) theirs.
+        shared: (k,) edges of which others have some tracks.
+        taken: (k,) how many of them.
         first: (nets + 1,) the pins of a net are those from its first to the first of the next.
         pin: (pins,) their Gcells.
         width: (nets,) minimum width of the nets' wires.
@@ -59,6 +68,8 @@ class Piece(NamedTuple):
     wires: NDArray[np.bool_] | None
     adjusted: NDArray[np.int32]
     adjusted_capacity: NDArray[np.int32]
+    shared: NDArray[np.int32]
+    taken: NDArray[np.int32]
     first: NDArray[np.int32]
     pin: NDArray[np.int32]
     width: NDArray[np.int32]
@@ -105,89 +116,206 @@ class Piece(NamedTuple):
         )
 
 
-def work(solution: Solution) -> NDArray[np.float64]:
-    """About how much work negotiation has with each use of an edge: more where nets overflow.
+class Division(NamedTuple):
+    """A chip in regions between lines, and which of them moves which net.
 
-    Returns:
-        (uses,) 1 for a net that nothing disturbs.
+    Attributes:
+        axis: across which the lines go: 0 if they part columns, 1 if rows.
+        lines: for each line, ascending, the column or row behind it.
+        reach: how far regions reach beyond their lines, in columns or rows.
+        owner: (nets,) the region that moves a net: the one that has the middle of its pins.
+        work: (regions,) about how much work each has, in edges of nets that stay.
     """
+
+    axis: int
+    lines: tuple[int, ...]
+    reach: int
+    owner: NDArray[np.int64]
+    work: NDArray[np.float64]
+
+    @classmethod
+    def calm(cls, solution: Solution, axes: Sequence[int], regions: int) -> Self:
+        """Lines where the fewest nets on full edges cross; regions are about as wide as each other.
+
+        Args:
+            solution: the routes.
+            axes: across which the lines may go.
+            regions: how many regions, at most: fewer if there is no room for them.
+        """
+        problem = solution.problem
+        net, edge = solution.uses
+        edge = edge[_disturbed(solution)[net]]
+        found = []
+        for axis in axes:
+            size = problem.grid[axis]
+            own = edge[edge % AXES == axis]
+            at = own // AXES // problem.strides[axis] % size
+            crossing = np.bincount(at + 1, minlength=size)  # by the line behind which they end
+            parts = min(regions, size // LEAST)
+            lines, total = [], 0
+            for i in range(1, parts):
+                low = round(size * (i - _ASIDE) / parts)
+                high = max(round(size * (i + _ASIDE) / parts), low + 1)
+                lines.append(low + int(crossing[low:high].argmin()))
+                total += int(crossing[lines[-1]])
+            found.append((1 - parts, total, axis, lines))
+        *_, axis, lines = min(found)
+        return cls._between(solution, axis, lines, regions)
+
+    @classmethod
+    def even(cls, solution: Solution, axis: int, regions: int) -> Self:
+        """Lines that part the work evenly.
+
+        Args:
+            solution: the routes.
+            axis: across which the lines go.
+            regions: how many regions, at most: fewer if there is no room for them.
+        """
+        size = solution.problem.grid[axis]
+        upto = np.bincount(_middle(solution.problem, axis), _work(solution), size).cumsum()
+        lines: list[int] = []
+        for i in range(1, regions):
+            line = int(np.searchsorted(upto, upto[-1] * i / regions)) + 1
+            line = max(line, LEAST + (lines[-1] if lines else 0))
+            if size - line >= LEAST:
+                lines.append(line)
+        return cls._between(solution, axis, lines, regions)
+
+    @classmethod
+    def _between(cls, solution: Solution, axis: int, lines: list[int], regions: int) -> Self:
+        middle = _middle(solution.problem, axis)
+        owner = np.searchsorted(np.array(lines, np.int64), middle, side="right")
+        reach = max(round(_REACH * solution.problem.grid[axis] / regions), 1)
+        work = np.bincount(owner, _work(solution), len(lines) + 1).astype(np.float64)
+        return cls(axis, tuple(lines), reach, owner, work)
+
+    def box(self, region: int, size: int) -> Box:
+        """Where a region may move its nets, on a chip of so many columns or rows."""
+        low = self.lines[region - 1] - self.reach if region else 0
+        high = self.lines[region] + self.reach if region < len(self.lines) else size
+        return Box(self.axis, max(low, 0), min(high, size))
+
+    def share_upto(self, region: int, at: NDArray[np.int64]) -> NDArray[np.float64]:
+        """How many of the free tracks at columns or rows belong to this region or one before it.
+
+        Half of them at a line, and evenly less or more across the reach of the regions beside it.
+        """
+        if region < 0 or region >= len(self.lines):
+            return np.full(len(at), float(region >= 0))
+        behind = (at + 0.5 - self.lines[region]) / (2 * self.reach)
+        return np.clip(0.5 - behind, 0.0, 1.0)
+
+
+def _middle(problem: Problem, axis: int) -> NDArray[np.int64]:
+    """(nets,) the column or row of the middle of a net's pins."""
+    first, pin = problem.flat_pin_gcells
+    at = pin // problem.strides[axis] % problem.grid[axis]
+    middle: NDArray[np.int64] = np.minimum.reduceat(at, first[:-1])
+    middle += np.maximum.reduceat(at, first[:-1])
+    return middle // 2
+
+
+def _disturbed(solution: Solution) -> NDArray[np.bool_]:
+    """(nets,) whether a net uses an edge that overflows."""
     problem = solution.problem
     net, edge = solution.uses
     used, tracks = solution.used_edges
-    full = used[(used % AXES != VIA_AXIS) & (tracks > problem.capacity_of(used))]
+    full = np.zeros(AXES * int(np.prod(problem.grid)), np.bool_)
+    full[used] = (used % AXES != VIA_AXIS) & (tracks > problem.capacity_of(used))
     disturbed = np.zeros(len(problem.nets), np.bool_)
-    disturbed[net[np.isin(edge, full)]] = True
-    return np.where(disturbed[net], 1.0 + _AGAIN, 1.0)
+    disturbed[net[full[edge]]] = True
+    return disturbed
 
 
-def work_inside(solution: Solution, boxes: Sequence[Box]) -> NDArray[np.float64]:
-    """The :func:`work` in each of several boxes with the same axis."""
-    problem, axis = solution.problem, boxes[0].axis
-    at = solution.uses[1] // AXES // problem.strides[axis] % problem.grid[axis]
-    upto = np.bincount(at, work(solution), problem.grid[axis]).cumsum()
-    upto = np.concatenate(([0.0], upto))
-    return np.array([upto[box.high] - upto[box.low] for box in boxes])
+def _work(solution: Solution) -> NDArray[np.float64]:
+    """(nets,) about how much work negotiation has with a net: its wire, more if it overflows."""
+    wire = np.bincount(solution.uses[0], minlength=len(solution.problem.nets)).astype(np.float64)
+    return wire * np.where(_disturbed(solution), 1.0 + _AGAIN, 1.0)
 
 
-def lines(solution: Solution, regions: int) -> tuple[int, list[int]]:
-    """Where to cut a chip: axis and places of ``regions`` - 1 lines.
+def taken_from(
+    solution: Solution, division: Division, region: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """The tracks in a region's box that it may not use.
 
-    Each is where the fewest wires cross, of those places near where the work is parted evenly.
+    What nets use that nobody moves there is not to be had. Of each edge the regions share the rest:
+    each has what its own nets use, and of what is free as much as :meth:`Division.share_upto` says;
+    where it is too little for all, each has to give up as large a share. Together they have no more
+    than there is, unless nets that nobody moves overflow. So what all regions find fits together.
 
     Returns:
-        The axis of the wires that are cut, and for each line, ascending, the column or row behind
-        it. Fewer lines if there is no room for them.
+        Edges, by their numbers in the region's problem, ascending; and tracks of each.
     """
-    problem = solution.problem
-    edge = solution.uses[1]
-    places = np.unravel_index(edge // AXES, problem.grid)
-    weight = work(solution)
-    found = []
-    for axis in range(VIA_AXIS):
-        size = problem.grid[axis]
-        crossing = np.bincount(places[axis][edge % AXES == axis], minlength=size)
-        upto = np.bincount(places[axis], weight, size).cumsum() / max(weight.sum(), 1.0)
-        at: list[int] = []
-        for i in range(1, regions):
-            share = np.abs(upto[:-1] - i / regions)
-            near = np.flatnonzero(share <= max(_SLACK / regions, share.min()))
-            line = int(near[crossing[near].argmin()]) + 1
-            if line - (at[-1] if at else 0) >= LEAST and size - line >= LEAST:
-                at.append(line)
-        found.append((-len(at), int(crossing[np.array(at, np.int64) - 1].sum()), axis, at))
-    *_, axis, best = min(found)
-    return axis, best
-
-
-LEAST = 8
-"""Columns or rows of the smallest region."""
+    problem, axis = solution.problem, division.axis
+    box = division.box(region, problem.grid[axis])
+    net, edge = solution.uses
+    inside = _within(problem, box, edge)
+    net, edge = net[inside], edge[inside]
+    grid = _grid(problem, box)
+    size = AXES * int(np.prod(grid))
+    place = _local_edges(problem, box, edge)
+    tracks = problem.net_demand[net, edge // AXES % problem.grid[2]]
+    owner = division.owner[net]
+    before, own, moved = np.zeros(size), np.zeros(size), np.zeros(size)
+    for other in range(len(division.lines) + 1):
+        beside = _within(problem, division.box(other, problem.grid[axis]), edge)
+        of_it = np.flatnonzero((owner == other) & beside)
+        use = np.bincount(place[of_it], tracks[of_it], size).astype(np.float64)
+        moved += use
+        if other == region:
+            own = use
+        elif other < region:
+            before += use
+    where = (slice(None),) * axis + (slice(box.low, box.high),)
+    capacity = problem.capacity.reshape(*problem.grid, AXES)[where].reshape(-1)
+    free = capacity - np.bincount(place, tracks, size)
+    shape = [1] * (VIA_AXIS + 2)
+    shape[axis] = grid[axis]
+    at = np.arange(box.low, box.high)
+    first, last = (
+        (division.share_upto(i, at).reshape(shape) * np.ones((*grid, AXES))).reshape(-1)
+        for i in (region - 1, region)
+    )
+    gained = np.floor(last * free) - np.floor(first * free)
+    over = np.minimum(-free, moved) / np.maximum(moved, 1)
+    lost = np.floor(over * (before + own)) - np.floor(over * before)
+    taken = (capacity - own - np.where(free >= 0, gained, -lost)).astype(np.int32)
+    by_place = taken.reshape(*grid, AXES)
+    by_place[..., VIA_AXIS] = 0
+    by_place[(slice(None),) * axis + (-1, ..., axis)] = 0  # these leave the box
+    shared = np.flatnonzero(taken)
+    return shared.astype(np.int32), taken[shared]
 
 
 def cut(
-    solution: Solution, prices: NDArray[np.float32], box: Box
+    solution: Solution, prices: NDArray[np.float32], division: Division, region: int
 ) -> tuple[Piece, NDArray[np.int64]]:
-    """The problem of a box: its parts of the nets, as the routes leave the box now.
+    """The problem of a region: its own nets' parts in its box, as the routes leave the box now.
 
     The parts of a net in the box are those that its edges in the box join, and each becomes a net.
 
     Args:
         solution: the routes.
         prices: (E,) what past overflow adds to the cost of every edge of the chip, in edges.
-        box: the box.
+        division: the regions.
+        region: the number of this one.
 
     Returns:
         The problem, and the net of each of its nets. Parts with all pins in one Gcell are left out.
     """
     problem = solution.problem
+    box = division.box(region, problem.grid[division.axis])
     gcells = int(np.prod(problem.grid))
     net, edge = solution.uses
+    moved = division.owner == region
+    net, edge = net[moved[net]], edge[moved[net]]
     near, axis = np.divmod(edge, AXES)
     far = near + problem.strides[axis]
     from_inside, to_inside = (_inside(problem, box, gcell) for gcell in (near, far))
     both = from_inside & to_inside
     first, pin = problem.flat_pin_gcells
     owner = np.repeat(np.arange(len(problem.nets)), np.diff(first))
-    own = _inside(problem, box, pin)
+    own = moved[owner] & _inside(problem, box, pin)
     ends = np.concatenate(
         (
             owner[own] * gcells + pin[own],
@@ -215,6 +343,7 @@ def cut(
     nets = vertex[end[starts[:-1]]] // gcells
     adjusted, capacity = problem.adjusted
     there = _within(problem, box, adjusted)
+    shared, taken = taken_from(solution, division, region)
     priced = np.flatnonzero(prices)
     priced = priced[_within(problem, box, priced)]
     width = np.fromiter((problem.nets[i].min_width for i in nets.tolist()), np.int32, len(nets))
@@ -225,6 +354,8 @@ def cut(
         wires=None if problem.chip is None else problem.chip.wires,
         adjusted=_local_edges(problem, box, adjusted[there]),
         adjusted_capacity=capacity[there],
+        shared=shared,
+        taken=taken,
         first=starts.astype(np.int32),
         pin=_local(problem, box, vertex[end] % gcells).astype(np.int32),
         width=width,
@@ -237,24 +368,29 @@ def cut(
 
 
 def joined(
-    solution: Solution, box: Box, net: NDArray[np.int64], edge: NDArray[np.int32]
+    solution: Solution,
+    division: Division,
+    found: Mapping[int, tuple[NDArray[np.int64], NDArray[np.int32]]],
 ) -> Solution:
-    """The solution with other routes in a box.
+    """The solution with other routes in regions.
 
     Args:
         solution: the routes.
-        box: the box.
-        net: (uses,) the net of each use of an edge in the box.
-        edge: (uses,) the edge, by its number in the box's problem.
+        division: the regions.
+        found: of some regions by their numbers, the net of each use of an edge, by its number in
+            the chip, and the edge, by its number in the region's problem.
     """
-    problem = solution.problem
-    kept_net, kept_edge = solution.uses
-    inside = _within(problem, box, kept_edge)
+    problem, axis = solution.problem, division.axis
+    net, edge = solution.uses
+    kept = np.ones(len(edge), np.bool_)
     size = AXES * int(np.prod(problem.grid))
-    uses = np.concatenate((
-        kept_net[~inside] * size + kept_edge[~inside], net * size + chip_edges(problem, box, edge)
-    ))  # fmt: skip
-    return Solution.of_uses(problem, *np.divmod(np.unique(uses), size))
+    uses = []
+    for region, (new_net, new_edge) in found.items():
+        box = division.box(region, problem.grid[axis])
+        kept &= ~((division.owner == region)[net] & _within(problem, box, edge))
+        uses.append(new_net * size + chip_edges(problem, box, new_edge))
+    together = np.unique(np.concatenate((net[kept] * size + edge[kept], *uses)))
+    return Solution.of_uses(problem, *np.divmod(together, size))
 
 
 def figures(solution: Solution) -> tuple[int, int]:

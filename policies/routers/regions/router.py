@@ -1,9 +1,8 @@
 """The router, its options and what it reports."""
 
 import functools
-import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -12,18 +11,18 @@ from numpy.typing import NDArray
 
 from marouting import Problem, Solution
 from marouting.config import MOST, check
+from marouting.problem.grid import VIA_AXIS
 from policies.engines import Call, Engine, EngineName, cores, opened
 from policies.routers.base import small_problem
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 from policies.routers.regions.cutting import (
-    Box,
+    LEAST,
+    Division,
     Piece,
     chip_edges,
     cut,
     figures,
     joined,
-    lines,
-    work_inside,
 )
 
 Stop = Literal["done", "asked", "small"]
@@ -32,18 +31,14 @@ small that it was routed in one piece."""
 
 _DONE: Stop = "done"
 
-Kind = Literal["regions", "strips"]
+_PASSES = 6
+"""Passes that every region makes in the first steps."""
 
-_STEPS: tuple[tuple[Kind, float], ...] = (
-    ("regions", 0.5),
-    ("strips", 0.2),
-    ("regions", 0.2),
-    ("strips", 0.1),
-)
-"""What is negotiated one after another, with the share of the time."""
+_ENOUGH = 1.5
+"""With less time than so many times that of the last step, the next step is the last one."""
 
-_WIDTH = 0.25
-"""How far strips reach into each region beside their line, as a share of the region."""
+_LEAST_FALL = 0.01
+"""Share by which a step has to lower the overflow, or the next one has twice as many passes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,14 +69,16 @@ class RegionsOptions:
         check("seed", 0 <= self.seed <= MOST, f"a number from 0 to {MOST}")
 
 
-class Congestion(NamedTuple):
-    """What negotiation goes on from, beside the routes.
+class State(NamedTuple):
+    """What a step goes on from.
 
     Attributes:
+        solution: the routes.
         prices: (E,) what past overflow adds to the cost of every edge, in edges.
         present: factor by which one net too many raises the cost of an edge; 0: none so far.
     """
 
+    solution: Solution
     prices: NDArray[np.float32]
     present: float
 
@@ -89,10 +86,13 @@ class Congestion(NamedTuple):
 class Step(NamedTuple):
     """The state after a step."""
 
-    kind: str
+    kind: str  # patterns, calm or even after the lines, or one piece
     overflow: int  # in tracks
     wirelength: int  # in edges
+    axis: str  # x if the lines parted columns, y if rows
+    lines: tuple[int, ...]  # the columns or rows behind them
     processor_seconds: float  # of all tasks of the step
+    longest_seconds: float  # of the longest one
     sent: int  # bytes of the problems of all tasks
     returned: int  # bytes of their routes
 
@@ -104,15 +104,11 @@ class Routed:
     Attributes:
         solution: the solution.
         history: the steps, the patterns first.
-        axis: of the wires that were cut, 0 for x.
-        lines: the columns or rows behind the lines.
         stop: why the search ended.
     """
 
     solution: Solution
     history: tuple[Step, ...]
-    axis: int
-    lines: tuple[int, ...]
     stop: Stop
 
     @property
@@ -121,12 +117,11 @@ class Routed:
         spent = sum(step.processor_seconds for step in self.history)
         return {
             "stop": self.stop,
-            "axis": "xy"[self.axis],
-            "lines": list(self.lines),
             "processor_seconds": round(spent, 3),
+            "longest_seconds": round(sum(step.longest_seconds for step in self.history), 3),
             "sent_bytes": sum(step.sent for step in self.history),
             "returned_bytes": sum(step.returned for step in self.history),
-            "steps": [dict(step._asdict()) for step in self.history],
+            "steps": [step._asdict() | {"lines": list(step.lines)} for step in self.history],
         }
 
 
@@ -161,76 +156,111 @@ class RegionsRouter:
         began = time.thread_time()
         patterns = PathfinderOptions(passes=1, seconds=None, seed=options.seed)
         solution = PathfinderRouter(patterns).route(problem)
-        first = Step("patterns", *figures(solution), time.thread_time() - began, 0, 0)
-        axis, at = lines(solution, options.regions)
-        if not at:
+        spent = time.thread_time() - began
+        history = [Step("patterns", *figures(solution), "", (), spent, spent, 0, 0)]
+        axes = [axis for axis in range(VIA_AXIS) if problem.grid[axis] >= 2 * LEAST]
+        if options.regions == 1 or not axes:
             whole = PathfinderRouter(PathfinderOptions(seconds=options.seconds, seed=options.seed))
             whole.watch = self.watch
             began = time.thread_time()
             solution = whole.route(problem)
             spent = time.thread_time() - began
-            last = Step("one piece", *figures(solution), spent, 0, 0)
-            return Routed(solution, (first, last), axis, (), "small")
-        history, stop = [first], _DONE
-        congestion = Congestion(np.zeros(problem.topology.edges, np.float32), 0.0)
-        with opened(options.engine, min(len(at) + 1, cores()), 1) as engine:
-            for number, (kind, share) in enumerate(_STEPS):
-                seconds = None if options.seconds is None else share * options.seconds
-                boxes = _boxes(kind, axis, at, problem.grid[axis])
-                seed = (options.seed + number * options.regions) % MOST
-                solution, congestion, step, asked = self._negotiated(
-                    engine, solution, congestion, kind, boxes, seconds, seed
+            history.append(Step("one piece", *figures(solution), "", (), spent, spent, 0, 0))
+            return Routed(solution, tuple(history), "small")
+        state = State(solution, np.zeros(problem.topology.edges, np.float32), 0.0)
+        rest = options.seconds
+        passes, settled, stop, calm = _PASSES, 0, _DONE, True
+        with opened(options.engine, min(options.regions, cores()), 1) as engine:
+            # At calm lines every net can spread. Even lines keep all regions at work.
+            while settled < len(axes) and (rest is None or rest > 0):
+                last = history[-1]
+                enough = _ENOUGH * last.processor_seconds
+                if rest is not None and len(history) > 1 and rest < enough:
+                    passes, calm = MOST, True  # this step takes what is left
+                if calm:
+                    division = Division.calm(state.solution, axes, options.regions)
+                else:
+                    axis = axes[len(history) // 2 % len(axes)]
+                    division = Division.even(state.solution, axis, options.regions)
+                kind, calm = "calm" if calm else "even", not calm
+                seed = (options.seed + len(history) * options.regions) % MOST
+                best = f"best: overflow {last.overflow}, wirelength {last.wirelength}"
+                state, step, ended = self._negotiated(
+                    engine, state, division, kind, passes, rest, seed, best
                 )
                 history.append(step)
-                if asked:
+                if ended is None:
                     stop = "asked"
                     break
-        return Routed(solution.pruned(), tuple(history), axis, tuple(at), stop)
+                settled = settled + 1 if ended else 0
+                if step.overflow >= last.overflow * (1 - _LEAST_FALL):
+                    passes = min(2 * passes, MOST)
+                if rest is not None:
+                    rest -= step.processor_seconds
+        return Routed(state.solution.pruned(), tuple(history), stop)
 
     def _negotiated(
         self,
         engine: Engine,
-        solution: Solution,
-        congestion: Congestion,
-        kind: Kind,
-        boxes: Sequence[Box],
+        state: State,
+        division: Division,
+        kind: str,
+        passes: int,
         seconds: float | None,
         seed: int,
-    ) -> tuple[Solution, Congestion, Step, bool]:
-        """A step: what is there after it, what it took, and whether somebody asked to stop."""
-        pieces = [cut(solution, congestion.prices, box) for box in boxes]
-        parts = [number for number, (piece, _) in enumerate(pieces) if len(piece.pin)]
-        work = work_inside(solution, boxes)
+        best: str,
+    ) -> tuple[State, Step, bool | None]:
+        """A step.
+
+        Returns:
+            What there is after it, what it took, and whether every region found nothing better any
+            more; None if somebody asked to stop.
+        """
+        problem = state.solution.problem
+        pieces = [
+            cut(state.solution, state.prices, division, region)
+            for region in range(len(division.work))
+        ]
+        regions = [region for region, (piece, _) in enumerate(pieces) if len(piece.pin)]
         calls = []
-        for number in parts:
-            own = None if seconds is None else seconds * work[number] / work[parts].sum()
-            task = (pieces[number][0], congestion.present, own, (seed + number) % MOST)
+        for region in regions:
+            share = division.work[region] / division.work[regions].sum()
+            own = None if seconds is None else float(share * seconds)
+            task = (pieces[region][0], state.present, passes, own, (seed + region) % MOST)
             calls.append(Call(negotiate, task))
-        spent, returned, done, asked = 0.0, 0, 0, False
-        best, prices, present = figures(solution), congestion.prices.copy(), congestion.present
-        hardest = work[parts].argmax() if parts else 0
+        parts: dict[int, Part] = {}
+        asked = False
         for found in engine.run(calls):
-            for number, part in found.items():
-                box, (piece, nets) = boxes[parts[number]], pieces[parts[number]]
-                other = joined(solution, box, nets[part.net], part.edge)
-                if (new := figures(other)) <= best:
-                    solution, best = other, new
-                prices[chip_edges(solution.problem, box, piece.priced)] = 0
-                prices[chip_edges(solution.problem, box, part.priced)] = part.price
-                if number == hardest:
-                    present = part.present
-                spent, returned, done = spent + part.seconds, returned + part.size, done + 1
-            line = f"{kind}, {done} of {len(calls)}; best: overflow {best[0]}, wirelength {best[1]}"
+            parts |= {regions[number]: part for number, part in found.items()}
+            line = f"{kind} lines, {len(parts)} of {len(calls)} regions; {best}"
             if self.watch is not None and self.watch(line):
                 asked = True
                 break
-        sent = sum(pieces[number][0].size for number in parts)
-        return (
-            solution,
-            Congestion(prices, present),
-            Step(kind, *best, spent, sent, returned),
-            asked,
+        prices, present = np.zeros_like(state.prices), state.present
+        for region, (piece, _) in enumerate(pieces):
+            box = division.box(region, problem.grid[division.axis])
+            priced = parts.get(region, piece)
+            edge = chip_edges(problem, box, priced.priced)
+            prices[edge] = np.maximum(prices[edge], priced.price)
+        routes = {
+            region: (pieces[region][1][part.net], part.edge) for region, part in parts.items()
+        }
+        if parts:
+            present = max(parts.values(), key=lambda part: part.overflow).present
+        solution = joined(state.solution, division, routes)
+        spent = [part.seconds for part in parts.values()]
+        step = Step(
+            kind,
+            *figures(solution),
+            "xy"[division.axis],
+            division.lines,
+            sum(spent),
+            max(spent, default=0.0),
+            sum(pieces[region][0].size for region in regions),
+            sum(part.size for part in parts.values()),
         )
+        ended = all(part.ended for part in parts.values())
+        return State(solution, prices, present), step, None if asked else ended
 
 
 class Part(NamedTuple):
@@ -242,6 +272,8 @@ class Part(NamedTuple):
         priced: (m,) edges with a price.
         price: (m,) theirs.
         present: factor for one net too many.
+        overflow: of the region, in tracks.
+        ended: whether nothing better was found any more, with passes and time left.
         seconds: processor seconds that it took.
     """
 
@@ -250,6 +282,8 @@ class Part(NamedTuple):
     priced: NDArray[np.int32]
     price: NDArray[np.float32]
     present: float
+    overflow: int
+    ended: bool
     seconds: float
 
     @property
@@ -258,43 +292,40 @@ class Part(NamedTuple):
         return sum(part.nbytes for part in self if isinstance(part, np.ndarray))
 
 
-def negotiate(piece: Piece, present: float, seconds: float | None, seed: int) -> Part:
+def negotiate(piece: Piece, present: float, passes: int, seconds: float | None, seed: int) -> Part:
     """A task: routes a piece.
 
     Args:
         piece: the problem.
         present: factor for one net too many, to go on from; 0 to begin.
+        passes: how many passes over the nets, at most.
         seconds: limit of processor time; None for no limit.
         seed: seed of the random numbers.
     """
     _warm()
     began = time.thread_time()
-    options = PathfinderOptions(seconds=seconds, seed=seed)
     problem = piece.problem()
     now = Solution.of_uses(problem, piece.net.astype(np.int64), piece.edge.astype(np.int64))
     prices = np.zeros(problem.topology.edges)
     prices[piece.priced] = piece.price
-    found = PathfinderRouter(options).solve(problem, now, prices, present)
+    taken = np.zeros(problem.topology.edges, np.int64)
+    taken[piece.shared] = piece.taken
+    if seconds is not None:
+        seconds = max(seconds - (time.thread_time() - began), 0.0)
+    # The first pass puts in place what is there, and the factor grows behind it.
+    options = PathfinderOptions(passes=min(passes + 1, MOST), seconds=seconds, seed=seed)
+    present /= options.growth
+    found = PathfinderRouter(options).solve(problem, now, prices, present, taken)
     net, edge = (part.astype(np.int32) for part in found.solution.uses)
     priced = np.flatnonzero(found.prices)
     price = found.prices[priced].astype(np.float32)
+    overflow = min((each.overflow for each in found.history), default=0)
+    ended = found.stop in ("optimal", "settled")
     spent = time.thread_time() - began
-    return Part(net, edge, priced.astype(np.int32), price, found.present, spent)
+    return Part(net, edge, priced.astype(np.int32), price, found.present, overflow, ended, spent)
 
 
 @functools.cache
 def _warm() -> None:
     """Compiles once per process, so that the limit is that of routing."""
     PathfinderRouter().route(small_problem())
-
-
-def _boxes(kind: Kind, axis: int, at: Sequence[int], size: int) -> list[Box]:
-    """The regions between lines, or the strips along them."""
-    ends = (0, *at, size)
-    if kind == "regions":
-        return [Box(axis, low, high) for low, high in itertools.pairwise(ends)]
-    reach = [round(_WIDTH * (high - low)) for low, high in itertools.pairwise(ends)]
-    return [
-        Box(axis, line - before, line + behind)
-        for line, before, behind in zip(at, reach[:-1], reach[1:], strict=True)
-    ]
