@@ -61,9 +61,9 @@ class RuleOptions:
         rip_up_neighbours: how many nets that stand in its way walk again together with a net.
         rip_up_patience: rounds after which one more of them does so, from none in the first rounds;
             0: all of them from the first round on.
-        rip_up_prices: whether nets negotiate: in the first walk they share edges cheaply, in some of
-            the rounds edges with overflow get dearer, and nets keep the routes that cost them less.
-            With ``overflow: allowed`` only; without rounds nothing is priced.
+        rip_up_prices: whether nets negotiate: in the first walk they share edges cheaply, in some
+            of the rounds edges with overflow get dearer, and nets keep the routes that cost them
+            less. With ``overflow: allowed`` only; without rounds nothing is priced.
 
     Raises:
         InputError: an option is out of range.

@@ -30,8 +30,8 @@ walks again is the last one.
 With ``rip_up_prices`` nets negotiate as well. The first walk and some of the rounds are **priced**:
 edges cost what :mod:`marouting.game.prices` says. In such a round every net walks again alone, and
 it keeps its new routes if they join as many tasks and cost it no more than the old ones, whatever
-becomes of the whole problem. So nets part that share an edge with others. In rounds that are not priced, the **plain** ones, all is
-as without the option, but patience counts plain rounds in a row.
+becomes of the whole problem. So nets part that share an edge with others. In rounds that are not
+priced, the **plain** ones, all is as without the option, but patience counts plain rounds in a row.
 
 * After the first walk, and after a priced round, the next round is priced if there is overflow,
   unless ten priced rounds in a row have not lowered it by one per cent of the least since the last

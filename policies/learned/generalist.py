@@ -282,7 +282,7 @@ def _cost(engine: Engine, m: int) -> tuple[int, int, int]:
 
 
 def _walked(engine: Engine) -> tuple[int, ...]:
-    """What the first walk of the first game is judged by; at prices overflow can still be parted."""
+    """What the first walk of the first game is judged by; at prices overflow can still go away."""
     still_open, overflow, wirelength = _cost(engine, 0)
     if engine.rules.rip_up_prices:
         return still_open, overflow + wirelength

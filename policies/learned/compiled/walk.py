@@ -14,9 +14,10 @@ the network alone is to walk.
 An agent that is asked whether its net gives way (``rip_up: agents``) says so with a reason: a task
 of its own is open; or it uses an edge with overflow; or, if there is none in the problem, its net
 was shorter after an earlier walk (one that was undone counts as well, but for the last net of it).
-In the first round, and the first of some priced ones, the reason is that its edges cost more than its shortest routes
-would without prices; in the others, overflow alone. Without a reason it says so in one round out of
-eight, in every round other agents, but not where overflow alone counts.
+In the first round, and the first of some priced ones, the reason is that its edges cost more than
+its shortest routes would without prices; in the other priced ones, overflow alone. Without a reason
+it says so in one round out of eight, in every round other agents, but not where overflow alone
+counts.
 """
 
 from typing import Any, NamedTuple
