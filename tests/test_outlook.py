@@ -333,7 +333,7 @@ def test_the_loop_walks_as_the_network_does(rip_up: str, rounds: int) -> None:
     """The same moves as by the observation, a product of matrices and the engine's steps."""
     more: dict[str, Any] = {"rip_up": rip_up, "rip_up_rounds": rounds, "rip_up_neighbours": 1}
     more["rip_up_prices"] = rounds > 2
-    problems = marouting.generate(2, nets=15, max_pins=4, capacity=3, seed=3)
+    problems = marouting.generate(2, nets=15, max_pins=4, capacity=4, seed=3)
     seen = OutlookObservation(radius=1)
     sizes = (seen.size, 16, 6)
     rng = np.random.default_rng(0)

@@ -53,9 +53,10 @@ _LEAST, _ROOM, _TIGHT = 0.01, 2, 8
 where it ended without overflow, at most an eighth elsewhere: on tight problems Steiner trees gain
 little, and in a few milliseconds rip-ups gain more."""
 
-_WALKS, _MOVE = 6, 7e-6
-"""Nets walk at prices from the first move on if there is time for so many walks of all, at so many
-seconds per edge of the half perimeters of their pins. In less time they first avoid overflow."""
+_ENOUGH, _WALKS, _MOVE = 20, 6, 7e-6
+"""Nets walk at prices from the first move on if there are so many rounds, and time for so many
+walks of all, at so many seconds per edge of the half perimeters of their pins. Otherwise they first
+avoid overflow."""
 
 _OFTEN = 0.1
 """Seconds between two lines to who watches."""
@@ -195,7 +196,9 @@ class GeneralistRouter:
             return other
 
         first, guide = engine, None
-        hurries = o.seconds is not None and o.seconds < _WALKS * _MOVE * _half_perimeters(problem)
+        hurries = o.rounds < _ENOUGH
+        if o.seconds is not None:
+            hurries |= o.seconds < _WALKS * _MOVE * _half_perimeters(problem)
         if hurries and rules.rip_up_prices:
             rules = replace(rules, rip_up_prices=False)
             first = other_game(rules)
