@@ -273,6 +273,12 @@ class Problem:
             table.setflags(write=False)
         return first, gcell
 
+    def pin_boxes(self) -> NDArray[np.int64]:
+        """(2, nets, 3) the first and the last column, row and layer, in Gcells, of a net's pins."""
+        first, gcell = self.flat_pin_gcells
+        at = np.stack(np.unravel_index(gcell, self.grid), axis=1)
+        return np.stack([end.reduceat(at, first[:-1]) for end in (np.minimum, np.maximum)])
+
     @functools.cached_property
     def pin_gcells(self) -> tuple[NDArray[np.int64], ...]:
         """For each net the numbers of the Gcells that hold its pins, each once, in pin order."""

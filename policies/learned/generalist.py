@@ -29,7 +29,16 @@ from marouting.game.engine import Engine
 from marouting.game.options import MOST_NEIGHBOURS, MOST_ROUNDS
 from marouting.game.outlook import DETOURS, OutlookObservation
 from marouting.problem.grid import MOVES
-from policies.learned.compiled.walk import Walk, follow, make_walk, take_best, walk, walk_on
+from policies.learned.compiled.walk import (
+    MOST_STEPS,
+    Walk,
+    follow,
+    make_walk,
+    take_best,
+    walk,
+    walk_on,
+    walk_out,
+)
 from policies.learned.networks.mlp import MLP
 from policies.learned.policy import SHIPPED, Routed, TrainedPolicy
 from policies.learned.streams import keys
@@ -37,9 +46,9 @@ from policies.learned.streams import keys
 _SURE = 8.0
 """How much a Gcell of detour lowers a move's score without a network; see ``mind``."""
 
-_STEPS, _MOST_STEPS = 32, 2**20
-"""Moves of every copy between two looks at the clock, at least (a fifth of a millisecond on small
-grids) and at most."""
+_STEPS = 32
+"""Moves of every copy between two looks at the clock, at least: a fifth of a millisecond on small
+grids."""
 
 _STEINER: dict[str, Any] = {
     "decomposition": "steiner",
@@ -50,8 +59,8 @@ _STEINER: dict[str, Any] = {
 
 _LEAST, _ROOM, _TIGHT = 0.01, 2, 8
 """That game is played if there are so many seconds, and if the first one took at most half of them
-where it ended without overflow, at most an eighth elsewhere: on tight problems Steiner trees gain
-little, and in a few milliseconds rip-ups gain more."""
+where it was played at prices or ended without overflow, at most an eighth elsewhere: on tight
+problems Steiner trees gain little, and in a few milliseconds rip-ups gain more."""
 
 _ENOUGH, _WALKS, _MOVE = 20, 6, 7e-6
 """Nets walk at prices from the first move on if there are so many rounds, and time for so many
@@ -81,8 +90,9 @@ class GeneralistOptions:
         neighbours: the most nets that walk again with a net because they stand in its way.
         patience: plain rounds in a row after which one more of them does so, from none in the first
             ones; 0: all of them from the first on.
-        prices: whether nets negotiate (:mod:`marouting.game.prices`), where there is time for it.
-            Without ``overflow: allowed``, of which the weights tell, they cannot.
+        prices: whether nets negotiate (:mod:`marouting.game.prices`); where there is little time or
+            are few rounds, not from the first walk on. Without ``overflow: allowed``, of which the
+            weights tell, they cannot.
         seed: seed of the random numbers.
         mind: who chooses the moves: ``network``; or, to see what the search does without learning,
             ``ways``, whose moves lead along the cheapest way, or ``chance``.
@@ -191,27 +201,26 @@ class GeneralistRouter:
             """Another game of the problem, in which all nets have walked by the best moves."""
             other = Engine([problem], rules)
             alone = make_walk(other, *seen, np.zeros(1, np.float32), own[:1])
-            _all_walk(other, alone)
+            walk_out(other, alone, True)
             given.counters[0] += alone.counters[0]
             return other
 
         first, guide = engine, None
-        hurries = o.rounds < _ENOUGH
-        if o.seconds is not None:
-            hurries |= o.seconds < _WALKS * _MOVE * _half_perimeters(problem)
+        seconds = np.inf if o.seconds is None else o.seconds
+        low, high = problem.pin_boxes()
+        hurries = o.rounds < _ENOUGH or seconds < _WALKS * _MOVE * (high - low).sum()
         if hurries and rules.rip_up_prices:
             rules = replace(rules, rip_up_prices=False)
             first = other_game(rules)
-            _all_walk(engine, follow(given, first))
+            walk_out(engine, follow(given, first), True)
         else:
-            _all_walk(engine, given)
-        share = _TIGHT if any(_cost(first, 0)[: 2 - rules.rip_up_prices]) else _ROOM
-        seconds = np.inf if o.seconds is None else o.seconds
+            walk_out(engine, given, True)
+        share = _TIGHT if any(_walked(first)[:-1]) else _ROOM
         if seconds >= max(_LEAST, share * (time.thread_time() - began)):
             guide = other_game(replace(rules, **_STEINER))
             if rules.target == "tree" and _walked(guide) < _walked(first):
                 engine.reset(np.arange(o.copies) == 0)
-                _all_walk(engine, follow(given, guide))
+                walk_out(engine, follow(given, guide), True)
         warmth[:] = o.warmth
         self._rip_up(engine, given, began)
         best = int(_ranking(engine)[0])
@@ -245,14 +254,14 @@ class GeneralistRouter:
         def steps() -> int:
             """So many that a call costs little beside them, and half the time at most."""
             made = given.counters.max() / max(time.thread_time() - began, 1e-6)
-            return int(np.clip(made * min(left(), _OFTEN) / 2, _STEPS, _MOST_STEPS))
+            return int(np.clip(made * min(left(), _OFTEN) / 2, _STEPS, MOST_STEPS))
 
         if o.rounds and in_time():
             walk_on(engine, given)
             over = False
             while not over and in_time():
                 over = walk(engine, given, steps(), False)
-            _all_walk(engine, given)
+            walk_out(engine, given, True)
             if engine.rules.rip_up_prices:
                 take_best(engine)
 
@@ -271,12 +280,6 @@ def _read(
     return seen, module.sizes, np.concatenate(flat)
 
 
-def _all_walk(engine: Engine, given: Walk) -> None:
-    """Plays on until all nets have walked that have begun."""
-    while not walk(engine, given, _MOST_STEPS, True):
-        pass
-
-
 def _cost(engine: Engine, m: int) -> tuple[int, int, int]:
     """What a game is judged by: open tasks, overflow and wirelength."""
     game = engine.games[m]
@@ -290,14 +293,6 @@ def _walked(engine: Engine) -> tuple[int, ...]:
     if engine.rules.rip_up_prices:
         return still_open, overflow + wirelength
     return still_open, overflow, wirelength
-
-
-def _half_perimeters(problem: Problem) -> int:
-    """Edges of the half perimeters around the pins of all nets, vias as well."""
-    first, cells = problem.flat_pin_gcells
-    at = problem.topology.position[cells]
-    sides = np.maximum.reduceat(at, first[:-1]) - np.minimum.reduceat(at, first[:-1])
-    return int(sides.sum())
 
 
 def _orders(engine: Engine, seed: int) -> NDArray[np.int32]:

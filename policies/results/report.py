@@ -171,13 +171,9 @@ def steiner_bounds(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.bool
         adjustments=(),
         chip=None,
     )
-    first, gcells = flat.flat_pin_gcells
-    pins = np.diff(first)
-    x, y = np.divmod(gcells, rows)
-    starts = first[:-1]
-    half = np.zeros(len(pins), np.int64)
-    for place in (x, y):
-        half += np.maximum.reduceat(place, starts) - np.minimum.reduceat(place, starts)
+    pins = np.diff(flat.flat_pin_gcells[0])
+    low, high = flat.pin_boxes()
+    half = (high - low).sum(axis=1)
     few = pins <= EXACT_PINS
     exact = _tree_lengths(_of_nets(flat, few), "steiner")
     spanning = _tree_lengths(_of_nets(flat, ~few), "mst")

@@ -16,15 +16,12 @@ from marouting.kernels import allocating, wide
 from marouting.player import Known, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
 from policies.learned.compiled.gradient import q_values, units_of
-from policies.learned.compiled.walk import make_walk, walk
+from policies.learned.compiled.walk import make_walk, walk_out
 from policies.learned.exploration import choose
 from policies.learned.networks.mlp import MLP
 
 _MANY = 4
 """Rip-up rounds from which on the loop for ``outlook`` is worth being loaded or compiled."""
-
-_ALL = 2**20
-"""Moves in one go."""
 
 
 def layers_of(player: Player, module: nn.Module, *, masking: bool) -> tuple[int, ...] | None:
@@ -79,8 +76,7 @@ def _walk_out(player: Player, layers: tuple[int, ...], weights: NDArray[np.float
     for row, own in enumerate(weights):
         given = make_walk(engine, observation, layers, own, cold, keys, helped=False)
         given.playing[:] = of == row
-        while not walk(engine, given, _ALL, False):
-            pass
+        walk_out(engine, given, False)
     player.buffers.active[:] = False
 
 

@@ -52,6 +52,9 @@ from policies.learned.streams import uniform
 _ANYWAY = 8
 """In one round out of these a net gives way without reason."""
 
+MOST_STEPS = 2**20
+"""Moves of each game in one go, at most."""
+
 _COOLER = 0.5
 """Share of the warmth in priced rounds: prices drive nets apart as well."""
 
@@ -157,6 +160,12 @@ def walk(engine: Engine, given: Walk, steps: int, stops: bool) -> bool:
         static, dynamic = engine.static, engine.dynamic
         stopped, steps = _walk(static, dynamic, maps, ways, given, steps, stops)
     return bool(stopped)
+
+
+def walk_out(engine: Engine, given: Walk, stops: bool) -> None:
+    """Plays games on until all have stopped or are over; see :func:`walk`."""
+    while not walk(engine, given, MOST_STEPS, stops):
+        pass
 
 
 def walk_on(engine: Engine, given: Walk) -> None:

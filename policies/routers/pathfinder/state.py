@@ -207,10 +207,8 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
     )
     routable = np.flatnonzero(np.diff(first) > 1)
     # Short nets come first: they have fewer ways to choose from.
-    extent = np.zeros(nets, np.int64)
-    for axis in range(VIA_AXIS):
-        at = grid.position[pin, axis]
-        extent += np.maximum.reduceat(at, first[:-1]) - np.minimum.reduceat(at, first[:-1])
+    low, high = problem.pin_boxes()
+    extent = (high - low)[:, :VIA_AXIS].sum(axis=1)
     progress = np.zeros(1, PROGRESS)
     progress["random"] = options.seed
     progress["kind"] = PATTERN

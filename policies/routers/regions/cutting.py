@@ -208,11 +208,8 @@ class Division(NamedTuple):
 
 def _middle(problem: Problem, axis: int) -> NDArray[np.int64]:
     """(nets,) the column or row of the middle of a net's pins."""
-    first, pin = problem.flat_pin_gcells
-    at = pin // problem.strides[axis] % problem.grid[axis]
-    middle: NDArray[np.int64] = np.minimum.reduceat(at, first[:-1])
-    middle += np.maximum.reduceat(at, first[:-1])
-    return middle // 2
+    middle: NDArray[np.int64] = problem.pin_boxes()[:, :, axis].sum(axis=0) // 2
+    return middle
 
 
 def _disturbed(solution: Solution) -> NDArray[np.bool_]:
