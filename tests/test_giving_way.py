@@ -236,6 +236,28 @@ def test_prices_part_two_nets() -> None:
     assert engine.games[0]["plain"] == 1
 
 
+def test_agents_that_are_not_there_have_no_routes() -> None:
+    """Taking the best routes, nobody looks at tasks that belong to the next problem or to none."""
+    more = net("4", (0, 1), (1, 0)), net("5", (2, 0), (0, 1))
+    few, many = CROSSING, replace(CROSSING, nets=CROSSING.nets + more)
+    engine = Engine(
+        [few, many, few],
+        target="tree",
+        rip_up_rounds=5,
+        rip_up_prices=True,
+        overflow="allowed",
+        max_steps=6,
+    )
+    rng = np.random.default_rng(0)
+    while (engine.games["agent"] != NOBODY).any():
+        masks = engine.masks(*engine.pairs(everyone=False))
+        engine.step(np.array([rng.choice(np.flatnonzero(mask)) for mask in masks]))
+    engine.check_saved(engine.save())
+    assert engine.more.tree[:, :3].any(axis=2).all()
+    assert engine.more.tree[1].any(axis=1).all()
+    assert not engine.more.tree[[0, 2], 3:].any()
+
+
 def judged(engine: Engine, best: Any) -> Any:
     """The present score, no worse than the best so far."""
     now = engine.metrics()

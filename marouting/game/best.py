@@ -5,7 +5,7 @@ The better routes have more tasks joined, then less overflow, then less wireleng
 
 from marouting.game.bits import byte_at, byte_of, copy_row, places
 from marouting.game.edges import use_edges
-from marouting.game.state import Dynamic, Option, Static
+from marouting.game.state import Dynamic, Option, Static, Status
 from marouting.game.tasks import clear, grow_tree, is_on, keeps_tree
 from marouting.kernels import compiled, inlined, place, wide
 
@@ -41,6 +41,8 @@ def put_best(static: Static, dynamic: Dynamic, m: int) -> None:
     """Nets take the best routes so far."""
     note_best(static, dynamic, m)
     for n in range(dynamic.agents.shape[1]):
+        if dynamic.agents[m, n].status == Status.ABSENT:  # it has no tasks, nor a first pin
+            continue
         row = place(static.options[Option.BEST] + n)
         joined = dynamic.numbers[m, static.options[Option.BEST_JOINED] + n]
         take_routes(static, dynamic, m, n, row, joined)
