@@ -4,8 +4,10 @@ It shares nothing with the compiled code but the state of the game.
 """
 
 from fractions import Fraction
+from itertools import combinations
 from typing import Any
 
+import networkx as nx
 import numpy as np
 from reference import Edge, all_edges, edge_number
 
@@ -42,6 +44,62 @@ def open_tasks(engine: Engine, m: int, n: int) -> list[tuple[Gcell, Gcell]]:
     return [
         (gcell(engine, a), gcell(engine, b)) for a, b in [(agent["cell"], agent["target"]), *later]
     ]
+
+
+def is_priced(engine: Engine, m: int) -> bool:
+    game = engine.games[m]
+    return engine.rules.rip_up_prices and engine.rules.rip_up_rounds > 0 and game["plain"] == 0
+
+
+def edge_costs(
+    engine: Engine, m: int, n: int, taken: dict[Edge, Any] | None
+) -> dict[Edge, float | None]:
+    """What every edge costs net n; None for one that it cannot cross."""
+    problem = engine.problems[m]
+    costs: dict[Edge, float | None] = {}
+    for edge in all_edges(problem):
+        costs[edge] = 1.0
+        if edge[0][2] != edge[1][2]:
+            continue
+        number = edge_number(problem, edge)
+        demand = int(engine.static.demand[m, n, edge[0][2]])
+        own = np.unpackbits(engine.dynamic.used[m, n], bitorder="little")[number]
+        remaining = int(engine.dynamic.remaining[m, number]) + demand * int(own)
+        if is_priced(engine, m):
+            game, price = engine.games[m], int(engine.more.prices[m, number])
+            cost, over = 16 + price, demand - remaining
+            if over > 0 and demand:
+                cost = cost * (1024 + int(game["present"]) * over // demand) // 1024
+            blocked = demand > engine.static.capacity[m, number]
+            costs[edge] = 60.0 if blocked else min(cost / 16, 60)
+        elif remaining < demand:
+            costs[edge] = 33.0 if engine.static.overflow_allowed else None
+        elif taken is not None:
+            # In float32 like the router's, so that both round the same quarters down.
+            slack = (np.float32(remaining) - np.float32(taken[edge])) / np.float32(max(demand, 1))
+            scarce = max(-4 * (slack - np.float32(1)), 0)
+            costs[edge] += min(int(scarce), 16) / 4  # type: ignore[operator]
+    return costs
+
+
+def cheapest_tree(costs: dict[Edge, float | None], pins: set[Gcell]) -> float:
+    """What the cheapest tree that joins pins costs, after Dreyfus and Wagner."""
+    graph: nx.Graph[Gcell] = nx.Graph()
+    graph.add_weighted_edges_from((*edge, cost) for edge, cost in costs.items())
+    apart = dict(nx.all_pairs_dijkstra_path_length(graph))
+    root, *others = sorted(pins)
+    trees: dict[frozenset[Gcell], dict[Gcell, float]] = {}
+    for size in range(1, len(others) + 1):
+        for group in map(frozenset, combinations(others, size)):
+            halves = [frozenset(part) for k in range(1, size) for part in combinations(group, k)]
+            met = {
+                cell: min(trees[half][cell] + trees[group - half][cell] for half in halves)
+                if halves
+                else (0.0 if cell in group else np.inf)
+                for cell in graph
+            }
+            trees[group] = {a: min(met[b] + apart[a][b] for b in graph) for a in graph}
+    return trees[frozenset(others)][root] if others else 0.0
 
 
 def expected(engine: Engine, m: int, agents: list[int]) -> dict[Edge, Fraction]:

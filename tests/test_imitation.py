@@ -68,10 +68,14 @@ def finish(training: Trainer) -> list[Any]:
     return [episode for episodes in training.run() for episode in episodes]
 
 
-def test_it_goes_on_from_a_state() -> None:
-    whole = trainer(config())
+PRICED: dict[str, Any] = {"rip_up_prices": True, "rip_up_rounds": 3, "rip_up": "conflicts"}
+
+
+@pytest.mark.parametrize("env", [{}, PRICED])
+def test_it_goes_on_from_a_state(env: dict[str, Any]) -> None:
+    whole = trainer(config(env=env))
     expected = finish(whole)
-    first, found = trainer(config()), []
+    first, found = trainer(config(env=env)), []
     for episodes in first.run():
         found += episodes
         if len(found) >= 17:
@@ -79,7 +83,7 @@ def test_it_goes_on_from_a_state() -> None:
     state = first.state()
     for part in ("training", "trainer"):
         state[part] = {name: tensor.clone() for name, tensor in state[part].items()}
-    second = trainer(config())
+    second = trainer(config(env=env))
     second.load_state(state, "memory")
     assert found + finish(second) == expected
     assert torch.equal(second.learner.networks.flat, whole.learner.networks.flat)
@@ -105,6 +109,18 @@ def test_what_it_learns_routes_larger_problems(tmp_path: Path) -> None:
     assert tuple(total["network"]) < tuple(total["ways"])
 
 
+@pytest.mark.parametrize("plain", [0.0, 0.5, 1.0])
+def test_a_share_of_the_episodes_begins_plain(plain: float) -> None:
+    """The others begin at prices."""
+    train = {"games": 64, "episodes": 64}
+    training = trainer(config(env=PRICED, learner={"plain": plain}, train=train))
+    next(training.run())
+    games = training.player.engine.games
+    first = (games["round"] == 0) & (games["steps"] > 0)
+    assert first.sum() > 32
+    assert np.mean(games["plain"][first] == 1) == pytest.approx(plain, abs=0.2 * (plain % 1 > 0))
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
@@ -121,6 +137,7 @@ def test_what_it_learns_routes_larger_problems(tmp_path: Path) -> None:
         ({"learner": {"masking": False}}, "masking"),
         ({"learner": {"batch": 10_000}}, "batch"),
         ({"learner": {"taught": 2}}, "taught"),
+        ({"learner": {"plain": 2}}, "plain"),
     ],
 )
 def test_other_games_are_refused(changed: dict[str, Any], said: str) -> None:

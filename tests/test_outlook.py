@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import Edge, all_edges, between, contested, edge_number
-from seeing import Gcell, expected, gcell, open_tasks, squash
+from seeing import Gcell, edge_costs, expected, gcell, is_priced, open_tasks, squash
 from torch import nn
 
 import marouting
@@ -35,42 +35,6 @@ def far(distance: float) -> float:
 
 def apart(a: Gcell, b: Gcell) -> int:
     return sum(abs(p - q) for p, q in zip(a, b, strict=True))
-
-
-def is_priced(engine: Engine, m: int) -> bool:
-    game = engine.games[m]
-    return engine.rules.rip_up_prices and engine.rules.rip_up_rounds > 0 and game["plain"] == 0
-
-
-def edge_costs(
-    engine: Engine, m: int, n: int, taken: dict[Edge, Any] | None
-) -> dict[Edge, float | None]:
-    """What every edge costs net n; None for one that it cannot cross."""
-    problem = engine.problems[m]
-    costs: dict[Edge, float | None] = {}
-    for edge in all_edges(problem):
-        costs[edge] = 1.0
-        if edge[0][2] != edge[1][2]:
-            continue
-        number = edge_number(problem, edge)
-        demand = int(engine.static.demand[m, n, edge[0][2]])
-        own = np.unpackbits(engine.dynamic.used[m, n], bitorder="little")[number]
-        remaining = int(engine.dynamic.remaining[m, number]) + demand * int(own)
-        if is_priced(engine, m):
-            game, price = engine.games[m], int(engine.more.prices[m, number])
-            cost, over = 16 + price, demand - remaining
-            if over > 0 and demand:
-                cost = cost * (1024 + int(game["present"]) * over // demand) // 1024
-            blocked = demand > engine.static.capacity[m, number]
-            costs[edge] = 60.0 if blocked else min(cost / 16, 60)
-        elif remaining < demand:
-            costs[edge] = 33.0 if engine.static.overflow_allowed else None
-        elif taken is not None:
-            # In float32 like the router's, so that both round the same quarters down.
-            slack = (np.float32(remaining) - np.float32(taken[edge])) / np.float32(max(demand, 1))
-            scarce = max(-4 * (slack - np.float32(1)), 0)
-            costs[edge] += min(int(scarce), 16) / 4  # type: ignore[operator]
-    return costs
 
 
 def ways(engine: Engine, m: int, n: int, costs: dict[Edge, float | None], margin: int) -> Any:

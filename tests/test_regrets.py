@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from reference import contested
+from reference import contested, edge_number
+from seeing import cheapest_tree, edge_costs, gcell, is_priced
 
 from marouting import Engine, InputError, Net, Pin, Problem, Solution, evaluate
+from marouting.game.prices import UNIT
 from marouting.game.state import NOBODY
 from marouting.search.regrets import MASKED, Regrets
 from policies.routers.optimal import OptimalRouter
@@ -68,6 +70,34 @@ def test_moves_without_regret_are_as_good_as_the_optimum(
 
 
 @settings(deadline=None, max_examples=15)
+@given(contested(max_nets=4), st.integers(0, 1000))
+def test_in_priced_rounds_a_net_gets_its_cheapest_tree(problem: Problem, seed: int) -> None:
+    rules = RULES | {"rip_up_prices": True, "rip_up_rounds": 6, "rip_up": "conflicts"}
+    engine = Engine([problem], overflow="allowed", max_steps=1000, **rules)
+    regrets, out = Regrets(engine, margin=100), np.zeros((1, 6), np.int32)
+    rng, priced = np.random.default_rng(seed), 0
+    while (n := int(engine.games["agent"][0])) != NOBODY:
+        number, costs = engine.games["round"][0], edge_costs(engine, 0, n, None)
+        first, end = engine.static.first[0, n : n + 2].tolist()
+        pins = {gcell(engine, int(pin)) for task in engine.static.tasks[first:end] for pin in task}
+        least = cheapest_tree(costs, pins) if is_priced(engine, 0) else None
+        assert not engine.dynamic.used[0, n].any()  # with these rules nets walk one by one
+        while True:
+            regrets.write(np.array([0]), np.array([n]), out)
+            engine.move(rng.choice(np.flatnonzero(out[0] == 0), 1))
+            used = np.unpackbits(engine.dynamic.used[0, n], bitorder="little")
+            edges = [edge for edge in costs if used[edge_number(problem, edge)]]
+            engine.settle(everyone=False)
+            games = engine.games
+            if games["agent"][0] != n or games["round"][0] != number or games["ripped"][0]:
+                break
+        if least is not None:
+            assert sum(costs[edge] or 0 for edge in edges) == pytest.approx(least)
+            priced += 1
+    assert priced >= int((engine.tasks > 0).sum())
+
+
+@settings(deadline=None, max_examples=15)
 @given(
     st.lists(st.tuples(*[st.integers(0, 5)] * 2, st.integers(1, 2)), min_size=2, max_size=5),
     st.integers(0, 1000),
@@ -89,7 +119,7 @@ def test_a_small_example_by_hand() -> None:
     regrets.write(np.array([0]), np.array([0]), out)
     # From (2, 0) to (0, 0): straight it takes 2 edges and 2 for the third pin. By (2, 1) it takes 4
     # and 1.
-    assert out[0].tolist() == [MASKED, 0, 1, MASKED, MASKED, MASKED]
+    assert out[0].tolist() == [MASKED, 0, UNIT, MASKED, MASKED, MASKED]
     regrets.write(np.array([0]), np.array([NOBODY]), out)
     assert (out == MASKED).all()
 

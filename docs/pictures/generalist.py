@@ -36,7 +36,7 @@ def negotiated(problem: Problem) -> tuple[int, int]:
 
 
 def gaps() -> tuple[list[int], list[float], list[float]]:
-    """Episodes, and a single shot's gaps in % to negotiation.
+    """Episodes, and the gaps in % of games by the best moves to negotiation.
 
     Returns:
         Episodes; the gaps in wirelength on the problems that negotiation routes without overflow;
@@ -62,7 +62,7 @@ def gaps() -> tuple[list[int], list[float], list[float]]:
 
 
 def draw(path: Path) -> None:
-    """Draws the loss, and the gaps of a single shot."""
+    """Draws the loss, and the gaps of games by the best moves."""
     mpl.rcParams.update({"font.size": 11, "svg.fonttype": "path", "svg.hashsalt": "generalist"})
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
     left.plot(*loss(), color=BLUE)
@@ -73,7 +73,7 @@ def draw(path: Path) -> None:
         episodes, over, color=ORANGE, marker="s", linestyle="--", label="overflow, elsewhere"
     )
     right.set(xlabel="episodes", ylabel="above negotiation, %", ylim=(0, None))
-    right.legend(loc="lower right")
+    right.legend(loc="center right")
     for panel in (left, right):
         panel.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, metadata={"Date": None})

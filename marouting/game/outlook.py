@@ -335,8 +335,8 @@ def _room(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, axis: int
 
 
 @inlined
-def _widened(static: Static, dynamic: Dynamic, m: int, margin: int) -> int:
-    """The margin of the present round: the longer priced rounds gain nothing, the wider it is."""
+def widened(static: Static, dynamic: Dynamic, m: int, margin: int) -> int:
+    """A margin in the present round: the longer priced rounds gain nothing, the wider it is."""
     return margin + 2 * wide(dynamic.games[m].stuck) * is_priced(static, dynamic, m)
 
 
@@ -371,7 +371,7 @@ def _note(
                         ways.price[m, cell, axis] = price_of(static, dynamic, m, AXES * cell + axis)
     ways.found[m, 0] = n
     ways.found[m, 1] = dynamic.agents[m, n].task
-    ways.found[m, 2] = _widened(static, dynamic, m, margin)
+    ways.found[m, 2] = widened(static, dynamic, m, margin)
     ways.found[m, 3] = _present(static, dynamic, m)
 
 
@@ -384,7 +384,7 @@ def _are_found(
     To look costs a small part of finding them, and while an agent walks it is all that is needed.
     """
     found = ways.found[m]
-    margin = _widened(static, dynamic, m, margin)
+    margin = widened(static, dynamic, m, margin)
     if found[0] != n or found[1] != dynamic.agents[m, n].task or found[2] != margin:
         return False
     if found[3] != _present(static, dynamic, m):
@@ -432,7 +432,7 @@ def find_ways(
         margin: Gcells around the open pins.
     """
     columns, rows, layers = grid_of(static)
-    margin = _widened(static, dynamic, m, margin)
+    margin = widened(static, dynamic, m, margin)
     ways.found[m, 0] = NOBODY
     for axis in range(VIA_AXIS):
         low, high = _box(static, dynamic, m, n, wide(axis))

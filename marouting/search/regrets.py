@@ -6,10 +6,11 @@ move is by how much the cheapest routing that begins with the move is dearer tha
 all. Moves without regret are best; an agent that makes no other has routed its net in the best way
 that the other nets leave.
 
-Costs: an edge that the net uses costs nothing, any other 1, and one without room for the net 64
-more. Nets that have still to walk for the first time can be given as **coming**: the demand that
-they will have, say by a solution. Then a net leaves them the room that they need: agents that all
-make moves without regret end up with a solution no worse than that one.
+Costs: an edge that the net uses costs nothing; in a priced round any other costs what
+:mod:`marouting.game.prices` says, elsewhere 1, and 64 more without room for the net. Nets that have
+still to walk for the first time can be given as **coming**: the demand that they will have, say by
+a solution. Then a net leaves them the room that they need: agents that all make moves without
+regret end up with a solution no worse than that one. In priced rounds nobody leaves room.
 
 The costs are exact for nets with up to four open pins beside the agent's own (of larger nets the
 four nearest count), inside the box around these pins and ``margin`` Gcells more. When a task
@@ -26,7 +27,9 @@ from numpy.typing import NDArray
 from marouting.config import check
 from marouting.game.edges import demand_of, uses
 from marouting.game.engine import Engine
+from marouting.game.outlook import widened
 from marouting.game.places import grid_of, position
+from marouting.game.prices import UNIT, edge_cost, is_priced
 from marouting.game.rules import free_moves, is_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static
 from marouting.game.tasks import holds, next_nearest
@@ -71,7 +74,8 @@ class Regrets:
 
     Args:
         engine: the games.
-        margin: Gcells around the open pins.
+        margin: Gcells around the open pins; more in priced rounds that gain nothing, as in
+            :mod:`marouting.game.outlook`.
 
     Attributes:
         lessons: what is known; it is to be saved and restored with the games.
@@ -117,8 +121,9 @@ class Regrets:
         Args:
             problems: (K,) their problems.
             agents: (K,) their numbers, of each problem the one whose turn it is, or NOBODY.
-            out: (K, 6) int32 filled: 0 for the best moves; MASKED for those that the mask leaves
-                out, and for all moves of NOBODY.
+            out: (K, 6) int32 filled, in parts of :data:`marouting.game.prices.UNIT` of an edge: 0
+                for the best moves; MASKED for those that the mask leaves out, and for all moves of
+                NOBODY.
 
         Raises:
             ValueError: there are no such agents.
@@ -138,15 +143,17 @@ def _edge_cost(
     if uses(dynamic.used, m, n, edge):
         return wide(0)
     if axis == VIA_AXIS:
-        return wide(1)
+        return wide(UNIT)
     demand = wide(demand_of(static, m, n, cell, 2 * axis))
     remaining = wide(dynamic.remaining[m, edge])
+    if is_priced(static, dynamic, m):
+        return edge_cost(static, dynamic, m, wide(edge), demand, remaining)
     if remaining - lessons.coming[m, edge] >= demand:
-        return wide(1)
+        return wide(UNIT)
     # What comes can still change; what is there cannot.
     if remaining < demand and not static.overflow_allowed:
         return wide(_FAR)
-    return wide(1 + OVERFLOW)
+    return wide(UNIT * (1 + OVERFLOW))
 
 
 @compiled
@@ -253,7 +260,7 @@ def _begin(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, m
 
 @compiled
 def _regret(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, out: Any) -> None:
-    """Fills ``out`` (6,) with the regrets of an agent's moves."""
+    """Fills ``out`` (6,) with the regrets of an agent's moves; see :meth:`Regrets.write`."""
     cell = place(dynamic.agents[m, n].cell)
     table, joined, attach = lessons.table[m], lessons.joined, lessons.attach[m]
     every = (wide(1) << wide(lessons.many[m])) - 1  # of the open pins, without the tree
@@ -317,6 +324,6 @@ def _write(
             continue
         m, n = place(m), place(n)
         if dynamic.agents[m, n].steps == 0:
-            _begin(static, dynamic, lessons, m, n, wide(margin))
+            _begin(static, dynamic, lessons, m, n, widened(static, dynamic, m, wide(margin)))
         _regret(static, dynamic, lessons, m, n, out[k])
     return True

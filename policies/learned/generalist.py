@@ -6,10 +6,11 @@ which they share edges cheaply. In another game they walk along Steiner trees
 walk along its routes in the first game too. Then the router goes through rip-up rounds
 (:mod:`marouting.game.rounds`), with drawn moves: net after net is asked whether it gives way, it
 and some of those in its way walk again, and what is worse is undone. In priced rounds nets walk
-alone, past edges that past overflow has made dearer, and keep what costs them less; the best routes
-of all rounds are noted. With ``copies`` the problem is played several times side by side, all but
-the first with drawn moves and the nets in an order of their own, and the best of them go through
-the rounds. The result is the best copy when the time is over.
+alone, past edges that past overflow has made dearer, and keep what costs them less; nets with few
+pins walk along cheapest trees then, which are computed, and the network moves the others. The best
+routes of all rounds are noted. With ``copies`` the problem is played several times side by side,
+all but the first with drawn moves and the nets in an order of their own, and the best of them go
+through the rounds. The result is the best copy when the time is over.
 
 The moves are ordinary moves of the environment and the rounds ordinary rounds; all that is special
 is that they are compiled (:mod:`policies.learned.compiled.walk`).
@@ -29,6 +30,7 @@ from marouting.game.engine import Engine
 from marouting.game.options import MOST_NEIGHBOURS, MOST_ROUNDS
 from marouting.game.outlook import DETOURS, OutlookObservation
 from marouting.problem.grid import MOVES
+from marouting.search.cheapest_tree import MOST_PINS
 from policies.learned.compiled.walk import (
     MOST_STEPS,
     Walk,
@@ -93,6 +95,8 @@ class GeneralistOptions:
         prices: whether nets negotiate (:mod:`marouting.game.prices`); where there is little time or
             are few rounds, not from the first walk on. Without ``overflow: allowed``, of which the
             weights tell, they cannot.
+        exact_pins: at prices, nets with at most so many pins walk along a cheapest tree that is
+            computed (:mod:`marouting.search.cheapest_tree`), and do not ask the network; 0: none.
         seed: seed of the random numbers.
         mind: who chooses the moves: ``network``; or, to see what the search does without learning,
             ``ways``, whose moves lead along the cheapest way, or ``chance``.
@@ -112,6 +116,7 @@ class GeneralistOptions:
     neighbours: int = 3
     patience: int = 1
     prices: bool = True
+    exact_pins: int = 6
     seed: int = 0
     mind: Mind = "network"
 
@@ -125,6 +130,8 @@ class GeneralistOptions:
         many = f"a number from 0 to {MOST_NEIGHBOURS}"
         check("neighbours", 0 <= self.neighbours <= MOST_NEIGHBOURS, many)
         check("patience", 0 <= self.patience <= MOST_ROUNDS, f"a number from 0 to {MOST_ROUNDS}")
+        exact = self.exact_pins == 0 or 2 <= self.exact_pins <= MOST_PINS
+        check("exact_pins", exact, f"0, or a number from 2 to {MOST_PINS}")
         check("seed", 0 <= self.seed < 2**63, "a number from 0")
 
 
@@ -195,12 +202,14 @@ class GeneralistRouter:
         names = [str(copy) for copy in range(o.copies)]
         own = keys(o.seed, names, "walk")
         seen = self._observation, self._sizes, self._weights
-        given = make_walk(engine, *seen, warmth, own)
+        given = make_walk(engine, *seen, warmth, own, exact_pins=o.exact_pins)
 
         def other_game(rules: EnvOptions) -> Engine:
             """Another game of the problem, in which all nets have walked by the best moves."""
             other = Engine([problem], rules)
-            alone = make_walk(other, *seen, np.zeros(1, np.float32), own[:1])
+            alone = make_walk(
+                other, *seen, np.zeros(1, np.float32), own[:1], exact_pins=o.exact_pins
+            )
             walk_out(other, alone, True)
             given.counters[0] += alone.counters[0]
             return other

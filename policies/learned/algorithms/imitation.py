@@ -8,9 +8,13 @@ imitation learning and structured prediction to no-regret online learning", AIST
 
 For a state with the regrets r the network's chances p of the moves have the loss
 
-    −log Σ_{r = 0} p + ``regret`` · Σ p min(r, 4)
+    −log Σ p exp(−16 r) + ``regret`` · Σ p min(r, 4)
 
-All best moves are as good as each other: which of them it prefers, the network is not told.
+All best moves are as good as each other: which of them it prefers, the network is not told. Moves
+that are dearer by a small part of an edge, as there are at prices, are nearly as good.
+
+Games with ``rip_up_prices`` teach both kinds of rounds: a share of the episodes (``plain``) begins
+with a first walk that is not priced, and leaves the nets to come the room that they need.
 
 The network is meant to be shared by nets and problems: ``train.shared: true``, and ``train.games``
 to draw a new problem for every episode. The games: ``agents: single``, ``target: tree``.
@@ -27,6 +31,7 @@ from torch import Tensor
 from marouting import Problem, Solution
 from marouting.config import MOST, Named, check, piece_field, take_pieces
 from marouting.game.observation import has_move_order, move_order_of
+from marouting.game.prices import UNIT
 from marouting.game.state import NOBODY
 from marouting.kernels import compiled
 from marouting.player import Player
@@ -42,7 +47,10 @@ from policies.learned.streams import uniform, uniforms
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 _MOST_REGRET = 100.0
-"""Larger regrets are remembered as this one; −1 stands for a move that is masked."""
+"""Larger regrets, in edges, are remembered as this one; −1 stands for a move that is masked."""
+
+_SHARPNESS = 16.0
+"""How quickly a move counts as worse: a regret of this part of an edge halves it, nearly."""
 
 _SEEN_REGRET = 4.0
 """Larger ones do not count more in the loss."""
@@ -69,6 +77,7 @@ class ImitationOptions:
         drawn: share of the episodes in which the pupil draws its moves by their chances. In the
             rest it makes those with the highest.
         helped: share of the moves in its own episodes that the teacher makes for it.
+        plain: share of the episodes that begin with plain rounds. Without ``rip_up_prices`` all do.
         passes: of negotiated congestion over the nets of a problem, for the teacher's solution.
         masking: whether only moves that cross an edge are chosen.
     """
@@ -85,6 +94,7 @@ class ImitationOptions:
     taught: float = 0.15
     drawn: float = 0.4
     helped: float = 0.05
+    plain: float = 0.5
     passes: int = 200
     masking: bool = True
 
@@ -95,7 +105,7 @@ class ImitationOptions:
         check("batch", 1 <= self.batch <= self.memory, f"a number from 1 to memory, {self.memory}")
         check("reuse", self.reuse >= 0, "a number from 0")
         check("regret", self.regret >= 0, "a number from 0")
-        for name in ("taught", "drawn", "helped"):
+        for name in ("taught", "drawn", "helped", "plain"):
             check(name, 0 <= getattr(self, name) <= 1, "a number from 0 to 1")
         check("passes", 1 <= self.passes <= MOST, f"a number from 1 to {MOST}")
         check("masking", self.masking, "true: the teacher knows no other moves")
@@ -179,13 +189,13 @@ class Imitation(Learner):
         now, view = player.buffers, self.networks.row(0)
         chance = np.zeros(now.acted.shape, np.float32)
         for _ in range(steps):
-            self._expect(player)
+            learns = self._begin(player)
             regrets = self._regrets(player)
             with torch.no_grad():
                 seen = torch.from_numpy(now.obs[:, 0]).to(self.device)
                 scores = view(seen[None])[0].cpu().numpy()
             self.explore.sample(now, self._led(scores, regrets)[:, None], True, chance)
-            self._remember(now.obs[:, 0], regrets, now.active[:, 0])
+            self._remember(now.obs[:, 0], regrets, learns)
             self.last[0] = now.agents[:, 0]
             player.step()
             while self.owed[0] >= 1:
@@ -194,18 +204,32 @@ class Imitation(Learner):
             if now.over.any():
                 return
 
-    def _expect(self, player: Player) -> None:
-        """Makes room for the nets that have still to walk, by the teacher's solution."""
+    def _begin(self, player: Player) -> NDArray[np.bool_]:
+        """Before a move: chooses how episodes begin, and makes room for nets that have to walk.
+
+        Returns:
+            (M,) whose states may be learned from.
+        """
         engine, last = player.engine, self.last[0]
-        games = engine.games
+        games, learns = engine.games, player.buffers.active[:, 0].copy()
+        priced, begins = engine.rules.rip_up_prices, games["steps"] == 0
+        if begins.any():
+            self.begun[0] += begins
+            self.regrets.lessons.coming[begins] = 0
+            if priced:
+                kinds = np.zeros(len(games))
+                _draw(self.explore.keys[0], self.begun[0], _PLAIN, kinds)
+                plain = begins & (kinds < self.options.plain)
+                games["plain"][plain] = 1
+                learns[plain] = False  # the first agent has seen prices
         new = (games["agent"] != last) & (games["agent"] != NOBODY) & (games["round"] == 0)
-        for m in np.flatnonzero(new | (games["steps"] == 0)).tolist():
+        waits = (new | begins) & ((games["plain"] == 1) | (not priced))
+        for m in np.flatnonzero(waits).tolist():
             n, solution = int(games["agent"][m]), self._solution(m, engine.problems[m])
-            if games["steps"][m] == 0:
-                self.begun[0, m] += 1
-                self.regrets.lessons.coming[m] = 0
+            if begins[m]:
                 self.regrets.expect(m, np.flatnonzero(engine.tasks[m]), solution, 1)
             self.regrets.expect(m, np.array([n]), solution, -1)
+        return learns
 
     def _solution(self, m: int, problem: Problem) -> Solution:
         """The teacher's solution of the problem that game m plays."""
@@ -239,18 +263,18 @@ class Imitation(Learner):
         return led
 
     def _remember(
-        self, obs: NDArray[np.float32], regrets: NDArray[np.int32], active: NDArray[np.bool_]
+        self, obs: NDArray[np.float32], regrets: NDArray[np.int32], learns: NDArray[np.bool_]
     ) -> None:
         """Stores the states in which there is a choice."""
         o = self.options
-        choice = active & ((regrets < MASKED).sum(axis=1) > 1)
+        choice = learns & ((regrets < MASKED).sum(axis=1) > 1)
         count = int(choice.sum())
         places = (self.kept[0] + np.arange(count)) % o.memory
         store = self.store[0].numpy()
-        store[places, : self.features] = obs[choice].reshape(count, -1)
+        store[places, : self.features] = obs[choice].reshape(count, self.features)
         given = regrets[choice]
         store[places, self.features :] = np.where(
-            given < MASKED, np.minimum(given, _MOST_REGRET), -1
+            given < MASKED, np.minimum(given / UNIT, _MOST_REGRET), -1
         )
         self.kept += count
         if self.kept[0] >= o.batch:
@@ -278,7 +302,7 @@ class Imitation(Learner):
         self.updates += 1
 
 
-_EPISODE, _HELP = 8, 9
+_EPISODE, _HELP, _PLAIN = 8, 9, 10
 """Lanes of random numbers that moves do not use."""
 
 
@@ -302,6 +326,6 @@ def imitation_loss(view: View, obs: Tensor, regrets: Tensor, weight: float) -> T
     regrets = regrets.t()
     scores = view(obs[None])[0].t().masked_fill(regrets < 0, -1e9)
     chances = torch.log_softmax(scores, dim=0)
-    best = torch.logsumexp(chances.masked_fill(regrets != 0, -1e9), dim=0)
+    best = torch.logsumexp(chances - _SHARPNESS * regrets.clamp(min=0), dim=0)
     expected = (chances.exp() * regrets.clamp(0, _SEEN_REGRET)).sum(dim=0)
     return (weight * expected - best).mean()

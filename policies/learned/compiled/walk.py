@@ -6,7 +6,8 @@ what makes it many times as fast as the same policy through the player.
 
 An agent may be guided: then it walks along given routes of its net, as far as they lead to its
 target (:mod:`marouting.search.route_follower`). So the routes of another game become moves of this
-one.
+one. In priced rounds an agent whose net has few pins walks along a cheapest tree in the same way
+(:mod:`marouting.search.cheapest_tree`).
 
 An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way, unless
 the network alone is to walk.
@@ -38,6 +39,7 @@ from marouting.game.outlook import (
     find_wires,
     note_move,
     ways_of,
+    widened,
     write_outlook,
 )
 from marouting.game.prices import FIRST, UNIT, is_priced, net_cost
@@ -45,6 +47,13 @@ from marouting.game.rules import GIVE_WAY, free_moves, move_player, pass_turn, s
 from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
 from marouting.kernels import allocating, compiled, inlined, place, wide
 from marouting.problem.grid import MOVES, VIA_AXIS
+from marouting.search.cheapest_tree import (
+    Trees,
+    is_planned,
+    make_trees,
+    move_on_tree,
+    plan_tree,
+)
 from marouting.search.route_follower import move_along
 from policies.learned.compiled.gradient import forward, forward_one
 from policies.learned.streams import uniform
@@ -54,6 +63,9 @@ _ANYWAY = 8
 
 MOST_STEPS = 2**20
 """Moves of each game in one go, at most."""
+
+_RANDOM = 2.0**30
+"""Trees of equal cost are drawn by a number below this."""
 
 _COOLER = 0.5
 """Share of the warmth in priced rounds: prices drive nets apart as well."""
@@ -84,6 +96,8 @@ class Walk(NamedTuple):
     searches: NDArray[np.int64]  # (1,) how many have been made along the guide
     seen: NDArray[np.int64]  # (G,) the last of them that reached a Gcell
     reached: NDArray[np.int32]  # (G,) working: the Gcells that it reached
+    exact_pins: int  # the most pins of a net that walks along a cheapest tree in priced rounds
+    trees: Trees
 
 
 def make_walk(
@@ -95,6 +109,7 @@ def make_walk(
     keys: NDArray[np.uint64],
     *,
     helped: bool = True,
+    exact_pins: int = 0,
 ) -> Walk:
     """The working arrays of a walk; see :class:`Walk`.
 
@@ -106,6 +121,7 @@ def make_walk(
         warmth: (M,) see :class:`Walk`.
         keys: (M,) of random numbers.
         helped: whether an agent that has taken a quarter of its steps goes on by the cheapest way.
+        exact_pins: the most pins of a net that walks along a cheapest tree in priced rounds.
     """
     count, cells, most = len(engine.games), engine.grid.gcells, int(engine.static.max_steps)
     return Walk(
@@ -129,6 +145,8 @@ def make_walk(
         searches=np.zeros(1, np.int64),
         seen=np.zeros(cells, np.int64),
         reached=np.zeros(cells, np.int32),
+        exact_pins=exact_pins,
+        trees=make_trees(engine, max(exact_pins, 2)),
     )
 
 
@@ -275,6 +293,12 @@ def _walk(
                     _step(static, dynamic, maps, given, wide(m), place(n), move, stops)
                     answered = True
                     continue
+            move = _on_tree(static, dynamic, maps, given, wide(m), place(n))
+            if move != NOBODY:
+                given.counters[m] += 1
+                _step(static, dynamic, maps, given, wide(m), place(n), move, stops)
+                answered = True
+                continue
             _look(static, dynamic, maps, ways, given, wide(m), place(n), count)
             given.game[count] = m
             count += 1
@@ -297,6 +321,21 @@ def _walk(
             given.counters[m] += 1
             _step(static, dynamic, maps, given, m, n, move, stops)
     return False, wide(0)
+
+
+@compiled
+def _on_tree(static: Static, dynamic: Dynamic, maps: Maps, given: Walk, m: int, n: int) -> int:
+    """An agent's move along a cheapest tree in a priced round; NOBODY: the network is to move."""
+    if given.exact_pins < 2 or not is_priced(static, dynamic, m):
+        return wide(NOBODY)
+    agent = dynamic.agents[m, n]
+    if agent.steps == 0 and agent.joined == 0 and not is_planned(dynamic, given.trees, m, n):
+        random = wide(uniform(given.keys[m], given.counters[m], MOVES) * _RANDOM)
+        margin = widened(static, dynamic, m, wide(given.margin))
+        plan_tree(static, dynamic, given.trees, m, n, given.exact_pins, margin, random)
+        if given.counted[m]:
+            recount(static, dynamic, maps, m, n, False)
+    return move_on_tree(static, dynamic, given.trees, m, n)
 
 
 @compiled

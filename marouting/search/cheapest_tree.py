@@ -1,0 +1,276 @@
+"""Cheapest trees at prices, for agents to walk along.
+
+In a priced round (:mod:`marouting.game.prices`) a net walks alone, with all others in place, so
+what its edges cost stays as it is until it has walked. If it has few pins, a tree that costs it the
+least can be found by the search of :mod:`marouting.trees.exact_tree`, inside a box around its pins.
+Its agent then walks along the tree by ordinary moves, from task to task.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.game.engine import Engine
+from marouting.game.places import grid_of, position
+from marouting.game.prices import UNIT, edge_cost
+from marouting.game.state import NOBODY, Dynamic, Static
+from marouting.kernels import compiled, inlined, place, wide
+from marouting.problem.grid import AXES, MOVES, VIA_AXIS
+from marouting.trees.exact_tree import Search, exact_tree, make_search
+from marouting.trees.lattice import CLOSED, Lattice, make_lattice, set_size
+
+MOST_PINS = 9
+"""The most pins of a net whose trees can be looked for."""
+
+_FIRST_LABELS, _LABELS = 1 << 12, 1 << 14
+"""A box of so many points is searched for a net of two pins, of half as many for one of three, and
+so on: larger boxes take too long. In the first walk, with hardly any prices to see, they are worth
+less time."""
+
+
+class Trees(NamedTuple):
+    """The trees that the agents of M games walk along, and the working arrays of the search.
+
+    Each game holds one tree, that of the net which walks.
+    """
+
+    lattice: Lattice
+    search: Search
+    low: NDArray[np.int64]  # (3,) the first point of the box
+    pins: NDArray[np.int64]  # (MOST_PINS,) Gcells of the net's pins
+    of: NDArray[np.int64]  # (M, 2) whose tree it is: the agent, and the round
+    found: NDArray[np.bool_]  # (M,) whether there is one
+    task: NDArray[np.int64]  # (M,) the task that ``toward`` is of
+    made: NDArray[np.int64]  # (M,) trees so far
+    known: NDArray[np.int64]  # (M, G) the last tree that touches a Gcell
+    edges: NDArray[np.uint8]  # (M, G) bit m: it has the edge that move m crosses
+    toward: NDArray[np.int8]  # (M, G) the move along it towards the end of the task
+    queue: NDArray[np.int32]  # (G,) working
+
+
+def make_trees(engine: Engine, pins: int) -> Trees:
+    """Room for the trees of nets with at most so many pins, from 2."""
+    games, cells = len(engine.games), engine.grid.gcells
+    points = min(cells, _LABELS >> 1)
+    return Trees(
+        lattice=make_lattice(points, max(engine.grid.shape)),
+        search=make_search(points, max(points, _LABELS), pins - 1),
+        low=np.zeros(AXES, np.int64),
+        pins=np.zeros(MOST_PINS, np.int64),
+        of=np.full((games, 2), NOBODY, np.int64),
+        found=np.zeros(games, np.bool_),
+        task=np.full(games, NOBODY, np.int64),
+        made=np.zeros(games, np.int64),
+        known=np.zeros((games, cells), np.int64),
+        edges=np.zeros((games, cells), np.uint8),
+        toward=np.zeros((games, cells), np.int8),
+        queue=np.zeros(cells, np.int32),
+    )
+
+
+@compiled
+def _find_pins(static: Static, t: Trees, m: int, n: int, most: int) -> int:
+    """Finds the different Gcells of a net's pins; returns how many, or NOBODY for too many."""
+    pins = wide(0)
+    for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+        for end in range(2):
+            cell, known = wide(static.tasks[task, end]), False
+            for k in range(pins):
+                known |= t.pins[k] == cell
+            if known:
+                continue
+            if pins == most:
+                return wide(NOBODY)
+            t.pins[pins] = cell
+            pins += 1
+    return pins
+
+
+@compiled
+def _set_box(static: Static, t: Trees, pins: int, margin: int) -> int:
+    """Lays the box around the pins; returns how many points it has."""
+    size, points = t.lattice.size, wide(1)
+    columns, rows, layers = grid_of(static)
+    for axis in range(AXES):
+        side = columns if axis == 0 else rows if axis == 1 else layers
+        low, high = wide(0), side - 1
+        if axis < VIA_AXIS:
+            low, high = high, low
+            for k in range(pins):
+                at = wide(static.position[place(t.pins[k]), axis])
+                low, high = min(low, at), max(high, at)
+            low, high = max(low - margin, 0), min(high + margin, side - 1)
+        t.low[axis], size[axis] = low, high - low + 1
+        points *= high - low + 1
+    return points
+
+
+@inlined
+def _gcell(static: Static, t: Trees, point: int) -> int:
+    """The Gcell that a point of the box is."""
+    size = t.lattice.size
+    row = point // size[2]
+    x, y, z = row // size[1] + t.low[0], row % size[1] + t.low[1], point % size[2]
+    _, rows, layers = grid_of(static)
+    return wide((x * rows + y) * layers + z)
+
+
+@compiled
+def _set_costs(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> None:
+    """Gives the edges of the box their costs.
+
+    Two neighbouring columns (or rows) are as far apart as the cheapest of the edges between them
+    costs, so that searches know how much a tree must still cost at least.
+    """
+    nx, ny, nz = t.lattice.size[0], t.lattice.size[1], t.lattice.size[2]
+    set_size(t.lattice, nx, ny, nz)
+    cost, line = t.lattice.cost, t.lattice.line
+    for axis in range(AXES):
+        for i in range(t.lattice.size[axis]):
+            line[axis, i] = i * UNIT if axis == VIA_AXIS else wide(1 << 40)
+    _, rows, layers = grid_of(static)
+    point = wide(0)
+    for x in range(nx):
+        for y in range(ny):
+            cell = ((t.low[0] + x) * rows + t.low[1] + y) * layers
+            for z in range(nz):
+                demand = wide(static.demand[m, n, z])
+                for axis in range(AXES):
+                    at, last, beside = x, nx - 1, ny * nz
+                    if axis == 1:
+                        at, last, beside = y, ny - 1, nz
+                    elif axis == VIA_AXIS:
+                        at, last, beside = z, nz - 1, wide(1)
+                    if at == 0:
+                        cost[point, 2 * axis + 1] = CLOSED
+                    if at == last:
+                        cost[point, 2 * axis] = CLOSED
+                        continue
+                    one = wide(UNIT)
+                    if axis < VIA_AXIS:
+                        edge = place(AXES * (cell + z) + axis)
+                        room = wide(dynamic.remaining[m, edge])
+                        one = edge_cost(static, dynamic, m, wide(edge), demand, room)
+                        line[axis, at + 1] = min(line[axis, at + 1], one)
+                    cost[point, 2 * axis] = one
+                    cost[point + beside, 2 * axis + 1] = one
+                point += 1
+    for axis in range(VIA_AXIS):
+        line[axis, 0] = 0
+        for i in range(1, t.lattice.size[axis]):
+            line[axis, i] += line[axis, i - 1]
+
+
+@compiled
+def _find(static: Static, t: Trees, pins: int, random: int) -> None:
+    """Finds a cheapest tree of the pins in the box, in ``lattice.tree``."""
+    size, line, s = t.lattice.size, t.lattice.line, t.search
+    goal, root = wide(0), random % pins
+    group = wide(0)
+    for k in range(pins):
+        x, y, z = position(static, place(t.pins[k]))
+        x, y = x - t.low[0], y - t.low[1]
+        point, row = (x * size[1] + y) * size[2] + z, pins - 1
+        if k == root:
+            goal = point
+        else:
+            s.start[group], s.group[group] = point, group
+            row, group = group, group + 1
+        for axis in range(AXES):
+            at = line[axis, x if axis == 0 else y if axis == 1 else z]
+            s.low[row, axis] = s.high[row, axis] = at
+    s.goal[goal] = 1
+    exact_tree(t.lattice, s, group, group, random)
+    s.goal[goal] = 0
+    for k in range(group):
+        s.group[k] = 0
+
+
+@compiled
+def plan_tree(
+    static: Static,
+    dynamic: Dynamic,
+    t: Trees,
+    m: int,
+    n: int,
+    most: int,
+    margin: int,
+    random: int,
+) -> bool:
+    """Finds a cheapest tree for the net of an agent that uses no edge, in a priced round.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        t: receives the tree.
+        m: the problem.
+        n: the agent.
+        most: the most pins.
+        margin: Gcells around the box of the pins.
+        random: any number from 0; decides between trees of equal cost.
+
+    Returns:
+        Whether there is a tree: the net has not too many pins, and they are not too far apart.
+    """
+    t.of[m, 0], t.of[m, 1], t.found[m] = n, dynamic.games[m].round, False
+    pins = _find_pins(static, t, m, n, most)
+    if pins < 2:
+        return False
+    labels = _FIRST_LABELS if dynamic.games[m].round == 0 else _LABELS
+    points = _set_box(static, t, pins, margin)
+    while points << (pins - 1) > labels and margin > 0:
+        margin //= 2
+        points = _set_box(static, t, pins, margin)
+    if points << (pins - 1) > labels:
+        return False
+    _set_costs(static, dynamic, t, m, n)
+    _find(static, t, pins, random)
+    t.task[m] = NOBODY
+    t.made[m] += 1
+    t.found[m] = True
+    for point in range(points):
+        if t.lattice.tree[point] != 0:
+            cell = place(_gcell(static, t, point))
+            t.known[m, cell], t.edges[m, cell] = t.made[m], t.lattice.tree[point]
+    return True
+
+
+@inlined
+def is_planned(dynamic: Dynamic, t: Trees, m: int, n: int) -> bool:
+    """Whether a tree has been looked for in this round, for this agent as the last one."""
+    return t.of[m, 0] == n and t.of[m, 1] == dynamic.games[m].round
+
+
+@compiled
+def move_on_tree(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> int:
+    """An agent's move along its net's tree towards the end of its task; NOBODY if it has none.
+
+    Args:
+        static: the static state of the games.
+        dynamic: their dynamic state.
+        t: holds the tree.
+        m: the problem.
+        n: the agent, whose turn it is.
+    """
+    agent = dynamic.agents[m, n]
+    if not t.found[m] or not is_planned(dynamic, t, m, n):
+        return wide(NOBODY)
+    cell, target = place(agent.cell), place(agent.target)
+    if t.known[m, cell] != t.made[m] or t.known[m, target] != t.made[m]:
+        return wide(NOBODY)
+    if t.task[m] != agent.task:
+        t.task[m] = agent.task
+        t.toward[m, target] = NOBODY
+        t.queue[0] = target
+        at, size = 0, 1
+        while at < size:
+            here = place(t.queue[at])
+            at += 1
+            for move in range(MOVES):
+                if t.edges[m, here] >> move & 1 and move != t.toward[m, here]:
+                    there = place(static.neighbour[here, move])
+                    t.toward[m, there] = move ^ 1
+                    t.queue[size] = there
+                    size += 1
+    return wide(t.toward[m, cell])
