@@ -166,6 +166,7 @@ class Game:
     rip_up_neighbours: int = 0
     rip_up_patience: int = 0
     rip_up_prices: bool = False
+    rip_up_present: float = 0.1
     agents: list[Agent] = field(init=False)
     order: list[int] = field(init=False)
     users: dict[Edge, set[int]] = field(init=False)
@@ -181,7 +182,7 @@ class Game:
     before_cost: int = field(init=False, default=0)
     asked: bool = field(init=False, default=False)
     prices: dict[Edge, int] = field(init=False, default_factory=dict)
-    present: int = field(init=False, default=102)
+    present: int = field(init=False)
     plain: int = field(init=False, default=0)
     stuck: int = field(init=False, default=0)
     fewest: float = field(init=False, default=float("inf"))
@@ -206,6 +207,7 @@ class Game:
         self.turn = self.order[0]
         for n in range(len(self.agents)):
             self.begin_net(n)
+        self.present = self.first_present()
 
     # --- tasks by the options ----------------------------------------------------------------
 
@@ -335,6 +337,10 @@ class Game:
         """Whether edges have prices in the present round."""
         return self.rip_up_prices and self.rip_up_rounds > 0 and self.plain == 0
 
+    def first_present(self) -> int:
+        """What one net too many adds to the cost of an edge at first, in 1024ths."""
+        return max(1, round(1024 * self.rip_up_present))
+
     def cost(self, n: int) -> int:
         """What a net's edges cost it at the prices, in sixteenths."""
         return sum(self.edge_cost(n, edge) for edge in self.edges_of(n))
@@ -400,7 +406,8 @@ class Game:
         for edge in self.capacity:
             if self.overflow_of(edge):
                 self.prices[edge] = self.prices.get(edge, 0) + 3
-        self.present = min(max(102, self.present + self.present * 25 // 100), 2048)
+        grown = self.present + self.present * 25 // 100
+        self.present = min(max(self.first_present(), grown), 2048)
 
     def next_walk(self) -> int | None:
         """Who walks again, or is asked, when nobody is active; None: the end."""

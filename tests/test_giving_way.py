@@ -236,6 +236,24 @@ def test_prices_part_two_nets() -> None:
     assert engine.games[0]["plain"] == 1
 
 
+@pytest.mark.parametrize(("present", "overflow"), [(0.5, 2), (0.6, 0)])
+def test_how_cheaply_nets_share_at_first(present: float, overflow: int) -> None:
+    """Two nets share two edges. The other way takes four, which have no price.
+
+    In the first round the two have grown dearer by 3/16, and ``present`` by a quarter: they cost
+    2 (1 + 3/16) (1 + 1.25 present), which is 4 at 0.55.
+    """
+    problem = replace(CROSSING, nets=CROSSING.nets[:2])
+    options = {"rip_up_prices": True, "overflow": "allowed", "rip_up_present": present}
+    engine = Engine([problem], rip_up_rounds=2, max_steps=6, **options)
+    walk(engine, E, E, E, E)
+    assert engine.games[0]["began_overflow"] == 2
+    walk(engine, N, E, E, S)  # net 1 tries the other way
+    walk(engine, E, E)
+    assert engine.games[0]["round"] == 2
+    assert engine.games[0]["began_overflow"] == overflow
+
+
 def test_agents_that_are_not_there_have_no_routes() -> None:
     """Taking the best routes, nobody looks at tasks that belong to the next problem or to none."""
     more = net("4", (0, 1), (1, 0)), net("5", (2, 0), (0, 1))
@@ -346,6 +364,9 @@ def test_pettingzoo_accepts_rounds(rip_up: str, more: dict[str, Any]) -> None:
         ({"rip_up_patience": -1}, "rip_up_patience: expected 0 to"),
         ({"rip_up_prices": True}, "rip_up_prices: expected false, unless overflow is allowed"),
         ({"rip_up_prices": 1}, "rip_up_prices: expected true or false"),
+        ({"rip_up_present": 0}, "rip_up_present: expected above 0, to 2, found 0"),
+        ({"rip_up_present": float("nan")}, "rip_up_present: expected above 0, to 2, found nan"),
+        ({"rip_up_present": True}, "rip_up_present: expected above 0, to 2, found True"),
         ({"give_back": 2}, "give_back: expected true or false"),
         ({"mask_visited": "no"}, "mask_visited: expected true or false"),
     ],

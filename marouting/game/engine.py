@@ -231,6 +231,19 @@ class Engine:
         self.make_room()
         _reset(self.static, self.dynamic, which)
 
+    def begin_plain(self, which: NDArray[np.bool_]) -> None:
+        """With ``rip_up_prices``: makes the first walk of some problems a plain one.
+
+        Args:
+            which: (M,) of which. They are to stand at the beginning of their episodes.
+
+        Raises:
+            ValueError: one of them does not, or no walk is priced.
+        """
+        if not self.rules.rip_up_prices or self.games["steps"][which].any():
+            raise ValueError("which: expected problems at the beginning of a priced first walk")
+        self.games["plain"][which] = 1
+
     def part(self, which: NDArray[np.integer] | slice) -> "Engine":
         """An engine of some of the problems, which continues from their present state.
 

@@ -29,6 +29,9 @@ MOST_ROUNDS = 100_000
 MOST_NEIGHBOURS = 100
 """The largest ``rip_up_neighbours``."""
 
+MOST_PRESENT = 2.0
+"""The largest ``rip_up_present``: were it larger, it would hide what prices say."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RuleOptions:
@@ -64,6 +67,9 @@ class RuleOptions:
         rip_up_prices: whether nets negotiate: in the first walk they share edges cheaply, in some
             of the rounds edges with overflow get dearer, and nets keep the routes that cost them
             less. With ``overflow: allowed`` only; without rounds nothing is priced.
+        rip_up_present: what one net too many adds to the cost of an edge in the first walk, as a
+            part of it, above 0 and up to 2. It grows from round to round. The more there is of it,
+            the sooner there is no overflow, and the longer routes are. For ``rip_up_prices``.
 
     Raises:
         InputError: an option is out of range.
@@ -85,6 +91,7 @@ class RuleOptions:
     rip_up_neighbours: int = 0
     rip_up_patience: int = 0
     rip_up_prices: bool = False
+    rip_up_present: float = 0.1
 
     def __post_init__(self) -> None:
         if self.turn_order is not None:
@@ -112,6 +119,10 @@ class RuleOptions:
             check(name, isinstance(value, bool), f"true or false, found {value!r}")
         allowed = not self.rip_up_prices or self.overflow == "allowed"
         check("rip_up_prices", allowed, "false, unless overflow is allowed")
+        present = self.rip_up_present
+        in_range = not isinstance(present, bool) and isinstance(present, int | float)
+        in_range = in_range and 0 < present <= MOST_PRESENT
+        check("rip_up_present", in_range, f"above 0, to {MOST_PRESENT:g}, found {present!r}")
         pins_only = self.next_task == "listed" or self.decomposition == "mst"
         check("next_task", pins_only, "listed, for a decomposition other than mst")
 

@@ -6,9 +6,9 @@ With ``rip_up_prices`` the first walk and most rip-up rounds (:mod:`marouting.ga
     (1 + price) · (1 + present · over / demand),
 
 where ``price`` is what the edge's past overflow has added; ``over`` is what the net would be over
-the remaining capacity, in tracks; and ``present`` grows from one priced round to the next. So nets
-share edges cheaply at first, and those that find another way nearly as short leave. A via costs 1.
-An edge that can never hold the net costs the most.
+the remaining capacity, in tracks; and ``present``, at first ``rip_up_present``, grows from one
+priced round to the next. So nets share edges cheaply at first, and those that find another way
+nearly as short leave. A via costs 1. An edge that can never hold the net costs the most.
 
 This is negotiated congestion, after McMurchie and Ebeling, "PathFinder: a negotiation-based
 performance-driven router for FPGAs", FPGA 1995, with nets that walk. Costs are whole numbers of
@@ -19,6 +19,7 @@ from typing import Any
 
 from marouting.game.best import note_best, put_best
 from marouting.game.bits import byte_at, places
+from marouting.game.options import MOST_PRESENT
 from marouting.game.state import Dynamic, Option, Static
 from marouting.game.tasks import is_on
 from marouting.kernels import compiled, inlined, place, wide
@@ -33,11 +34,8 @@ MOST = 60 * UNIT
 WHOLE = 1024
 """``GAME.present`` counts in parts of this."""
 
-FIRST = WHOLE // 10
-"""``present`` in the first walk, and in the first priced round after plain ones."""
-
-LARGEST = 2 * WHOLE
-"""The largest ``present``: were it larger, it would hide what prices say."""
+LARGEST = int(MOST_PRESENT * WHOLE)
+"""The largest ``present``."""
 
 RISE = 3
 """What overflow adds to the price of an edge before a priced round, in parts of ``UNIT``."""
@@ -56,6 +54,12 @@ _KEPT = 80  # per cent of the prices that are left after plain rounds
 def is_priced(static: Static, dynamic: Dynamic, m: int) -> bool:
     """Whether the first walk or the present round is; see :mod:`marouting.game.rounds`."""
     return is_on(static, Option.PRICES) and dynamic.games[m].plain == 0
+
+
+@inlined
+def first_present(static: Static) -> int:
+    """``present`` in the first walk, and in the first priced round after plain ones."""
+    return wide(static.options[Option.PRESENT])
 
 
 @inlined
@@ -126,7 +130,7 @@ def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
             dynamic.numbers[m, prices + edge] += RISE
     game = dynamic.games[m]
     present = game.present + game.present * _GROWTH // 100
-    game.present = min(max(present, FIRST), LARGEST)
+    game.present = min(max(present, first_present(static)), LARGEST)
 
 
 @compiled

@@ -31,7 +31,7 @@ from typing import Any
 
 from marouting.game.bits import byte_at, byte_of, empty, forget, places, put
 from marouting.game.edges import demand_of, may_cross, take, use_edges, uses
-from marouting.game.prices import FIRST, NO_LIMIT
+from marouting.game.prices import NO_LIMIT, first_present
 from marouting.game.rounds import (
     all_have_walked,
     answer,
@@ -250,7 +250,7 @@ def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
     game.round = game.place = game.again = game.picked = game.ripped = game.asked = 0
     game.kept_joined = game.kept_overflow = game.kept_wirelength = game.kept_cost = 0
     game.plain = game.stuck = 0
-    game.present = FIRST if is_on(static, Option.PRICES) else 0
+    game.present = first_present(static) if is_on(static, Option.PRICES) else 0
     game.fewest = NO_LIMIT
     game.began_joined = game.began_overflow = game.began_wirelength = 0
     game.best_joined, game.best_overflow, game.best_wirelength = NOBODY, 0, 0

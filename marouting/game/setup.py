@@ -11,6 +11,7 @@ from marouting.errors import InputError
 from marouting.game.bits import make_rows
 from marouting.game.growth import lengthened, needed_room
 from marouting.game.options import NetOrder, RuleOptions
+from marouting.game.prices import WHOLE
 from marouting.game.state import AGENT, GAME, NOBODY, Dynamic, Option, RipUp, Static
 from marouting.kernels import compiled, wide
 from marouting.memory import HASHED, PLAYED, TABLES, check_memory
@@ -193,6 +194,7 @@ def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int6
     options[Option.RIP_UP] = RipUp[rules.rip_up.upper()]
     options[Option.AGAIN_MOST] = again
     options[Option.PATIENCE] = rules.rip_up_patience
+    options[Option.PRESENT] = max(1, round(rules.rip_up_present * WHOLE))
     rows = {
         Option.TREE: agents * tree,
         Option.VISITED: agents * rules.mask_visited,

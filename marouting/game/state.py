@@ -125,21 +125,22 @@ class Option(enum.IntEnum):
     RIP_UP = 5  #: RipUp
     AGAIN_MOST = 6  #: P, the most nets that walk again at a time
     PATIENCE = 7  #: rounds after which one more net walks again at a time; 0: P from the first
-    TREE = 8  #: N sets of Gcells that edges join to the first pin
-    VISITED = 9  #: N sets of Gcells visited in the present task
-    TAKEN = 10  #: N sets of edges newly used in the present task
-    KEPT = 11  #: P sets of edges that nets had before they walked again
-    TRIED = 12  #: N sets of tasks that have been begun, counted from the net's first
-    BEST = 13  #: N sets of edges, the best routes so far
-    LINE = 14  #: N places in turn order, in the order of the rip-up round
-    AGAIN = 15  #: P nets that walk again; NOBODY where there is none
-    KEPT_JOINED = 16  #: P numbers of tasks that they had joined
-    HISTORY = 17  #: E numbers of rip-up rounds at whose start the edge was full
-    PRICES = 18  #: E prices of edges
-    BEST_JOINED = 19  #: N numbers of tasks that the best routes so far have joined
-    QUEUE = 20  #: G, or at least P, numbers to work with
-    ROWS = 21  #: R, all rows
-    COLUMNS = 22  #: C, all columns
+    PRESENT = 8  #: GAME.present in the first walk
+    TREE = 9  #: N sets of Gcells that edges join to the first pin
+    VISITED = 10  #: N sets of Gcells visited in the present task
+    TAKEN = 11  #: N sets of edges newly used in the present task
+    KEPT = 12  #: P sets of edges that nets had before they walked again
+    TRIED = 13  #: N sets of tasks that have been begun, counted from the net's first
+    BEST = 14  #: N sets of edges, the best routes so far
+    LINE = 15  #: N places in turn order, in the order of the rip-up round
+    AGAIN = 16  #: P nets that walk again; NOBODY where there is none
+    KEPT_JOINED = 17  #: P numbers of tasks that they had joined
+    HISTORY = 18  #: E numbers of rip-up rounds at whose start the edge was full
+    PRICES = 19  #: E prices of edges
+    BEST_JOINED = 20  #: N numbers of tasks that the best routes so far have joined
+    QUEUE = 21  #: G, or at least P, numbers to work with
+    ROWS = 22  #: R, all rows
+    COLUMNS = 23  #: C, all columns
 
 
 class Static(NamedTuple):

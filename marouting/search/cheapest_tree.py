@@ -18,7 +18,7 @@ from marouting.game.state import NOBODY, Dynamic, Static
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree, make_search
-from marouting.trees.lattice import CLOSED, Lattice, make_lattice, set_size
+from marouting.trees.lattice import CLOSED, Lattice, begin_lines, make_lattice, set_size, sum_lines
 
 MOST_PINS = 9
 """The most pins of a net whose trees can be looked for."""
@@ -50,12 +50,14 @@ class Trees(NamedTuple):
 
 
 def make_trees(engine: Engine, pins: int) -> Trees:
-    """Room for the trees of nets with at most so many pins, from 2."""
-    games, cells = len(engine.games), engine.grid.gcells
-    points = min(cells, _LABELS >> 1)
+    """Room for the trees of nets with at most so many pins; below 2 there is no room for any."""
+    games, cells, labels = len(engine.games), engine.grid.gcells, _LABELS
+    if pins < 2:
+        pins, cells, labels = 2, 0, 0
+    points = min(cells, labels >> 1)
     return Trees(
         lattice=make_lattice(points, max(engine.grid.shape)),
-        search=make_search(points, max(points, _LABELS), pins - 1),
+        search=make_search(points, labels, pins - 1),
         low=np.zeros(AXES, np.int64),
         pins=np.zeros(MOST_PINS, np.int64),
         of=np.full((games, 2), NOBODY, np.int64),
@@ -125,10 +127,8 @@ def _set_costs(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> No
     """
     nx, ny, nz = t.lattice.size[0], t.lattice.size[1], t.lattice.size[2]
     set_size(t.lattice, nx, ny, nz)
+    begin_lines(t.lattice, wide(UNIT))
     cost, line = t.lattice.cost, t.lattice.line
-    for axis in range(AXES):
-        for i in range(t.lattice.size[axis]):
-            line[axis, i] = i * UNIT if axis == VIA_AXIS else wide(1 << 40)
     _, rows, layers = grid_of(static)
     point = wide(0)
     for x in range(nx):
@@ -156,10 +156,7 @@ def _set_costs(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> No
                     cost[point, 2 * axis] = one
                     cost[point + beside, 2 * axis + 1] = one
                 point += 1
-    for axis in range(VIA_AXIS):
-        line[axis, 0] = 0
-        for i in range(1, t.lattice.size[axis]):
-            line[axis, i] += line[axis, i - 1]
+    sum_lines(t.lattice)
 
 
 @compiled

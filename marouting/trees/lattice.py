@@ -6,10 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.kernels import compiled
-from marouting.problem.grid import AXES, MOVES
+from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 
 CLOSED = -1
 """The cost of a move that must not be made; also of a tree that does not exist."""
+
+
+FAR = 1 << 40
+"""More than any edge costs."""
 
 
 class Lattice(NamedTuple):
@@ -46,6 +50,23 @@ def set_size(lattice: Lattice, nx: int, ny: int, nz: int) -> None:
         stride = nz if axis == 0 else 1
     for point in range(nx * ny * nz):
         lattice.tree[point] = 0
+
+
+@compiled
+def begin_lines(lattice: Lattice, via: int) -> None:
+    """Before costs are set: columns and rows are as far apart as nothing, layers by ``via``."""
+    for axis in range(AXES):
+        for i in range(lattice.size[axis]):
+            lattice.line[axis, i] = i * via if axis == VIA_AXIS else FAR
+
+
+@compiled
+def sum_lines(lattice: Lattice) -> None:
+    """Once ``line`` says how far columns (and rows) are from those before: gives them places."""
+    for axis in range(VIA_AXIS):
+        lattice.line[axis, 0] = 0
+        for i in range(1, lattice.size[axis]):
+            lattice.line[axis, i] += lattice.line[axis, i - 1]
 
 
 @compiled

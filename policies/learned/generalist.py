@@ -1,9 +1,9 @@
 """The generalist: one network for all nets and problems, and a search by rip-up rounds.
 
 First all nets walk, by the best moves, from pin to pin: where there is time for it at prices, at
-which they share edges cheaply. In another game they walk along Steiner trees
-(:mod:`marouting.trees.steiner`), which are shorter where there is room; if that ends better, they
-walk along its routes in the first game too. Then the router goes through rip-up rounds
+which they share edges, the more cheaply the more time there is. In another game they walk along
+Steiner trees (:mod:`marouting.trees.steiner`), which are shorter where there is room; if that ends
+better, they walk along its routes in the first game too. Then the router goes through rip-up rounds
 (:mod:`marouting.game.rounds`), with drawn moves: net after net is asked whether it gives way, it
 and some of those in its way walk again, and what is worse is undone. In priced rounds nets walk
 alone, past edges that past overflow has made dearer, and keep what costs them less; nets with few
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from marouting import EnvOptions, Problem, Solution
 from marouting.config import check
 from marouting.game.engine import Engine
-from marouting.game.options import MOST_NEIGHBOURS, MOST_ROUNDS
+from marouting.game.options import MOST_NEIGHBOURS, MOST_PRESENT, MOST_ROUNDS
 from marouting.game.outlook import DETOURS, OutlookObservation
 from marouting.problem.grid import MOVES
 from marouting.search.cheapest_tree import MOST_PINS
@@ -48,8 +48,8 @@ from policies.learned.streams import keys
 _SURE = 8.0
 """How much a Gcell of detour lowers a move's score without a network; see ``mind``."""
 
-_STEPS = 32
-"""Moves of every copy between two looks at the clock, at least: a fifth of a millisecond on small
+_STEPS = 64
+"""Moves of every copy between two looks at the clock, at least: a quarter of a millisecond on small
 grids."""
 
 _STEINER: dict[str, Any] = {
@@ -64,10 +64,14 @@ _LEAST, _ROOM, _TIGHT = 0.01, 2, 8
 where it was played at prices or ended without overflow, at most an eighth elsewhere: on tight
 problems Steiner trees gain little, and in a few milliseconds rip-ups gain more."""
 
-_ENOUGH, _WALKS, _MOVE = 20, 6, 7e-6
-"""Nets walk at prices from the first move on if there are so many rounds, and time for so many
-walks of all, at so many seconds per edge of the half perimeters of their pins. Otherwise they first
-avoid overflow."""
+_MOVE, _TREE_MOVE, _ROUND = 7e-6, 4e-6, 0.35
+"""About the time of a walk of all nets, in seconds per edge of the half perimeters of their pins,
+by the network and along trees; and how much of such a walk a round is."""
+
+_FEW, _PRESENT, _POWER = 2.0, 2.8, 1.5
+"""With time and rounds for fewer walks than the first number nets do not negotiate. Otherwise
+``rip_up_present`` is the second one, divided by their number, to the power of the third: with
+little time nets share less, and have parted sooner."""
 
 _OFTEN = 0.1
 """Seconds between two lines to who watches."""
@@ -92,9 +96,8 @@ class GeneralistOptions:
         neighbours: the most nets that walk again with a net because they stand in its way.
         patience: plain rounds in a row after which one more of them does so, from none in the first
             ones; 0: all of them from the first on.
-        prices: whether nets negotiate (:mod:`marouting.game.prices`); where there is little time or
-            are few rounds, not from the first walk on. Without ``overflow: allowed``, of which the
-            weights tell, they cannot.
+        prices: whether nets negotiate (:mod:`marouting.game.prices`), if there is time for it and
+            there are rounds. Without ``overflow: allowed``, of which the weights tell, they cannot.
         exact_pins: at prices, nets with at most so many pins walk along a cheapest tree that is
             computed (:mod:`marouting.search.cheapest_tree`), and do not ask the network; 0: none.
         seed: seed of the random numbers.
@@ -193,7 +196,7 @@ class GeneralistRouter:
         rip-up rounds that a copy has been through.
         """
         o, began = self.options, time.thread_time()
-        rules = self._rules
+        rules = self._rules_for(problem)
         engine = Engine([problem] * o.copies, rules)
         if o.copies > 1:
             engine.set_order(_orders(engine, o.seed))
@@ -214,20 +217,12 @@ class GeneralistRouter:
             given.counters[0] += alone.counters[0]
             return other
 
-        first, guide = engine, None
-        seconds = np.inf if o.seconds is None else o.seconds
-        low, high = problem.pin_boxes()
-        hurries = o.rounds < _ENOUGH or seconds < _WALKS * _MOVE * (high - low).sum()
-        if hurries and rules.rip_up_prices:
-            rules = replace(rules, rip_up_prices=False)
-            first = other_game(rules)
-            walk_out(engine, follow(given, first), True)
-        else:
-            walk_out(engine, given, True)
-        share = _TIGHT if any(_walked(first)[:-1]) else _ROOM
+        guide, seconds = None, np.inf if o.seconds is None else o.seconds
+        walk_out(engine, given, True)
+        share = _TIGHT if any(_cost(engine, 0)[:-1]) else _ROOM
         if seconds >= max(_LEAST, share * (time.thread_time() - began)):
             guide = other_game(replace(rules, **_STEINER))
-            if rules.target == "tree" and _walked(guide) < _walked(first):
+            if rules.target == "tree" and _walked(guide) < _walked(engine):
                 engine.reset(np.arange(o.copies) == 0)
                 walk_out(engine, follow(given, guide), True)
         warmth[:] = o.warmth
@@ -239,6 +234,20 @@ class GeneralistRouter:
             # A net could not follow its routes, whose tasks were shorter.
             engine, best = guide, 0
         return Routed(engine.solution(best), report)
+
+    def _rules_for(self, problem: Problem) -> EnvOptions:
+        """The rules of the game: whether nets negotiate, and how cheaply they share at first."""
+        o, walks = self.options, 1 + _ROUND * self.options.rounds
+        if o.seconds is not None:
+            low, high = problem.pin_boxes()
+            on_trees = np.diff(problem.flat_pin_gcells[0]) <= o.exact_pins
+            times = np.where(on_trees, _TREE_MOVE, _MOVE) * (high - low).sum(axis=1)
+            walks = min(walks, o.seconds / max(float(times.sum()), 1e-9))
+        if not self._rules.rip_up_prices or walks < _FEW:
+            return replace(self._rules, rip_up_prices=False)
+        usual = self._rules.rip_up_present
+        present = min(max(usual, (_PRESENT / walks) ** _POWER), MOST_PRESENT)
+        return replace(self._rules, rip_up_present=present)
 
     def _rip_up(self, engine: Engine, given: Walk, began: float) -> None:
         """Rip-up rounds of the best copies, until the time is over."""
@@ -262,8 +271,8 @@ class GeneralistRouter:
 
         def steps() -> int:
             """So many that a call costs little beside them, and half the time at most."""
-            made = given.counters.max() / max(time.thread_time() - began, 1e-6)
-            return int(np.clip(made * min(left(), _OFTEN) / 2, _STEPS, MOST_STEPS))
+            made = int(given.counters.max()) / max(time.thread_time() - began, 1e-6)
+            return max(_STEPS, min(int(made * min(left(), _OFTEN) / 2), MOST_STEPS))
 
         if o.rounds and in_time():
             walk_on(engine, given)

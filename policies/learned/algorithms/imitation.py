@@ -220,7 +220,7 @@ class Imitation(Learner):
                 kinds = np.zeros(len(games))
                 _draw(self.explore.keys[0], self.begun[0], _PLAIN, kinds)
                 plain = begins & (kinds < self.options.plain)
-                games["plain"][plain] = 1
+                player.engine.begin_plain(plain)
                 learns[plain] = False  # the first agent has seen prices
         new = (games["agent"] != last) & (games["agent"] != NOBODY) & (games["round"] == 0)
         waits = (new | begins) & ((games["plain"] == 1) | (not priced))

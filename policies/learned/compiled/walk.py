@@ -42,7 +42,7 @@ from marouting.game.outlook import (
     widened,
     write_outlook,
 )
-from marouting.game.prices import FIRST, UNIT, is_priced, net_cost
+from marouting.game.prices import UNIT, first_present, is_priced, net_cost
 from marouting.game.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
 from marouting.kernels import allocating, compiled, inlined, place, wide
@@ -146,7 +146,7 @@ def make_walk(
         seen=np.zeros(cells, np.int64),
         reached=np.zeros(cells, np.int32),
         exact_pins=exact_pins,
-        trees=make_trees(engine, max(exact_pins, 2)),
+        trees=make_trees(engine, exact_pins),
     )
 
 
@@ -430,7 +430,7 @@ def _gives_way(static: Static, dynamic: Dynamic, given: Walk, m: int, n: int) ->
     if not _is_whole(static, dynamic, m, n):
         return True
     anyway = (wide(game.turn) + wide(game.round)) % period == 0
-    begins = game.present == FIRST or game.round == 1
+    begins = game.present == first_present(static) or game.round == 1
     if anyway and (begins or not is_priced(static, dynamic, m)):
         return True
     if is_priced(static, dynamic, m):

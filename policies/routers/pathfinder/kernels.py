@@ -11,7 +11,7 @@ import numpy as np
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree
-from marouting.trees.lattice import CLOSED, Lattice, set_cost, set_size
+from marouting.trees.lattice import CLOSED, Lattice, begin_lines, set_cost, set_size, sum_lines
 from policies.routers.pathfinder.state import (
     DISPLACE,
     FULL,
@@ -22,7 +22,6 @@ from policies.routers.pathfinder.state import (
     Routing,
 )
 
-NO_LIMIT = 1 << 40  # more than any edge costs
 _MOST_OVERFLOW = 1000  # tracks of overflow beyond which more cost the same: costs have 32 bits
 
 
@@ -204,9 +203,7 @@ def set_costs(
     """
     nx, ny, nz = lattice.size[0], lattice.size[1], lattice.size[2]
     set_size(lattice, nx, ny, nz)
-    for axis in range(AXES):
-        for i in range(lattice.size[axis]):
-            lattice.line[axis, i] = i * via if axis == VIA_AXIS else NO_LIMIT
+    begin_lines(lattice, wide(via))
     present, kind = routing.progress[0].present, routing.progress[0].kind
     # Fields are read once: every access makes the compiler handle the whole tuple.
     capacity, remaining, price = problem.capacity, routing.remaining, routing.price
@@ -257,10 +254,7 @@ def set_costs(
             at = problem.position[gcell, axis] - low[axis] + 1
             lattice.line[axis, at] = min(lattice.line[axis, at], cost)
             set_cost(lattice, point_of(problem.position, low, lattice.size, gcell), axis, cost)
-    for axis in range(VIA_AXIS):
-        lattice.line[axis, 0] = 0
-        for i in range(1, lattice.size[axis]):
-            lattice.line[axis, i] += lattice.line[axis, i - 1]
+    sum_lines(lattice)
 
 
 @compiled

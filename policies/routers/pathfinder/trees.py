@@ -8,9 +8,8 @@ from typing import Any
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.exact_tree import Search
-from marouting.trees.lattice import CLOSED, Lattice
+from marouting.trees.lattice import CLOSED, FAR, Lattice
 from policies.routers.pathfinder.kernels import (
-    NO_LIMIT,
     draw,
     grow,
     join_all,
@@ -236,7 +235,7 @@ def plan(
         if cost != CLOSED:
             break
         if lattice.size[0] == problem.size[0] and lattice.size[1] == problem.size[1]:
-            limit = wide(NO_LIMIT)
+            limit = wide(FAR)
         margin = 2 * margin + 1
     buffers.plan[EDGES], buffers.plan[EXACT] = list_tree(problem, lattice, buffers), wide(exact)
     return DONE
