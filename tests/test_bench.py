@@ -7,11 +7,14 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
-from marouting import generate
+from marouting import Engine, InputError, generate
+from marouting.game.outlook import OutlookObservation
 from policies.bench import SECTIONS, Bench, environment, negotiation, oracle, predicted
+from policies.bench.features import Blind
 from policies.bench.measure import rate
 from policies.bench.training import operations
 from policies.cli import main as cli
@@ -200,3 +203,19 @@ def test_every_section_measures(section: str) -> None:
     for row in rows:
         assert row.value > 0
         assert row.best > 0
+
+
+def test_a_part_of_what_the_generalist_sees_can_be_left_out() -> None:
+    """The blocks named are 0 and all others as they are; the frame's signs must stay."""
+    engine = Engine(generate(1, (6, 6, 2), nets=8, max_pins=4, seed=0), target="tree")
+    whole, less = OutlookObservation(), Blind(without=("span", "pins"))
+    seen = np.ones((2, 1, whole.size), np.float32)
+    for each, out in zip((whole, less), seen, strict=True):
+        each.write(engine, np.zeros(1, np.int32), np.zeros(1, np.int32), out)
+    for name, block in whole.layout.items():
+        left_out = name in less.without
+        assert seen[0, 0, block].any() or not left_out
+        np.testing.assert_array_equal(seen[1, 0, block], seen[0, 0, block] * (not left_out))
+    for wrong in ("numbers", "pin"):
+        with pytest.raises(InputError, match="without: expected some of detour, span"):
+            Blind(without=(wrong,))

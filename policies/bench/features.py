@@ -126,7 +126,7 @@ def compared(seeds: int, episodes: int, count: int, folder: Path) -> Iterator[di
 @click.command()
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="File of results.")
 @click.option("--seeds", default=3, show_default=True, help="Trainings with everything in sight.")
-@click.option("--episodes", default=900, show_default=True, help="Of a training.")
+@click.option("--episodes", default=600, show_default=True, help="Of a training.")
 @click.option("--problems", default=60, show_default=True, help="To judge on.")
 @click.option(
     "--folder",
