@@ -21,6 +21,7 @@ import inspect
 import json
 import os
 import re
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -618,10 +619,16 @@ def _prefix(where: str) -> str:
     return f"{where}: " if where else ""
 
 
+_LISTED = 280
+"""The most characters of a list of known keys."""
+
+
 def unknown_key(key: str, known: Sequence[str]) -> str:
     """The message about a key that is not one of those known."""
     close = difflib.get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
-    expected = f"did you mean {close[0]}?" if close else f"expected one of {', '.join(known)}"
+    # What follows must not lie in the middle of a long message, which is left out.
+    listed = textwrap.shorten(", ".join(known), _LISTED, placeholder=" …")
+    expected = f"did you mean {close[0]}?" if close else f"expected one of {listed}"
     return f"{key}: unknown key; {expected}"
 
 

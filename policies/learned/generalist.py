@@ -183,7 +183,8 @@ class GeneralistRouter:
     def warm_up(self, problem: Problem) -> None:
         """Compiles what routing needs, in a round at most."""
         options = replace(self.options, rounds=min(1, self.options.rounds), seconds=None)
-        GeneralistRouter(options).route(problem)
+        rules = replace(self._rules_for(problem), rip_up_rounds=options.rounds)
+        GeneralistRouter(options)._play(problem, rules)
 
     def route(self, problem: Problem) -> Solution:
         """Routes a problem; in the solution every net is joined whose pins any way joins."""
@@ -195,8 +196,11 @@ class GeneralistRouter:
         The report has ``copies``, ``moves``, all that agents have made, and ``rounds``, the most
         rip-up rounds that a copy has been through.
         """
+        return self._play(problem, self._rules_for(problem))
+
+    def _play(self, problem: Problem, rules: EnvOptions) -> Routed:
+        """:meth:`solve` by these rules."""
         o, began = self.options, time.thread_time()
-        rules = self._rules_for(problem)
         engine = Engine([problem] * o.copies, rules)
         if o.copies > 1:
             engine.set_order(_orders(engine, o.seed))
