@@ -339,7 +339,7 @@ class Game:
 
     def first_present(self) -> int:
         """What one net too many adds to the cost of an edge at first, in 1024ths."""
-        return max(1, round(1024 * self.rip_up_present))
+        return round(1024 * self.rip_up_present)
 
     def cost(self, n: int) -> int:
         """What a net's edges cost it at the prices, in sixteenths."""

@@ -29,8 +29,9 @@ MOST_ROUNDS = 100_000
 MOST_NEIGHBOURS = 100
 """The largest ``rip_up_neighbours``."""
 
-MOST_PRESENT = 2.0
-"""The largest ``rip_up_present``: were it larger, it would hide what prices say."""
+LEAST_PRESENT, MOST_PRESENT = 0.01, 2.0
+"""The smallest and the largest ``rip_up_present``: a smaller one would not grow, being counted in
+whole parts, and a larger one would hide what prices say."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +69,7 @@ class RuleOptions:
             of the rounds edges with overflow get dearer, and nets keep the routes that cost them
             less. With ``overflow: allowed`` only; without rounds nothing is priced.
         rip_up_present: what one net too many adds to the cost of an edge in the first walk, as a
-            part of it, above 0 and up to 2. It grows from round to round. The more there is of it,
+            part of it, 0.01 to 2. It grows from round to round. The more there is of it,
             the sooner there is no overflow, and the longer routes are. For ``rip_up_prices``.
 
     Raises:
@@ -121,8 +122,9 @@ class RuleOptions:
         check("rip_up_prices", allowed, "false, unless overflow is allowed")
         present = self.rip_up_present
         in_range = not isinstance(present, bool) and isinstance(present, int | float)
-        in_range = in_range and 0 < present <= MOST_PRESENT
-        check("rip_up_present", in_range, f"above 0, to {MOST_PRESENT:g}, found {present!r}")
+        in_range = in_range and LEAST_PRESENT <= present <= MOST_PRESENT
+        within = f"{LEAST_PRESENT:g} to {MOST_PRESENT:g}, found {present!r}"
+        check("rip_up_present", in_range, within)
         pins_only = self.next_task == "listed" or self.decomposition == "mst"
         check("next_task", pins_only, "listed, for a decomposition other than mst")
 

@@ -194,7 +194,7 @@ def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int6
     options[Option.RIP_UP] = RipUp[rules.rip_up.upper()]
     options[Option.AGAIN_MOST] = again
     options[Option.PATIENCE] = rules.rip_up_patience
-    options[Option.PRESENT] = max(1, round(rules.rip_up_present * WHOLE))
+    options[Option.PRESENT] = round(rules.rip_up_present * WHOLE)
     rows = {
         Option.TREE: agents * tree,
         Option.VISITED: agents * rules.mask_visited,

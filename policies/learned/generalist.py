@@ -60,9 +60,9 @@ _STEINER: dict[str, Any] = {
 """What is different in the game in which nets walk along Steiner trees."""
 
 _LEAST, _ROOM, _TIGHT = 0.01, 2, 8
-"""That game is played if there are so many seconds, and if the first one took at most half of them
-where it was played at prices or ended without overflow, at most an eighth elsewhere: on tight
-problems Steiner trees gain little, and in a few milliseconds rip-ups gain more."""
+"""That game is played if there are so many seconds, and if the first walk took at most half of them
+where it left no overflow, at most an eighth elsewhere: on tight problems Steiner trees gain little,
+and in a few milliseconds rip-ups gain more."""
 
 _MOVE, _TREE_MOVE, _ROUND = 7e-6, 4e-6, 0.35
 """About the time of a walk of all nets, in seconds per edge of the half perimeters of their pins,
@@ -211,21 +211,15 @@ class GeneralistRouter:
         seen = self._observation, self._sizes, self._weights
         given = make_walk(engine, *seen, warmth, own, exact_pins=o.exact_pins)
 
-        def other_game(rules: EnvOptions) -> Engine:
-            """Another game of the problem, in which all nets have walked by the best moves."""
-            other = Engine([problem], rules)
-            alone = make_walk(
-                other, *seen, np.zeros(1, np.float32), own[:1], exact_pins=o.exact_pins
-            )
-            walk_out(other, alone, True)
-            given.counters[0] += alone.counters[0]
-            return other
-
         guide, seconds = None, np.inf if o.seconds is None else o.seconds
         walk_out(engine, given, True)
         share = _TIGHT if any(_cost(engine, 0)[:-1]) else _ROOM
         if seconds >= max(_LEAST, share * (time.thread_time() - began)):
-            guide = other_game(replace(rules, **_STEINER))
+            guide = Engine([problem], replace(rules, **_STEINER))
+            best_moves = np.zeros(1, np.float32)
+            alone = make_walk(guide, *seen, best_moves, own[:1], exact_pins=o.exact_pins)
+            walk_out(guide, alone, True)
+            given.counters[0] += alone.counters[0]
             if rules.target == "tree" and _walked(guide) < _walked(engine):
                 engine.reset(np.arange(o.copies) == 0)
                 walk_out(engine, follow(given, guide), True)
