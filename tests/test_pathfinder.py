@@ -289,6 +289,15 @@ def test_limit_of_time_leaves_every_net_joined() -> None:
     assert routed.history == full.history[: routed.iterations]
 
 
+def test_a_short_limit_of_time_is_looked_at_often() -> None:
+    """Whoever has no time left makes few passes, where a whole search would make many."""
+    problem = congested()
+    whole = router(passes=100).solve(problem)
+    assert whole.iterations == 100
+    # A pass of patterns, and no more labels than take a fraction of a millisecond.
+    assert router(seconds=0.0).solve(problem).iterations <= 5
+
+
 @settings(deadline=None, max_examples=30)
 @given(problems(), st.sampled_from([0.0, 0.01, 1.0]))
 def test_patterns_join_every_net_within_its_pins(problem: Problem, via_weight: float) -> None:

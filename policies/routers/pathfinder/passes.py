@@ -37,8 +37,6 @@ from policies.routers.pathfinder.trees import (
     reroute,
 )
 
-_WORK = 1 << 18  # labels opened per call, about 50 ms, so that the caller can look at the clock
-
 
 @compiled
 def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing) -> bool:
@@ -133,12 +131,13 @@ def advance(
 
     Returns:
         Why it returned: DONE when the search has ended; PAUSED to let the caller look at the clock,
-        empty ``routing.history`` or plan nets in batches; BOX_TOO_SMALL or POOL_TOO_SMALL if
-        ``lattice``, ``search`` and ``buffers`` or the pools of ``routing`` have to be replaced by
-        larger ones, for ``routing.progress["need"]`` points or edges.
+        after ``routing.progress["work"]`` labels, empty ``routing.history`` or plan nets in
+        batches; BOX_TOO_SMALL or POOL_TOO_SMALL if ``lattice``, ``search`` and ``buffers`` or the
+        pools of ``routing`` have to be replaced by larger ones, for ``routing.progress["need"]``
+        points or edges.
     """
     progress = routing.progress[0]
-    until = search.tally[1] + _WORK
+    until = search.tally[1] + progress.work
     while True:
         while progress.next < len(routing.order):
             if search.tally[1] > until:

@@ -23,6 +23,12 @@ from policies.routers.pathfinder.state import (
 )
 from policies.routers.pathfinder.trees import keep_best
 
+_LABELS = 5_000_000
+"""Labels that a search opens in a second, about."""
+
+_LEAST_WORK, _MOST_WORK = 1 << 10, 1 << 18
+"""Labels between two looks at the clock: from a fifth of a millisecond to 50 ms."""
+
 Stop = Literal["optimal", "settled", "passes", "seconds", "asked"]
 """Why a search ended: no solution can be better; it finds nothing better any more; it had all the
 passes, or all the time, that it may take; or somebody asked it to stop."""
@@ -148,7 +154,15 @@ class PathfinderRouter:
         ended = len(routing.order) == 0
         stop: Stop = "optimal" if ended else "settled"
         with Crew(arrays, parameters, int(progress["most"]), self.options.threads) as crew:
+
+            def left() -> float:
+                spent = time.thread_time() - worked + crew.waited
+                return np.inf if limit is None else limit - spent
+
             while not ended:
+                # Half of the time that is left, so that short searches end in time, too.
+                labels = min(left() / 2 * _LABELS, _MOST_WORK)
+                progress["work"] = max(labels, _LEAST_WORK)
                 ended, routing = crew.advance(routing)
                 rows = routing.history[: progress["history"]].tolist()
                 for kind, overflow, length, routed in rows:
@@ -161,10 +175,9 @@ class PathfinderRouter:
                     self._best = partial(_best, problem, routing) if passes else None
                     asked = self.watch(_line(progress, len(passes)))
                     worked += time.thread_time() - told
-                late = limit is not None and time.thread_time() - worked + crew.waited >= limit
                 if ended:
                     stop = _reason(progress, parameters.passes)
-                elif passes and (asked or late):  # the first pass has made a whole solution
+                elif passes and (asked or left() <= 0):  # the first pass has made a whole solution
                     stop, ended = "asked" if asked else "seconds", True
                     # These passes never make a solution worse. What others have found in mid-pass
                     # could be lost with more time, and more time must not be worse than less.

@@ -93,6 +93,7 @@ PROGRESS = np.dtype(
         ("pool", np.int64),  # which of the two pools in Routing.edge is in use
         ("top", np.int64),  # end of the used part of that pool
         ("need", np.int64),  # the size required, after BOX_TOO_SMALL or POOL_TOO_SMALL
+        ("work", np.int64),  # labels to open before the caller looks at the clock
         ("random", np.int64),  # state of the random numbers
         ("unproven", np.int64),  # nets whose ideal length may not be the shortest possible
         ("proven", np.int64),  # whether the present solution is known to be the best
