@@ -164,7 +164,9 @@ class Engine:
         room: Room | None = None,
         **changes: Any,
     ) -> None:
-        self.rules, self.room = replace(rules or RuleOptions(), **changes), room
+        rules = rules or RuleOptions()
+        # Options are checked whenever they are made, which takes as long as a dozen moves.
+        self.rules, self.room = replace(rules, **changes) if changes else rules, room
         problems = tuple(problems)
         self.static, self.nets = static_state(problems, self.rules, room=room)
         # An array, like all that parts of an engine share.

@@ -64,7 +64,7 @@ _LEAST, _ROOM, _TIGHT = 0.01, 2, 8
 where it left no overflow, at most an eighth elsewhere: on tight problems Steiner trees gain little,
 and in a few milliseconds rip-ups gain more."""
 
-_MOVE, _TREE_MOVE, _ROUND = 7e-6, 4e-6, 0.35
+_MOVE, _TREE_MOVE, _ROUND = 7e-6, 3.5e-6, 0.35
 """About the time of a walk of all nets, in seconds per edge of the half perimeters of their pins,
 by the network and along trees; and how much of such a walk a round is."""
 

@@ -323,7 +323,7 @@ def _walk(
     return False, wide(0)
 
 
-@compiled
+@inlined
 def _on_tree(static: Static, dynamic: Dynamic, maps: Maps, given: Walk, m: int, n: int) -> int:
     """An agent's move along a cheapest tree in a priced round; NOBODY: the network is to move."""
     if given.exact_pins < 2 or not is_priced(static, dynamic, m):
@@ -365,7 +365,7 @@ def _look(
     write_outlook(static, dynamic, maps, ways, m, n, given.radius, given.rows, row)
 
 
-@compiled
+@inlined
 def _step(
     static: Static,
     dynamic: Dynamic,
