@@ -135,6 +135,7 @@ ROUTERS: dict[str, list[str]] = {
     "random": ["--seed", "3"],
     "heuristic": [],
     "pathfinder": ["--seed", "3"],
+    "evolved": ["--seed", "3"],
     "optimal": [],
     "dqn": ["--seed", "3", *FAST],
     "ppo": ["--seed", "3", "env.max_steps=12", "train.episodes=5"],

@@ -29,7 +29,13 @@ from marouting import (
 from marouting.config import build, piece, read_yaml
 from marouting.trees.steiner import EXACT_PINS, steiner_length
 from policies.routers.base import Router
-from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter, Routed
+from policies.routers.pathfinder import (
+    EvolvedOptions,
+    EvolvedRouter,
+    PathfinderOptions,
+    PathfinderRouter,
+    Routed,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
@@ -534,6 +540,19 @@ def test_repairing_finds_shorter_ways_than_rounds_alone() -> None:
         assert rank <= rounds
         before, after = before + int(rounds[1]), after + rank[1]
     assert after < before
+
+
+def test_evolved_is_negotiation_by_another_schedule() -> None:
+    problem = generate(1, (16, 16, 2), nets=80, max_pins=5, capacity=4, seed=7)[0]
+    usual, evolved = asdict(PathfinderOptions()), asdict(EvolvedOptions())
+    schedule = {name: value for name, value in evolved.items() if value != usual[name]}
+    assert schedule.keys() >= {"present", "growth", "history", "decay"}
+    made = EvolvedRouter(EvolvedOptions(passes=20, seconds=None)).solve(problem)
+    assert made.history == router(passes=20, **schedule).solve(problem).history
+    assert made.history != router(passes=20).solve(problem).history
+    assert EvolvedRouter().options == EvolvedOptions()
+    named = piece("router", {"kind": "evolved", "passes": 20, "seconds": None}).make()
+    assert named.route(problem) == made.solution
 
 
 def test_is_a_router() -> None:

@@ -4,12 +4,14 @@
 
 Each checkout routes in a process of its own. Both get the same problems, seeds and processor time,
 in turns, so that whatever else the machine does slows both. The time of a run ends by the router's
-option ``seconds``; compiling is done before. Four families of problems, none of them used to choose
-the router's defaults:
+option ``seconds``; compiling is done before. Families of problems, none of them used to choose the
+router's defaults:
 
 * ``a``: 16×16×2 Gcells, 80 nets of up to 5 pins, capacity 4.
 * ``b``: 32×32×2 Gcells, 500 nets of up to 4 pins, capacity 9: far too much for the grid.
 * ``c``: 16×16×2 Gcells, 80 two-pin nets, capacity 3.
+* ``chip``: 64×64×2 Gcells, 8000 nets of up to 6 pins, most of them local, with two hot spots: about
+  the size of ibm01.
 * the test problems of the scenarios ``tight-16x16-v0`` and ``tight-32x32-v0``.
 """
 
@@ -33,6 +35,16 @@ GENERATED: dict[str, dict[str, Any]] = {
     "a": {"count": 8, "grid": (16, 16, 2), "nets": 80, "max_pins": 5, "capacity": 4},
     "b": {"count": 3, "grid": (32, 32, 2), "nets": 500, "max_pins": 4, "capacity": 9},
     "c": {"count": 8, "grid": (16, 16, 2), "nets": 80, "max_pins": 2, "capacity": 3},
+    "chip": {
+        "count": 3,
+        "grid": (64, 64, 2),
+        "nets": 8000,
+        "max_pins": 6,
+        "capacity": 18,
+        "reduced_edges": 0,
+        "rent": 0.65,
+        "hot_spots": 2,
+    },
 }
 SCENARIOS = ("tight-16x16-v0", "tight-32x32-v0")
 SEED = 2026

@@ -2,18 +2,21 @@
 
     python -m policies.bench.oracle prices --out FILE.json
     python -m policies.bench.oracle schedule --out FILE.json
+    python -m policies.bench.oracle evolved --out FILE.json
 
 ``prices`` lets the router begin with the prices at which a long search of the same problem ended,
 as they are and at a half. ``schedule`` looks for the options with which the router does best on
-other problems of the family, by differential evolution, and lets it begin with these. Both compare
-with the defaults at the same processor time, on the problems of
-:mod:`policies.bench.negotiation`. What does not help here need not be learned.
+other problems of the family, by differential evolution, and lets it begin with these; with
+``--together``, for one set of options for all families. ``evolved`` takes the set that is shipped
+(:mod:`policies.routers.pathfinder.evolved`). All compare with the defaults at the same processor
+time, on the problems of :mod:`policies.bench.negotiation`. What does not help here need not be
+learned.
 """
 
 import itertools
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,13 +30,17 @@ from policies.bench.negotiation import (
     SCENARIOS,
     SEED,
     families_option,
+    numbers,
     problems,
     report,
 )
-from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
+from policies.routers.pathfinder import EvolvedOptions, PathfinderOptions, PathfinderRouter
 
 SCALES = (1.0, 0.5)
 """Shares of the converged prices that a search begins with."""
+
+EVOLVED = "evolved"
+"""The router whose options were found so."""
 
 LONG_SEED = 100
 """Seed of the searches that find the prices: none of those that are compared."""
@@ -57,6 +64,8 @@ RANGES = {
     "margin": Range(0, 5, whole=True),
     "exact_pins": Range(2, 5, whole=True),
     "again": Range(0.0, 0.5),
+    "calm": Range(0.0, 1.0),
+    "patience": Range(1, 30, logarithmic=True, whole=True),
 }
 """The options that make a schedule."""
 
@@ -75,13 +84,15 @@ def play(problem: Problem, options: dict[str, Any], prices: Any = None) -> dict[
     return {"overflow": figures.overflow, "wirelength": figures.wirelength}
 
 
-def with_prices(family: str, seeds: int, seconds: float, long: float) -> Iterator[dict[str, Any]]:
+def with_prices(
+    family: str, seeds: int, times: Sequence[float], long: float
+) -> Iterator[dict[str, Any]]:
     """Rows of the defaults, of the long search, and of searches that begin with its prices."""
     for index, problem in enumerate(problems(family)):
-        where = {"family": family, "problem": index, "seconds": seconds}
         router = PathfinderRouter(PathfinderOptions(seconds=long, seed=LONG_SEED))
         prices = router.solve(problem).prices
-        for seed in range(seeds):
+        for seconds, seed in itertools.product(times, range(seeds)):
+            where = {"family": family, "problem": index, "seconds": seconds}
             options = {"seconds": seconds, "seed": seed}
             yield {"router": "defaults", **where, "seed": seed, **play(problem, options)}
             for scale in SCALES:
@@ -98,16 +109,18 @@ def values(point: Any) -> dict[str, Any]:
     return chosen
 
 
-def best_schedule(family: str, seconds: float, trials: int, count: int) -> dict[str, Any]:
+def best_schedule(
+    families: Sequence[str], seconds: float, trials: int, count: int
+) -> dict[str, Any]:
     """The options with the least overflow, in relation to the defaults, on other problems.
 
     Args:
-        family: the family.
+        families: the families.
         seconds: processor time per problem.
         trials: sets of options that are tried, about.
-        count: problems for each.
+        count: problems of each family for each of them.
     """
-    tried = others(family, count)
+    tried = [problem for family in families for problem in others(family, count)]
     defaults = PathfinderOptions()
 
     def scaled(allowed: Range, value: float) -> float:
@@ -127,7 +140,6 @@ def best_schedule(family: str, seconds: float, trials: int, count: int) -> dict[
         click.echo(f"{number}: {found:.3f} {json.dumps(values(point))}", err=True)
         return found
 
-    together = 2 * len(RANGES)
     result = differential_evolution(
         loss,
         Bounds(
@@ -135,8 +147,8 @@ def best_schedule(family: str, seconds: float, trials: int, count: int) -> dict[
             [scaled(allowed, allowed.high) for allowed in RANGES.values()],
         ),
         x0=[scaled(allowed, getattr(defaults, name)) for name, allowed in RANGES.items()],
-        popsize=2,
-        maxiter=max(1, trials // together - 1),
+        popsize=1,
+        maxiter=max(1, trials // len(RANGES) - 1),
         mutation=(0.4, 0.9),
         recombination=0.8,
         polish=False,
@@ -147,25 +159,31 @@ def best_schedule(family: str, seconds: float, trials: int, count: int) -> dict[
 
 
 def with_schedule(
-    family: str, seeds: int, seconds: float, trials: int, count: int
+    name: str, family: str, seeds: int, times: Sequence[float], schedule: dict[str, Any]
 ) -> Iterator[dict[str, Any]]:
-    """Rows of the defaults and of the best schedule, which are with the latter."""
-    schedule = best_schedule(family, seconds, trials, count)
-    for index, problem in enumerate(problems(family)):
+    """Rows of the defaults and of a schedule, called by a name, with its options."""
+    for seconds, (index, problem) in itertools.product(times, enumerate(problems(family))):
         where = {"family": family, "problem": index, "seconds": seconds}
         for seed in range(seeds):
             options = {"seconds": seconds, "seed": seed}
             row = {"router": "defaults", **where, "seed": seed, **play(problem, options)}
             yield row
             found = play(problem, {**options, **schedule})
-            yield {**row, "router": "best schedule", **found, "options": schedule}
+            yield {**row, "router": name, **found, "options": schedule}
 
 
 @click.command()
-@click.argument("oracle", type=click.Choice(("prices", "schedule")))
+@click.argument("oracle", type=click.Choice(("prices", "schedule", EVOLVED)))
 @families_option
 @click.option("--seeds", default=3, show_default=True, help="Seeds of the router per problem.")
-@click.option("--seconds", default=1.0, show_default=True, help="Processor time of a search.")
+@click.option(
+    "--seconds",
+    default="1",
+    show_default=True,
+    callback=numbers,
+    help="Processor time of a search: 1,5. Schedules are sought with the first.",
+)
+@click.option("--together", is_flag=True, help="One schedule for all families.")
 @click.option("--long", default=30.0, show_default=True, help="The same where prices are found.")
 @click.option("--trials", default=160, show_default=True, help="Schedules tried, about.")
 @click.option("--count", default=5, show_default=True, help="Problems per schedule tried.")
@@ -174,7 +192,8 @@ def main(
     oracle: str,
     families: list[str],
     seeds: int,
-    seconds: float,
+    seconds: list[float],
+    together: bool,
     long: float,
     trials: int,
     count: int,
@@ -184,12 +203,19 @@ def main(
     for exact in (2, 5):
         play(problems(families[0])[0], {"seconds": 0.2, "exact_pins": exact})  # compiles
 
-    def rows(family: str) -> Iterator[dict[str, Any]]:
+    def rows(group: Sequence[str]) -> Iterator[dict[str, Any]]:
         if oracle == "prices":
-            return with_prices(family, seeds, seconds, long)
-        return with_schedule(family, seeds, seconds, trials, count)
+            priced = (with_prices(family, seeds, seconds, long) for family in group)
+            return itertools.chain.from_iterable(priced)
+        name, schedule = oracle, shipped
+        if oracle == "schedule":
+            name, schedule = "best schedule", best_schedule(group, seconds[0], trials, count)
+        found = (with_schedule(name, family, seeds, seconds, schedule) for family in group)
+        return itertools.chain.from_iterable(found)
 
-    report(itertools.chain.from_iterable(map(rows, families)), out)
+    shipped = {name: getattr(EvolvedOptions(), name) for name in RANGES}
+    groups = [families] if together else [[name] for name in families]
+    report(itertools.chain.from_iterable(map(rows, groups)), out)
 
 
 if __name__ == "__main__":

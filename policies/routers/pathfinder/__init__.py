@@ -47,9 +47,11 @@ Where to look:
 * :mod:`~policies.routers.pathfinder.passes`: compiled code for passes and rounds.
 * :mod:`~policies.routers.pathfinder.batches`: passes in batches, and their threads.
 * :mod:`~policies.routers.pathfinder.router`: the router, and what it reports.
+* :mod:`~policies.routers.pathfinder.evolved`: the same with options that were learned.
 """
 
+from policies.routers.pathfinder.evolved import EvolvedOptions, EvolvedRouter
 from policies.routers.pathfinder.options import PathfinderOptions
 from policies.routers.pathfinder.router import PathfinderRouter, Routed
 
-__all__ = ["PathfinderOptions", "PathfinderRouter", "Routed"]
+__all__ = ["EvolvedOptions", "EvolvedRouter", "PathfinderOptions", "PathfinderRouter", "Routed"]

@@ -92,10 +92,10 @@ class PathfinderRouter:
             nobody watches.
     """
 
-    Options = PathfinderOptions
+    Options: type[PathfinderOptions] = PathfinderOptions
 
     def __init__(self, options: PathfinderOptions | None = None) -> None:
-        self.options = PathfinderOptions() if options is None else options
+        self.options = self.Options() if options is None else options
         self.watch: Callable[[str], bool] | None = None
         self._best: Callable[[], Solution] | None = None
 
