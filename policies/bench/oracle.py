@@ -115,7 +115,7 @@ def best_schedule(
     """The options with the least overflow, in relation to the defaults, on other problems.
 
     Args:
-        families: the families.
+        families: the families. Every problem counts alike.
         seconds: processor time per problem.
         trials: sets of options that are tried, about.
         count: problems of each family for each of them.
@@ -161,7 +161,7 @@ def best_schedule(
 def with_schedule(
     name: str, family: str, seeds: int, times: Sequence[float], schedule: dict[str, Any]
 ) -> Iterator[dict[str, Any]]:
-    """Rows of the defaults and of a schedule, called by a name, with its options."""
+    """Rows of the defaults, and of a schedule under a name, with its options."""
     for seconds, (index, problem) in itertools.product(times, enumerate(problems(family))):
         where = {"family": family, "problem": index, "seconds": seconds}
         for seed in range(seeds):
@@ -203,6 +203,8 @@ def main(
     for exact in (2, 5):
         play(problems(families[0])[0], {"seconds": 0.2, "exact_pins": exact})  # compiles
 
+    shipped = {name: getattr(EvolvedOptions(), name) for name in RANGES}
+
     def rows(group: Sequence[str]) -> Iterator[dict[str, Any]]:
         if oracle == "prices":
             priced = (with_prices(family, seeds, seconds, long) for family in group)
@@ -213,7 +215,6 @@ def main(
         found = (with_schedule(name, family, seeds, seconds, schedule) for family in group)
         return itertools.chain.from_iterable(found)
 
-    shipped = {name: getattr(EvolvedOptions(), name) for name in RANGES}
     groups = [families] if together else [[name] for name in families]
     report(itertools.chain.from_iterable(map(rows, groups)), out)
 

@@ -2,9 +2,11 @@
 
 How fast prices rise, when a round is over, which nets get cheapest trees: these options were chosen
 by evolution, one set for problems of all kinds and sizes. Differential evolution (Storn and Price,
-Journal of Global Optimization 11, 1997) tried 180 sets on generated problems that do not fit, with
-a second of processor time for each (``python -m policies.bench.oracle schedule --together``). What
-they bring on other problems, and what they cost, is in docs/negotiation.md.
+Journal of Global Optimization 11, 1997) tried 180 sets on twelve problems that do not fit, with a
+second of processor time for each problem (``python -m policies.bench.oracle schedule --together``);
+numbers are rounded. In much less time, or on far larger problems, the defaults of
+:class:`PathfinderOptions` may be better. What they bring on other problems, and what they cost, is in
+docs/negotiation.md.
 """
 
 from dataclasses import dataclass
