@@ -5,8 +5,8 @@ by evolution, one set for problems of all kinds and sizes. Differential evolutio
 Journal of Global Optimization 11, 1997) tried 180 sets on twelve problems that do not fit, with a
 second of processor time for each problem (``python -m policies.bench.oracle schedule --together``);
 numbers are rounded. In much less time, or on far larger problems, the defaults of
-:class:`PathfinderOptions` may be better. What they bring on other problems, and what they cost, is in
-docs/negotiation.md.
+:class:`PathfinderOptions` may be better. What they bring on other problems, and what they cost, is
+in docs/negotiation.md.
 """
 
 from dataclasses import dataclass
