@@ -7,13 +7,14 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 import torch
 
 from marouting import Engine, InputError, generate
 from marouting.game.outlook import OutlookObservation
-from policies.bench import SECTIONS, Bench, environment, negotiation, oracle, predicted
+from policies.bench import SECTIONS, Bench, environment, evolution, negotiation, oracle, predicted
 from policies.bench.features import Blind
 from policies.bench.measure import rate
 from policies.bench.training import operations
@@ -114,7 +115,7 @@ def test_growth_is_measured_in_processes_of_their_own(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "others"),
-    [("prices", ["prices x 1", "prices x 0.5"]), ("schedule", ["best schedule"])],
+    [("prices", ["prices x 1", "prices x 0.5"]), ("evolved", ["evolved"])],
 )
 def test_oracles_are_compared_with_the_defaults(
     kind: str,
@@ -126,18 +127,48 @@ def test_oracles_are_compared_with_the_defaults(
     monkeypatch.setitem(negotiation.GENERATED["c"], "count", 1)
     file = tmp_path / "rows.json"
     arguments = [kind, "--families", "c", "--seeds", "2", "--seconds", "0.01", "--long", "0.02"]
-    arguments += ["--trials", "1", "--count", "1", "--out", str(file)]
+    arguments += ["--out", str(file)]
     oracle.main(arguments, standalone_mode=False)
     rows = json.loads(file.read_text())
     assert [row["router"] for row in rows] == ["defaults", *others] * 2
     assert all(row["wirelength"] > 0 for row in rows)
-    for row in rows:
-        chosen = row.get("options", {})
-        PathfinderOptions(**chosen)
-        assert all(
-            oracle.RANGES[name].low <= chosen[name] <= oracle.RANGES[name].high for name in chosen
-        )
     assert f"| c | 0.01 | {others[-1]} | " in capsys.readouterr().out
+
+
+def test_evolution_judges_sets_by_several_trials(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "sets.json"
+    arguments = ["--on", "c:2:0.01", "--trials", "9", "--first", '{"stuck": 30}']
+    evolution.main([*arguments, "--out", str(file)], standalone_mode=False)
+    sets = json.loads(file.read_text())
+    assert len(sets) == 7  # the fourth and the eighth trial were of sets that there were
+    losses = [each.pop("losses") for each in sets]
+    assert sum(map(len, losses)) == 9
+    assert max(map(len, losses)) > 1
+    judged = [np.mean(found) + evolution.DOUBT / len(found) for found in losses]
+    assert judged == sorted(judged)
+    assert {**evolution.FIRST, "stuck": 30} in sets
+    for each in sets:
+        PathfinderOptions(**each)
+        for name, allowed in evolution.RANGES.items():
+            assert allowed.low <= each[name] <= allowed.high
+    assert json.loads(capsys.readouterr().out) == sets[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--on", "c:2"], "expected FAMILY:COUNT:SECONDS, found c:2"),
+        (["--on", "c:two:1"], "expected FAMILY:COUNT:SECONDS, found c:two:1"),
+        (["--on", "d:2:1"], "expected one of a, b, c, chip, tight-16x16-v0, tight-32x32-v0 as"),
+        (["--on", "c:1:1", "--first", "{"], "expected options in JSON"),
+        (["--on", "c:1:1", "--first", '{"growth": 0}'], "growth: expected a number from 1"),
+    ],
+)
+def test_evolution_says_what_it_expects(arguments: list[str], message: str) -> None:
+    with pytest.raises(click.BadParameter, match=message):
+        evolution.main([*arguments, "--out", "x.json"], standalone_mode=False)
 
 
 def test_predicted_prices_are_compared_with_the_defaults(

@@ -10,6 +10,8 @@ from typing import Any
 import networkx
 import numpy as np
 import pytest
+import scipy.optimize
+import scipy.sparse
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from reference import contested, pin_gcells
@@ -27,6 +29,7 @@ from marouting import (
     sequential_astar,
 )
 from marouting.config import build, piece, read_yaml
+from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.steiner import EXACT_PINS, steiner_length
 from policies.routers.base import Router
 from policies.routers.pathfinder import (
@@ -36,6 +39,9 @@ from policies.routers.pathfinder import (
     PathfinderRouter,
     Routed,
 )
+from policies.routers.pathfinder.evolved import SHORT
+from policies.routers.pathfinder.relaxation import Relaxation
+from policies.routers.pathfinder.state import RELAX, UNIT, make_arrays, make_parameters, with_trees
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
@@ -542,7 +548,100 @@ def test_repairing_finds_shorter_ways_than_rounds_alone() -> None:
     assert after < before
 
 
-def test_evolved_is_negotiation_by_another_schedule() -> None:
+# Prices from a linear program
+
+
+def hard_to_fit(seed: int) -> Problem:
+    """A problem that overflows however it is routed."""
+    return generate(1, (12, 12, 2), nets=70, max_pins=4, capacity=3, seed=seed)[0]
+
+
+def test_prices_are_set_after_the_probe_and_in_every_round() -> None:
+    """Relaxing passes at new prices come when they are due; the best solution is kept."""
+    problem = hard_to_fit(3)
+    routed = router(passes=150, probe=5, priced=3, stuck=4).solve(problem)
+    check_routed(problem, routed)
+    kinds = [done.kind for done in routed.history]
+    assert kinds[:9] == ["pattern", "relax", *["negotiate"] * 3, *["relax"] * 3, "negotiate"]
+    rounds = [i for i, kind in enumerate(kinds[1:]) if (kinds[i], kind) == ("squeeze", "relax")]
+    assert rounds
+    assert all(kinds[i + 1 : i + 5] == [*["relax"] * 3, "negotiate"] for i in rounds[:-1])
+    assert routed.history == router(passes=150, probe=5, priced=3, stuck=4).solve(problem).history
+    plain = router(passes=150, stuck=4).solve(problem)
+    assert [done.kind for done in plain.history[5:8]] != ["relax"] * 3
+
+
+def test_what_fits_needs_no_prices() -> None:
+    """Where the linear program overflows nowhere, negotiating goes on, and finds what fits."""
+    asked = 0
+    for problem in generate(4, (12, 12, 2), nets=60, max_pins=3, capacity=4, seed=2):
+        plain = router().solve(problem)
+        priced = router(probe=3, priced=2).solve(problem)
+        assert figures(problem, plain.solution)[0] == figures(problem, priced.solution)[0] == 0
+        before = [done.kind for done in priced.history if done.overflow > 0]
+        asked += len(before) > 3
+        if len(before) <= 2:
+            assert priced.history == plain.history
+    assert asked > 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_linear_program_agrees_with_highs(seed: int) -> None:
+    """Its prices prove nearly the optimum that scipy finds over the same trees."""
+    problem = hard_to_fit(seed)
+    options = PathfinderOptions(via_weight=0.5)
+    arrays, routing = make_arrays(problem, options)
+    relaxation = Relaxation(arrays, make_parameters(options), routing, worth=1.0)
+    progress = routing.progress[0]
+    progress["kind"], progress["passes"], progress["best_overflow"] = RELAX, 2, 1
+    trees: list[set[tuple[int, ...]]] = [set() for _ in problem.nets]
+    solutions = [router(passes=2 + i, seed=i).route(problem) for i in range(12)]
+    for solution in solutions:
+        progress["top"] = 0
+        routing = with_trees(routing, solution)
+        relaxation.after_pass(routing)
+        net, edge = solution.pruned().uses
+        for i, kept in enumerate(trees):
+            kept.add(tuple(edge[(net == i) & (edge % AXES != VIA_AXIS)].tolist()))
+    for _ in range(60):  # goes on from where it stood
+        relaxation.after_pass(routing)
+        while relaxation.busy:
+            relaxation.advance(routing, 1 << 20)
+    price = routing.price / UNIT
+    assert price.min() >= 0
+    assert price.max() <= 1 + 1e-9
+
+    columns = [(i, tree) for i, kept in enumerate(trees) for tree in sorted(kept)]
+    edges = len(problem.capacity)
+    use = scipy.sparse.lil_matrix((edges, len(columns)))
+    share = scipy.sparse.lil_matrix((len(trees), len(columns)))
+    for j, (i, tree) in enumerate(columns):
+        use[list(tree), j] = 1
+        share[i, j] = 1
+    found = scipy.optimize.linprog(
+        np.append(np.zeros(len(columns)), np.ones(edges)),
+        A_ub=scipy.sparse.hstack([use, -scipy.sparse.identity(edges)]),
+        b_ub=problem.capacity,
+        A_eq=scipy.sparse.hstack([share, scipy.sparse.csr_matrix((len(trees), edges))]),
+        b_eq=np.ones(len(trees)),
+    )
+    cost = np.array([price[list(tree)].sum() for _, tree in columns])
+    least = [cost[[i == net for i, _ in columns]].min() for net in range(len(trees))]
+    bound = sum(least) - float(price @ problem.capacity)
+    assert found.fun > 5
+    assert 0.98 * found.fun <= bound <= found.fun + 1e-6
+
+
+def test_room_for_trees_is_made_when_there_is_none() -> None:
+    """A long search has many times more trees than there is room for at first."""
+    problem = generate(1, (9, 9, 2), nets=40, max_pins=3, capacity=2, seed=1)[0]
+    options = {"passes": 1500, "probe": 4, "priced": 2, "stuck": 3, "again": 0.5, "repairs": 3}
+    routed = router(**options).solve(problem)
+    check_routed(problem, routed)
+    assert routed.history == router(**options).solve(problem).history
+
+
+def test_evolved_is_negotiation_by_schedules_for_its_time() -> None:
     problem = generate(1, (16, 16, 2), nets=80, max_pins=5, capacity=4, seed=7)[0]
     usual, evolved = asdict(PathfinderOptions()), asdict(EvolvedOptions())
     schedule = {name: value for name, value in evolved.items() if value != usual[name]}
@@ -553,6 +652,16 @@ def test_evolved_is_negotiation_by_another_schedule() -> None:
     assert EvolvedRouter().options == EvolvedOptions()
     named = piece("router", {"kind": "evolved", "passes": 20, "seconds": None}).make()
     assert named.route(problem) == made.solution
+    # Less time makes another schedule; what the user chose stays.
+    hasty = EvolvedRouter(EvolvedOptions(seconds=1e-4, seed=3)).options_for(problem)
+    assert hasty == replace(min(SHORT.items())[1], seconds=1e-4, seed=3)
+    assert hasty.growth != EvolvedOptions().growth
+    asked = [seconds * 10.0**power for power in range(-5, 3) for seconds in (1, 3)]
+    made_for = {EvolvedRouter(EvolvedOptions(seconds=s)).options_for(problem) for s in asked}
+    assert len({replace(options, seconds=None) for options in made_for}) == len(SHORT) + 1
+    assert EvolvedRouter(EvolvedOptions(seconds=1e-4, growth=3.0)).options_for(problem).growth == 3
+    alone = plane({"a": [(0, 0)]}, (3, 3))
+    assert figures(alone, EvolvedRouter(EvolvedOptions(seconds=1e-4)).route(alone)) == (0, 0)
 
 
 def test_is_a_router() -> None:

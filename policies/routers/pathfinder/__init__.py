@@ -18,7 +18,8 @@ nothing better any more, passes of a fourth kind improve the best solution:
 * **relax** reroutes every net at the prices left by the earlier rounds. In the first round there
   are no prices yet, so every net takes its shortest route.
 * **negotiate** reroutes every net that uses an overflowed edge. Prices rise from pass to pass, in
-  later rounds by smaller steps.
+  later rounds by smaller steps. If wanted, a linear program sets the prices that they rise from
+  (:mod:`~policies.routers.pathfinder.relaxation`): some relaxing passes at its prices come before.
 * **squeeze** reroutes every net for least overflow, then for least length. No net gets worse. As
   soon as a pass gains too little, the next round begins.
 * **repair** lets a net that overflows or takes a detour displace others, and these yet others, a
@@ -46,6 +47,7 @@ Where to look:
 * :mod:`~policies.routers.pathfinder.repair`: compiled code for nets that displace each other.
 * :mod:`~policies.routers.pathfinder.passes`: compiled code for passes and rounds.
 * :mod:`~policies.routers.pathfinder.batches`: passes in batches, and their threads.
+* :mod:`~policies.routers.pathfinder.relaxation`: prices from a linear program.
 * :mod:`~policies.routers.pathfinder.router`: the router, and what it reports.
 * :mod:`~policies.routers.pathfinder.evolved`: the same with options that were learned.
 """

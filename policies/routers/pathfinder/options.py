@@ -39,6 +39,12 @@ class PathfinderOptions:
             make another one.
         again: share of the nets that are rerouted even though their tree is already as short as
             possible, to make room for others.
+        probe: after this many passes, if all solutions so far overflow, prices are set by a linear
+            program over all trees so far, and again when a later round begins
+            (:mod:`policies.routers.pathfinder.relaxation`). Not with more than 20 000 nets.
+        priced: how many relaxing passes follow, each at new prices, before negotiating goes on. 0:
+            there is no linear program, and prices come from past overflow alone.
+        worth: what the highest price of the linear program adds to the cost of an edge, in edges.
         patience: repairing begins after this many rounds in a row without a better solution.
         repairs: repairing ends after this many passes in a row without a better solution.
         persistence: when repairing ends, the search ends, too, if it has made this many times as
@@ -74,6 +80,9 @@ class PathfinderOptions:
     least_fall: float = 0.01
     least_gain: float = 0.0005
     again: float = 0.1
+    probe: int = 12
+    priced: int = 0
+    worth: float = 15.0
     patience: int = 5
     repairs: int = 30
     persistence: int = 8
@@ -98,6 +107,9 @@ class PathfinderOptions:
         check("least_fall", 0 <= self.least_fall <= 1, "a number from 0 to 1")
         check("repairs", 1 <= self.repairs <= MOST, f"a number from 1 to {MOST}")
         check("persistence", 1 <= self.persistence <= MOST, f"a number from 1 to {MOST}")
+        check("probe", 1 <= self.probe <= MOST, f"a number from 1 to {MOST}")
+        check("priced", 0 <= self.priced <= MOST, f"a number from 0 to {MOST}")
+        check("worth", 0 <= self.worth <= 1000, "a number from 0 to 1000")
         check("patience", 1 <= self.patience <= MOST, f"a number from 1 to {MOST}")
         check("passes", 1 <= self.passes <= MOST, f"a number from 1 to {MOST}")
         check("seconds", self.seconds is None or self.seconds >= 0, "a number from 0, or null")

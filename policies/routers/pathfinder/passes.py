@@ -89,6 +89,17 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
         for edge in range(len(routing.price)):
             routing.price[edge] *= 1.0 - step * (1.0 - parameters.decay)
         progress.rounds += 1
+        progress.pricing = parameters.priced - 1 if progress.best_overflow > 0 else 0
+    elif progress.kind == RELAX and progress.pricing > 0:
+        progress.pricing -= 1
+    elif (
+        progress.kind == NEGOTIATE
+        and progress.passes == parameters.probe
+        and progress.best_overflow > 0
+        and parameters.priced > 0
+    ):
+        progress.kind, progress.pricing = RELAX, parameters.priced - 1
+        progress.fewest, progress.stuck = np.iinfo(np.int64).max, 0
     elif progress.kind < SQUEEZE or progress.kind == PATTERN:
         progress.kind = SQUEEZE
         if progress.overflow > 0 and progress.stuck < parameters.stuck:
@@ -131,10 +142,10 @@ def advance(
 
     Returns:
         Why it returned: DONE when the search has ended; PAUSED to let the caller look at the clock,
-        after ``routing.progress["work"]`` labels, empty ``routing.history`` or plan nets in
-        batches; BOX_TOO_SMALL or POOL_TOO_SMALL if ``lattice``, ``search`` and ``buffers`` or the
-        pools of ``routing`` have to be replaced by larger ones, for ``routing.progress["need"]``
-        points or edges.
+        after ``routing.progress["work"]`` labels, empty ``routing.history``, plan nets in batches
+        or set prices; BOX_TOO_SMALL or POOL_TOO_SMALL if ``lattice``, ``search`` and ``buffers`` or
+        the pools of ``routing`` have to be replaced by larger ones, for
+        ``routing.progress["need"]`` points or edges.
     """
     progress = routing.progress[0]
     until = search.tally[1] + progress.work
@@ -157,5 +168,5 @@ def advance(
             progress.next += routed
         if not _next_pass(problem, parameters, routing):
             return DONE
-        if progress.most > 1 or progress.history == len(routing.history):
+        if progress.alone or progress.most > 1 or progress.history == len(routing.history):
             return PAUSED

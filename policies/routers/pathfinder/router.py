@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from marouting import Problem, Solution
 from policies.routers.pathfinder.batches import Crew
 from policies.routers.pathfinder.options import PathfinderOptions
+from policies.routers.pathfinder.relaxation import Relaxation
 from policies.routers.pathfinder.state import (
     KINDS,
     UNIT,
@@ -101,11 +102,15 @@ class PathfinderRouter:
 
     def warm_up(self, problem: Problem) -> None:
         """Compiles what routing needs, by a problem to which ``start`` is no solution."""
-        PathfinderRouter(replace(self.options, start=None)).route(problem)
+        type(self)(replace(self.options, start=None)).route(problem)
 
     def best(self) -> Solution | None:
         """The best solution so far, for who watches; None if there is none yet."""
         return None if self._best is None else self._best()
+
+    def options_for(self, problem: Problem) -> PathfinderOptions:  # noqa: ARG002
+        """The options by which a problem is routed."""
+        return self.options
 
     def route(self, problem: Problem) -> Solution:
         """Routes a problem.
@@ -136,11 +141,12 @@ class PathfinderRouter:
                 leaves out what they cause alone.
         """
         began, worked = time.perf_counter(), time.thread_time()
-        limit = self.options.seconds
-        parameters = make_parameters(self.options)
-        arrays, routing = make_arrays(problem, self.options)
-        if start is None and self.options.start is not None:
-            start = Solution.read(self.options.start, problem)
+        options = self.options_for(problem)
+        limit = options.seconds
+        parameters = make_parameters(options)
+        arrays, routing = make_arrays(problem, options)
+        if start is None and options.start is not None:
+            start = Solution.read(options.start, problem)
         if start is not None:
             routing = with_trees(routing, start)
         if prices is not None:
@@ -150,10 +156,14 @@ class PathfinderRouter:
         progress["large"] |= present > 0
         if taken is not None:
             routing.remaining[:] -= taken
+        relaxation = None
+        if options.priced > 0 and progress["most"] == 1:
+            relaxation = Relaxation(arrays, parameters, routing, options.worth)
+            progress["alone"] = True
         passes: list[Pass] = []
         ended = len(routing.order) == 0
         stop: Stop = "optimal" if ended else "settled"
-        with Crew(arrays, parameters, int(progress["most"]), self.options.threads) as crew:
+        with Crew(arrays, parameters, int(progress["most"]), options.threads) as crew:
 
             def left() -> float:
                 spent = time.thread_time() - worked + crew.waited
@@ -161,12 +171,17 @@ class PathfinderRouter:
 
             while not ended:
                 # Half of the time that is left, so that short searches end in time, too.
-                labels = min(left() / 2 * _LABELS, _MOST_WORK)
-                progress["work"] = max(labels, _LEAST_WORK)
-                ended, routing = crew.advance(routing)
+                labels = max(min(left() / 2 * _LABELS, _MOST_WORK), _LEAST_WORK)
+                if relaxation is not None and relaxation.busy:
+                    relaxation.advance(routing, int(labels))
+                else:
+                    progress["work"] = labels
+                    ended, routing = crew.advance(routing)
                 rows = routing.history[: progress["history"]].tolist()
                 for kind, overflow, length, routed in rows:
                     passes.append(Pass(KINDS[kind], overflow, length / UNIT, routed))
+                if relaxation is not None and rows:
+                    relaxation.after_pass(routing)
                 progress["history"] = 0
                 asked = False
                 if self.watch is not None:

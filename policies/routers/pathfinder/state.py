@@ -98,6 +98,8 @@ PROGRESS = np.dtype(
         ("unproven", np.int64),  # nets whose ideal length may not be the shortest possible
         ("proven", np.int64),  # whether the present solution is known to be the best
         ("rounds", np.int64),  # completed rounds
+        ("pricing", np.int64),  # further relaxing passes of this round, each at new prices
+        ("alone", np.int64),  # whether the caller has work to do after every pass
         ("linked", np.int64),  # whether Routing.head leads to the users of every edge
         ("history", np.int64),  # filled rows of Routing.history
     ],
@@ -132,6 +134,8 @@ class Parameters(NamedTuple):
     least_fall: float
     least_gain: float
     again: int  # in parts of 2^20
+    probe: int
+    priced: int
     patience: int
     repairs: int
     persistence: int

@@ -1,0 +1,317 @@
+"""Prices from a linear program: what all trees that nets have had tell together.
+
+A search keeps every tree that a net has had. If nets could mix their trees, the least overflow of
+all mixes would be a linear program: every net gives shares to its trees, and an edge overflows by
+what the shares use of it beyond its capacity. The program's dual values are prices between 0 and 1
+for a track of every edge. They tell better than a count of past overflow which edges are scarce,
+and cheapest trees at these prices are what the program lacks: this is column generation (Dantzig
+and Wolfe, "Decomposition principle for linear programs", Operations Research 8, 1960). The shares
+and prices are found by the primal-dual hybrid gradient method (Chambolle and Pock, "A first-order
+primal-dual algorithm for convex problems with applications to imaging", Journal of Mathematical
+Imaging and Vision 40, 2011), in so few iterations that they are near the optimum, not at it.
+
+Sizes: C columns (trees), P places (wires of trees), E edges, N nets.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.kernels import compiled, wide
+from marouting.problem.grid import AXES, VIA_AXIS
+from policies.routers.pathfinder.state import (
+    NEGOTIATE,
+    RELAX,
+    UNIT,
+    Parameters,
+    ProblemArrays,
+    Routing,
+)
+
+_ITERATIONS = 60
+"""Iterations of the linear program whenever prices are set; it goes on from where it stood."""
+
+_FIRST_STEP, _RATIO = 0.01, 1.6
+"""Step size to begin with, and how much larger it is for prices than for shares (and by how much
+smaller for shares)."""
+
+_LEAST = 0.5
+"""With less overflow than this, in tracks, in the linear program, its prices tell nothing."""
+
+_TREES = 16
+"""Trees per net that there is room for at first."""
+
+_PLACES_PER_LABEL = 64
+"""Places that an iteration of the linear program handles while a search opens one label."""
+
+
+class Columns(NamedTuple):
+    """The trees that nets have had, all different."""
+
+    filled: NDArray[np.int64]  # (2,) how many columns and places are in use
+    held: NDArray[np.int32]  # (N,) the column of the net's present tree; -1: none
+    latest: NDArray[np.int32]  # (N,) the net's latest column; -1: none
+    before: NDArray[np.int32]  # (C,) the same net's column before this one; -1: none
+    net: NDArray[np.int32]  # (C,)
+    mark: NDArray[np.int64]  # (C,) a number that differs between different trees
+    first: NDArray[np.int64]  # (C + 1,) a column's wires are edge[first[c] : first[c + 1]]
+    share: NDArray[np.float64]  # (C,) of the net; those of a net sum to 1
+    next_share: NDArray[np.float64]  # (C,) working memory
+    edge: NDArray[np.int32]  # (P,)
+    take: NDArray[np.int32]  # (P,) tracks that the net takes from that edge
+
+
+class Dual(NamedTuple):
+    """The prices of the linear program, and working memory."""
+
+    capacity: NDArray[np.float64]  # (E,) in tracks
+    price: NDArray[np.float64]  # (E,) from 0 to 1, per track
+    total: NDArray[np.float64]  # (E,) sum of the prices of all iterations
+    load: NDArray[np.float64]  # (E,) tracks in use by the shares
+    next_load: NDArray[np.float64]  # (E,)
+    values: NDArray[np.float64]  # (C,)
+    step: NDArray[np.float64]  # (1,)
+
+
+@compiled
+def _collect(problem: ProblemArrays, routing: Routing, columns: Columns, begin: int) -> int:
+    """Adds the nets' present trees to the columns, from the net at place ``begin`` in the order.
+
+    Returns:
+        The place of the first net that there was no room for; the number of nets if there was.
+    """
+    pool = routing.progress[0].pool
+    for index in range(begin, len(routing.order)):
+        net = routing.order[index]
+        first = routing.start[net]
+        last = first + routing.length[net]
+        mark = wide(0)
+        for i in range(first, last):
+            edge = wide(routing.edge[pool, i])
+            if edge % AXES == VIA_AXIS:
+                continue  # has no capacity
+            bits = np.uint64(edge + 1) * np.uint64(0x9E3779B97F4A7C15)
+            bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            mark += wide(bits ^ (bits >> np.uint64(31)))
+        column = wide(columns.latest[net])
+        while column >= 0 and columns.mark[column] != mark:
+            column = wide(columns.before[column])
+        if column < 0:
+            column, place = columns.filled[0], columns.filled[1]
+            if column == len(columns.mark) or place + last - first > len(columns.edge):
+                return index
+            columns.net[column], columns.mark[column] = net, mark
+            columns.before[column] = columns.latest[net]
+            columns.share[column] = 1.0 if columns.latest[net] < 0 else 0.0
+            columns.latest[net] = column
+            for i in range(first, last):
+                edge = wide(routing.edge[pool, i])
+                gcell = edge // AXES
+                if edge - AXES * gcell == VIA_AXIS:
+                    continue
+                layer = problem.position[gcell, VIA_AXIS]
+                columns.edge[place], columns.take[place] = edge, problem.demand[net, layer]
+                place += 1
+            columns.first[column + 1] = place
+            columns.filled[0], columns.filled[1] = column + 1, place
+        columns.held[net] = column
+    return len(routing.order)
+
+
+@compiled
+def _relax(columns: Columns, dual: Dual, iterations: int) -> float:
+    """Goes on with the linear program.
+
+    Returns:
+        The overflow of the shares, in tracks.
+    """
+    latest, before, first = columns.latest, columns.before, columns.first
+    share, next_share = columns.share, columns.next_share
+    edge_of, take, capacity = columns.edge, columns.take, dual.capacity
+    price, total, load, next_load = dual.price, dual.total, dual.load, dual.next_load
+    values, edges, count = dual.values, len(dual.price), columns.filled[0]
+    for edge in range(edges):
+        load[edge] = 0.0
+    for column in range(count):
+        if share[column] > 0:
+            for i in range(first[column], first[column + 1]):
+                load[edge_of[i]] += take[i] * share[column]
+    step = dual.step[0]
+    for _ in range(iterations):
+        for edge in range(edges):
+            next_load[edge] = 0.0
+        moved = 0.0
+        for net in range(len(latest)):
+            # A step down the prices, then to the nearest shares that sum to 1 (Held, Wolfe and
+            # Crowder, "Validation of subgradient optimization", Mathematical Programming 6, 1974).
+            size = 0
+            column = wide(latest[net])
+            while column >= 0:
+                cost = 0.0
+                for i in range(first[column], first[column + 1]):
+                    cost += price[edge_of[i]] * take[i]
+                value = share[column] - step / _RATIO * cost
+                next_share[column] = value
+                at = size
+                while at > 0 and values[at - 1] < value:
+                    values[at] = values[at - 1]
+                    at -= 1
+                values[at] = value
+                size += 1
+                column = wide(before[column])
+            sum_of_largest, shift = 0.0, 0.0
+            for k in range(size):
+                sum_of_largest += values[k]
+                if values[k] * (k + 1) <= sum_of_largest - 1.0:
+                    break
+                shift = (sum_of_largest - 1.0) / (k + 1)
+            column = wide(latest[net])
+            while column >= 0:
+                value = max(next_share[column] - shift, 0.0)
+                moved += (value - share[column]) ** 2
+                share[column] = value
+                if value > 0:
+                    for i in range(first[column], first[column + 1]):
+                        next_load[edge_of[i]] += take[i] * value
+                column = wide(before[column])
+        turned, cross = 0.0, 0.0
+        for edge in range(edges):
+            ahead = 2 * next_load[edge] - load[edge] - capacity[edge]
+            value = min(max(price[edge] + step * _RATIO * ahead, 0.0), 1.0)
+            change = value - price[edge]
+            turned += change * change
+            cross += change * (next_load[edge] - load[edge])
+            price[edge] = value
+            total[edge] += value
+            load[edge] = next_load[edge]
+        # The step is as long as convergence allows (Applegate and others, "Practical large-scale
+        # linear programming using primal-dual hybrid gradient", NeurIPS 2021).
+        if cross != 0:
+            limit = (_RATIO * moved + turned / _RATIO) / (2 * abs(cross))
+            step = min(0.95 * limit, 1.05 * step)
+    dual.step[0] = step
+    overflow = 0.0
+    for edge in range(edges):
+        overflow += max(load[edge] - capacity[edge], 0.0)
+    return overflow
+
+
+class Relaxation:
+    """The linear program over the trees of a search.
+
+    Args:
+        problem: the problem.
+        parameters: the options.
+        routing: the search, before its first pass.
+        worth: what a price of 1 adds to the cost of an edge, in edges.
+    """
+
+    def __init__(
+        self, problem: ProblemArrays, parameters: Parameters, routing: Routing, worth: float
+    ) -> None:
+        nets, edges = len(problem.first) - 1, len(problem.capacity)
+        columns, places = _TREES * len(routing.order), _TREES * routing.edge.shape[1] // 4
+        self._problem, self._parameters, self._worth = problem, parameters, worth
+        self._columns = Columns(
+            filled=np.zeros(2, np.int64),
+            held=np.full(nets, -1, np.int32),
+            latest=np.full(nets, -1, np.int32),
+            before=np.empty(columns, np.int32),
+            net=np.empty(columns, np.int32),
+            mark=np.empty(columns, np.int64),
+            first=np.zeros(columns + 1, np.int64),
+            share=np.empty(columns),
+            next_share=np.empty(columns),
+            edge=np.empty(places, np.int32),
+            take=np.empty(places, np.int32),
+        )
+        self._dual = Dual(
+            capacity=np.maximum(routing.remaining, 0.0),
+            price=np.zeros(edges),
+            total=np.zeros(edges),
+            load=np.empty(edges),
+            next_load=np.empty(edges),
+            values=np.empty(columns),
+            step=np.array([_FIRST_STEP]),
+        )
+        self._iterations = 0  # still to do
+        _relax(self._columns, self._dual, 0)  # compiles
+
+    @property
+    def busy(self) -> bool:
+        """Whether :meth:`advance` has work to do before the next pass."""
+        return self._iterations > 0
+
+    def after_pass(self, routing: Routing) -> None:
+        """Takes note of the trees after a pass, and of what is to do before the next one."""
+        self._collect(routing)
+        progress = routing.progress[0]
+        if progress["kind"] == RELAX and progress["passes"] > 1 and progress["best_overflow"] > 0:
+            self._iterations = _ITERATIONS
+            self._dual.total[:] = 0
+
+    def advance(self, routing: Routing, labels: int) -> None:
+        """Goes on setting prices; does about as much as a search that opens so many labels."""
+        columns, progress = self._columns, routing.progress[0]
+        work = max(int(columns.filled[1]), 1)
+        count = min(max(labels * _PLACES_PER_LABEL // work, 1), self._iterations)
+        overflow = _relax(columns, self._dual, count)
+        self._iterations -= count
+        if self._iterations == 0:
+            if overflow >= _LEAST:
+                routing.price[:] = self._dual.total * (self._worth * UNIT / _ITERATIONS)
+                progress["present"] = self._parameters.present
+            else:
+                progress["pricing"] = 0
+                if progress["rounds"] == 0:
+                    progress["kind"] = NEGOTIATE
+
+    def _collect(self, routing: Routing) -> None:
+        """Adds the nets' present trees."""
+        begin = 0
+        while begin < len(routing.order):
+            begin = _collect(self._problem, routing, self._columns, begin)
+            if begin < len(routing.order):
+                self._make_room()
+
+    def _make_room(self) -> None:
+        """Drops trees without a share that no net has now; makes more room if many are left."""
+        old = self._columns
+        count = int(old.filled[0])
+        keep = old.share[:count] > 0
+        keep[old.held[old.held >= 0]] = True
+        kept = np.flatnonzero(keep)
+        number = np.cumsum(keep, dtype=np.int32) - 1  # in place of the old one
+        length = np.diff(old.first[: count + 1])
+        places = np.repeat(keep, length)
+        columns, size = len(old.mark), len(old.edge)
+        if 2 * len(kept) > columns or 2 * np.count_nonzero(places) > size:
+            columns, size = 2 * columns, 2 * size
+
+        def moved(row: NDArray[Any], size: int, values: NDArray[Any]) -> NDArray[Any]:
+            wider = np.empty(size, row.dtype)
+            wider[: len(values)] = values
+            return wider
+
+        net = old.net[kept]
+        latest, before = np.full_like(old.latest, -1), np.full(len(kept), -1, np.int32)
+        by_net = np.argsort(net, kind="stable")
+        same = net[by_net][1:] == net[by_net][:-1]
+        before[by_net[1:][same]] = by_net[:-1][same]
+        latest[net] = np.arange(len(kept))  # the last one of a net wins
+        first = np.append(0, np.cumsum(length[kept]))
+        self._columns = Columns(
+            filled=np.array([len(kept), first[-1]]),
+            held=np.where(old.held >= 0, number[old.held], -1).astype(np.int32),
+            latest=latest,
+            before=moved(old.before, columns, before),
+            net=moved(old.net, columns, net),
+            mark=moved(old.mark, columns, old.mark[kept]),
+            first=moved(old.first, columns + 1, first),
+            share=moved(old.share, columns, old.share[kept]),
+            next_share=np.empty(columns),
+            edge=moved(old.edge, size, old.edge[: len(places)][places]),
+            take=moved(old.take, size, old.take[: len(places)][places]),
+        )
+        self._dual = self._dual._replace(values=np.empty(columns))
