@@ -5,8 +5,8 @@
 A set of options is judged by the overflow that it leaves on problems of some families, in relation
 to the defaults at the same processor time. New sets come from the best ones: some options change at
 random, some are taken from another good set. Every fourth trial gives one of the four best another
-seed, so that no set stays among them by luck. This is how the sets of
-:mod:`policies.routers.pathfinder.evolved` were found.
+seed, so that no set stays among them by luck. The sets of
+:mod:`policies.routers.pathfinder.evolved` for searches that have less time were found so.
 """
 
 import json

@@ -168,5 +168,5 @@ def advance(
             progress.next += routed
         if not _next_pass(problem, parameters, routing):
             return DONE
-        if progress.alone or progress.most > 1 or progress.history == len(routing.history):
+        if parameters.priced > 0 or progress.most > 1 or progress.history == len(routing.history):
             return PAUSED

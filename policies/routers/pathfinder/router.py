@@ -156,10 +156,11 @@ class PathfinderRouter:
         progress["large"] |= present > 0
         if taken is not None:
             routing.remaining[:] -= taken
+        if progress["most"] > 1:
+            parameters = parameters._replace(priced=0)
         relaxation = None
-        if options.priced > 0 and progress["most"] == 1:
+        if parameters.priced > 0:
             relaxation = Relaxation(arrays, parameters, routing, options.worth)
-            progress["alone"] = True
         passes: list[Pass] = []
         ended = len(routing.order) == 0
         stop: Stop = "optimal" if ended else "settled"

@@ -99,7 +99,6 @@ PROGRESS = np.dtype(
         ("proven", np.int64),  # whether the present solution is known to be the best
         ("rounds", np.int64),  # completed rounds
         ("pricing", np.int64),  # further relaxing passes of this round, each at new prices
-        ("alone", np.int64),  # whether the caller has work to do after every pass
         ("linked", np.int64),  # whether Routing.head leads to the users of every edge
         ("history", np.int64),  # filled rows of Routing.history
     ],
