@@ -22,21 +22,28 @@ from policies.routers.pathfinder.state import (
     Routing,
 )
 
+GOLDEN = -0x61C8864680B583EB  # odd: multiples of it are far apart
 _MOST_OVERFLOW = 1000  # tracks of overflow beyond which more cost the same: costs have 32 bits
 
 
 @compiled
-def draw(progress: Any) -> int:
-    """A random number of 31 bits.
+def mixed(number: int) -> int:
+    """64 bits that look as if they were drawn, others for every number.
 
     SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA
     2014).
     """
-    progress.random += np.int64(-0x61C8864680B583EB)
-    bits = np.uint64(progress.random)
+    bits = np.uint64(number)
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return wide((bits ^ (bits >> np.uint64(31))) >> np.uint64(33))
+    return wide(bits ^ (bits >> np.uint64(31)))
+
+
+@compiled
+def draw(progress: Any) -> int:
+    """A random number of 31 bits."""
+    progress.random += np.int64(GOLDEN)
+    return wide(np.uint64(mixed(progress.random)) >> np.uint64(33))
 
 
 @compiled

@@ -36,7 +36,8 @@ class PathfinderOptions:
             overflow.
         least_fall: share by which the overflow has to fall to count as a decrease.
         least_gain: share of the wirelength that a squeezing pass has to save for the round to
-            make another one.
+            make another one, if it lowers no overflow. Where other rounds have had less overflow,
+            shorter nets are of no use.
         again: share of the nets that are rerouted even though their tree is already as short as
             possible, to make room for others.
         probe: after this many passes, if all solutions so far overflow, prices are set by a linear

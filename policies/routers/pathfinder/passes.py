@@ -60,7 +60,7 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
         progress.kind, progress.began = RELAX, progress.passes
         return more
     gained = progress.overflow < progress.last_overflow or (
-        progress.overflow == progress.last_overflow
+        progress.overflow == progress.last_overflow == progress.best_overflow
         and progress.last_length - progress.length > parameters.least_gain * progress.length
     )
     progress.last_overflow, progress.last_length = progress.overflow, progress.length

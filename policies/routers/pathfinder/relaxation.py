@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, VIA_AXIS
+from policies.routers.pathfinder.kernels import GOLDEN, mixed
 from policies.routers.pathfinder.state import (
     NEGOTIATE,
     RELAX,
@@ -29,8 +30,9 @@ from policies.routers.pathfinder.state import (
     Routing,
 )
 
-_ITERATIONS = 60
-"""Iterations of the linear program whenever prices are set; it goes on from where it stood."""
+_ITERATIONS, _LATER = 60, 20
+"""Iterations of the linear program whenever prices are set, in the first round and in later ones:
+it goes on from where it stood."""
 
 _FIRST_STEP, _RATIO = 0.01, 1.6
 """Step size to begin with, and how much larger it is for prices than for shares (and by how much
@@ -91,9 +93,7 @@ def _collect(problem: ProblemArrays, routing: Routing, columns: Columns, begin: 
             edge = wide(routing.edge[pool, i])
             if edge % AXES == VIA_AXIS:
                 continue  # has no capacity
-            bits = np.uint64(edge + 1) * np.uint64(0x9E3779B97F4A7C15)
-            bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-            mark += wide(bits ^ (bits >> np.uint64(31)))
+            mark += mixed((edge + 1) * np.int64(GOLDEN))
         column = wide(columns.latest[net])
         while column >= 0 and columns.mark[column] != mark:
             column = wide(columns.before[column])
@@ -235,7 +235,7 @@ class Relaxation:
             values=np.empty(columns),
             step=np.array([_FIRST_STEP]),
         )
-        self._iterations = 0  # still to do
+        self._iterations = self._averaged = 0  # still to do; and in all, until prices are set
         _relax(self._columns, self._dual, 0)  # compiles
 
     @property
@@ -248,7 +248,7 @@ class Relaxation:
         self._collect(routing)
         progress = routing.progress[0]
         if progress["kind"] == RELAX and progress["passes"] > 1 and progress["best_overflow"] > 0:
-            self._iterations = _ITERATIONS
+            self._iterations = self._averaged = _LATER if progress["rounds"] else _ITERATIONS
             self._dual.total[:] = 0
 
     def advance(self, routing: Routing, labels: int) -> None:
@@ -260,7 +260,7 @@ class Relaxation:
         self._iterations -= count
         if self._iterations == 0:
             if overflow >= _LEAST:
-                routing.price[:] = self._dual.total * (self._worth * UNIT / _ITERATIONS)
+                routing.price[:] = self._dual.total * (self._worth * UNIT / self._averaged)
                 progress["present"] = self._parameters.present
             else:
                 progress["pricing"] = 0
