@@ -71,8 +71,8 @@ def maps_of(engine: Engine) -> Maps:
         )
         found = _maps[engine] = maps, np.full(m, NOBODY, np.int64)
     maps, of = found
-    new = np.flatnonzero(of != engine.replaced)
-    if len(new):
+    if (of != engine.replaced).any():
+        new = np.flatnonzero(of != engine.replaced)
         _begin_maps(engine, maps, new)
         of[new] = engine.replaced[new]
     return maps

@@ -49,8 +49,8 @@ _SURE = 8.0
 """How much a Gcell of detour lowers a move's score without a network; see ``mind``."""
 
 _STEPS = 64
-"""Moves of every copy between two looks at the clock, at least: a quarter of a millisecond on small
-grids."""
+"""Moves of every copy between two looks at the clock, unless there is time for less: a quarter of a
+millisecond on small grids."""
 
 _STEINER: dict[str, Any] = {
     "decomposition": "steiner",
@@ -184,7 +184,7 @@ class GeneralistRouter:
         """Compiles what routing needs, in a round at most."""
         options = replace(self.options, rounds=min(1, self.options.rounds), seconds=None)
         rules = replace(self._rules_for(problem), rip_up_rounds=options.rounds)
-        GeneralistRouter(options)._play(problem, rules)
+        GeneralistRouter(options)._play(problem, rules, time.thread_time())
 
     def route(self, problem: Problem) -> Solution:
         """Routes a problem; in the solution every net is joined whose pins any way joins."""
@@ -196,11 +196,12 @@ class GeneralistRouter:
         The report has ``copies``, ``moves``, all that agents have made, and ``rounds``, the most
         rip-up rounds that a copy has been through.
         """
-        return self._play(problem, self._rules_for(problem))
+        began = time.thread_time()
+        return self._play(problem, self._rules_for(problem), began)
 
-    def _play(self, problem: Problem, rules: EnvOptions) -> Routed:
-        """:meth:`solve` by these rules."""
-        o, began = self.options, time.thread_time()
+    def _play(self, problem: Problem, rules: EnvOptions, began: float) -> Routed:
+        """:meth:`solve` by these rules; it began at that processor time."""
+        o = self.options
         engine = Engine([problem] * o.copies, rules)
         if o.copies > 1:
             engine.set_order(_orders(engine, o.seed))
@@ -270,7 +271,8 @@ class GeneralistRouter:
         def steps() -> int:
             """So many that a call costs little beside them, and half the time at most."""
             made = int(given.counters.max()) / max(time.thread_time() - began, 1e-6)
-            return max(_STEPS, min(int(made * min(left(), _OFTEN) / 2), MOST_STEPS))
+            most = int(made * min(left(), _OFTEN))
+            return max(min(most // 2, MOST_STEPS), min(most, _STEPS), 1)
 
         if o.rounds and in_time():
             walk_on(engine, given)
