@@ -621,6 +621,26 @@ def test_an_interrupt_waits_for_the_end_of_a_step(
     assert outcome(folder) == outcome(whole)
 
 
+@pytest.mark.usefixtures("_answering")
+def test_an_interrupt_after_the_last_step_loses_no_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, folder = tmp_path / "whole", tmp_path / "stopped"
+    Run(config_in(whole)).execute()
+
+    def interrupted(_self: Run) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(Run, "_results", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        Run(config_in(folder)).execute()
+    monkeypatch.undo()
+    assert not (folder / "result.json").exists()
+    monkeypatch.setattr(Logs, "write", killed)  # as the first episode trained again would be
+    Run(config_in(folder), resume=True).execute()
+    assert outcome(folder) == outcome(whole)
+
+
 @pytest.mark.parametrize("answering", [signal.default_int_handler, signal.SIG_IGN])
 def test_sigterm_leaves_a_checkpoint(
     answering: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -698,7 +718,7 @@ def stopped(process: subprocess.Popen[str], ready: Callable[[], bool], number: i
     return process.returncode
 
 
-LONG = 200  # episodes: some seconds
+LONG = 3000  # episodes: some seconds after the first is logged
 
 
 @pytest.fixture(scope="module")

@@ -286,25 +286,28 @@ class Run:
             ) as logs,
             _holding_interrupts() as interrupts,
         ):
+
+            def keep() -> None:
+                """Writes the checkpoint; then answers a signal that has been held back."""
+                self._seconds = time.monotonic() - started
+                self._logged, self._evaluated = logs.flush()
+                _save(self._state(), self.folder / CHECKPOINT)
+                if signal.SIGTERM in interrupts:
+                    raise SystemExit(128 + signal.SIGTERM)
+                if interrupts:
+                    raise KeyboardInterrupt
+
             for episodes in trainer.run():
                 if episodes:
                     logs.write(episodes, trainer.walks)
                     if watch is not None:
                         watch(episodes)
                 if interrupts or time.monotonic() - saved >= config.train.checkpoint_seconds:
-                    self._seconds = time.monotonic() - started
-                    self._logged, self._evaluated = logs.flush()
-                    _save(self._state(), self.folder / CHECKPOINT)
+                    keep()
                     saved = time.monotonic()
-                if signal.SIGTERM in interrupts:
-                    raise SystemExit(128 + signal.SIGTERM)
-                if interrupts:
-                    raise KeyboardInterrupt
-            self._seconds = time.monotonic() - started
-            self._logged, self._evaluated = logs.flush()
+            keep()  # nothing is trained again if the results below are interrupted
         rows = self._results()
         _save(self.trainer.policy(), self.folder / POLICY)
-        _save(self._state(), self.folder / CHECKPOINT)
         if config.train.figures:
             from policies.figures.plot import run_figures  # matplotlib: only if it is wanted
 
