@@ -167,6 +167,7 @@ class Game:
     rip_up_patience: int = 0
     rip_up_prices: bool = False
     rip_up_present: float = 0.1
+    rip_up_calm: float = 0.0
     agents: list[Agent] = field(init=False)
     order: list[int] = field(init=False)
     users: dict[Edge, set[int]] = field(init=False)
@@ -185,6 +186,7 @@ class Game:
     present: int = field(init=False)
     plain: int = field(init=False, default=0)
     stuck: int = field(init=False, default=0)
+    negotiations: int = field(init=False, default=0)
     fewest: float = field(init=False, default=float("inf"))
     began: tuple[int, int, int] = field(init=False, default=(0, 0, 0))
     best: tuple[tuple[int, int, int], list[tuple[set[Edge], int]]] | None = field(
@@ -341,6 +343,10 @@ class Game:
         """What one net too many adds to the cost of an edge at first, in 1024ths."""
         return round(1024 * self.rip_up_present)
 
+    def calm(self) -> int:
+        """What steps of the prices are divided by, in hundredths."""
+        return 100 + round(100 * self.rip_up_calm) * self.negotiations
+
     def cost(self, n: int) -> int:
         """What a net's edges cost it at the prices, in sixteenths."""
         return sum(self.edge_cost(n, edge) for edge in self.edges_of(n))
@@ -353,7 +359,7 @@ class Game:
         if demand > capacity:
             return 60 * 16
         over = sum(self.demand(o, edge) for o in self.users[edge] - {n}) + demand - capacity
-        cost = 16 + self.prices.get(edge, 0)
+        cost = 16 + int(self.prices.get(edge, 0) / 64 + 0.5)
         if over > 0 and demand:
             cost = cost * (1024 + self.present * over // demand) // 1024
         return min(cost, 60 * 16)
@@ -390,7 +396,10 @@ class Game:
             if self.stuck < 2:
                 self.plain += 1
                 return
-            self.prices = {edge: price * 80 // 100 for edge, price in self.prices.items()}
+            for edge, price in self.prices.items():
+                left = price - 100 * (price * 20 // 100) // self.calm()
+                self.prices[edge] = left // 64 * 64
+            self.negotiations += 1
             self.plain = self.stuck = self.present = 0
             self.fewest = float("inf")
         else:
@@ -405,7 +414,7 @@ class Game:
                 return
         for edge in self.capacity:
             if self.overflow_of(edge):
-                self.prices[edge] = self.prices.get(edge, 0) + 3
+                self.prices[edge] = self.prices.get(edge, 0) + 100 * 192 // self.calm()
         grown = self.present + self.present * 25 // 100
         self.present = min(max(self.first_present(), grown), 2048)
 

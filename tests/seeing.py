@@ -67,7 +67,7 @@ def edge_costs(
         remaining = int(engine.dynamic.remaining[m, number]) + demand * int(own)
         if is_priced(engine, m):
             game, price = engine.games[m], int(engine.more.prices[m, number])
-            cost, over = 16 + price, demand - remaining
+            cost, over = 16 + int(price / 64 + 0.5), demand - remaining
             if over > 0 and demand:
                 cost = cost * (1024 + int(game["present"]) * over // demand) // 1024
             blocked = demand > engine.static.capacity[m, number]

@@ -37,6 +37,7 @@ extensions = st.fixed_dictionaries(
         "rip_up_patience": st.sampled_from([0, 1]),
         "rip_up_prices": st.booleans(),
         "rip_up_present": st.sampled_from([0.1, 0.6, 2]),
+        "rip_up_calm": st.sampled_from([0, 0.3, 2]),
     }
 )
 seeds = st.integers(0, 2**32)

@@ -367,6 +367,7 @@ def test_pettingzoo_accepts_rounds(rip_up: str, more: dict[str, Any]) -> None:
         ({"rip_up_present": 0}, "rip_up_present: expected 0.01 to 2, found 0"),
         ({"rip_up_present": float("nan")}, "rip_up_present: expected 0.01 to 2, found nan"),
         ({"rip_up_present": True}, "rip_up_present: expected 0.01 to 2, found True"),
+        ({"rip_up_calm": -0.1}, "rip_up_calm: expected 0 to 1000, found -0.1"),
         ({"give_back": 2}, "give_back: expected true or false"),
         ({"mask_visited": "no"}, "mask_visited: expected true or false"),
     ],

@@ -33,6 +33,9 @@ LEAST_PRESENT, MOST_PRESENT = 0.01, 2.0
 """The smallest and the largest ``rip_up_present``: a smaller one would not grow, being counted in
 whole parts, and a larger one would hide what prices say."""
 
+MOST_CALM = 1000.0
+"""The largest ``rip_up_calm``, with which prices stay as they are."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RuleOptions:
@@ -71,6 +74,9 @@ class RuleOptions:
         rip_up_present: what one net too many adds to the cost of an edge in the first walk, as a
             part of it, 0.01 to 2. It grows from round to round. The more there is of it,
             the sooner there is no overflow, and the longer routes are. For ``rip_up_prices``.
+        rip_up_calm: how soon prices come to rest: when nets negotiate for the r-th time after the
+            first, prices rise and fall by 1 / (1 + rip_up_calm · r) of what they did. 0 to 1000, in
+            hundredths. For ``rip_up_prices``, with many rounds.
 
     Raises:
         InputError: an option is out of range.
@@ -93,6 +99,7 @@ class RuleOptions:
     rip_up_patience: int = 0
     rip_up_prices: bool = False
     rip_up_present: float = 0.1
+    rip_up_calm: float = 0.0
 
     def __post_init__(self) -> None:
         if self.turn_order is not None:
@@ -120,11 +127,15 @@ class RuleOptions:
             check(name, isinstance(value, bool), f"true or false, found {value!r}")
         allowed = not self.rip_up_prices or self.overflow == "allowed"
         check("rip_up_prices", allowed, "false, unless overflow is allowed")
-        present = self.rip_up_present
-        in_range = not isinstance(present, bool) and isinstance(present, int | float)
-        in_range = in_range and LEAST_PRESENT <= present <= MOST_PRESENT
-        within = f"{LEAST_PRESENT:g} to {MOST_PRESENT:g}, found {present!r}"
-        check("rip_up_present", in_range, within)
+        factors = {
+            "rip_up_present": (LEAST_PRESENT, MOST_PRESENT),
+            "rip_up_calm": (0.0, MOST_CALM),
+        }
+        for name, (least, most) in factors.items():
+            factor = getattr(self, name)
+            in_range = not isinstance(factor, bool) and isinstance(factor, int | float)
+            in_range = in_range and least <= factor <= most
+            check(name, in_range, f"{least:g} to {most:g}, found {factor!r}")
         pins_only = self.next_task == "listed" or self.decomposition == "mst"
         check("next_task", pins_only, "listed, for a decomposition other than mst")
 

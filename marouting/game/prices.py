@@ -10,9 +10,14 @@ the remaining capacity, in tracks; and ``present``, at first ``rip_up_present``,
 priced round to the next. So nets share edges cheaply at first, and those that find another way
 nearly as short leave. A via costs 1. An edge that can never hold the net costs the most.
 
+When priced rounds follow plain ones, nets negotiate again: ``present`` is as small as at first, and
+prices have fallen. With ``rip_up_calm`` prices come to rest: they rise and fall by less each time.
+Such steps are usual in subgradient methods (Held, Wolfe and Crowder, "Validation of subgradient
+optimization", Mathematical Programming 6, 1974).
+
 This is negotiated congestion, after McMurchie and Ebeling, "PathFinder: a negotiation-based
 performance-driven router for FPGAs", FPGA 1995, with nets that walk. Costs are whole numbers of
-which an edge without a price has :data:`UNIT`.
+which an edge without a price has :data:`UNIT`; what prices rise by is finer.
 """
 
 from typing import Any
@@ -32,13 +37,13 @@ MOST = 60 * UNIT
 """The most that an edge costs."""
 
 WHOLE = 1024
-"""``GAME.present`` counts in parts of this."""
+"""``GAME.present`` and prices count in parts of this."""
 
 LARGEST = int(MOST_PRESENT * WHOLE)
 """The largest ``present``."""
 
-RISE = 3
-"""What overflow adds to the price of an edge before a priced round, in parts of ``UNIT``."""
+RISE = 192
+"""What overflow adds to the price of an edge before a priced round, in parts of ``WHOLE``."""
 
 NO_LIMIT = 1 << 55
 """More overflow than there can be."""
@@ -47,7 +52,7 @@ _PRICED, _PLAIN = 10, 2
 """Rounds in a row without gain after which priced rounds end, and plain ones."""
 
 _GROWTH = 25  # per cent by which present grows
-_KEPT = 80  # per cent of the prices that are left after plain rounds
+_FALL = 20  # per cent by which prices fall after plain rounds
 
 
 @inlined
@@ -65,7 +70,8 @@ def first_present(static: Static) -> int:
 @inlined
 def price_of(static: Static, dynamic: Dynamic, m: int, edge: int) -> int:
     """The price of an edge, in parts of UNIT."""
-    return wide(dynamic.numbers[m, static.options[Option.PRICES] + edge])
+    price = wide(dynamic.numbers[m, static.options[Option.PRICES] + edge])
+    return (UNIT * price + WHOLE // 2) // WHOLE
 
 
 @inlined
@@ -121,13 +127,20 @@ def net_cost(
     return cost
 
 
+@inlined
+def _calmed(static: Static, dynamic: Dynamic, m: int, step: int) -> int:
+    """What is left of a step of the prices, after so many negotiations."""
+    calm = static.options[Option.CALM]
+    return 100 * step // (100 + calm * wide(dynamic.games[m].negotiations))
+
+
 @compiled
 def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
     """Before a priced round: edges with overflow get dearer."""
-    prices = place(static.options[Option.PRICES])
+    prices, rise = place(static.options[Option.PRICES]), _calmed(static, dynamic, m, wide(RISE))
     for edge in range(static.capacity.shape[1]):
         if dynamic.remaining[m, edge] < 0:
-            dynamic.numbers[m, prices + edge] += RISE
+            dynamic.numbers[m, prices + edge] += rise
     game = dynamic.games[m]
     present = game.present + game.present * _GROWTH // 100
     game.present = min(max(present, first_present(static)), LARGEST)
@@ -135,12 +148,17 @@ def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @compiled
 def _lower(static: Static, dynamic: Dynamic, m: int) -> None:
-    """Before priced rounds that follow plain ones: prices fall, and nets share cheaply again."""
+    """Before priced rounds that follow plain ones: prices fall, and nets share cheaply again.
+
+    What is left of a price is a whole part of ``UNIT``, so that small ones go.
+    """
     prices = place(static.options[Option.PRICES])
     for edge in range(static.capacity.shape[1]):
-        price = dynamic.numbers[m, prices + edge]
-        dynamic.numbers[m, prices + edge] = price * _KEPT // 100
+        price = wide(dynamic.numbers[m, prices + edge])
+        price -= _calmed(static, dynamic, m, price * _FALL // 100)
+        dynamic.numbers[m, prices + edge] = price - price % (WHOLE // UNIT)
     dynamic.games[m].present = 0
+    dynamic.games[m].negotiations += 1
 
 
 @compiled

@@ -249,7 +249,7 @@ def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
     game = dynamic.games[m]
     game.round = game.place = game.again = game.picked = game.ripped = game.asked = 0
     game.kept_joined = game.kept_overflow = game.kept_wirelength = game.kept_cost = 0
-    game.plain = game.stuck = 0
+    game.plain = game.stuck = game.negotiations = 0
     game.present = first_present(static) if is_on(static, Option.PRICES) else 0
     game.fewest = NO_LIMIT
     game.began_joined = game.began_overflow = game.began_wirelength = 0

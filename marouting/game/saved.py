@@ -106,6 +106,7 @@ def _check_extended(static: Static, saved: Dynamic) -> None:
             _expect("routes before", found == [*before, joined.sum()])
         _expect("congestion", _within(more.history[m], 0, rounds))
         _expect("rounds without gain", min(game["plain"], game["stuck"]) >= 0)
+        _expect("negotiations", _within(game["negotiations"], 0, rounds))
         _expect("present", _within(game["present"], 0, LARGEST))
         _expect("prices", _within(more.prices[m], 0, rounds * RISE))
         if len(more.best_joined[m]) and game["best_joined"] != NOBODY:

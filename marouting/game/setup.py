@@ -195,6 +195,7 @@ def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int6
     options[Option.AGAIN_MOST] = again
     options[Option.PATIENCE] = rules.rip_up_patience
     options[Option.PRESENT] = round(rules.rip_up_present * WHOLE)
+    options[Option.CALM] = round(rules.rip_up_calm * 100)
     rows = {
         Option.TREE: agents * tree,
         Option.VISITED: agents * rules.mask_visited,

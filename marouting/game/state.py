@@ -99,6 +99,7 @@ GAME = np.dtype(
         # Of priced rounds:
         ("present", np.int32),  # what one net too many adds to the cost of an edge, in parts of it
         ("stuck", np.int32),  # rounds in a row without gain
+        ("negotiations", np.int32),  # how often they have followed plain ones
         ("fewest", np.int64),  # least overflow after a priced round since the last plain one
         ("best_joined", np.int32),  # tasks joined by the best routes so far
         ("best_overflow", np.int64),  # overflow likewise
@@ -126,21 +127,22 @@ class Option(enum.IntEnum):
     AGAIN_MOST = 6  #: P, the most nets that walk again at a time
     PATIENCE = 7  #: rounds after which one more net walks again at a time; 0: P from the first
     PRESENT = 8  #: GAME.present in the first walk
-    TREE = 9  #: N sets of Gcells that edges join to the first pin
-    VISITED = 10  #: N sets of Gcells visited in the present task
-    TAKEN = 11  #: N sets of edges newly used in the present task
-    KEPT = 12  #: P sets of edges that nets had before they walked again
-    TRIED = 13  #: N sets of tasks that have been begun, counted from the net's first
-    BEST = 14  #: N sets of edges, the best routes so far
-    LINE = 15  #: N places in turn order, in the order of the rip-up round
-    AGAIN = 16  #: P nets that walk again; NOBODY where there is none
-    KEPT_JOINED = 17  #: P numbers of tasks that they had joined
-    HISTORY = 18  #: E numbers of rip-up rounds at whose start the edge was full
-    PRICES = 19  #: E prices of edges
-    BEST_JOINED = 20  #: N numbers of tasks that the best routes so far have joined
-    QUEUE = 21  #: G, or at least P, numbers to work with
-    ROWS = 22  #: R, all rows
-    COLUMNS = 23  #: C, all columns
+    CALM = 9  #: how soon prices come to rest, in per cent
+    TREE = 10  #: N sets of Gcells that edges join to the first pin
+    VISITED = 11  #: N sets of Gcells visited in the present task
+    TAKEN = 12  #: N sets of edges newly used in the present task
+    KEPT = 13  #: P sets of edges that nets had before they walked again
+    TRIED = 14  #: N sets of tasks that have been begun, counted from the net's first
+    BEST = 15  #: N sets of edges, the best routes so far
+    LINE = 16  #: N places in turn order, in the order of the rip-up round
+    AGAIN = 17  #: P nets that walk again; NOBODY where there is none
+    KEPT_JOINED = 18  #: P numbers of tasks that they had joined
+    HISTORY = 19  #: E numbers of rip-up rounds at whose start the edge was full
+    PRICES = 20  #: E prices of edges
+    BEST_JOINED = 21  #: N numbers of tasks that the best routes so far have joined
+    QUEUE = 22  #: G, or at least P, numbers to work with
+    ROWS = 23  #: R, all rows
+    COLUMNS = 24  #: C, all columns
 
 
 class Static(NamedTuple):

@@ -73,6 +73,9 @@ _FEW, _PRESENT, _POWER = 2.0, 2.8, 1.5
 ``rip_up_present`` is the second one, divided by their number, to the power of the third: with
 little time nets share less, and have parted sooner."""
 
+_CALM = 0.3
+"""``rip_up_calm``: there are rounds enough for prices to come to rest."""
+
 _OFTEN = 0.1
 """Seconds between two lines to who watches."""
 
@@ -178,6 +181,7 @@ class GeneralistRouter:
             rip_up_neighbours=neighbours,
             rip_up_patience=options.patience,
             rip_up_prices=options.prices and options.rounds > 0 and env.overflow == "allowed",
+            rip_up_calm=_CALM,
         )
 
     def warm_up(self, problem: Problem) -> None:
