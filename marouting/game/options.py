@@ -131,11 +131,11 @@ class RuleOptions:
             "rip_up_present": (LEAST_PRESENT, MOST_PRESENT),
             "rip_up_calm": (0.0, MOST_CALM),
         }
-        for name, (least, most) in factors.items():
+        for name, (low, high) in factors.items():
             factor = getattr(self, name)
             in_range = not isinstance(factor, bool) and isinstance(factor, int | float)
-            in_range = in_range and least <= factor <= most
-            check(name, in_range, f"{least:g} to {most:g}, found {factor!r}")
+            in_range = in_range and low <= factor <= high
+            check(name, in_range, f"{low:g} to {high:g}, found {factor!r}")
         pins_only = self.next_task == "listed" or self.decomposition == "mst"
         check("next_task", pins_only, "listed, for a decomposition other than mst")
 
