@@ -34,7 +34,7 @@ LEAST_PRESENT, MOST_PRESENT = 0.01, 2.0
 whole parts, and a larger one would hide what prices say."""
 
 MOST_CALM = 1000.0
-"""The largest ``rip_up_calm``, with which prices stay as they are."""
+"""The largest ``rip_up_calm``: from the second negotiation on prices no longer rise."""
 
 
 @dataclass(frozen=True, kw_only=True)

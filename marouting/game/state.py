@@ -138,7 +138,7 @@ class Option(enum.IntEnum):
     AGAIN = 17  #: P nets that walk again; NOBODY where there is none
     KEPT_JOINED = 18  #: P numbers of tasks that they had joined
     HISTORY = 19  #: E numbers of rip-up rounds at whose start the edge was full
-    PRICES = 20  #: E prices of edges
+    PRICES = 20  #: E prices of edges, in parts of ``prices.WHOLE``
     BEST_JOINED = 21  #: N numbers of tasks that the best routes so far have joined
     QUEUE = 22  #: G, or at least P, numbers to work with
     ROWS = 23  #: R, all rows
