@@ -1,4 +1,4 @@
-"""Negotiated congestion on problems that do not fit, against an earlier checkout of this project.
+"""Negotiated congestion against an earlier checkout of this project.
 
     python -m policies.bench.negotiation --against EARLIER_CHECKOUT --out FILE.json
 
@@ -12,7 +12,8 @@ router's defaults:
 * ``c``: 16×16×2 Gcells, 80 two-pin nets, capacity 3.
 * ``chip``: 64×64×2 Gcells, 8000 nets of up to 6 pins, most of them local, with two hot spots: about
   the size of ibm01.
-* the test problems of the scenarios ``tight-16x16-v0`` and ``tight-32x32-v0``.
+* the test problems of the scenarios ``tight-16x16-v0`` and ``tight-32x32-v0``, which do not fit, and
+  of ``mixed-v0`` and ``multi-pin-8x8-v0``, which do.
 """
 
 import json
@@ -46,7 +47,7 @@ GENERATED: dict[str, dict[str, Any]] = {
         "hot_spots": 2,
     },
 }
-SCENARIOS = ("tight-16x16-v0", "tight-32x32-v0")
+SCENARIOS = ("tight-16x16-v0", "tight-32x32-v0", "mixed-v0", "multi-pin-8x8-v0")
 SEED = 2026
 """Of the generated problems."""
 

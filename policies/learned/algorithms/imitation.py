@@ -20,7 +20,7 @@ The network is meant to be shared by nets and problems: ``train.shared: true``, 
 to draw a new problem for every episode. The games: ``agents: single``, ``target: tree``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -57,6 +57,12 @@ _SEEN_REGRET = 4.0
 
 _SURE = 1e3
 """By how much the score of a move that is to be made exceeds all others."""
+
+_SCHEDULE = PathfinderOptions(
+    patience=5, worse=1, repairs=30, least_repaired=1.0, persistence=8, seconds=None
+)
+"""How the teacher negotiates. It is that of the training of the shipped weights: another one has
+other solutions, and weights."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +154,7 @@ class Imitation(Learner):
             if name in self.rows:
                 setattr(self, name, array[None])  # the same memory
         self._solutions: dict[int, tuple[Problem, Solution]] = {}
-        self._solver = PathfinderRouter(PathfinderOptions(passes=o.passes, seconds=None))
+        self._solver = PathfinderRouter(replace(_SCHEDULE, passes=o.passes))
         self._out = np.zeros((games, MOVES), np.int32)
 
     def limits(self) -> dict[str, tuple[float, float]]:

@@ -24,7 +24,8 @@ nothing better any more, passes of a fourth kind improve the best solution:
   soon as a pass gains too little, the next round begins.
 * **repair** lets a net that overflows or takes a detour displace others, and these yet others, a
   few at a time. They keep their new trees unless these are worse
-  (:mod:`~policies.routers.pathfinder.repair`).
+  (:mod:`~policies.routers.pathfinder.repair`). The fewer nets there are to repair, the shorter is a
+  pass.
 
 The result is the best solution after any pass. Which kind of pass follows does not depend on
 the time limit, so that more time never gives a worse result.

@@ -43,7 +43,7 @@ class EvolvedOptions(PathfinderOptions):
     stuck: int = 19
     exact_pins: int = 4
     again: float = 0.49
-    patience: int = 2
+    patience: int = 3
 
 
 SHORT: dict[float, PathfinderOptions] = {
@@ -54,7 +54,7 @@ SHORT: dict[float, PathfinderOptions] = {
         stuck=13,
         least_gain=0.0004,
         again=0.2,
-        patience=4,
+        patience=7,
     ),
     100.0: PathfinderOptions(
         margin=1,
@@ -68,7 +68,7 @@ SHORT: dict[float, PathfinderOptions] = {
         probe=10,
         priced=3,
         worth=13.5,
-        patience=2,
+        patience=3,
     ),
     600.0: PathfinderOptions(
         margin=1,
@@ -81,7 +81,7 @@ SHORT: dict[float, PathfinderOptions] = {
         again=0.0,
         priced=3,
         worth=13.5,
-        patience=2,
+        patience=3,
     ),
 }
 """The options of searches that have time for fewer passes than the number before them."""

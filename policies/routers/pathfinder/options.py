@@ -47,7 +47,11 @@ class PathfinderOptions:
             there is no linear program, and prices come from past overflow alone.
         worth: what the highest price of the linear program adds to the cost of an edge, in edges.
         patience: repairing begins after this many rounds in a row without a better solution.
+        worse: for this, a round counts so many times if it ends with more overflow than the best
+            solution: one that ends with as little was close to a better solution.
         repairs: repairing ends after this many passes in a row without a better solution.
+        least_repaired: a repairing pass reroutes as many nets as overflow or take a detour, or this
+            share of all nets if that is more.
         persistence: when repairing ends, the search ends, too, if it has made this many times as
             many passes as up to its best solution, which counts as found in the twentieth pass if
             it was found before. Otherwise the next round begins. On the 121 published problems of
@@ -84,9 +88,11 @@ class PathfinderOptions:
     probe: int = 12
     priced: int = 0
     worth: float = 15.0
-    patience: int = 5
-    repairs: int = 30
-    persistence: int = 8
+    patience: int = 10
+    worse: int = 2
+    repairs: int = 60
+    least_repaired: float = 0.0
+    persistence: int = 16
     passes: int = 100_000
     seconds: float | None = 50.0
     threads: int = 1
@@ -112,6 +118,8 @@ class PathfinderOptions:
         check("priced", 0 <= self.priced <= MOST, f"a number from 0 to {MOST}")
         check("worth", 0 <= self.worth <= 1000, "a number from 0 to 1000")
         check("patience", 1 <= self.patience <= MOST, f"a number from 1 to {MOST}")
+        check("worse", 1 <= self.worse <= MOST, f"a number from 1 to {MOST}")
+        check("least_repaired", 0 <= self.least_repaired <= 1, "a number from 0 to 1")
         check("passes", 1 <= self.passes <= MOST, f"a number from 1 to {MOST}")
         check("seconds", self.seconds is None or self.seconds >= 0, "a number from 0, or null")
         check("threads", 1 <= self.threads <= 1024, "a number from 1 to 1024")

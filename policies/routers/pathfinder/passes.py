@@ -11,7 +11,7 @@ from marouting.trees.exact_tree import Search
 from marouting.trees.lattice import Lattice
 from policies.routers.pathfinder.kernels import draw
 from policies.routers.pathfinder.patterns import route_pattern
-from policies.routers.pathfinder.repair import repair
+from policies.routers.pathfinder.repair import repair, repairable
 from policies.routers.pathfinder.state import (
     DONE,
     EARLY,
@@ -73,7 +73,8 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
     if progress.kind == REPAIR:
         progress.since = 0 if better else progress.since + 1
     elif round_over:
-        progress.since = 0 if progress.found > progress.began else progress.since + 1
+        counts = parameters.worse if progress.overflow > progress.best_overflow else 1
+        progress.since = 0 if progress.found > progress.began else progress.since + counts
     if round_over and progress.since >= parameters.patience:
         progress.kind, progress.since = REPAIR, 0
         load_best(problem, routing, parameters.via)
@@ -117,6 +118,9 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
     for net in range(len(routing.ideal)):
         shortest += routing.ideal[net]
     shortest_of_all = progress.length == shortest and progress.unproven == 0
+    if progress.kind == REPAIR:
+        least = wide(np.ceil(parameters.least_repaired * len(routing.order)))
+        progress.next = len(routing.order) - max(least, repairable(parameters, routing))
     progress.proven = progress.overflow == 0 and shortest_of_all
     return more and not progress.proven
 

@@ -33,6 +33,16 @@ grows from one net to the next."""
 
 
 @compiled
+def repairable(parameters: Parameters, routing: Routing) -> int:
+    """How many nets overflow or take a detour; at least one."""
+    count = 0
+    for net in routing.order:
+        detour = tree_length(routing, parameters.via, net) > routing.ideal[net]
+        count += detour or overflows(routing, net)
+    return max(count, 1)
+
+
+@compiled
 def _choose(parameters: Parameters, routing: Routing) -> int:
     """A net that overflows, or that takes a detour; any net if there is none."""
     progress, count = routing.progress[0], len(routing.order)

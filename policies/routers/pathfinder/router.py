@@ -30,6 +30,9 @@ _LABELS = 5_000_000
 _LEAST_WORK, _MOST_WORK = 1 << 10, 1 << 18
 """Labels between two looks at the clock: from a fifth of a millisecond to 50 ms."""
 
+_WARM = 60
+"""Passes of a search that is made to compile all that a search needs."""
+
 Stop = Literal["optimal", "settled", "passes", "seconds", "asked"]
 """Why a search ended: no solution can be better; it finds nothing better any more; it had all the
 passes, or all the time, that it may take; or somebody asked it to stop."""
@@ -102,7 +105,8 @@ class PathfinderRouter:
 
     def warm_up(self, problem: Problem) -> None:
         """Compiles what routing needs, by a problem to which ``start`` is no solution."""
-        type(self)(replace(self.options, start=None)).route(problem)
+        passes = min(self.options.passes, _WARM)
+        type(self)(replace(self.options, start=None, passes=passes)).route(problem)
 
     def best(self) -> Solution | None:
         """The best solution so far, for who watches; None if there is none yet."""

@@ -136,7 +136,9 @@ class Parameters(NamedTuple):
     probe: int
     priced: int
     patience: int
+    worse: int
     repairs: int
+    least_repaired: float
     persistence: int
     passes: int
 
