@@ -12,8 +12,8 @@ router's defaults:
 * ``c``: 16×16×2 Gcells, 80 two-pin nets, capacity 3.
 * ``chip``: 64×64×2 Gcells, 8000 nets of up to 6 pins, most of them local, with two hot spots: about
   the size of ibm01.
-* the test problems of the scenarios ``tight-16x16-v0`` and ``tight-32x32-v0``, which do not fit, and
-  of ``mixed-v0`` and ``multi-pin-8x8-v0``, which do.
+* the test problems of the scenarios ``tight-16x16-v0`` and ``tight-32x32-v0``, which do not fit,
+  and of ``mixed-v0`` and ``multi-pin-8x8-v0``, which do.
 """
 
 import json
