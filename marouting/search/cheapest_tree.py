@@ -1,9 +1,10 @@
-"""Cheapest trees at prices, for agents to walk along.
+"""Cheapest trees where nets negotiate, for agents to walk along.
 
-In a priced round (:mod:`marouting.game.prices`) a net walks alone, with all others in place, so
-what its edges cost stays as it is until it has walked. If it has few pins, a tree that costs it the
-least can be found by the search of :mod:`marouting.trees.exact_tree`, inside a box around its pins.
-Its agent then walks along the tree by ordinary moves, from task to task.
+In games with prices (:mod:`marouting.game.prices`) one net walks at a time, so what its edges cost
+stays as it is until it has walked: in priced rounds what prices say, in others 1, and the most
+where it would overflow. If it has few pins, a tree that costs it the least can be found by the
+search of :mod:`marouting.trees.exact_tree`, inside a box around its pins. Its agent then walks along
+the tree by ordinary moves, from task to task.
 """
 
 from typing import NamedTuple
@@ -39,7 +40,7 @@ class Trees(NamedTuple):
     search: Search
     low: NDArray[np.int64]  # (3,) the first point of the box
     pins: NDArray[np.int64]  # (MOST_PINS,) Gcells of the net's pins
-    of: NDArray[np.int64]  # (M, 2) whose tree it is: the agent, and the round
+    of: NDArray[np.int64]  # (M, 3) whose tree it is: the agent, the round, and the rip-up in it
     found: NDArray[np.bool_]  # (M,) whether there is one
     task: NDArray[np.int64]  # (M,) the task that ``toward`` is of
     made: NDArray[np.int64]  # (M,) trees so far
@@ -60,7 +61,7 @@ def make_trees(engine: Engine, pins: int) -> Trees:
         search=make_search(points, labels, pins - 1),
         low=np.zeros(AXES, np.int64),
         pins=np.zeros(MOST_PINS, np.int64),
-        of=np.full((games, 2), NOBODY, np.int64),
+        of=np.full((games, 3), NOBODY, np.int64),
         found=np.zeros(games, np.bool_),
         task=np.full(games, NOBODY, np.int64),
         made=np.zeros(games, np.int64),
@@ -195,7 +196,7 @@ def plan_tree(
     margin: int,
     random: int,
 ) -> bool:
-    """Finds a cheapest tree for the net of an agent that uses no edge, in a priced round.
+    """Finds a cheapest tree for the net of an agent that uses no edge, in a game with prices.
 
     Args:
         static: the static state of the games.
@@ -210,7 +211,8 @@ def plan_tree(
     Returns:
         Whether there is a tree: the net has not too many pins, and they are not too far apart.
     """
-    t.of[m, 0], t.of[m, 1], t.found[m] = n, dynamic.games[m].round, False
+    t.of[m, 0], t.of[m, 1], t.of[m, 2] = n, dynamic.games[m].round, dynamic.games[m].picked
+    t.found[m] = False
     pins = _find_pins(static, t, m, n, most)
     if pins < 2:
         return False
@@ -235,8 +237,9 @@ def plan_tree(
 
 @inlined
 def is_planned(dynamic: Dynamic, t: Trees, m: int, n: int) -> bool:
-    """Whether a tree has been looked for in this round, for this agent as the last one."""
-    return t.of[m, 0] == n and t.of[m, 1] == dynamic.games[m].round
+    """Whether a tree has been looked for in this walk of the agent."""
+    game = dynamic.games[m]
+    return t.of[m, 0] == n and t.of[m, 1] == game.round and t.of[m, 2] == game.picked
 
 
 @compiled

@@ -101,8 +101,9 @@ class GeneralistOptions:
             ones; 0: all of them from the first on.
         prices: whether nets negotiate (:mod:`marouting.game.prices`), if there is time for it and
             there are rounds. Without ``overflow: allowed``, of which the weights tell, they cannot.
-        exact_pins: at prices, nets with at most so many pins walk along a cheapest tree that is
-            computed (:mod:`marouting.search.cheapest_tree`), and do not ask the network; 0: none.
+        exact_pins: where nets negotiate, those with at most so many pins walk along a cheapest tree
+            that is computed (:mod:`marouting.search.cheapest_tree`), and do not ask the network; 0:
+            none.
         seed: seed of the random numbers.
         mind: who chooses the moves: ``network``; or, to see what the search does without learning,
             ``ways``, whose moves lead along the cheapest way, or ``chance``.
@@ -120,7 +121,7 @@ class GeneralistOptions:
     keep: int = 1
     warmth: float = 1.0
     neighbours: int = 3
-    patience: int = 1
+    patience: int = 2
     prices: bool = True
     exact_pins: int = 6
     seed: int = 0

@@ -6,8 +6,8 @@ what makes it many times as fast as the same policy through the player.
 
 An agent may be guided: then it walks along given routes of its net, as far as they lead to its
 target (:mod:`marouting.search.route_follower`). So the routes of another game become moves of this
-one. In priced rounds an agent whose net has few pins walks along a cheapest tree in the same way
-(:mod:`marouting.search.cheapest_tree`).
+one. In games with prices an agent whose net has few pins walks along a cheapest tree in the same
+way (:mod:`marouting.search.cheapest_tree`).
 
 An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way, unless
 the network alone is to walk.
@@ -45,6 +45,7 @@ from marouting.game.outlook import (
 from marouting.game.prices import UNIT, first_present, is_priced, net_cost
 from marouting.game.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
+from marouting.game.tasks import is_on
 from marouting.kernels import allocating, compiled, inlined, place, wide
 from marouting.problem.grid import MOVES, VIA_AXIS
 from marouting.search.cheapest_tree import (
@@ -96,7 +97,7 @@ class Walk(NamedTuple):
     searches: NDArray[np.int64]  # (1,) how many have been made along the guide
     seen: NDArray[np.int64]  # (G,) the last of them that reached a Gcell
     reached: NDArray[np.int32]  # (G,) working: the Gcells that it reached
-    exact_pins: int  # the most pins of a net that walks along a cheapest tree in priced rounds
+    exact_pins: int  # the most pins of a net that walks along a cheapest tree if there are prices
     trees: Trees
 
 
@@ -121,7 +122,7 @@ def make_walk(
         warmth: (M,) see :class:`Walk`.
         keys: (M,) of random numbers.
         helped: whether an agent that has taken a quarter of its steps goes on by the cheapest way.
-        exact_pins: the most pins of a net that walks along a cheapest tree in priced rounds.
+        exact_pins: the most pins of a net that walks along a cheapest tree in games with prices.
     """
     count, cells, most = len(engine.games), engine.grid.gcells, int(engine.static.max_steps)
     return Walk(
@@ -325,8 +326,8 @@ def _walk(
 
 @inlined
 def _on_tree(static: Static, dynamic: Dynamic, maps: Maps, given: Walk, m: int, n: int) -> int:
-    """An agent's move along a cheapest tree in a priced round; NOBODY: the network is to move."""
-    if given.exact_pins < 2 or not is_priced(static, dynamic, m):
+    """An agent's move along a cheapest tree if there are prices; NOBODY: the network is to move."""
+    if given.exact_pins < 2 or not is_on(static, Option.PRICES):
         return wide(NOBODY)
     agent = dynamic.agents[m, n]
     if agent.steps == 0 and agent.joined == 0 and not is_planned(dynamic, given.trees, m, n):
