@@ -3,8 +3,8 @@
 In games with prices (:mod:`marouting.game.prices`) one net walks at a time, so what its edges cost
 stays as it is until it has walked: in priced rounds what prices say, in others 1, and the most
 where it would overflow. If it has few pins, a tree that costs it the least can be found by the
-search of :mod:`marouting.trees.exact_tree`, inside a box around its pins. Its agent then walks along
-the tree by ordinary moves, from task to task.
+search of :mod:`marouting.trees.exact_tree`, inside a box around its pins. Its agent then walks
+along the tree by ordinary moves, from task to task.
 """
 
 from typing import NamedTuple
