@@ -78,9 +78,6 @@ def price_of(static: Static, dynamic: Dynamic, m: int, edge: int) -> int:
 def edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int, room: int) -> int:
     """What an edge inside a layer costs a net in a priced round.
 
-    In other rounds of games with prices, to compare: ``UNIT``, or the most where the net would
-    overflow.
-
     Args:
         static: the static state of the games.
         dynamic: their dynamic state.
@@ -91,8 +88,6 @@ def edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int, 
     """
     if demand > static.capacity[m, edge]:
         return wide(MOST)
-    if not is_priced(static, dynamic, m):
-        return wide(MOST if room < demand else UNIT)
     cost = UNIT + price_of(static, dynamic, m, edge)
     if room < demand and demand > 0:
         parts = wide(dynamic.games[m].present) * (demand - room) // demand

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from marouting.game.engine import Engine
 from marouting.game.places import grid_of, position
-from marouting.game.prices import UNIT, edge_cost
+from marouting.game.prices import MOST, UNIT, edge_cost, is_priced
 from marouting.game.state import NOBODY, Dynamic, Static
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
@@ -119,6 +119,15 @@ def _gcell(static: Static, t: Trees, point: int) -> int:
     return wide((x * rows + y) * layers + z)
 
 
+@inlined
+def _edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int) -> int:
+    """What an edge inside a layer costs a net that does not use it."""
+    room = wide(dynamic.remaining[m, edge])
+    if is_priced(static, dynamic, m):
+        return edge_cost(static, dynamic, m, edge, demand, room)
+    return wide(MOST if room < demand else UNIT)
+
+
 @compiled
 def _set_costs(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> None:
     """Gives the edges of the box their costs.
@@ -150,9 +159,8 @@ def _set_costs(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> No
                         continue
                     one = wide(UNIT)
                     if axis < VIA_AXIS:
-                        edge = place(AXES * (cell + z) + axis)
-                        room = wide(dynamic.remaining[m, edge])
-                        one = edge_cost(static, dynamic, m, wide(edge), demand, room)
+                        edge = wide(AXES * (cell + z) + axis)
+                        one = _edge_cost(static, dynamic, m, edge, demand)
                         line[axis, at + 1] = min(line[axis, at + 1], one)
                     cost[point, 2 * axis] = one
                     cost[point + beside, 2 * axis + 1] = one
