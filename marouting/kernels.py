@@ -195,7 +195,22 @@ def bound(kernel: Any, *examples: Any) -> Callable[..., Any]:
     Returns:
         A function that looks up nothing, or the kernel itself if numba does not provide one.
     """
-    signature = tuple(map(typeof, examples))
-    kernel.compile(signature)
-    code: Callable[..., Any] = getattr(kernel.overloads[signature], "entry_point", kernel)
+    key = _key_of(kernel, examples)
+    code = _bound.get(key)
+    if code is None:
+        signature = tuple(map(typeof, examples))
+        kernel.compile(signature)
+        code = _bound[key] = getattr(kernel.overloads[signature], "entry_point", kernel)
     return code
+
+
+_bound: dict[tuple[Any, ...], Callable[..., Any]] = {}
+
+
+def _key_of(kernel: Any, examples: tuple[Any, ...]) -> tuple[Any, ...]:
+    """What is the same for arguments of the same types.
+
+    A fingerprint takes microseconds, numba's type of a tuple of arrays a millisecond.
+    """
+    fingerprint = getattr(sys.modules.get("numba._dispatcher"), "compute_fingerprint", typeof)
+    return kernel, *map(fingerprint, examples)

@@ -23,7 +23,7 @@ SMALL = 2**24
 """So many bytes are always there, and not worth a look at the limit."""
 
 # Bytes per Gcell.
-TABLES = 88  #: topology (63) and what the game makes of it (25)
+TABLES = 64  #: topology
 PLAYED = 36  #: capacities of each problem that is played: as given, at the start, remaining
 STATE = 105  #: bounds of the state space of an environment
 EXPECTED = 36  #: expected demand and agents, of each problem that is seen through windows

@@ -20,7 +20,7 @@ from marouting.game.outlook import OutlookObservation
 from marouting.game.state import NOBODY
 from marouting.kernels import compiled, wide
 from marouting.vector import BatchEnv
-from policies.learned.compiled.walk import make_walk, walk
+from policies.learned.compiled.walk import Walker
 from policies.learned.config import Config
 from policies.learned.trainer import Trainer
 from policies.routers.heuristic import HeuristicRouter
@@ -238,8 +238,8 @@ def test_whatever_plays_does_so_with_hashed_rows() -> None:
         sizes = (seen.size, 16, 6)
         weights = np.random.default_rng(0).normal(size=17 * 6 + (seen.size + 1) * 16)
         cold, keys = np.zeros(2, np.float32), np.zeros(2, np.uint64)
-        given = make_walk(engine, seen, sizes, weights.astype(np.float32) * 0.3, cold, keys)
-        while not walk(engine, given, 7, False):
+        walker = Walker(engine, seen, sizes, weights.astype(np.float32) * 0.3, cold, keys)
+        while not walker.walk(7):
             pass
         return (engine,)
 

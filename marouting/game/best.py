@@ -61,16 +61,20 @@ def take_routes(static: Static, dynamic: Dynamic, m: int, n: int, row: int, join
         row: of the set in ``dynamic.sets``.
         joined: how many of the net's tasks these edges join.
     """
+    changed = False
     for at in range(places(dynamic.used, m, n)):
         byte, bits = byte_at(dynamic.used, m, n, at)
         if bits != 0:
-            use_edges(static, dynamic, m, n, byte, byte_of(dynamic.sets, m, row, byte))
+            taken = byte_of(dynamic.sets, m, row, byte)
+            changed |= taken != bits
+            use_edges(static, dynamic, m, n, byte, taken)
     for at in range(places(dynamic.sets, m, row)):
         byte, bits = byte_at(dynamic.sets, m, row, at)
         if bits != 0:
+            changed |= byte_of(dynamic.used, m, n, byte) != bits
             use_edges(static, dynamic, m, n, byte, bits)
     dynamic.agents[m, n].joined = joined
     if is_on(static, Option.GIVE_BACK):
         clear(static, dynamic, m, Option.TAKEN, n)
-    if keeps_tree(static):
+    if changed and keeps_tree(static):
         grow_tree(static, dynamic, m, n)

@@ -73,23 +73,36 @@ def maps_of(engine: Engine) -> Maps:
     maps, of = found
     if (of != engine.replaced).any():
         new = np.flatnonzero(of != engine.replaced)
-        _begin_maps(engine, maps, new)
+        _begin_maps(engine.static, maps, new)
         of[new] = engine.replaced[new]
     return maps
 
 
-def _begin_maps(engine: Engine, maps: Maps, new: NDArray[np.integer]) -> None:
+@compiled
+def _begin_maps(static: Static, maps: Maps, new: Any) -> None:
     """Fills in the maps of some problems (K,), in which nobody is counted yet."""
-    static = engine.static
-    capacity = static.capacity[new].reshape(len(new), -1, engine.grid.shape[VIA_AXIS], AXES)
-    lanes = (capacity[..., :VIA_AXIS].max(axis=1) > 0).transpose(0, 2, 1)
-    lanes = lanes | ~lanes.any(axis=2, keepdims=True)
-    track = static.demand[new].sum(axis=1) / (engine.tasks[new] > 0).sum(axis=1)[:, None]
-    maps.lanes[new], maps.lane_count[new] = lanes, lanes.sum(axis=2)
-    maps.track[new] = np.where(track > 0, track, 1)
-    maps.counted[new] = NOBODY
-    for array in (maps.corner, maps.expected, maps.heads, maps.later):
-        array[new] = 0
+    agents, layers = static.demand.shape[1], static.demand.shape[2]
+    for k in range(len(new)):
+        m = place(new[k])
+        for axis in range(VIA_AXIS):
+            maps.lanes[m, axis, :] = 0
+            for edge in range(axis, static.capacity.shape[1], AXES):
+                if static.capacity[m, edge] > 0:
+                    maps.lanes[m, axis, edge // AXES % layers] = 1
+            if maps.lanes[m, axis].sum() == 0:
+                maps.lanes[m, axis, :] = 1
+            maps.lane_count[m, axis] = maps.lanes[m, axis].sum()
+        playing = wide(0)
+        for n in range(agents):
+            playing += wide(static.first[m, n] < static.first[m, n + 1])
+        for z in range(layers):
+            tracks = static.demand[m, :, z].sum()
+            maps.track[m, z] = tracks / playing if tracks > 0 else 1
+        maps.counted[m] = NOBODY
+        maps.corner[m] = 0
+        maps.expected[m] = 0
+        maps.heads[m] = 0
+        maps.later[m] = 0
 
 
 @inlined

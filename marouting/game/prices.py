@@ -155,6 +155,8 @@ def _lower(static: Static, dynamic: Dynamic, m: int) -> None:
     prices = place(static.options[Option.PRICES])
     for edge in range(static.capacity.shape[1]):
         price = wide(dynamic.numbers[m, prices + edge])
+        if price == 0:
+            continue
         price -= _calmed(static, dynamic, m, price * _FALL // 100)
         dynamic.numbers[m, prices + edge] = price - price % (WHOLE // UNIT)
     dynamic.games[m].present = 0

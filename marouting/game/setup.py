@@ -15,7 +15,7 @@ from marouting.game.prices import WHOLE
 from marouting.game.state import AGENT, GAME, NOBODY, Dynamic, Option, RipUp, Static
 from marouting.kernels import compiled, wide
 from marouting.memory import HASHED, PLAYED, TABLES, check_memory
-from marouting.problem.grid import OFF_GRID, VIA_AXIS, Grid
+from marouting.problem.grid import VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem
 from marouting.trees.decomposition import two_pin_tasks
 
@@ -116,8 +116,8 @@ def static_state(
         order[m, count:] = NOBODY
     static = Static(
         neighbour=grid.neighbour,
-        edge=np.where(grid.edge == OFF_GRID, np.int32(grid.edges - 1), grid.edge),
-        exits=np.packbits(grid.edge != OFF_GRID, axis=1, bitorder="little")[:, 0],
+        edge=grid.edge,
+        exits=grid.exits,
         position=grid.position,
         capacity=np.array([problem.capacity for problem in problems]),
         demand=demand,

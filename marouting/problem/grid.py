@@ -84,12 +84,18 @@ class Grid:
 
     @functools.cached_property
     def edge(self) -> NDArray[np.int32]:
-        """(G, 6) int32, the edge that each move crosses, or OFF_GRID."""
+        """(G, 6) int32, the edge that each move crosses; off the grid E - 1, which is none."""
         number = np.arange(0, self.edges, AXES, dtype=np.int32).reshape(self.shape)
-        table = np.full((*self.shape, MOVES), OFF_GRID, np.int32)
+        table = np.full((*self.shape, MOVES), self.edges - 1, np.int32)
         for axis, (near, far) in enumerate(_BESIDE):
             table[*near, 2 * axis] = table[*far, 2 * axis + 1] = number[near] + axis
         return _read_only(table.reshape(-1, MOVES))
+
+    @functools.cached_property
+    def exits(self) -> NDArray[np.uint8]:
+        """(G,) uint8, one bit per move: whether it stays on the grid."""
+        stays = self.neighbour != OFF_GRID
+        return _read_only(np.packbits(stays, axis=1, bitorder="little")[:, 0].copy())
 
     @functools.cached_property
     def position(self) -> NDArray[np.int32]:

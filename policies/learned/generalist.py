@@ -18,7 +18,7 @@ is that they are compiled (:mod:`policies.learned.compiled.walk`).
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -27,20 +27,11 @@ from numpy.typing import NDArray
 from marouting import EnvOptions, Problem, Solution
 from marouting.config import check
 from marouting.game.engine import Engine
-from marouting.game.options import MOST_NEIGHBOURS, MOST_PRESENT, MOST_ROUNDS
+from marouting.game.options import MOST_NEIGHBOURS, MOST_PRESENT, MOST_ROUNDS, RuleOptions
 from marouting.game.outlook import DETOURS, OutlookObservation
 from marouting.problem.grid import MOVES
 from marouting.search.cheapest_tree import MOST_PINS
-from policies.learned.compiled.walk import (
-    MOST_STEPS,
-    Walk,
-    follow,
-    make_walk,
-    take_best,
-    walk,
-    walk_on,
-    walk_out,
-)
+from policies.learned.compiled.walk import MOST_STEPS, Walker, take_best
 from policies.learned.networks.mlp import MLP
 from policies.learned.policy import SHIPPED, Routed, TrainedPolicy
 from policies.learned.streams import keys
@@ -174,10 +165,13 @@ class GeneralistRouter:
             policy = TrainedPolicy.load(weights)
             self._observation, self._sizes, self._weights = _read(policy, weights)
             env = policy.env
-        rules = replace(env, turn_order="sequential", rip_up="agents")
+        self._keys = keys(options.seed, [str(copy) for copy in range(options.copies)], "walk")
         neighbours = options.neighbours if options.rounds else 0
+        rules = {field.name: getattr(env, field.name) for field in fields(RuleOptions)}
         self._rules = replace(
-            rules,
+            RuleOptions(**rules),
+            turn_order="sequential",
+            rip_up="agents",
             rip_up_rounds=options.rounds,
             rip_up_neighbours=neighbours,
             rip_up_patience=options.patience,
@@ -204,7 +198,7 @@ class GeneralistRouter:
         began = time.thread_time()
         return self._play(problem, self._rules_for(problem), began)
 
-    def _play(self, problem: Problem, rules: EnvOptions, began: float) -> Routed:
+    def _play(self, problem: Problem, rules: RuleOptions, began: float) -> Routed:
         """:meth:`solve` by these rules; it began at that processor time."""
         o = self.options
         engine = Engine([problem] * o.copies, rules)
@@ -212,34 +206,34 @@ class GeneralistRouter:
             engine.set_order(_orders(engine, o.seed))
         warmth = np.full(o.copies, o.warmth, np.float32)
         warmth[0] = 0
-        names = [str(copy) for copy in range(o.copies)]
-        own = keys(o.seed, names, "walk")
         seen = self._observation, self._sizes, self._weights
-        given = make_walk(engine, *seen, warmth, own, exact_pins=o.exact_pins)
+        walker = Walker(engine, *seen, warmth, self._keys, exact_pins=o.exact_pins)
 
         guide, seconds = None, np.inf if o.seconds is None else o.seconds
-        walk_out(engine, given, True)
+        walker.walk_out(stops=True)
         share = _TIGHT if any(_cost(engine, 0)[:-1]) else _ROOM
         if seconds >= max(_LEAST, share * (time.thread_time() - began)):
             guide = Engine([problem], replace(rules, **_STEINER))
             best_moves = np.zeros(1, np.float32)
-            alone = make_walk(guide, *seen, best_moves, own[:1], exact_pins=o.exact_pins)
-            walk_out(guide, alone, True)
-            given.counters[0] += alone.counters[0]
+            alone = Walker(guide, *seen, best_moves, self._keys[:1], exact_pins=o.exact_pins)
+            alone.walk_out(stops=True)
+            walker.counters[0] += alone.counters[0]
             if rules.target == "tree" and _walked(guide) < _walked(engine):
                 engine.reset(np.arange(o.copies) == 0)
-                walk_out(engine, follow(given, guide), True)
+                walker.follow(guide)
+                walker.walk_out(stops=True)
+                walker.follow(None)
         warmth[:] = o.warmth
-        self._rip_up(engine, given, began)
+        self._rip_up(engine, walker, began)
         best = int(_ranking(engine)[0])
-        moves, rounds = int(given.counters.sum()), int(engine.games["round"].max())
+        moves, rounds = int(walker.counters.sum()), int(engine.games["round"].max())
         report = {"copies": o.copies, "moves": moves, "rounds": rounds}
         if guide is not None and _cost(guide, 0) < _cost(engine, best):
             # A net could not follow its routes, whose tasks were shorter.
             engine, best = guide, 0
         return Routed(engine.solution(best), report)
 
-    def _rules_for(self, problem: Problem) -> EnvOptions:
+    def _rules_for(self, problem: Problem) -> RuleOptions:
         """The rules of the game: whether nets negotiate, and how cheaply they share at first."""
         o, walks = self.options, 1 + _ROUND * self.options.rounds
         if o.seconds is not None:
@@ -253,10 +247,10 @@ class GeneralistRouter:
         present = min(max(usual, (_PRESENT / walks) ** _POWER), MOST_PRESENT)
         return replace(self._rules, rip_up_present=present)
 
-    def _rip_up(self, engine: Engine, given: Walk, began: float) -> None:
+    def _rip_up(self, engine: Engine, walker: Walker, began: float) -> None:
         """Rip-up rounds of the best copies, until the time is over."""
         o, said = self.options, time.perf_counter()
-        given.playing[_ranking(engine)[o.keep :]] = False
+        walker.playing[_ranking(engine)[o.keep :]] = False
 
         def in_time() -> bool:
             nonlocal said
@@ -275,16 +269,15 @@ class GeneralistRouter:
 
         def steps() -> int:
             """So many that a call costs little beside them, and half the time at most."""
-            made = int(given.counters.max()) / max(time.thread_time() - began, 1e-6)
+            made = int(walker.counters.max()) / max(time.thread_time() - began, 1e-6)
             most = int(made * min(left(), _OFTEN))
             return max(min(most // 2, MOST_STEPS), min(most, _STEPS), 1)
 
         if o.rounds and in_time():
-            walk_on(engine, given)
             over = False
             while not over and in_time():
-                over = walk(engine, given, steps(), False)
-            walk_out(engine, given, True)
+                over = walker.walk(steps())
+            walker.walk_out(stops=True)
             if engine.rules.rip_up_prices:
                 take_best(engine)
 

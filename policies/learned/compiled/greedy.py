@@ -16,7 +16,7 @@ from marouting.kernels import allocating, wide
 from marouting.player import Known, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
 from policies.learned.compiled.gradient import q_values, units_of
-from policies.learned.compiled.walk import make_walk, walk_out
+from policies.learned.compiled.walk import Walker
 from policies.learned.exploration import choose
 from policies.learned.networks.mlp import MLP
 
@@ -74,9 +74,9 @@ def _walk_out(player: Player, layers: tuple[int, ...], weights: NDArray[np.float
     of = np.arange(games) * len(weights) // games
     cold, keys = np.zeros(games, np.float32), np.zeros(games, np.uint64)
     for row, own in enumerate(weights):
-        given = make_walk(engine, observation, layers, own, cold, keys, helped=False)
-        given.playing[:] = of == row
-        walk_out(engine, given, False)
+        walker = Walker(engine, observation, layers, own, cold, keys, helped=False)
+        walker.playing[:] = of == row
+        walker.walk_out()
     player.buffers.active[:] = False
 
 

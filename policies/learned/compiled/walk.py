@@ -46,7 +46,7 @@ from marouting.game.prices import UNIT, first_present, is_priced, net_cost
 from marouting.game.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
 from marouting.game.tasks import is_on
-from marouting.kernels import allocating, compiled, inlined, place, wide
+from marouting.kernels import allocating, bound, compiled, inlined, place, wide
 from marouting.problem.grid import MOVES, VIA_AXIS
 from marouting.search.cheapest_tree import (
     Trees,
@@ -75,6 +75,8 @@ _COOLER = 0.5
 class Walk(NamedTuple):
     """What a walk needs beside the games."""
 
+    maps: Maps
+    ways: Ways
     sizes: tuple[int, ...]  # units of all layers, the inputs first
     weights: NDArray[np.float32]  # flat, as the parameters of the network lie one after another
     radius: int
@@ -101,96 +103,101 @@ class Walk(NamedTuple):
     trees: Trees
 
 
-def make_walk(
-    engine: Engine,
-    observation: OutlookObservation,
-    sizes: tuple[int, ...],
-    weights: NDArray[np.float32],
-    warmth: NDArray[np.float32],
-    keys: NDArray[np.uint64],
-    *,
-    helped: bool = True,
-    exact_pins: int = 0,
-) -> Walk:
-    """The working arrays of a walk; see :class:`Walk`.
-
-    Args:
-        engine: the games.
-        observation: what agents see.
-        sizes: units of the network's layers, the inputs first.
-        weights: of the network, as its parameters lie one after another.
-        warmth: (M,) see :class:`Walk`.
-        keys: (M,) of random numbers.
-        helped: whether an agent that has taken a quarter of its steps goes on by the cheapest way.
-        exact_pins: the most pins of a net that walks along a cheapest tree in games with prices.
-    """
-    count, cells, most = len(engine.games), engine.grid.gcells, int(engine.static.max_steps)
-    return Walk(
-        sizes=sizes,
-        weights=weights,
-        radius=observation.radius,
-        margin=observation.margin,
-        late=-(-most // 4) if helped else most + 1,
-        warmth=warmth,
-        keys=keys,
-        counters=np.zeros(count, np.int64),
-        rows=np.zeros((count, observation.size), np.float32),
-        scores=np.zeros(count * sum(sizes[1:]), np.float32),
-        places=np.zeros(max(sizes), np.int64),
-        game=np.zeros(count, np.int64),
-        playing=np.ones(count, np.bool_),
-        shortest=np.full(engine.nets.shape, np.iinfo(np.int64).max),
-        counted=np.zeros(count, np.bool_),
-        guided=np.zeros(count, np.bool_),
-        guide=engine.dynamic.used,
-        searches=np.zeros(1, np.int64),
-        seen=np.zeros(cells, np.int64),
-        reached=np.zeros(cells, np.int32),
-        exact_pins=exact_pins,
-        trees=make_trees(engine, exact_pins),
-    )
-
-
-def follow(given: Walk, guide: Engine) -> Walk:
-    """The same walk, but the first game follows the routes of the only game of another engine.
-
-    Both play the same problem. An agent that the routes do not lead to its target goes on by the
-    network.
-    """
-    guided = np.arange(len(given.game)) == 0
-    return given._replace(guide=guide.dynamic.used, guided=guided)
-
-
-def walk(engine: Engine, given: Walk, steps: int, stops: bool) -> bool:
-    """Plays games on.
+class Walker:
+    """Plays games with a network that moves all nets.
 
     Args:
         engine: the games, in turn order.
-        given: who walks.
-        steps: of each game, at most.
-        stops: whether a game stops when its nets have walked, instead of beginning a rip-up.
+        observation: what agents see.
+        sizes: units of the network's layers, the inputs first.
+        weights: of the network, as its parameters lie one after another.
+        warmth: (M,) see :class:`Walk`; may be changed.
+        keys: (M,) of random numbers.
+        helped: whether an agent that has taken a quarter of its steps goes on by the cheapest way.
+        exact_pins: the most pins of a net that walks along a cheapest tree in games with prices.
 
-    Returns:
-        Whether all games have stopped or are over.
+    Attributes:
+        playing: (M,) which games are played; may be changed.
+        counters: (M,) moves that agents have made in each game.
     """
-    maps, ways, stopped = maps_of(engine), ways_of(engine), False
-    while steps > 0 and not stopped:
-        engine.make_room()
-        static, dynamic = engine.static, engine.dynamic
-        stopped, steps = _walk(static, dynamic, maps, ways, given, steps, stops)
-    return bool(stopped)
 
+    def __init__(
+        self,
+        engine: Engine,
+        observation: OutlookObservation,
+        sizes: tuple[int, ...],
+        weights: NDArray[np.float32],
+        warmth: NDArray[np.float32],
+        keys: NDArray[np.uint64],
+        *,
+        helped: bool = True,
+        exact_pins: int = 0,
+    ) -> None:
+        self._engine = engine
+        count, cells, most = len(engine.games), engine.grid.gcells, int(engine.static.max_steps)
+        self._given = Walk(
+            maps=maps_of(engine),
+            ways=ways_of(engine),
+            sizes=sizes,
+            weights=weights,
+            radius=observation.radius,
+            margin=observation.margin,
+            late=-(-most // 4) if helped else most + 1,
+            warmth=warmth,
+            keys=keys,
+            counters=np.zeros(count, np.int64),
+            rows=np.zeros((count, observation.size), np.float32),
+            scores=np.zeros(count * sum(sizes[1:]), np.float32),
+            places=np.zeros(max(sizes), np.int64),
+            game=np.zeros(count, np.int64),
+            playing=np.ones(count, np.bool_),
+            shortest=np.full(engine.nets.shape, np.iinfo(np.int64).max),
+            counted=np.zeros(count, np.bool_),
+            guided=np.zeros(count, np.bool_),
+            guide=engine.dynamic.used,
+            searches=np.zeros(1, np.int64),
+            seen=np.zeros(cells, np.int64),
+            reached=np.zeros(cells, np.int32),
+            exact_pins=exact_pins,
+            trees=make_trees(engine, exact_pins),
+        )
+        self.playing, self.counters = self._given.playing, self._given.counters
+        self._kernel = bound(_walk, engine.static, engine.dynamic, self._given, 0, False)
 
-def walk_out(engine: Engine, given: Walk, stops: bool) -> None:
-    """Plays games on until all have stopped or are over; see :func:`walk`."""
-    while not walk(engine, given, MOST_STEPS, stops):
-        pass
+    def follow(self, guide: Engine | None) -> None:
+        """From now on the first game follows the routes of the only game of another engine.
 
+        Both play the same problem. An agent that the routes do not lead to its target goes on by
+        the network.
 
-def walk_on(engine: Engine, given: Walk) -> None:
-    """Begins the next rip-up in games that have stopped."""
-    engine.make_room()
-    _walk_on(engine.static, engine.dynamic, given)
+        Args:
+            guide: the other engine; None: from now on no game follows another.
+        """
+        self._given.guided[0] = guide is not None
+        used = self._engine.dynamic.used if guide is None else guide.dynamic.used
+        self._given = self._given._replace(guide=used)
+
+    def walk(self, steps: int, *, stops: bool = False) -> bool:
+        """Plays on.
+
+        Args:
+            steps: of each game, at most.
+            stops: whether a game stops when its nets have walked. Otherwise it goes on with the
+                next rip-up, as do games that have stopped.
+
+        Returns:
+            Whether all games have stopped or are over.
+        """
+        engine, stopped = self._engine, False
+        while steps > 0 and not stopped:
+            engine.make_room()
+            stopped, steps = self._kernel(engine.static, engine.dynamic, self._given, steps, stops)
+        return bool(stopped)
+
+    def walk_out(self, *, stops: bool = False) -> None:
+        """Plays on until all games have stopped or are over; see :meth:`walk`."""
+        while not self.walk(MOST_STEPS, stops=stops):
+            pass
 
 
 def take_best(engine: Engine) -> None:
@@ -204,14 +211,6 @@ def _take_best(static: Static, dynamic: Dynamic) -> None:
     for m in range(len(dynamic.games)):
         if dynamic.games[m].round > 0:
             put_best(static, dynamic, wide(m))
-
-
-@compiled
-def _walk_on(static: Static, dynamic: Dynamic, given: Walk) -> None:
-    given.counted[:] = False
-    for m in range(len(given.playing)):
-        if given.playing[m] and dynamic.games[m].active == 0:
-            pass_turn(static, dynamic, wide(m))
 
 
 @inlined
@@ -250,19 +249,15 @@ def _choose(given: Walk, m: int, row: int, free: int, at: int, late: bool, warm:
 
 @allocating
 def _walk(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    ways: Ways,
-    given: Walk,
-    steps: int,
-    stops: bool,
+    static: Static, dynamic: Dynamic, given: Walk, steps: int, stops: bool
 ) -> tuple[bool, int]:
-    """:func:`walk`, until there may be no room for a step.
+    """:meth:`Walker.walk`, until there may be no room for a step.
 
     Returns:
         Whether all games have stopped or are over, and how many steps are left.
     """
+    if not stops:
+        _go_on(static, dynamic, given)
     for made in range(steps):
         for m in range(len(given.game)):
             if lacks_room(static, dynamic, wide(m)):
@@ -274,7 +269,7 @@ def _walk(
                 continue
             if dynamic.games[m].asked:
                 move = GIVE_WAY if _gives_way(static, dynamic, given, wide(m), n) else 0
-                _step(static, dynamic, maps, given, wide(m), place(n), move, stops)
+                _step(static, dynamic, given, wide(m), place(n), move, stops)
                 answered = True
                 continue
             if given.guided[m]:
@@ -291,16 +286,16 @@ def _walk(
                     wide(given.searches[0]),
                 )
                 if move != NOBODY:
-                    _step(static, dynamic, maps, given, wide(m), place(n), move, stops)
+                    _step(static, dynamic, given, wide(m), place(n), move, stops)
                     answered = True
                     continue
-            move = _on_tree(static, dynamic, maps, given, wide(m), place(n))
+            move = _on_tree(static, dynamic, given, wide(m), place(n))
             if move != NOBODY:
                 given.counters[m] += 1
-                _step(static, dynamic, maps, given, wide(m), place(n), move, stops)
+                _step(static, dynamic, given, wide(m), place(n), move, stops)
                 answered = True
                 continue
-            _look(static, dynamic, maps, ways, given, wide(m), place(n), count)
+            _look(static, dynamic, given, wide(m), place(n), count)
             given.game[count] = m
             count += 1
         if count == 0:
@@ -320,12 +315,22 @@ def _walk(
             warm = given.warmth[m] * (_COOLER if is_priced(static, dynamic, m) else 1.0)
             move = _choose(given, m, wide(row), free, at + row * given.sizes[-1], late, warm)
             given.counters[m] += 1
-            _step(static, dynamic, maps, given, m, n, move, stops)
+            _step(static, dynamic, given, m, n, move, stops)
     return False, wide(0)
 
 
+@compiled
+def _go_on(static: Static, dynamic: Dynamic, given: Walk) -> None:
+    """Begins the next rip-up in games that have stopped."""
+    for m in range(len(given.playing)):
+        game = dynamic.games[m]
+        if given.playing[m] and game.active == 0 and game.agent != NOBODY:
+            given.counted[m] = False
+            pass_turn(static, dynamic, wide(m))
+
+
 @inlined
-def _on_tree(static: Static, dynamic: Dynamic, maps: Maps, given: Walk, m: int, n: int) -> int:
+def _on_tree(static: Static, dynamic: Dynamic, given: Walk, m: int, n: int) -> int:
     """An agent's move along a cheapest tree if there are prices; NOBODY: the network is to move."""
     if given.exact_pins < 2 or not is_on(static, Option.PRICES):
         return wide(NOBODY)
@@ -335,7 +340,7 @@ def _on_tree(static: Static, dynamic: Dynamic, maps: Maps, given: Walk, m: int, 
         margin = widened(static, dynamic, m, wide(given.margin))
         plan_tree(static, dynamic, given.trees, m, n, given.exact_pins, margin, random)
         if given.counted[m]:
-            recount(static, dynamic, maps, m, n, False)
+            recount(static, dynamic, given.maps, m, n, False)
     return move_on_tree(static, dynamic, given.trees, m, n)
 
 
@@ -343,8 +348,6 @@ def _on_tree(static: Static, dynamic: Dynamic, maps: Maps, given: Walk, m: int, 
 def _look(
     static: Static,
     dynamic: Dynamic,
-    maps: Maps,
-    ways: Ways,
     given: Walk,
     m: int,
     n: int,
@@ -354,23 +357,22 @@ def _look(
     if dynamic.agents[m, n].steps == 0:
         if given.counted[m]:
             # Nobody else has moved since they were counted.
-            recount(static, dynamic, maps, m, n, False)
-            sum_up(static, maps, m)
+            recount(static, dynamic, given.maps, m, n, False)
+            sum_up(static, given.maps, m)
         else:
-            refresh(static, dynamic, maps, m, n)
+            refresh(static, dynamic, given.maps, m, n)
             given.counted[m] = True
-        find_ways(static, dynamic, maps, ways, m, n, given.margin)
-        find_wires(static, dynamic, ways, m, n)
+        find_ways(static, dynamic, given.maps, given.ways, m, n, given.margin)
+        find_wires(static, dynamic, given.ways, m, n)
     else:
-        note_move(static, dynamic, ways, m, n)
-    write_outlook(static, dynamic, maps, ways, m, n, given.radius, given.rows, row)
+        note_move(static, dynamic, given.ways, m, n)
+    write_outlook(static, dynamic, given.maps, given.ways, m, n, given.radius, given.rows, row)
 
 
 @inlined
 def _step(
     static: Static,
     dynamic: Dynamic,
-    maps: Maps,
     given: Walk,
     m: int,
     n: int,
@@ -385,11 +387,11 @@ def _step(
         given.shortest[m, n] = min(given.shortest[m, n], _length(dynamic, m, n))
     if not stops or dynamic.games[m].active > 0:
         pass_turn(static, dynamic, m)
-    if asked or dynamic.games[m].ripped:
+    if given.counted[m] and (asked or dynamic.games[m].ripped):
         # Who has given its edges back is expected to take some again.
         for k in range(dynamic.games[m].again):
             member = wide(dynamic.numbers[m, static.options[Option.AGAIN] + k])
-            recount(static, dynamic, maps, m, member, True)
+            recount(static, dynamic, given.maps, m, member, True)
 
 
 @inlined
