@@ -337,7 +337,8 @@ def _on_tree(static: Static, dynamic: Dynamic, given: Walk, m: int, n: int) -> i
     agent = dynamic.agents[m, n]
     if agent.steps == 0 and agent.joined == 0 and not is_planned(dynamic, given.trees, m, n):
         random = wide(uniform(given.keys[m], given.counters[m], MOVES) * _RANDOM)
-        margin = widened(static, dynamic, m, wide(given.margin))
+        # In the box around its pins, unless priced rounds gain nothing: wider ones take longer.
+        margin = widened(static, dynamic, m, wide(0))
         plan_tree(static, dynamic, given.trees, m, n, given.exact_pins, margin, random)
         if given.counted[m]:
             recount(static, dynamic, given.maps, m, n, False)
