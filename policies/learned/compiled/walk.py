@@ -65,6 +65,10 @@ _ANYWAY = 8
 MOST_STEPS = 2**20
 """Moves of each game in one go, at most."""
 
+_MARGIN = 1
+"""Gcells around a net's pins within which its tree is looked for; more in priced rounds that gain
+nothing. Wider boxes take longer; without any, nets with two pins in line cannot part in time."""
+
 _RANDOM = 2.0**30
 """Trees of equal cost are drawn by a number below this."""
 
@@ -337,8 +341,7 @@ def _on_tree(static: Static, dynamic: Dynamic, given: Walk, m: int, n: int) -> i
     agent = dynamic.agents[m, n]
     if agent.steps == 0 and agent.joined == 0 and not is_planned(dynamic, given.trees, m, n):
         random = wide(uniform(given.keys[m], given.counters[m], MOVES) * _RANDOM)
-        # In the box around its pins, unless priced rounds gain nothing: wider ones take longer.
-        margin = widened(static, dynamic, m, wide(0))
+        margin = widened(static, dynamic, m, wide(_MARGIN))
         plan_tree(static, dynamic, given.trees, m, n, given.exact_pins, margin, random)
         if given.counted[m]:
             recount(static, dynamic, given.maps, m, n, False)
