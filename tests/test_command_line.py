@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -231,6 +231,12 @@ def test_the_best_so_far_is_written_while_others_are_looked_for(
     assert (routed["overflow"], routed["wirelength"]) <= (known.overflow, known.wirelength)
 
 
+def train_once(words: Sequence[str]) -> None:
+    """Trains the run that is resumed, if one is and there is none yet."""
+    if "--resume" in words and not Path("t").exists():
+        assert status(["train", *COMMANDS["train"][0]]) == 0
+
+
 # --- completion -----------------------------------------------------------------------------------
 
 
@@ -264,6 +270,7 @@ def completed(*words: str) -> list[str]:
 )
 @pytest.mark.usefixtures("here")
 def test_shells_complete_keys_and_names(words: tuple[str, ...], offered: list[str]) -> None:
+    train_once(words)
     assert completed(*words) == offered
 
 
@@ -307,10 +314,8 @@ SAID: dict[str, tuple[list[str], str]] = {
 def test_messages_name_every_choice(
     arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if "--resume" in arguments and not Path("t").exists():
-        trained: Any = COMMANDS["train"][0]
-        assert status(["train", *trained]) == 0
-        capsys.readouterr()
+    train_once(arguments)
+    capsys.readouterr()
     assert status(arguments) == 2
     error = capsys.readouterr().err
     assert said in error
