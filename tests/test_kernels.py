@@ -224,3 +224,27 @@ def test_bound_functions_without_machine_code() -> None:
     assert kernels.bound(Kernel(), 1)(2) == 3
     compiled = kernels.compiled(double)
     assert kernels.bound(compiled, np.int64(1))(3) == 6
+
+
+@kernels.compiled
+def _sum(numbers: Any) -> Any:
+    total = numbers[0]
+    for i in range(1, len(numbers)):
+        total += numbers[i]
+    return total
+
+
+@pytest.mark.parametrize("private", [True, False])
+def test_bound_code_is_found_again_by_the_types_of_its_arguments(
+    private: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With numba's fingerprints of arguments, and without them."""
+    if not private:
+        monkeypatch.delitem(sys.modules, "numba._dispatcher")
+    whole, parts = np.arange(4, dtype=np.int32), np.arange(4) / 2
+    found = [kernels.bound(_sum, numbers) for numbers in (whole, parts, whole + 1, parts[:2])]
+    assert found[0] is found[2]
+    assert found[1] is found[3]
+    assert found[0](whole) == 6
+    assert found[1](parts) == 3
+    assert found[0](whole[:2]) == 1
