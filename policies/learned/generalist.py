@@ -59,7 +59,7 @@ _MOVE, _TREE_MOVE, _ROUND = 7e-6, 3.5e-6, 0.35
 """About the time of a walk of all nets, in seconds per edge of the half perimeters of their pins,
 by the network and along trees; and how much of such a walk a round is."""
 
-_FEW, _PRESENT, _POWER = 2.0, 3.0, 1.5
+_FEW, _PRESENT, _POWER = 2.0, 2.8, 1.5
 """With time and rounds for fewer walks than the first number nets do not negotiate. Otherwise
 ``rip_up_present`` is the second one, divided by their number, to the power of the third: with
 little time nets share less, and have parted sooner."""
