@@ -79,8 +79,8 @@ _COOLER = 0.5
 class Walk(NamedTuple):
     """What a walk needs beside the games."""
 
-    maps: Maps
-    ways: Ways
+    maps: Maps  # predicted demand of the games
+    ways: Ways  # cheapest ways in them
     sizes: tuple[int, ...]  # units of all layers, the inputs first
     weights: NDArray[np.float32]  # flat, as the parameters of the network lie one after another
     radius: int
