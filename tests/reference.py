@@ -397,7 +397,7 @@ class Game:
                 self.plain += 1
                 return
             for edge, price in self.prices.items():
-                left = price - 100 * (price * 20 // 100) // self.calm()
+                left = price - 100 * (price * 10 // 100) // self.calm()
                 self.prices[edge] = left // 64 * 64
             self.negotiations += 1
             self.plain = self.stuck = self.present = 0
@@ -412,11 +412,13 @@ class Game:
                 if self.best[0][:2] < (open_, overflow):
                     self.put_best()
                 return
+        first = self.first_present()
+        rise = min(192 * max(self.present, first) // first, 640)
         for edge in self.capacity:
             if self.overflow_of(edge):
-                self.prices[edge] = self.prices.get(edge, 0) + 100 * 192 // self.calm()
-        grown = self.present + self.present * 25 // 100
-        self.present = min(max(self.first_present(), grown), 2048)
+                self.prices[edge] = self.prices.get(edge, 0) + 100 * rise // self.calm()
+        grown = self.present + self.present * (15 if self.negotiations else 25) // 100
+        self.present = min(max(first, grown), 2048)
 
     def next_walk(self) -> int | None:
         """Who walks again, or is asked, when nobody is active; None: the end."""

@@ -8,10 +8,12 @@ With ``rip_up_prices`` the first walk and most rip-up rounds (:mod:`marouting.ga
 where ``price`` is what the edge's past overflow has added; ``over`` is what the net would be over
 the remaining capacity, in tracks; and ``present``, at first ``rip_up_present``, grows from one
 priced round to the next. So nets share edges cheaply at first, and those that find another way
-nearly as short leave. A via costs 1. An edge that can never hold the net costs the most.
+nearly as short leave. The longer overflow lasts, the more it adds to a price: that grows along with
+``present``, up to a limit. A via costs 1. An edge that can never hold the net costs the most.
 
-When priced rounds follow plain ones, nets negotiate again: ``present`` is as small as at first, and
-prices have fallen. With ``rip_up_calm`` prices come to rest: they rise and fall by less each time.
+When priced rounds follow plain ones, nets negotiate again: ``present`` is as small as at first, but
+grows more slowly, and prices have fallen. With ``rip_up_calm`` prices come to rest: they rise and
+fall by less each time.
 Such steps are usual in subgradient methods (Held, Wolfe and Crowder, "Validation of subgradient
 optimization", Mathematical Programming 6, 1974).
 
@@ -42,8 +44,9 @@ WHOLE = 1024
 LARGEST = int(MOST_PRESENT * WHOLE)
 """The largest ``present``."""
 
-RISE = 192
-"""What overflow adds to the price of an edge before a priced round, in parts of ``WHOLE``."""
+_RISE, MOST_RISE = 192, 640
+"""What overflow adds to the price of an edge before a priced round, in parts of ``WHOLE``: as long
+as ``present`` is as at first, and at most."""
 
 NO_LIMIT = 1 << 55
 """More overflow than there can be."""
@@ -51,8 +54,8 @@ NO_LIMIT = 1 << 55
 _PRICED, _PLAIN = 10, 2
 """Rounds in a row without gain after which priced rounds end, and plain ones."""
 
-_GROWTH = 25  # per cent by which present grows
-_FALL = 20  # per cent by which prices fall after plain rounds
+_GROWTH, _LATER_GROWTH = 25, 15  # per cent by which present grows, at first and after plain rounds
+_FALL = 10  # per cent by which prices fall after plain rounds
 
 
 @inlined
@@ -137,13 +140,15 @@ def _calmed(static: Static, dynamic: Dynamic, m: int, step: int) -> int:
 @compiled
 def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
     """Before a priced round: edges with overflow get dearer."""
-    prices, rise = place(static.options[Option.PRICES]), _calmed(static, dynamic, m, wide(RISE))
+    game, first = dynamic.games[m], first_present(static)
+    rise = min(_RISE * max(wide(game.present), first) // first, wide(MOST_RISE))
+    prices, rise = place(static.options[Option.PRICES]), _calmed(static, dynamic, m, rise)
     for edge in range(static.capacity.shape[1]):
         if dynamic.remaining[m, edge] < 0:
             dynamic.numbers[m, prices + edge] += rise
-    game = dynamic.games[m]
-    present = game.present + game.present * _GROWTH // 100
-    game.present = min(max(present, first_present(static)), LARGEST)
+    growth = _GROWTH if game.negotiations == 0 else _LATER_GROWTH
+    present = game.present + game.present * growth // 100
+    game.present = min(max(present, first), LARGEST)
 
 
 @compiled

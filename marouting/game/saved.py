@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from marouting.game.bits import are_within, byte_at, copy_rows, longer, places
 from marouting.game.edges import demand_of
-from marouting.game.prices import LARGEST, RISE
+from marouting.game.prices import LARGEST, MOST_RISE
 from marouting.game.setup import more_of
 from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
 from marouting.kernels import compiled, wide
@@ -108,7 +108,7 @@ def _check_extended(static: Static, saved: Dynamic) -> None:
         _expect("rounds without gain", min(game["plain"], game["stuck"]) >= 0)
         _expect("negotiations", _within(game["negotiations"], 0, rounds))
         _expect("present", _within(game["present"], 0, LARGEST))
-        _expect("prices", _within(more.prices[m], 0, rounds * RISE))
+        _expect("prices", _within(more.prices[m], 0, rounds * MOST_RISE))
         if len(more.best_joined[m]) and game["best_joined"] != NOBODY:
             joined = more.best_joined[m]
             _expect("best routes", _within(joined, 0, np.diff(static.first[m])))
