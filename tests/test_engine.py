@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference import Game, contested, edge_number, gcell_of, random_moves
 
-from marouting import Adjustment, Engine, InputError, Move, Net, Pin, Problem, evaluate
+from marouting import Adjustment, Engine, InputError, Move, Net, Pin, Problem, evaluate, generate
 from marouting.game.state import NOBODY, Crossing, Ending, Status
 from marouting.problem.problem import UNLIMITED
+from marouting.search.astar import AStar
 
 E, W, N, S, U, D = Move
 
@@ -121,6 +122,45 @@ def test_engine_plays_by_the_options(
     if more["rip_up_prices"]:
         chosen = {**chosen, "overflow": "allowed"}
     test_engine_plays_by_the_rules.hypothesis.inner_test(problem, {**chosen, **more}, seed, form)
+
+
+@pytest.mark.parametrize("calm", [0, 0.3])
+def test_nets_negotiate_again_and_again(calm: float) -> None:
+    """Prices are as the model says, in games so long that they rise to the full and fall again."""
+    negotiations, lasted = 0, False
+    for seed in range(4):
+        problem = generate(1, grid=(4, 4, 1), nets=9, max_pins=2, capacity=1, seed=seed)[0]
+        rules: dict[str, Any] = {
+            "turn_order": "sequential",
+            "overflow": "allowed",
+            "rip_up_rounds": 60,
+            "rip_up_prices": True,
+            "rip_up_calm": calm,
+            "max_steps": 8,
+        }
+        engine, game = Engine([problem], **rules), Game(problem, **rules)
+        guide, rng, number = AStar(engine), np.random.default_rng(seed), 0
+        while game.turn is not None:
+            pairs = engine.pairs(everyone=False)
+            move = guide.moves(*pairs)
+            if rng.random() < 0.2:
+                move = rng.choice(np.flatnonzero(engine.masks(*pairs)[0]), 1)
+            engine.step(np.asarray(move, np.int8))
+            game.step(int(move[0]))
+            if game.round > number:
+                number = game.round
+                compare(engine, game)
+                now, prices = engine.games[0], np.zeros(engine.grid.edges, np.int64)
+                for edge, price in game.prices.items():
+                    prices[edge_number(problem, edge)] = price
+                np.testing.assert_array_equal(engine.more.prices[0], prices)
+                assert (now["present"], now["plain"]) == (game.present, game.plain)
+                assert now["negotiations"] == game.negotiations
+                lasted |= game.present > 10 * game.first_present() and game.plain == 0
+        assert number == 60
+        negotiations = max(negotiations, game.negotiations)
+    assert negotiations > 3
+    assert lasted  # so long that overflow adds the most to prices
 
 
 @settings(deadline=None, max_examples=60)
