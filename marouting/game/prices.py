@@ -13,9 +13,8 @@ nearly as short leave. The longer overflow lasts, the more it adds to a price: t
 
 When priced rounds follow plain ones, nets negotiate again: ``present`` is as small as at first, but
 grows more slowly, and prices have fallen. With ``rip_up_calm`` prices come to rest: they rise and
-fall by less each time.
-Such steps are usual in subgradient methods (Held, Wolfe and Crowder, "Validation of subgradient
-optimization", Mathematical Programming 6, 1974).
+fall by less each time. Such steps are usual in subgradient methods (Held, Wolfe and Crowder,
+"Validation of subgradient optimization", Mathematical Programming 6, 1974).
 
 This is negotiated congestion, after McMurchie and Ebeling, "PathFinder: a negotiation-based
 performance-driven router for FPGAs", FPGA 1995, with nets that walk. Costs are whole numbers of
@@ -139,7 +138,7 @@ def _calmed(static: Static, dynamic: Dynamic, m: int, step: int) -> int:
 
 @compiled
 def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
-    """Before a priced round: edges with overflow get dearer."""
+    """Before a priced round: edges with overflow get dearer, and ``present`` grows."""
     game, first = dynamic.games[m], first_present(static)
     rise = min(_RISE * max(wide(game.present), first) // first, wide(MOST_RISE))
     prices, rise = place(static.options[Option.PRICES]), _calmed(static, dynamic, m, rise)
