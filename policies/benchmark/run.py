@@ -240,6 +240,7 @@ class Benchmark:
         spent = None if None in times else round(sum(t for t in times if t is not None), 3)
         trained = spent if entry.trains else contender.training_seconds
         options = json.loads(json.dumps(dict(entry.options)))
+        size = "1 core" if cores() == 1 else f"{cores()} cores"
         seeds = [] if not entry.seeded else ["--seeds", str(self._seeds)]
         split = [] if one.split == "test" else ["--split", one.split]
         given = shlex.join(["marouting", "benchmark", "--scenario", one.scenario.name, *split])
@@ -251,7 +252,7 @@ class Benchmark:
             options=options,
             budget=contender.budget,
             version=__version__,
-            machine=f"{processor()}, {cores()} cores, {platform.system()}",
+            machine=", ".join((processor(), size, platform.system())),
             command=" ".join([given, contender.source, *seeds]),
             date=time.strftime("%Y-%m-%d"),
             seconds=None if None in (spent, trained) else _total(spent, trained, entry.trains),
