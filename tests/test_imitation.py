@@ -41,7 +41,7 @@ SOURCE: dict[str, Any] = {
 }
 LEARNER: dict[str, Any] = {
     "kind": "imitation",
-    "network": {"hidden": [32]},
+    "network": {"hidden": [32, 32]},
     "memory": 8000,
     "batch": 256,
 }
