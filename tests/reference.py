@@ -345,6 +345,8 @@ class Game:
 
     def calm(self) -> int:
         """What steps of the prices are divided by, in hundredths."""
+        if self.best is not None and self.best[0][1] > 0:
+            return 100
         return 100 + round(100 * self.rip_up_calm) * self.negotiations
 
     def cost(self, n: int) -> int:

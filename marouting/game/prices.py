@@ -12,9 +12,10 @@ nearly as short leave. The longer overflow lasts, the more it adds to a price: t
 ``present``, up to a limit. A via costs 1. An edge that can never hold the net costs the most.
 
 When priced rounds follow plain ones, nets negotiate again: ``present`` is as small as at first, but
-grows more slowly, and prices have fallen. With ``rip_up_calm`` prices come to rest: they rise and
-fall by less each time. Such steps are usual in subgradient methods (Held, Wolfe and Crowder,
-"Validation of subgradient optimization", Mathematical Programming 6, 1974).
+grows more slowly, and prices have fallen. With ``rip_up_calm`` prices come to rest: as soon as
+there are routes without overflow, they rise and fall by less each time. Such steps are usual in
+subgradient methods (Held, Wolfe and Crowder, "Validation of subgradient optimization", Mathematical
+Programming 6, 1974).
 
 This is negotiated congestion, after McMurchie and Ebeling, "PathFinder: a negotiation-based
 performance-driven router for FPGAs", FPGA 1995, with nets that walk. Costs are whole numbers of
@@ -132,8 +133,10 @@ def net_cost(
 @inlined
 def _calmed(static: Static, dynamic: Dynamic, m: int, step: int) -> int:
     """What is left of a step of the prices, after so many negotiations."""
-    calm = static.options[Option.CALM]
-    return 100 * step // (100 + calm * wide(dynamic.games[m].negotiations))
+    game = dynamic.games[m]
+    if game.best_overflow > 0:
+        return wide(step)  # prices that rest would never part the nets that still overflow
+    return 100 * step // (100 + static.options[Option.CALM] * wide(game.negotiations))
 
 
 @compiled
