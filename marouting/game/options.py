@@ -75,9 +75,9 @@ class RuleOptions:
             part of it, 0.01 to 2. It grows from round to round. The more there is of it,
             the sooner there is no overflow, and the longer routes are. For ``rip_up_prices``.
         rip_up_calm: how soon prices come to rest: when nets negotiate for the r-th time after the
-            first, prices rise and fall by 1 / (1 + rip_up_calm · r) of what they did. Not until
-            there are routes without overflow. 0 to 1000, in hundredths. For ``rip_up_prices``, with
-            many rounds.
+            first, prices rise and fall by 1 / (1 + rip_up_calm · r) of what they did, once there
+            are routes without overflow. 0 to 1000, in hundredths. For ``rip_up_prices``, with many
+            rounds.
 
     Raises:
         InputError: an option is out of range.
