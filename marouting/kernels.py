@@ -2,8 +2,9 @@
 
 Compiled code is kept on disk. Numba considers it fresh as long as the function's own source file
 has not changed, although functions of other files are compiled into it. Here it is fresh as long as
-no source file of the function's package, or of this package, has changed (:func:`stamp`). After an
-upgrade, or an edit of a rule, every loop that contains the rule is compiled again. So is a function
+nothing that is compiled into it has changed: the files of all functions that it calls, and the
+constants that they use (:func:`stamp`). After an upgrade, or an edit of a rule, every loop that
+contains the rule is compiled again; an edit of any other file compiles nothing. So is a function
 whose file on disk is damaged. Where nothing can be kept on disk, functions are compiled in every
 process, and one warning says why.
 
@@ -13,11 +14,13 @@ functions are compiled without them: they are slower and give the same results.
 
 import functools
 import hashlib
+import os
 import pickle
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import llvmlite
@@ -65,9 +68,7 @@ def _cache_of(function: Callable[..., Any]) -> Any:
     """What keeps the compiled code of a function on disk."""
     cache = _Cache(function)
     files = cache._cache_file
-    cache._cache_file = _Files(
-        files._cache_path, cache._impl.filename_base, stamp(function.__module__)
-    )
+    cache._cache_file = _Files(files._cache_path, cache._impl.filename_base, function)
     return cache
 
 
@@ -83,6 +84,19 @@ class _Cache(getattr(_caching, "FunctionCache", object)):  # type: ignore[misc]
 
 class _Files(getattr(_caching, "IndexDataCacheFile", object)):  # type: ignore[misc]
     """The files of a function's cache, with a digest of their content and of the sources."""
+
+    def __init__(self, cache_path: str, filename_base: str, function: Callable[..., Any]) -> None:
+        self._function = function
+        super().__init__(cache_path, filename_base, None)
+
+    @property
+    def _source_stamp(self) -> str:
+        """Made when first asked for, since its file may define what the function calls later."""
+        return stamp(self._function)
+
+    @_source_stamp.setter
+    def _source_stamp(self, value: Any) -> None:
+        """Numba sets what it was given."""
 
     def _load_index(self) -> Any:
         try:
@@ -118,25 +132,56 @@ _reasons: list[str] = []
 
 
 @functools.cache
-def stamp(module: str) -> str:
+def stamp(function: Callable[..., Any]) -> str:
     """A stamp that tells compiled code of different versions of the sources apart.
 
     Args:
-        module: the name of the module that defines a compiled function.
+        function: what is compiled, as Python.
 
     Returns:
-        A digest of the sources of the module's top-level package and of this package, and of the
-        versions of numba and llvmlite.
+        A digest of the source files of the function, of the functions that it calls and of the
+        classes that they use, of the constants that they use, and of the versions of numba and
+        llvmlite.
     """
-    digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
-    for name in dict.fromkeys((__name__.partition(".")[0], module.partition(".")[0])):
-        source = getattr(sys.modules.get(name), "__file__", None)
-        if source is None:
+    files = {__file__, function.__code__.co_filename}
+    constants = {f"{numba.__version__} {llvmlite.__version__}"}
+    packages = {__name__.partition(".")[0], function.__module__.partition(".")[0]}
+    seen: set[int] = set()
+    todo: list[tuple[str, Any]] = [(function.__name__, function)]
+    while todo:
+        name, value = todo.pop()
+        value = getattr(value, "py_func", getattr(value, "_defn", value))  # as Python
+        if id(value) in seen or isinstance(value, ModuleType):
             continue
-        path = Path(source)
-        for file in sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]:
-            digest.update(file.read_bytes())
+        seen.add(id(value))
+        module = getattr(value, "__module__", None)
+        if isinstance(module, str) and module.partition(".")[0] in packages:
+            files.add(getattr(sys.modules.get(module), "__file__", None) or "")
+            todo += _used(value)
+        elif not callable(value):  # what belongs to other libraries changes with their versions
+            constants.add(f"{name} {getattr(value, 'tolist', value.__repr__)()}")
+    digest = hashlib.sha256("\n".join(sorted(constants)).encode())
+    for file in sorted(filter(os.path.isfile, files)):
+        digest.update(Path(file).read_bytes())
     return digest.hexdigest()
+
+
+def _used(value: Any) -> Iterator[tuple[str, Any]]:
+    """What a function or a class uses, with its names: a call, a constant, the type of a field."""
+    yield from getattr(value, "__annotations__", {}).items()
+    if not isinstance(value, FunctionType):
+        return
+    codes = [value.__code__]
+    for code in codes:
+        codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+    names = {name for code in codes for name in code.co_names}
+    used = {name: value.__globals__[name] for name in names if name in value.__globals__}
+    yield from used.items()
+    for module in used.values():
+        if isinstance(module, ModuleType):
+            yield from ((name, getattr(module, name)) for name in names if hasattr(module, name))
+    for name, cell in zip(value.__code__.co_freevars, value.__closure__ or (), strict=True):
+        yield name, cell.cell_contents
 
 
 compiled = _decorator(

@@ -14,7 +14,6 @@ import wheels
 from numba.core.cpu import CPUTargetOptions
 
 import marouting
-import policies
 from marouting import kernels
 
 _PLAY = """
@@ -81,11 +80,59 @@ def test_an_upgrade_is_played_by_code_that_was_compiled_before_it(tmp_path: Path
             assert play(site, cache) == [3, wirelength]
 
 
-def test_a_stamp_depends_on_all_sources_of_the_package() -> None:
-    own = kernels.stamp("marouting.game.rules")
-    assert own == kernels.stamp("marouting.kernels")
-    assert own != kernels.stamp(f"{policies.__name__}.learned.streams")
-    assert own != kernels.stamp(__name__)
+@pytest.mark.parametrize(
+    ("file", "old", "new", "same"),
+    [
+        ("calls", "X, 2)", "X, 3)", False),  # the function itself
+        ("rules", "a + b", "a - b", False),  # what it calls
+        ("deeper", "LEAST = 1", "LEAST = 2", False),  # a constant of what that calls
+        ("deeper", "x: int", "y: int", False),  # a field of an argument
+        ("other", "1", "2", True),  # imported, and not compiled into it
+    ],
+)
+def test_a_stamp_depends_on_what_is_compiled_into_a_function(
+    tmp_path: Path, file: str, old: str, new: str, same: bool
+) -> None:
+    sources = {
+        "calls": "from pack.other import Y\nfrom pack.rules import add\n"
+        "from marouting.kernels import compiled\nX = Y\n\n\n"
+        "@compiled\ndef call():\n    return add(X, 2)\n",
+        "rules": "from pack.deeper import Point, least\nfrom marouting.kernels import inlined\n\n\n"
+        "@inlined\ndef add(a, b: Point):\n    return least(a + b)\n",
+        "deeper": "from typing import NamedTuple\nfrom marouting.kernels import inlined\n"
+        "LEAST = 1\n\n\nclass Point(NamedTuple):\n    x: int\n\n\n"
+        "@inlined\ndef least(a):\n    return later(a)\n\n\n"
+        "@inlined\ndef later(a):\n    return max(a, LEAST)\n",
+        "other": "Y = 4  # 1\n",
+        "__init__": "",
+    }
+
+    def stamp() -> str:
+        (tmp_path / "pack").mkdir(exist_ok=True)
+        for name, text in sources.items():
+            (tmp_path / "pack" / f"{name}.py").write_text(text)
+        code = "from marouting import kernels; from pack import calls; "
+        done = subprocess.run(
+            [sys.executable, "-c", f"{code}print(kernels.stamp(calls.call.py_func))"],
+            env={
+                **os.environ,
+                "PYTHONPATH": os.pathsep.join(
+                    (str(tmp_path), str(Path(marouting.__file__).parents[1]))
+                ),
+                "PYTHONDONTWRITEBYTECODE": "1",
+            },
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    before = stamp()
+    assert stamp() == before
+    assert sources[file].count(old) == 1
+    sources[file] = sources[file].replace(old, new)
+    assert (stamp() == before) == same
 
 
 def double(x: Any) -> Any:
