@@ -14,7 +14,7 @@ from dataclasses import fields
 from docstrings import ROOT, markdown
 
 from marouting import global_routing_v0
-from marouting.game.options import RuleOptions
+from marouting.batch.options import RuleOptions
 from marouting.options import GameOptions
 
 PAGE = ROOT / "docs" / "environment.md"

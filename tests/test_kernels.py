@@ -57,7 +57,7 @@ def test_an_edited_rule_is_played_by_code_that_was_compiled_before(tmp_path: Pat
     assert play(copy, cache) == [3, 3]
     assert sorted(cache.rglob("*.nbc")) == kept  # nothing was compiled again
 
-    rules = copy / "marouting" / "game" / "rules.py"
+    rules = copy / "marouting" / "batch" / "rules.py"
     source = rules.read_text(encoding="utf-8")
     assert source.count("game.wirelength += new\n") == 1
     rules.write_text(source.replace("game.wirelength += new\n", "game.wirelength += 5 * new\n"))
@@ -69,7 +69,7 @@ def test_an_upgrade_is_played_by_code_that_was_compiled_before_it(tmp_path: Path
     """Two wheels that differ in a rule, the second installed over the first."""
     site, source = tmp_path / "site", wheels.source(tmp_path)
     first = wheels.build(source, tmp_path / "first")
-    rules = source / "marouting" / "game" / "rules.py"
+    rules = source / "marouting" / "batch" / "rules.py"
     text = rules.read_text(encoding="utf-8")
     rules.write_text(text.replace("game.wirelength += new\n", "game.wirelength += 5 * new\n"))
     second = wheels.build(source, tmp_path / "second")

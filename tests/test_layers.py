@@ -29,7 +29,7 @@ ROOMS = {
         ("_version", "errors", "files", "memory", "kernels", "registry", "config"),
         ("problem",),
         ("trees",),
-        ("game",),
+        ("batch",),
         ("search",),
         ("generator",),
         ("scenarios",),

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from marouting.batch.engine import Engine
+from marouting.batch.options import MOST_STEPS, TurnOrder
+from marouting.batch.state import NOBODY
 from marouting.errors import InputError
 from marouting.files import writing
-from marouting.game.engine import Engine
-from marouting.game.options import MOST_STEPS, TurnOrder
-from marouting.game.state import NOBODY
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
+from marouting.batch.engine import Engine
 from marouting.config import piece
-from marouting.game.engine import Engine
 from marouting.registry import names
 from marouting.search.astar import AStar
 from marouting.search.route_follower import RouteFollower

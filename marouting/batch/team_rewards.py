@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.batch.engine import Engine
+from marouting.batch.reward import Reward
+from marouting.batch.state import NOBODY, Dynamic
 from marouting.config import check, piece
-from marouting.game.engine import Engine
-from marouting.game.reward import Reward
-from marouting.game.state import NOBODY, Dynamic
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class TeamReward:
     def __call__(
         self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
     ) -> NDArray[np.floating]:
-        """What the moves pay; see :class:`marouting.game.reward.Reward`."""
+        """What the moves pay; see :class:`marouting.batch.reward.Reward`."""
         del movers
         return np.broadcast_to(self.saved(game, before)[:, None], game.agents.shape)
 
@@ -80,7 +80,7 @@ class DifferenceReward(TeamReward):
     def __call__(
         self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
     ) -> NDArray[np.floating]:
-        """What the moves pay; see :class:`marouting.game.reward.Reward`."""
+        """What the moves pay; see :class:`marouting.batch.reward.Reward`."""
         return _to_movers(self.saved(game, before), movers, game)
 
 
@@ -109,7 +109,7 @@ class PotentialReward:
     def __call__(
         self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
     ) -> NDArray[np.floating]:
-        """What the moves pay; see :class:`marouting.game.reward.Reward`."""
+        """What the moves pay; see :class:`marouting.batch.reward.Reward`."""
         after, then = (_distance(game, agents, movers) for agents in (game.agents, before.agents))
         return _to_movers(self.scale * (then - self.gamma * after), movers, game)
 
@@ -146,7 +146,7 @@ class MixedReward:
     def __call__(
         self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
     ) -> NDArray[np.floating]:
-        """What the moves pay; see :class:`marouting.game.reward.Reward`."""
+        """What the moves pay; see :class:`marouting.batch.reward.Reward`."""
         paid = np.zeros(game.agents.shape)
         for weight, reward in self.rewards:
             paid += weight * np.asarray(reward(game, before, movers))

@@ -3,8 +3,8 @@
 The state of M problems with N agents on one grid shape is held in plain arrays, with the problem as
 the first axis. There are G Gcells, E edges, Z layers, K tasks over all problems, and P nets at most
 that walk again at a time. Arrays of options that are switched off have no elements. Sets of edges
-and Gcells are rows of bits, hashed where grids are large (:mod:`marouting.game.bits`). Only
-:mod:`marouting.game.rules`, and what it calls, changes the dynamic state.
+and Gcells are rows of bits, hashed where grids are large (:mod:`marouting.batch.bits`). Only
+:mod:`marouting.batch.rules`, and what it calls, changes the dynamic state.
 """
 
 import enum
@@ -48,7 +48,7 @@ class Ending(enum.IntEnum):
 
 
 class RipUp(enum.IntEnum):
-    """Which nets walk again in a rip-up round; see :mod:`marouting.game.rounds`."""
+    """Which nets walk again in a rip-up round; see :mod:`marouting.batch.rounds`."""
 
     ALL = 0  #: all, in turn order
     CONFLICTS = 1  #: those with open tasks or on full edges, in turn order

@@ -61,7 +61,7 @@ class RuleOptions:
             task, as long as other moves are left.
         give_back: whether a failed task gives the edges back that it took.
         rip_up_rounds: how often nets give their edges back and walk again after all have routed;
-            see :mod:`marouting.game.rounds`. Agents then stay until the last round is over.
+            see :mod:`marouting.batch.rounds`. Agents then stay until the last round is over.
         rip_up: which nets do so, and in which order: ``all``; ``conflicts``, those with open tasks
             or on full edges; ``price``, those on edges that were full in this or earlier rounds,
             the costliest first; or ``agents``, those whose agents choose so by a seventh action.

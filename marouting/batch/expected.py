@@ -16,10 +16,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.engine import Engine
-from marouting.game.places import grid_of
-from marouting.game.state import NOBODY, Dynamic, Static, Status
-from marouting.game.tasks import is_later
+from marouting.batch.engine import Engine
+from marouting.batch.places import grid_of
+from marouting.batch.state import NOBODY, Dynamic, Static, Status
+from marouting.batch.tasks import is_later
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.memory import EXPECTED, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
