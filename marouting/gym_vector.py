@@ -12,9 +12,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from marouting.batch.state import NOBODY
 from marouting.config import check
 from marouting.env.base import METADATA
+from marouting.game import NOBODY
 from marouting.options import game_options
 from marouting.render import ansi, rgb_array, scene_of
 from marouting.source import Source

@@ -6,9 +6,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Tag
 
-from marouting.batch.options import RuleOptions, TurnOrder
+from marouting.batch.options import RuleOptions
 from marouting.config import Named, build, check, piece_field, take_pieces, unknown_key
 from marouting.errors import UnknownOption
+from marouting.game import TurnOrder
 from marouting.generator import GeneratorOptions
 from marouting.scenarios import Split, get
 

@@ -47,20 +47,10 @@ from marouting.batch.rules import (
     settle_turns,
     write_moves,
 )
-from marouting.batch.state import (
-    GAME,
-    MASKS,
-    NOBODY,
-    ROWS,
-    Crossing,
-    Dynamic,
-    Ending,
-    Option,
-    Static,
-    Status,
-)
+from marouting.batch.state import GAME, MASKS, ROWS, Dynamic, Option, Static
 from marouting.batch.tasks import wait
 from marouting.errors import InputError
+from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import bound, compiled, inlined, place, wide
 from marouting.memory import check_memory
 from marouting.problem.grid import MOVES

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
-from marouting.batch.state import NOBODY, Status
+from marouting.game import NOBODY, Status
 from marouting.problem.grid import AXES, VIA_AXIS, Grid
 
 if TYPE_CHECKING:

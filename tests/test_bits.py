@@ -16,8 +16,8 @@ import marouting
 from marouting import Engine, Net, Pin, Problem, global_routing_v0
 from marouting.batch import bits, setup
 from marouting.batch.outlook import OutlookObservation
-from marouting.batch.state import NOBODY
 from marouting.config import build
+from marouting.game import NOBODY
 from marouting.kernels import compiled, wide
 from marouting.vector import BatchEnv
 from policies.learned.compiled.walk import Walker

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from marouting import Engine, InputError, Problem, generate, scenarios
 from marouting.batch.setup import Room
-from marouting.batch.state import NOBODY
+from marouting.game import NOBODY
 from marouting.source import Episodes, load_problem
 from marouting.vector import BatchEnv
 

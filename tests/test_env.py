@@ -39,7 +39,8 @@ from marouting import (
     global_routing_v0,
 )
 from marouting.batch.reward import NormalisedReward
-from marouting.batch.state import NOBODY, Dynamic, Ending, Status
+from marouting.batch.state import Dynamic
+from marouting.game import NOBODY, Ending, Status
 from marouting.player import Player
 from marouting.vector import BatchEnv
 

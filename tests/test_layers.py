@@ -26,9 +26,20 @@ OPTIONAL = {"klayout", "matplotlib"}
 
 ROOMS = {
     "marouting": (
-        ("_version", "errors", "files", "memory", "kernels", "registry", "config"),
+        (
+            "_version",
+            "errors",
+            "checks",
+            "files",
+            "memory",
+            "kernels",
+            "compiling",
+            "registry",
+            "config",
+        ),
         ("problem",),
         ("trees",),
+        ("game",),
         ("batch",),
         ("search",),
         ("generator",),

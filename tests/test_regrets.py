@@ -11,7 +11,7 @@ from seeing import cheapest_tree, edge_costs, gcell, is_priced
 
 from marouting import Engine, InputError, Net, Pin, Problem, Solution, evaluate
 from marouting.batch.prices import UNIT
-from marouting.batch.state import NOBODY
+from marouting.game import NOBODY
 from marouting.search.regrets import MASKED, Regrets
 from policies.routers.optimal import OptimalRouter
 

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 import marouting
 from marouting import InputError, generate, global_routing_v0
 from marouting.batch.observation import PaperObservation
-from marouting.batch.options import TurnOrder
 from marouting.batch.reward import PaperReward
-from marouting.batch.state import NOBODY
+from marouting.game import NOBODY, TurnOrder
 from marouting.vector import BatchEnv
 
 PROBLEMS = [

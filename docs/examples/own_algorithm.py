@@ -14,8 +14,8 @@ import numpy as np
 import torch
 
 import marouting
-from marouting.batch.state import Ending
 from marouting.config import Named, build, check, piece_field, take_pieces
+from marouting.game import Ending
 from policies.cli.tables import show
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration

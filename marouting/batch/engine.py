@@ -33,7 +33,8 @@ from marouting.batch.setup import (
     replace_problem,
     static_state,
 )
-from marouting.batch.state import NOBODY, ROWS, Dynamic, Option, Static
+from marouting.batch.state import ROWS, Dynamic, Option, Static
+from marouting.game import NOBODY
 from marouting.kernels import compiled, place, wide
 from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
 from marouting.batch.places import grid_of
-from marouting.batch.state import NOBODY, Dynamic, Static, Status
+from marouting.batch.state import Dynamic, Static
 from marouting.batch.tasks import is_later
+from marouting.game import NOBODY, Status
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.memory import EXPECTED, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS

@@ -47,8 +47,9 @@ from numpy.typing import NDArray
 from marouting.batch.bits import byte_at, places
 from marouting.batch.engine import Engine, check_rows
 from marouting.batch.rules import is_agent
-from marouting.batch.state import NOBODY, Dynamic, Static, Status
+from marouting.batch.state import Dynamic, Static
 from marouting.errors import InputError
+from marouting.game import NOBODY, Status
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.problem import Problem

@@ -75,10 +75,11 @@ from marouting.batch.expected import (
 from marouting.batch.places import grid_of, position
 from marouting.batch.prices import UNIT, edge_cost, is_priced, price_of
 from marouting.batch.rules import is_agent
-from marouting.batch.state import NOBODY, Crossing, Dynamic, Option, Static
+from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import holds, is_later, is_on, next_nearest
 from marouting.batch.window import MOST_RADIUS, move_order, write_numbers
 from marouting.config import check
+from marouting.game import NOBODY, Crossing
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole

@@ -37,8 +37,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
-from marouting.batch.state import NOBODY, Crossing, Dynamic, Ending
+from marouting.batch.state import Dynamic
 from marouting.config import check
+from marouting.game import NOBODY, Crossing, Ending
 from marouting.kernels import inlined, place
 
 _MOST = 1e30

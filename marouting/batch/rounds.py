@@ -53,7 +53,7 @@ from marouting.batch.bits import byte_at, byte_of, empty, places, put, set_byte,
 from marouting.batch.edges import use_edges
 from marouting.batch.places import grid_of
 from marouting.batch.prices import choose_kind, is_priced, net_cost
-from marouting.batch.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
+from marouting.batch.state import Dynamic, Option, RipUp, Static
 from marouting.batch.tasks import (
     begin_net,
     begin_task,
@@ -61,6 +61,7 @@ from marouting.batch.tasks import (
     next_task,
     wait,
 )
+from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.heap import pop, push

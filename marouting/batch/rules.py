@@ -40,7 +40,7 @@ from marouting.batch.rounds import (
     judge,
     walk_again,
 )
-from marouting.batch.state import MASKS, NOBODY, Crossing, Dynamic, Ending, Option, Static, Status
+from marouting.batch.state import MASKS, Dynamic, Option, Static
 from marouting.batch.tasks import (
     begin_extended,
     begin_net,
@@ -53,6 +53,7 @@ from marouting.batch.tasks import (
     next_task,
     wait,
 )
+from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import MOVES
 

@@ -13,7 +13,8 @@ from marouting.batch.bits import are_within, byte_at, copy_rows, longer, places
 from marouting.batch.edges import demand_of
 from marouting.batch.prices import LARGEST, MOST_RISE
 from marouting.batch.setup import more_of
-from marouting.batch.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
+from marouting.batch.state import Dynamic, Option, RipUp, Static
+from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES
 

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from marouting.batch.bits import make_rows
 from marouting.batch.growth import lengthened, needed_room
-from marouting.batch.options import NetOrder, RuleOptions
+from marouting.batch.options import RuleOptions
 from marouting.batch.prices import WHOLE
-from marouting.batch.state import AGENT, GAME, NOBODY, Dynamic, Option, RipUp, Static
+from marouting.batch.state import AGENT, GAME, Dynamic, Option, RipUp, Static
 from marouting.errors import InputError
+from marouting.game import NOBODY, NetOrder
 from marouting.kernels import compiled, wide
 from marouting.memory import HASHED, PLAYED, TABLES, check_memory
 from marouting.problem.grid import VIA_AXIS, Grid

@@ -15,37 +15,6 @@ from numpy.typing import NDArray
 
 from marouting.problem.grid import MOVES
 
-NOBODY = -1
-"""Stands for no agent, such as after the end of an episode; also the action for no move."""
-
-
-class Status(enum.IntEnum):
-    """The status of an agent in its episode."""
-
-    ACTIVE = 0  #: still has a task to route
-    TERMINATED = 1  #: all tasks joined
-    TRUNCATED = 2  #: all tasks ended, at least one of them failed
-    ABSENT = 3  #: no net: padding for a problem with fewer agents than the largest one
-    WAITING = 4  #: all tasks ended, but the net may still walk again in a rip-up round
-
-
-class Crossing(enum.IntEnum):
-    """What an agent's last move did."""
-
-    NONE = 0  #: the agent did not move
-    BLOCKED = 1  #: too little capacity, or off the grid: the agent stayed
-    NEW = 2  #: crossed an edge that the net now uses
-    OWN = 3  #: crossed an edge that the net already used
-    ANSWERED = 4  #: the agent was asked whether its net gives way, and answered
-
-
-class Ending(enum.IntEnum):
-    """What an agent's last move did to its task."""
-
-    NONE = 0  #: the task goes on
-    JOINED = 1  #: the target pin is reached
-    FAILED = 2  #: the steps are used up
-
 
 class RipUp(enum.IntEnum):
     """Which nets walk again in a rip-up round; see :mod:`marouting.batch.rounds`."""

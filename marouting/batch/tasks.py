@@ -20,7 +20,8 @@ Gcell with the lowest number. With Steiner trees, "pin" stands for Steiner point
 
 from marouting.batch.bits import byte_at, empty, has, places, put
 from marouting.batch.edges import uses
-from marouting.batch.state import NOBODY, Crossing, Dynamic, Ending, Option, Static
+from marouting.batch.state import Dynamic, Option, Static
+from marouting.game import NOBODY, Crossing, Ending
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES
 

@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
 from marouting.batch.reward import Reward
-from marouting.batch.state import NOBODY, Dynamic
+from marouting.batch.state import Dynamic
 from marouting.config import check, piece
+from marouting.game import NOBODY
 
 
 @dataclass(frozen=True)

@@ -77,9 +77,10 @@ from marouting.batch.expected import (
 )
 from marouting.batch.places import grid_of, position
 from marouting.batch.rules import free_moves, is_agent
-from marouting.batch.state import NOBODY, Dynamic, Option, Static, Status
+from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_later
 from marouting.config import check
+from marouting.game import NOBODY, Status
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole

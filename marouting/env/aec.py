@@ -8,8 +8,8 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
-from marouting.batch.state import NOBODY, Status
 from marouting.env.base import METADATA, BaseGame, NetMethods, checked_move
+from marouting.game import NOBODY, Status
 from marouting.options import ORDERS
 from marouting.source import Source
 

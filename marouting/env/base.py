@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
 from marouting.batch.observation import state_of, state_space_of
-from marouting.batch.options import TurnOrder
-from marouting.batch.state import NOBODY, Status
+from marouting.game import NOBODY, Status, TurnOrder
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.options import game_options
 from marouting.player import Player

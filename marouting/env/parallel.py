@@ -11,8 +11,8 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from marouting.batch.state import NOBODY
 from marouting.env.base import METADATA, BaseGame, NetMethods, checked_move
+from marouting.game import NOBODY
 from marouting.options import ORDERS
 from marouting.source import Source
 

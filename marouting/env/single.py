@@ -9,9 +9,9 @@ from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from marouting.batch.state import NOBODY
 from marouting.config import check
 from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
+from marouting.game import NOBODY
 from marouting.options import ORDERS
 from marouting.source import Source
 

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from marouting.batch.bits import set_byte
 from marouting.batch.engine import Engine
-from marouting.batch.options import NetOrder, RuleOptions, Target
+from marouting.batch.options import RuleOptions
 from marouting.batch.rules import move_agent
 from marouting.batch.setup import dynamic_state, static_state
-from marouting.batch.state import NOBODY, Crossing, Dynamic, Static, Status
+from marouting.batch.state import Dynamic, Static
 from marouting.batch.tasks import begin_task
+from marouting.game import NOBODY, Crossing, NetOrder, Status, Target
 from marouting.kernels import compiled, wide
 from marouting.memory import PLAYED, SEARCH, TABLES, check_memory
 from marouting.problem.problem import Problem, check_choice, check_problem

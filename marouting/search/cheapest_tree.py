@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from marouting.batch.engine import Engine
 from marouting.batch.places import grid_of, position
 from marouting.batch.prices import MOST, UNIT, edge_cost, is_priced
-from marouting.batch.state import NOBODY, Dynamic, Static
+from marouting.batch.state import Dynamic, Static
+from marouting.game import NOBODY
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree, make_search

@@ -30,9 +30,10 @@ from marouting.batch.outlook import widened
 from marouting.batch.places import grid_of, position
 from marouting.batch.prices import UNIT, edge_cost, is_priced
 from marouting.batch.rules import free_moves, is_agent
-from marouting.batch.state import NOBODY, Dynamic, Option, Static
+from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import holds, next_nearest
 from marouting.config import check
+from marouting.game import NOBODY
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.solution import Solution

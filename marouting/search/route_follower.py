@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from marouting.batch.bits import make_rows, put_numbers
 from marouting.batch.edges import may_cross, uses
 from marouting.batch.engine import Engine
-from marouting.batch.state import NOBODY, Dynamic, Static, Status
+from marouting.batch.state import Dynamic, Static
 from marouting.errors import InputError
+from marouting.game import NOBODY, Status
 from marouting.kernels import compiled, place, wide
 from marouting.problem.grid import MOVES
 from marouting.problem.solution import Solution

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, get_args
 import click
 
 from marouting import InputError, Problem, Solution, evaluate
-from marouting.batch.options import TurnOrder
 from marouting.files import check_writable
+from marouting.game import TurnOrder
 from policies.cli.completion import routers
 from policies.cli.options import FILE, json_option, tell
 from policies.cli.source import ProblemFile, problem_argument

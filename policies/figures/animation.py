@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from marouting.batch.engine import Engine
-from marouting.batch.options import MOST_STEPS, TurnOrder
-from marouting.batch.state import NOBODY
 from marouting.errors import InputError
 from marouting.files import writing
+from marouting.game import MOST_STEPS, NOBODY, TurnOrder
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution

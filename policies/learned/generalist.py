@@ -26,9 +26,10 @@ from numpy.typing import NDArray
 
 from marouting import EnvOptions, Problem, Solution
 from marouting.batch.engine import Engine
-from marouting.batch.options import MOST_NEIGHBOURS, MOST_PRESENT, MOST_ROUNDS, RuleOptions
+from marouting.batch.options import MOST_PRESENT, RuleOptions
 from marouting.batch.outlook import DETOURS, OutlookObservation
 from marouting.config import check
+from marouting.game import MOST_NEIGHBOURS, MOST_ROUNDS
 from marouting.problem.grid import MOVES
 from marouting.search.cheapest_tree import MOST_PINS
 from policies.learned.compiled.walk import MOST_STEPS, Walker, take_best

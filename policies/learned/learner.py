@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from marouting.batch.state import NOBODY
+from marouting.game import NOBODY
 from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned.compiled import greedy

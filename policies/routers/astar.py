@@ -8,8 +8,8 @@ from typing import Any, Literal
 import numpy as np
 
 from marouting import Problem, Solution, evaluate, sequential_astar
-from marouting.batch.options import NetOrder, Target
 from marouting.config import MOST, check
+from marouting.game import NetOrder, Target
 from marouting.trees.decomposition import Decomposition
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from marouting import Engine, Problem, Solution
 from marouting.batch.edges import has_room, uses
 from marouting.batch.growth import lacks_room
-from marouting.batch.options import NetOrder
 from marouting.batch.rules import move_player, settle_player
-from marouting.batch.state import NOBODY, Dynamic, Static
+from marouting.batch.state import Dynamic, Static
+from marouting.game import NOBODY, NetOrder
 from marouting.kernels import compiled, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.search.bounded import SearchBuffers, search_buffers, shortest_path

@@ -44,8 +44,9 @@ from marouting.batch.outlook import (
 )
 from marouting.batch.prices import UNIT, first_present, is_priced, net_cost
 from marouting.batch.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
-from marouting.batch.state import NOBODY, Dynamic, Option, Static, Status
+from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_on
+from marouting.game import NOBODY, Status
 from marouting.kernels import allocating, bound, compiled, inlined, place, wide
 from marouting.problem.grid import MOVES, VIA_AXIS
 from marouting.search.cheapest_tree import (
