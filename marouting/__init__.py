@@ -10,18 +10,18 @@ import gymnasium
 from marouting import global_routing_v0, scenarios, vector
 from marouting._version import __version__
 from marouting.batch.engine import Engine
-from marouting.batch.observation import Observation, PaperObservation
-from marouting.batch.reward import PaperReward, Reward
 from marouting.batch.window import WindowObservation
 from marouting.errors import InputError
 from marouting.generator import generate
 from marouting.make import make
+from marouting.observations import Observation, PaperObservation
 from marouting.options import EnvOptions
 from marouting.problem.grid import Move
 from marouting.problem.net import Adjustment, Net, Pin
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Evaluation, Solution, evaluate
 from marouting.registry import register
+from marouting.rewards import PaperReward, Reward
 from marouting.search.astar import sequential_astar
 
 __all__ = [

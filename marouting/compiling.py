@@ -14,6 +14,7 @@ Some of numba's options and attributes used here are private. If a release of nu
 functions are compiled without them: they are slower and give the same results.
 """
 
+import enum
 import functools
 import hashlib
 import os
@@ -166,6 +167,9 @@ def stamp(function: Callable[..., Any]) -> str:
         if id(value) in seen or isinstance(value, ModuleType):
             continue
         seen.add(id(value))
+        if isinstance(value, type) and issubclass(value, enum.Enum):
+            constants.add(f"{name} {[(member.name, member.value) for member in value]}")
+            continue
         module = getattr(value, "__module__", None)
         if isinstance(module, str) and module.partition(".")[0] in packages:
             files.add(getattr(sys.modules.get(module), "__file__", None) or "")

@@ -14,26 +14,45 @@ The options of a piece are the fields of its class if that is a dataclass, the f
 dataclass ``Options`` if it has one, and the keyword parameters of its constructor otherwise.
 """
 
+import contextlib
 import dataclasses
 import difflib
 import functools
 import inspect
 import json
+import math
 import os
 import re
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, TypeVar, cast, get_args, get_type_hints
+from types import NoneType, UnionType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    NoReturn,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import yaml
-from pydantic import PlainValidator, Tag, TypeAdapter, ValidationError
-from pydantic.errors import PydanticUserError
 
 from marouting.errors import InputError
 from marouting.files import read_text
 from marouting.registry import lookup, name_of, names
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter, ValidationError
+
+# Pydantic takes a tenth of a second to import. What plainly fits a schema is taken without it; it
+# judges the rest, and knows what to say (:func:`build`).
 
 MOST = 2**31 - 1
 """The largest count; compiled code and arrays do not support integers of arbitrary size."""
@@ -336,6 +355,10 @@ def build(schema: type[Schema], raw: Mapping[str, Any], where: str = "") -> Sche
             found.
     """
     try:
+        return cast(Schema, _filled(schema, raw))
+    except _UnsureError:
+        pass
+    try:
         # From JSON, a list can become a tuple and an integer a float; nothing else is converted.
         text = json.dumps(raw, default=_jsonable, ensure_ascii=False).encode()
     except UnicodeEncodeError as error:
@@ -348,6 +371,9 @@ def build(schema: type[Schema], raw: Mapping[str, Any], where: str = "") -> Sche
 
 def build_json(schema: type[Schema], text: str | bytes, where: str = "") -> Schema:
     """Fills a schema from JSON text, as :func:`build` does from plain data; raises InputError."""
+    from pydantic import ValidationError
+    from pydantic.errors import PydanticUserError
+
     try:
         built: Schema = _adapter(cast(Any, schema)).validate_json(text, strict=True)
     except ValidationError as error:
@@ -360,8 +386,89 @@ def build_json(schema: type[Schema], text: str | bytes, where: str = "") -> Sche
 
 
 @functools.cache
-def _adapter(schema: Any) -> TypeAdapter[Any]:
+def _adapter(schema: Any) -> "TypeAdapter[Any]":
+    from pydantic import TypeAdapter
+
     return TypeAdapter(schema)
+
+
+class _UnsureError(Exception):
+    """A value that does not plainly fit: pydantic shall judge it."""
+
+
+def _filled(schema: Any, raw: Mapping[str, Any]) -> Any:
+    """A dataclass filled from plain data that plainly fits; raises _UnsureError for any other."""
+    hints = _hints(schema)
+    if not all(name in hints for name in raw):
+        raise _UnsureError
+    values = {name: _taken(value, hints[name]) for name, value in raw.items()}
+    try:
+        return schema(**values)
+    except (InputError, TypeError):
+        raise _UnsureError from None
+
+
+def _taken(value: Any, hint: Any) -> Any:
+    """A value that plainly is of a type."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated and isinstance(inner[1], OneOf):
+        return _taken(value, inner[1].type_of(value))
+    if origin in (Union, UnionType):
+        for one in inner:
+            with contextlib.suppress(_UnsureError):
+                return _taken(value, one)
+    elif origin is Literal:
+        if isinstance(value, str) and value in inner:
+            return value
+    elif origin is tuple and isinstance(value, list | tuple):
+        if inner[-1] is ...:
+            return tuple(_taken(one, inner[0]) for one in value)
+        if len(inner) == len(value):
+            return tuple(map(_taken, value, inner))
+    elif hint is float:
+        if type(value) in (int, float) and math.isfinite(value):
+            return float(value)
+    elif hint is Piece:
+        return value
+    elif is_dataclass(hint) and isinstance(value, Mapping):
+        return _filled(hint, value)
+    elif hint in (bool, int, str, NoneType) and type(value) is hint:
+        return value
+    raise _UnsureError
+
+
+@functools.cache
+def _hints(schema: Any) -> dict[str, Any]:
+    """The types of a schema's fields; none if it is no dataclass."""
+    if not is_dataclass(schema):
+        return {}
+    hints = get_type_hints(schema, include_extras=True)
+    return {field.name: hints[field.name] for field in fields(schema) if field.init}
+
+
+@dataclass(frozen=True, eq=False)
+class OneOf:
+    """An annotation of a type: it is one of several, and a function tells by the value which.
+
+    Attributes:
+        types: the types by their names.
+        name_of: gives the name of a value's type.
+    """
+
+    types: Mapping[str, Any]
+    name_of: Callable[[Any], str]
+
+    def type_of(self, value: Any) -> Any:
+        """The type that a value is to be of."""
+        return self.types[self.name_of(value)]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """Says it in pydantic's words."""
+        from pydantic import Discriminator, Tag
+
+        del source
+        tagged = tuple(Annotated[kind, Tag(name)] for name, kind in self.types.items())
+        return handler.generate_schema(Annotated[Union[tagged], Discriminator(self.name_of)])  # noqa: UP007
 
 
 def _jsonable(value: Any) -> Any:
@@ -403,6 +510,14 @@ class Piece:
     options: Any
     given: bool = False
 
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        """To pydantic anything may be one: :func:`take_pieces` judges it."""
+        from pydantic import PlainValidator
+
+        del source
+        return handler.generate_schema(Annotated[Any, PlainValidator(lambda value: value)])
+
     def make(self, *context: Any) -> Any:
         """Makes the piece.
 
@@ -419,7 +534,7 @@ class Piece:
         return self.cls(*context, self.options)
 
 
-Named = Annotated[Piece, PlainValidator(lambda value: value)]
+Named = Piece
 """The type of a field that holds a piece; :func:`take_pieces` turns its value into one."""
 
 
@@ -632,12 +747,12 @@ def unknown_key(key: str, known: Sequence[str]) -> str:
     return f"{key}: unknown key; {expected}"
 
 
-def _explain(schema: type, error: ValidationError) -> str:
+def _explain(schema: type, error: "ValidationError") -> str:
     """The first error of a validation, in one line."""
     errors = error.errors(include_url=False)
     first = errors[0]
     # The tag of a union appears in the path as if it were a key.
-    tags = {hint.tag for hint in _flatten(schema) if isinstance(hint, Tag)}
+    tags = {tag for hint in _flatten(schema) if isinstance(hint, OneOf) for tag in hint.types}
 
     def path_of(loc: tuple[int | str, ...]) -> list[str]:
         parts = [str(part) for part in loc if not str(part).startswith("literal[")]

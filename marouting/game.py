@@ -204,18 +204,21 @@ class Game:
             raise InputError("problem: expected a net with pins in two Gcells or more")
         self.overflow_allowed = self.rules.overflow == "allowed"
         self.demand: list[list[int]] = problem.net_demand[self.nets].tolist()  # by layer
+        # What has to be left of an edge for a net to cross it, by layer; of vias there is always.
+        anything = [-UNLIMITED - 1] * self.layers
+        self.needed = [anything if self.overflow_allowed else own for own in self.demand]
         if self.overflow_allowed and sum(map(max, self.demand)) > UNLIMITED:
             raise InputError(f"problem: expected demands that add up to at most {UNLIMITED}")
         self.capacity = array("i", problem.capacity.tobytes())
         self.remaining = array("i", self.capacity)
-        # First and last column and row of the box around a net's pins.
-        self.low, self.high = (corner[self.nets, :2] for corner in problem.pin_boxes())
+        self.low, self.high = (end[self.nets, :2] for end in problem.pin_boxes())  # column, row
         sign = {"half_perimeter": -1, "half_perimeter_up": 1, "file": 0}[self.rules.net_order]
         half_perimeter = (self.high - self.low).sum(axis=1)
         self.order: list[int] = np.argsort(sign * half_perimeter, kind="stable").tolist()
         self.max_steps = self.rules.steps_per_task(problem.grid)
         self.sequential = self.rules.turn_order != "round_robin"
-        self.keeps_tree = self.rules.target == "tree" or self.rules.next_task == "nearest"
+        self.to_tree = self.rules.target == "tree"
+        self.keeps_tree = self.to_tree or self.rules.next_task == "nearest"
         columns = [array("i", bytes(4 * len(self.nets))) for _ in self.COLUMNS]
         self.cell, self.target, self.task, self.steps, self.joined = columns[:5]
         self.status, self.crossing, self.ending, self.added_overflow = columns[5:]
@@ -267,24 +270,27 @@ class Game:
         if self.asked:
             self._answer(n, rip_up=action == RIP_UP)
             return
-        cell, layer = self.cell[n], self.cell[n] % self.layers
+        cell = self.cell[n]
         # Nobody is asked here, so RIP_UP is a move that is blocked.
         edge, ahead = (0, OFF_GRID) if action == RIP_UP else self.grid.ways[cell][action]
-        if ahead == OFF_GRID or not self.may_cross(n, edge, layer):
+        if ahead == OFF_GRID:
             self.crossing[n] = BLOCKED
-        else:
-            self.crossing[n] = OWN if edge in self.used[n] else NEW
-            self.cell[n] = cell = ahead
-        if self.crossing[n] == NEW:
+        elif edge in self.used[n]:
+            self.crossing[n], self.cell[n] = OWN, ahead
+        elif self.remaining[edge] >= self.needed[n][cell % self.layers]:
+            self.crossing[n], self.cell[n] = NEW, ahead
             self.used[n].add(edge)
             self.wirelength += 1
             self.added_overflow[n] = self._take(n, edge)
             if self.rules.give_back:
                 self.taken[n].add(edge)
+        else:
+            self.crossing[n] = BLOCKED
+        cell = self.cell[n]
         self.steps[n] += 1
         if self.rules.mask_visited:
             self.visited[n].add(cell)
-        if cell in self.tree[n] if self.rules.target == "tree" else cell == self.target[n]:
+        if cell in self.tree[n] if self.to_tree else cell == self.target[n]:
             self._end_task(n, JOINED)
         elif self.steps[n] >= self.max_steps:
             self._end_task(n, FAILED)
@@ -325,18 +331,16 @@ class Game:
         """The moves of an agent that cross an edge, one bit per move: the action mask."""
         if self.asked and n == self.turn:
             return 1 | 1 << RIP_UP  # any of the six moves keeps the route: one is enough
-        exits, layer = self.grid.exits_of[self.cell[n]], self.cell[n] % self.layers
-        free = sum(bit for bit, edge, _ in exits if self.may_cross(n, edge, layer))
+        cell, used, remaining = self.cell[n], self.used[n], self.remaining
+        exits, needed, free = self.grid.exits_of[cell], self.needed[n][cell % self.layers], 0
+        for bit, edge, _ in exits:
+            if edge in used or remaining[edge] >= needed:  # as in move
+                free |= bit
         if self.rules.mask_visited:
             visited = self.visited[n]
             new = sum(bit for bit, _, ahead in exits if ahead not in visited)
             free = free & new or free
         return free
-
-    def may_cross(self, n: int, edge: int, layer: int) -> bool:
-        """Whether an agent may cross an edge inside its Gcell's layer, or a via there."""
-        has_room = self.overflow_allowed or self.remaining[edge] >= self.demand[n][layer]
-        return has_room or edge in self.used[n]
 
     # --- Edges ------------------------------------------------------------------------------------
 
@@ -364,7 +368,6 @@ class Game:
         return self.remaining[edge] <= 0 < self.capacity[edge]
 
     # --- Tasks ------------------------------------------------------------------------------------
-    #
     # By the paper's rules tasks are begun in the order of the decomposition, at Gcells that earlier
     # ones have reached. Two options know more of the net: they keep its **tree**, all Gcells that
     # its edges join to its first pin. It grows when a task ends; then all tasks whose pins are in
@@ -377,8 +380,7 @@ class Game:
         """An agent whose net uses no edge begins its first task."""
         self._add_joined(n, -self.joined[n])
         self.status[n], self.task[n], self.begun[n] = ACTIVE, NO_TASK, set()
-        if self.keeps_tree:
-            self._grow_tree(n)
+        self._grow_tree(n)
         self._begin_task(n, self._next_task(n))
 
     def _begin_task(self, n: int, task: int) -> None:
@@ -386,7 +388,7 @@ class Game:
         start, target = self.tasks[n][task]
         if self.keeps_tree:
             _, start = self._nearest_in_tree(n, target)
-            if self.rules.target == "tree":
+            if self.to_tree:
                 start, target = target, start
         self.task[n], self.steps[n], self.cell[n], self.target[n] = task, 0, start, target
         self.begun[n] = self.begun[n] | {task}
@@ -408,14 +410,15 @@ class Game:
             self._add_joined(n, 1)
         elif self.rules.give_back:
             self._set_route(n, self.used[n] - self.taken[n])
-        if self.keeps_tree:
-            self._grow_tree(n)
+        self._grow_tree(n)
         # Judged as a part of the last move, which is then paid for what becomes of it.
         if self.ripped and all(map(self._is_rerouted, self.ripped)):
             self._judge()
 
     def _grow_tree(self, n: int) -> None:
         """Finds all Gcells that a net's edges join to its first pin, and the tasks joined so."""
+        if not self.keeps_tree:
+            return
         first_pin, used, exits_of = self.tasks[n][0][0], self.used[n], self.grid.exits_of
         tree, found = {first_pin}, [first_pin]
         for cell in found:  # which grows as it is gone through
@@ -443,7 +446,6 @@ class Game:
         return Status.TRUNCATED.value if self.open_tasks(n) else Status.TERMINATED.value
 
     # --- Rip-up and reroute -----------------------------------------------------------------------
-    #
     # After all nets have routed there are ``rip_up_rounds`` rounds. In a round one net after the
     # other, as ``rip_up`` says, is ripped up and rerouted with all the others in place, and with it
     # up to ``rip_up_neighbours`` nets that stand in its way. When all of them have ended their last
@@ -530,10 +532,8 @@ class Game:
 
     def _is_rerouted(self, n: int) -> bool:
         """Whether an agent has ended its last task, settled or not."""
-        if self.status[n] != ACTIVE:
-            return True
-        at_the_end = self.ending[n] and self.steps[n]  # otherwise its next task has begun already
-        return bool(at_the_end) and self._next_task(n) == NO_TASK
+        ended = self.ending[n] and self.steps[n]  # or else its next task has begun already
+        return self.status[n] != ACTIVE or (bool(ended) and self._next_task(n) == NO_TASK)
 
     def _judge(self) -> None:
         """Nets that have been rerouted get their old routes back if the problem is worse now."""
@@ -542,6 +542,7 @@ class Game:
             for n, (route, joined) in ripped.items():
                 self._set_route(n, route)
                 self._add_joined(n, joined - self.joined[n])
+                self._grow_tree(n)
 
     def _score(self) -> tuple[int, int, int]:
         """What routing is to make small: open tasks, then overflow, then wirelength."""

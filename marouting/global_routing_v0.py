@@ -22,7 +22,7 @@ from the edges that they cross, so the nets have to share it.
 A net's pins are split into two-pin **tasks**, which its agent routes one after the other: it starts
 at one pin and walks, one Gcell per step, to the other. `env.unwrapped.solution()` holds the routes,
 which `marouting.evaluate` judges by the rules of the ISPD 2008 contest.
-:mod:`marouting.batch.rules` has all rules of the game.
+:mod:`marouting.game` has all rules of the game.
 
 ## Usage
 
@@ -114,9 +114,9 @@ failed), and as `task_obs` and `task_mask` what the agent saw where it arrived; 
 that of its next task. In the AEC environment it comes with the agent's next turn. To bootstrap,
 use `task_obs` after a failed task, which only ran out of steps, and nothing after a joined one.
 
-With `rip_up_rounds` nets give their edges back after all have routed, and walk again with the
-others in place (:mod:`marouting.batch.rounds`). Agents stay then, as with `agents_persist`. With
-`rip_up_prices` they negotiate: edges with overflow get dearer (:mod:`marouting.batch.prices`).
+With `rip_up_rounds` nets are ripped up after all have routed, and rerouted around the others.
+Agents stay then, as with `agents_persist`; from the first step on `info["active"]` tells who still
+moves. The infos of `reset` hold masks only.
 
 ## Problems
 

@@ -4,10 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Tag
-
 from marouting.batch.options import RuleOptions
-from marouting.config import Named, build, check, piece_field, take_pieces, unknown_key
+from marouting.config import Named, OneOf, build, check, piece_field, take_pieces, unknown_key
 from marouting.errors import UnknownOption
 from marouting.game import TurnOrder
 from marouting.generator import GeneratorOptions
@@ -34,10 +32,8 @@ def _kind_of_source(value: Any) -> str:
 
 
 ProblemSource = Annotated[
-    Annotated[str, Tag("file")]
-    | Annotated[tuple[str, ...], Tag("files")]
-    | Annotated[GeneratorOptions, Tag("generator")],
-    Discriminator(_kind_of_source),
+    str | tuple[str, ...] | GeneratorOptions,
+    OneOf({"file": str, "files": tuple[str, ...], "generator": GeneratorOptions}, _kind_of_source),
 ]
 
 
@@ -57,8 +53,8 @@ class GameOptions(RuleOptions):
             ``test``, one of these, drawn at every reset.
         observation: what agents see: the name of a registered observation, ``module:Class``, a
             mapping with the name under ``kind`` and its options beside it, or an object. See
-            :mod:`marouting.batch.observation`.
-        reward: what moves pay, given in the same ways. See :mod:`marouting.batch.reward`.
+            :mod:`marouting.observations`.
+        reward: what moves pay, given in the same ways. See :mod:`marouting.rewards`.
         agents_persist: whether agents that are done stay among ``agents`` until all are done, with
             rewards of 0 and a mask whose only move does nothing, and all end together. Of several
             problems, the agents of all take part in each. For PettingZoo's interfaces, and
@@ -96,14 +92,18 @@ class GameOptions(RuleOptions):
         else:
             get(self.scenario)
             check("problem", self.problem is None, "none beside a scenario, which has its own")
-        for name, methods in (("observation", ("space", "write")), ("reward", ("__call__",))):
+        for name, (columns, plain, *methods) in FORMS.items():
             given = getattr(self, name)
             defined = {method for base in given.cls.__mro__ for method in vars(base)}
-            what = f"an object that has {' and '.join(methods)}, found {given.name}"
-            check(name, defined.issuperset(methods), what)
+            what = " and ".join((*methods, f"{columns} or {plain}"))
+            fits = defined.issuperset(methods) and defined & {columns, plain}
+            check(name, fits, f"an object that has {what}, found {given.name}")
         taken = {self.observation_key, *TOLD}
         check("mask_key", self.mask_key not in taken, "a name of its own")
 
+
+FORMS = {"observation": ("write", "see", "space"), "reward": ("__call__", "pay")}
+"""The methods of pieces: that by columns, or that for a plain game, and others beside it."""
 
 TOLD = (
     "active", "is_success", "joined", "metrics", "net", "open", "overflow", "problem", "steps",

@@ -25,14 +25,7 @@ from numpy.typing import NDArray
 from marouting.batch.bits import adopt, byte_of, copied, copy_row, set_byte, swap_rows
 from marouting.batch.engine import Engine
 from marouting.batch.growth import lengthened, needed_room
-from marouting.batch.observation import (
-    Observation,
-    PaperObservation,
-    has_move_order,
-    move_order_of,
-    write_paper,
-)
-from marouting.batch.reward import KNOWN, PaperReward, Reward, paper_reward
+from marouting.batch.observation import paper_reward, see_paper, write_paper
 from marouting.batch.rules import (
     free_moves,
     may_move,
@@ -49,11 +42,20 @@ from marouting.batch.rules import (
 )
 from marouting.batch.state import GAME, MASKS, ROWS, Dynamic, Option, Static
 from marouting.batch.tasks import wait
+from marouting.config import check
 from marouting.errors import InputError
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import bound, compiled, inlined, place, wide
 from marouting.memory import check_memory
+from marouting.observations import (
+    Observation,
+    PaperObservation,
+    has_move_order,
+    move_order_of,
+)
+from marouting.options import FORMS
 from marouting.problem.grid import MOVES
+from marouting.rewards import KNOWN, PaperReward, Reward
 from marouting.source import Draws
 
 
@@ -146,7 +148,7 @@ class Player:
         draws: what the games play, another problem in every episode; the engine plays the present
             ones and has room for the others. None: the engine's problems stay.
         turned: whether actions and masks are in the order of an observation's own moves, if it has
-            one (:func:`marouting.batch.observation.move_order_of`), as learners want them, and not
+            one (:func:`marouting.observations.move_order_of`), as learners want them, and not
             in that of the grid.
 
     Attributes:
@@ -173,6 +175,10 @@ class Player:
         draws: Draws | None = None,
         turned: bool = False,
     ) -> None:
+        for name, piece in (("observation", observation), ("reward", reward)):
+            columns = FORMS[name][0]
+            what = f"an object that has {columns}, for the batch, found {type(piece).__name__}"
+            check(name, hasattr(piece, columns), what)
         self.engine, self.observation, self.reward = engine, observation, reward
         self.turned = turned and has_move_order(observation)
         self.everyone, self.draws = everyone, draws
@@ -371,7 +377,7 @@ class Player:
         return _picked(self._order(), actions)
 
     def _order(self) -> NDArray[np.int64]:
-        """(M, K, A), see :func:`marouting.batch.observation.move_order_of`."""
+        """(M, K, A), see :func:`marouting.observations.move_order_of`."""
         b = self.buffers
         obs = b.obs.reshape(-1, *b.obs.shape[2:])
         return move_order_of(self.observation, obs, self.engine.actions).reshape(b.mask.shape)
@@ -541,7 +547,7 @@ class Player:
             np.add.at(engine.games["active"], problems, settled != Status.ACTIVE)
             self._swap_arrived(problems, agents)
         out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
-        self.observation.write(engine, problems, agents, out)
+        self._see(problems, agents, out)
         b.final_obs[rows] = out
         masks = engine.masks(problems, agents)
         if self.turned:
@@ -560,17 +566,27 @@ class Player:
         self._arrived.agents[at] = there
         _swap_sets(engine.static, engine.dynamic, self._arrived, problems, agents)
 
+    def _see(
+        self, problems: NDArray[np.integer], agents: NDArray[np.integer], out: NDArray[np.float32]
+    ) -> None:
+        """Writes what K agents see."""
+        engine, known = self.engine, self.known
+        if known.observation:
+            see_paper(engine.static, engine.dynamic, known.via_capacity, problems, agents, out)
+        else:
+            self.observation.write(engine, problems, agents, out)
+
     def _look(self, which: NDArray[np.bool_] | None) -> None:
         """Writes what agents see now, in all problems or where ``which`` (M,) is true."""
         b, engine = self.buffers, self.engine
         problems, agents = engine.pairs(self.everyone)[0], b.agents.reshape(-1)
         obs = b.obs.reshape(-1, *b.obs.shape[2:])
         if which is None or which.all():
-            self.observation.write(engine, problems, agents, obs)
+            self._see(problems, agents, obs)
             return
         rows = np.repeat(which, b.agents.shape[1])
         out = np.empty((int(rows.sum()), *obs.shape[1:]), np.float32)
-        self.observation.write(engine, problems[rows], agents[rows], out)
+        self._see(problems[rows], agents[rows], out)
         obs[rows] = out
 
 

@@ -1,6 +1,6 @@
 """Pictures of a running game: text for a terminal, RGB frames for videos, or a window.
 
-All three draw the same :class:`Scene`, a moment of an engine's game. Nothing here needs more than
+All three draw the same :class:`Scene`, a moment of a game. Nothing here needs more than
 numpy, except that :class:`Window` loads matplotlib when it is first shown.
 """
 
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.engine import Engine
+from marouting.columns import Games
 from marouting.game import NOBODY, Status
 from marouting.problem.grid import AXES, VIA_AXIS, Grid
 
@@ -60,33 +60,36 @@ class Scene:
     caption: str
 
 
-def scene_of(engine: Engine, m: int = 0) -> Scene:
-    """The present state of one of an engine's games; the caption tells its rip-up round."""
-    agents, game, nets = engine.agents[m], engine.games[m], engine.nets[m]
-    active = np.flatnonzero(agents["status"] == Status.ACTIVE)
-    turn = np.flatnonzero(active == game["agent"])
-    place = np.zeros(len(engine.problems[m].nets), np.int64)
-    order = engine.static.order[m]
+def scene_of(games: Games, m: int = 0) -> Scene:
+    """The present state of one of several games; the caption tells its rip-up round."""
+    status, nets = games.agents["status"][m], games.nets[m]
+    now = {name: games.games[name][m] for name in ("agent", "round", "steps", *_TOLD)}
+    active = np.flatnonzero(status == Status.ACTIVE)
+    turn = np.flatnonzero(active == now["agent"])
+    place = np.zeros(len(games.problems[m].nets), np.int64)
+    order = games.order[m]
     order = order[order != NOBODY]
     place[nets[order]] = np.arange(len(order))
-    net, edge = engine.solution(m).uses
+    net, edge = games.solution(m).uses
     sorting = np.lexsort((place[net], edge))
-    now = engine.metrics(m)
-    again = f"round {game['round']}  " if game["round"] else ""
+    again = f"round {now['round']}  " if now["round"] else ""
     return Scene(
-        grid=engine.grid,
-        capacity=engine.static.capacity[m],
-        remaining=engine.dynamic.remaining[m].copy(),
+        grid=games.grid,
+        capacity=games.problems[m].capacity,
+        remaining=games.remaining[m].copy(),
         nets=net[sorting],
         edges=edge[sorting],
         active=nets[active].astype(np.int64),
-        heads=agents["cell"][active],
-        targets=agents["target"][active],
+        heads=games.agents["cell"][m, active],
+        targets=games.agents["target"][m, active],
         labels=tuple(f"net_{net}" for net in nets[active]),
-        turn=int(turn[0]) if game["agent"] != NOBODY and len(turn) else None,
-        caption=f"{again}step {now.steps}  joined {now.joined}/{now.tasks}  "
-        f"overflow {now.overflow}  wirelength {now.wirelength}",
+        turn=int(turn[0]) if now["agent"] != NOBODY and len(turn) else None,
+        caption=f"{again}step {now['steps']}  joined {now['joined']}/{games.tasks[m].sum()}  "
+        f"overflow {now['overflow']}  wirelength {now['wirelength']}",
     )
+
+
+_TOLD = ("joined", "overflow", "wirelength")
 
 
 class EdgeState(enum.IntEnum):

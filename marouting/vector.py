@@ -16,9 +16,9 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
-from marouting.batch.observation import state_of, state_space_of
 from marouting.config import check
 from marouting.errors import InputError
+from marouting.observations import state_of, state_space_of
 from marouting.options import ORDERS, GameOptions, game_options
 from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
@@ -251,9 +251,9 @@ class BatchEnv(EzPickle):
         return b.obs, b.reward, b.terminated, b.truncated, self._info()
 
     def state(self) -> NDArray[np.float32]:
-        """(M, X, Y, 5 Z) float32, the global states; see :func:`.observation.state`.
+        """(M, X, Y, 5 Z) float32, the global states; see :func:`.observations.state_space`.
 
-        Other observations than the paper's may have others, see :func:`.observation.state_of`.
+        Other observations than the paper's may have others, see :func:`.observations.state_of`.
         """
         return state_of(self._players[0].observation, self.engine, self._state)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem, Solution
-from marouting.batch.reward import PaperReward
+from marouting.rewards import PaperReward
 from policies.routers.astar import AStarRouter
 
 

@@ -38,10 +38,10 @@ from marouting import (
     generate,
     global_routing_v0,
 )
-from marouting.batch.reward import NormalisedReward
 from marouting.batch.state import Dynamic
 from marouting.game import NOBODY, Ending, Status
 from marouting.player import Player
+from marouting.rewards import NormalisedReward
 from marouting.vector import BatchEnv
 
 E, W, N, S, U, D = Move
@@ -220,10 +220,11 @@ def test_observations_are_those_of_the_model(
             assert observation.dtype == np.float32
             assert observation.tolist() == expected_observation(engine, game, n)
         assert env.infos[env.agent_selection]["action_mask"].tolist() == game.mask(game.turn)
-        move = int(random_moves(env.engine, rng)[0, game.turn])
+        move = int(random_moves(engine, rng)[0, game.turn])
         mover = env.agent_selection
         env.step(move)
         game.step(move)
+        engine.step(np.array([move]))
         if env.terminations[mover] or env.truncations[mover]:
             env.step(None)
 
@@ -688,7 +689,8 @@ def test_a_net_that_plays_in_some_problems_only() -> None:
             found.add(tuple(idle))
             assert env.agents == [a for a in env.possible_agents if persist or a not in idle]
             for agent in env.agents:
-                assert infos[agent].get("active", True) == (agent not in idle)
+                if agent in idle:  # the one move that does nothing
+                    assert infos[agent]["action_mask"].tolist() == [1, 0, 0, 0, 0, 0]
                 assert seen[agent].any() == (agent not in idle)
         assert found == {(), ("net_1",)}
 
@@ -837,7 +839,7 @@ def test_make(config: Any, kind: type) -> None:
     assert isinstance(env, kind)
     env.reset(seed=0)
     # Left open, one player takes net after net, and many move in turns.
-    order = env.unwrapped.engine.rules.turn_order
+    order = env.unwrapped.game.rules.turn_order
     assert order == ("sequential" if kind is gymnasium.Env else "round_robin")
 
 

@@ -88,6 +88,12 @@ def check_own_reward(out: str) -> None:
     assert joined > 0
 
 
+def check_own_rule(out: str) -> None:
+    used, crossed = numbers(r"edges used: (\d+) of (\d+)", out)
+    assert used == crossed > 0
+    assert 0 <= numbers(r"fullest via: (\d+)", out)[0] < 10
+
+
 def check_own_router(out: str) -> None:
     rows = router_rows(out)
     assert rows.keys() == {"astar", "own"}
@@ -130,7 +136,7 @@ def test_an_example_does_what_it_says(name: str, tmp_path: Path) -> None:
 def test_every_example_is_listed_and_short() -> None:
     listed = re.findall(r"\]\((\w+)\.py\)", (EXAMPLES / "README.md").read_text(encoding="utf-8"))
     assert sorted(listed) == NAMES
-    assert len(NAMES) == 7
+    assert len(NAMES) == 8
     for name in NAMES:
         lines = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()
         assert len(lines) <= 150, name

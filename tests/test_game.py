@@ -107,6 +107,7 @@ def state_of_game(game: Game) -> dict[str, Any]:
         "columns": {name: list(getattr(game, name)) for name in game.COLUMNS},
         "remaining": list(game.remaining),
         "routes": [sorted(used) for used in game.used],
+        "trees": [sorted(tree) for tree in game.tree] if game.keeps_tree else [],
         "masks": [mask_of(game, n) for n in range(len(game.nets))],
     }
 
@@ -132,6 +133,10 @@ def state_of_engine(engine: Engine, m: int = 0) -> dict[str, Any]:
         | {"task": (agents["task"] - engine.static.first[m, :count]).tolist()},
         "remaining": engine.dynamic.remaining[m].tolist(),
         "routes": [routes[net].tolist() for net in engine.nets[m, :count]],
+        "trees": [
+            np.flatnonzero(np.unpackbits(bits, bitorder="little")).tolist()
+            for bits in engine.more.tree[m, :count]
+        ],
         "masks": engine.masks(np.full(count, m), np.arange(count)).tolist(),
     }
 
@@ -198,8 +203,9 @@ def test_the_plain_game_is_that_of_the_batch(everyone: bool) -> None:
 
 
 PLANTED = {
-    "own edges": (" or edge in self.used[n]\n", "\n"),
-    "overflow allowed": ("self.overflow_allowed or self.remaining", "self.remaining"),
+    "own edges": ("if edge in used or remaining", "if remaining"),
+    "overflow allowed": ("anything if self.overflow_allowed else own", "own"),
+    "capacity": ("self.remaining[edge] >= self.needed", "self.remaining[edge] > self.needed"),
     "demand by layer": ("self.demand[n][edge // AXES % self.layers]", "self.demand[n][0]"),
     "overflow": ("max(demand - left, 0) - max(-left, 0)", "max(demand - left, 0)"),
     "steps of blocked moves": (

@@ -40,6 +40,8 @@ ROOMS = {
         ("problem",),
         ("trees",),
         ("game",),
+        ("columns",),
+        ("observations", "rewards"),
         ("batch",),
         ("search",),
         ("generator",),
@@ -261,6 +263,36 @@ def test_dependencies_are_the_declared_ones() -> None:
     for file in FILES:
         named = {"?"} if file == ROOT / "registry.py" else set()  # it imports what users name
         assert set(imports(ast.parse(file.read_text("utf-8")))) <= allowed | named
+
+
+def test_the_plain_environments_need_neither_a_compiler_nor_pydantic() -> None:
+    """Importing, making, resetting and a first step, in every interface and with options."""
+    code = """
+        import sys, time
+        import gymnasium, marouting
+        from marouting import global_routing_v0 as game
+        env = game.env()
+        env.reset(seed=0)
+        env.last()
+        env.step(4)
+        spent = time.process_time()
+        problem = {"nets": 5, "max_pins": 3, "seed": 1, "reduced_edges": 0}
+        options = {"rip_up_rounds": 1, "target": "tree", "overflow": "allowed", "max_steps": 9}
+        env = game.parallel_env(problem, reward={"kind": "team", "open": 2}, **options)
+        env.reset()
+        while env.agents:
+            env.step(dict.fromkeys(env.agents, 0))
+        env.state(), env.solution()
+        gymnasium.make(marouting.ENVIRONMENT_ID, problem=problem).reset()
+        print([name for name in ("numba", "pydantic", "torch") if name in sys.modules], spent)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)],
+        capture_output=True, text=True, check=True, timeout=120,
+    )  # fmt: skip
+    loaded, _, spent = done.stdout.strip().rpartition(" ")
+    assert loaded == "[]"
+    assert float(spent) < 2  # seconds of processor time; a compiler takes tens of them
 
 
 @pytest.mark.parametrize(

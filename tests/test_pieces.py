@@ -28,8 +28,10 @@ from marouting import (
     registry,
 )
 from marouting.batch.state import Dynamic
+from marouting.columns import Before, Games
 from marouting.config import plain
-from marouting.game import NOBODY, Ending
+from marouting.env.single import GlobalRoutingSingle
+from marouting.game import NOBODY, Ending, Game
 from marouting.options import GameOptions
 from marouting.player import Player
 from marouting.vector import BatchEnv
@@ -77,16 +79,17 @@ class Team:
     def __init__(self, price: float = 10.0, share: float = 1.0) -> None:
         self.price, self.share = price, share
 
-    def __call__(self, game: Engine, before: Dynamic, movers: NDArray[np.int32]) -> Any:
-        now, then = game.games, before.games
+    def __call__(self, games: Games, before: Before, movers: NDArray[np.int32]) -> Any:
+        now, then = games.games, before.games
         change = then["wirelength"] - now["wirelength"]
         change = change + self.price * (then["overflow"] - now["overflow"])
         # Where everybody stands, before and after, and what is left: nothing of it may differ.
-        seen = game.agents["cell"].sum(axis=1) - 2.0 * before.agents["cell"].sum(axis=1)
-        left = game.dynamic.remaining.sum(axis=1) - before.remaining.sum(axis=1)
-        used = game.dynamic.used.sum(axis=(1, 2)) - before.used.sum(axis=(1, 2), dtype=np.int64)
+        seen = games.agents["cell"].sum(axis=1) - 2.0 * before.agents["cell"].sum(axis=1)
+        left = games.remaining.sum(axis=1) - before.remaining.sum(axis=1)
+        every, mover = np.arange(len(movers)), np.maximum(movers, 0)
+        used = games.uses(every, mover, games.grid.edge[before.agents["cell"][every, mover], 0])
         whole = change + seen / 64 + left / 4 + used / 8
-        number = np.arange(game.nets.shape[1])
+        number = np.arange(games.nets.shape[1])
         return self.share * whole[:, None] + number + 100.0 * (number == movers[:, None])
 
 
@@ -311,6 +314,86 @@ def test_a_reward_of_another_shape_is_refused() -> None:
     env.reset()
     with pytest.raises(ValueError, match=r"reward: expected shape \(1, 10\), found \(3,\)"):
         env.step(dict.fromkeys(env.agents, 0))
+
+
+class Seen:
+    """An observation in its simple form."""
+
+    def space(self, problems: Any, overflow: bool) -> Box:
+        del overflow
+        return Box(-1, len(problems[0].capacity), (2,), np.float32)
+
+    def see(self, game: Game, n: int) -> NDArray[np.float32]:
+        return np.array([game.cell[n], game.target[n]], np.float32)
+
+
+class Paid:
+    """A reward in its simple form."""
+
+    def pay(self, game: Game, n: int) -> float:
+        return 2.0 * game.steps[n]
+
+
+def test_the_simple_forms_of_pieces() -> None:
+    problem = marouting.generate(1, grid=(4, 4, 2), nets=4, seed=1, reduced_edges=0)[0]
+    pieces: dict[str, Any] = {"observation": Seen(), "reward": Paid()}
+    aec = global_routing_v0.env(problem, **pieces)
+    aec.reset()
+    parallel = global_routing_v0.parallel_env(problem, **pieces)
+    seen, _ = parallel.reset()
+    for agent in parallel.agents:
+        np.testing.assert_array_equal(aec.observe(agent), seen[agent])
+    _, rewards, *_ = parallel.step(dict.fromkeys(parallel.agents, 4))
+    assert set(rewards.values()) == {2.0}
+    aec.step(4)
+    assert sum(aec.rewards.values()) == 2
+    single = gymnasium.make(marouting.ENVIRONMENT_ID, problem=problem, **pieces).unwrapped
+    single.reset()
+    assert [single.step(4)[1], single.step(5)[1]] == [2, 4]
+    for name in pieces:
+        with pytest.raises(InputError, match=rf"{name}: expected .* for the batch"):
+            BatchEnv([problem], **{name: pieces[name]})
+
+
+class Changed(PaperObservation):
+    """Only its form by columns is another one."""
+
+    def write(self, games: Games, problems: Any, agents: Any, out: Any) -> None:
+        super().write(games, problems, agents, out)
+        out += 1
+
+
+def test_a_subclass_that_changes_one_form_is_seen_by_that_form() -> None:
+    problem = marouting.generate(1, nets=4, seed=1, reduced_edges=0)[0]
+    changed, paper = (
+        global_routing_v0.env(problem, observation=kind) for kind in (Changed(), PaperObservation())
+    )
+    for env in (changed, paper):
+        env.reset()
+    assert (changed.observe("net_0") == paper.observe("net_0") + 1).all()
+
+
+class Generous(Game):
+    """A rule of one's own: every edge has room."""
+
+    def free_moves(self, n: int) -> int:
+        del n
+        return 63
+
+
+@pytest.mark.parametrize(
+    "base",
+    [global_routing_v0.raw_env, global_routing_v0.parallel_env, GlobalRoutingSingle],
+)
+def test_environments_with_rules_of_their_own(base: Any) -> None:
+    own = type("Own", (base,), {"game_class": Generous})
+    env = own(marouting.generate(1, nets=30, capacity=1, seed=1, reduced_edges=0)[0])
+    env.reset()
+    assert type(env.game) is Generous
+    assert all(env.action_mask(f"net_{net}").all() for net in range(30))
+    if base is global_routing_v0.parallel_env:
+        *_, infos = env.step(dict.fromkeys(env.agents, 4))
+        assert all(info["action_mask"].all() for info in infos.values())
 
 
 # --- names ----------------------------------------------------------------------------------------

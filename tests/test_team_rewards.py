@@ -73,7 +73,8 @@ def test_differences_add_up_to_the_change_of_the_metrics(game: Any, prices: Any)
 def test_a_member_of_the_team_that_stays_is_paid_the_whole_change(game: Any, prices: Any) -> None:
     env, paid, last = play(game, {"kind": "team", **prices})
     # Within a step, those who are done no longer see what others do after them.
-    order = [env.unwrapped._game.names[n] for n in env.unwrapped.engine.static.order[0]]
+    played = env.unwrapped.game
+    order = [f"net_{played.nets[n]}" for n in played.order]
     agent = next(agent for agent in reversed(order) if agent in last)
     assert paid[agent] == pytest.approx(gained(env, prices), abs=0.05)
 
@@ -82,16 +83,13 @@ def test_a_member_of_the_team_that_stays_is_paid_the_whole_change(game: Any, pri
 @given(st.fixed_dictionaries(plain), st.sampled_from([0.25, 1.0, 3.0]))
 def test_potentials_pay_the_way_from_start_to_target(game: Any, scale: float) -> None:
     env, paid, _ = play(game, {"kind": "potential", "scale": scale})
-    engine = env.unwrapped.engine
-    position = engine.static.position
-    ends = position[engine.static.tasks]
-    distance = np.abs(ends[:, 0] - ends[:, 1]).sum(axis=1)
-    for n, agent in enumerate(env.unwrapped._game.names):
-        record = engine.agents[0, n]
-        first, end = engine.static.first[0, n : n + 2]
-        if record["joined"] == end - first:
-            assert paid[agent] == pytest.approx(scale * distance[first:end].sum(), abs=0.01)
-        assert paid[agent] <= scale * distance[first:end].sum() + 0.01
+    played = env.unwrapped.game
+    for n, tasks in enumerate(played.tasks):
+        whole = scale * sum(played.grid.distance(start, target) for start, target in tasks)
+        agent = f"net_{played.nets[n]}"
+        if played.joined[n] == len(tasks):
+            assert paid[agent] == pytest.approx(whole, abs=0.01)
+        assert paid[agent] <= whole + 0.01
 
 
 @settings(max_examples=30, deadline=None)

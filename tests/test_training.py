@@ -27,11 +27,11 @@ from marouting import (
     sequential_astar,
 )
 from marouting.batch.engine import Engine
-from marouting.batch.reward import PaperReward
 from marouting.batch.state import Dynamic
 from marouting.config import build
 from marouting.env.single import GlobalRoutingSingle
 from marouting.problem.grid import MOVES
+from marouting.rewards import PaperReward
 from policies.learned.config import Config, TrainOptions, load_config
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
 from policies.learned.policy import TrainedPolicy

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 import marouting
 from marouting import InputError, generate, global_routing_v0
-from marouting.batch.observation import PaperObservation
-from marouting.batch.reward import PaperReward
 from marouting.game import NOBODY, TurnOrder
+from marouting.observations import PaperObservation
+from marouting.rewards import PaperReward
 from marouting.vector import BatchEnv
 
 PROBLEMS = [

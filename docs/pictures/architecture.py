@@ -14,7 +14,7 @@ from matplotlib.patches import FancyBboxPatch
 ENVIRONMENT = (
     (
         (
-            "kernels · errors · files · registry · config",
+            "kernels · compiling · errors · files · registry · config",
             "what all rooms use; pieces by name",
             1,
             False,
@@ -24,17 +24,18 @@ ENVIRONMENT = (
         ("problem/", "Problem, Solution, evaluate; ISPD, LEF/DEF", 1, False),
         ("trees/", "two-pin tasks of nets", 0.7, False),
     ),
-    (("batch/rules, tasks, rounds, state, engine", "the game: M problems in arrays", 1, False),),
+    (("game", "all rules, in plain Python", 1, False),),
     (
-        ("batch/observation, window", "what agents see", 1, True),
-        ("batch/reward, team_rewards", "what moves pay", 1, True),
+        ("observations", "what agents see", 1, True),
+        ("rewards", "what moves pay", 1, True),
     ),
+    (("batch/", "the same game for M problems, compiled", 1, False),),
     (
         ("search/", "A*", 0.7, False),
         ("generator", "problem sets", 0.8, False),
         ("scenarios/", "the benchmark's levels", 1, False),
     ),
-    (("player", "the one array player: actions in, step buffers out", 1, False),),
+    (("player", "the batch's player: actions in, step buffers out", 1, False),),
     (
         ("env/", "AEC, Parallel, Gymnasium", 1, False),
         ("vector", "BatchEnv", 0.7, False),

@@ -370,6 +370,21 @@ def put_numbers(
     return bits
 
 
+@compiled
+def _replace(bits: Any, m: int, row: int, number: Any) -> None:
+    empty(bits, m, place(row))
+    for k in range(len(number)):
+        put(bits, m, place(row), wide(number[k]), wide(1))
+
+
+def with_row(bits: NDArray[Any], m: int, row: int, number: NDArray[np.int64]) -> NDArray[Any]:
+    """Makes a row of a problem hold just these numbers; returns the rows, longer if need be."""
+    if bits.ndim == 2:
+        bits = longer(bits, _end(bits) + _PER_NUMBER * len(number))
+    _replace(bits, m, row, number)
+    return bits
+
+
 _PER_NUMBER = 2 * SMALLEST
 """Entries that a number takes at most: a table has at least a quarter of its entries in use, or is
 one of the smallest, and the tables that it has grown out of are together as large."""

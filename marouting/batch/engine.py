@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import adopt, chosen, forget, in_use, numbers_of, rebuilt
+from marouting.batch.bits import adopt, chosen, forget, has, in_use, numbers_of, rebuilt
 from marouting.batch.growth import lengthened, needed_room
+from marouting.batch.observation import write_states
 from marouting.batch.options import RuleOptions
 from marouting.batch.rules import (
     is_agent,
@@ -36,6 +37,7 @@ from marouting.batch.setup import (
 from marouting.batch.state import ROWS, Dynamic, Option, Static
 from marouting.game import NOBODY
 from marouting.kernels import compiled, place, wide
+from marouting.observations import CHANNELS
 from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
@@ -91,6 +93,12 @@ def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: An
             return False
         write_mask(static, dynamic, place(m), n, out, i)
     return True
+
+
+@compiled
+def _uses(dynamic: Dynamic, problems: Any, agents: Any, edges: Any, out: Any) -> None:
+    for k in range(len(edges)):
+        out[k] = has(dynamic.used, place(problems[k]), place(agents[k]), wide(edges[k]))
 
 
 def check_rows(
@@ -197,6 +205,32 @@ class Engine:
     def games(self) -> NDArray[Any]:
         """(M,) GAME records; a view, to be read."""
         return self.dynamic.games
+
+    @property
+    def remaining(self) -> NDArray[np.int32]:
+        """(M, E) what is left of the capacity of every edge; a view, to be read."""
+        return self.dynamic.remaining
+
+    @property
+    def order(self) -> NDArray[np.int32]:
+        """(M, N) the agents in turn order, then NOBODY; a view, to be read."""
+        return self.static.order
+
+    def uses(
+        self, problems: NDArray[np.integer], agents: NDArray[np.integer], edges: NDArray[np.integer]
+    ) -> NDArray[np.bool_]:
+        """(K,) whether agents (K,) of problems (K,) use edges (K,)."""
+        out = np.empty(len(edges), np.bool_)
+        _uses(self.dynamic, problems, agents, edges, out)
+        return out
+
+    def state(self, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """(M, X, Y, 5 Z), the global states; see :func:`marouting.observations.state_space`."""
+        columns, rows, layers = self.grid.shape
+        if out is None:
+            out = np.empty((len(self.games), columns, rows, layers * CHANNELS), np.float32)
+        write_states(self.dynamic, out.reshape(len(out), -1, CHANNELS))
+        return out
 
     @property
     def more(self) -> More:

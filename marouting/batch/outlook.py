@@ -72,12 +72,14 @@ from marouting.batch.expected import (
     slack_of,
     squashed,
 )
+from marouting.batch.mirror import engine_of
 from marouting.batch.places import grid_of, position
 from marouting.batch.prices import UNIT, edge_cost, is_priced, price_of
 from marouting.batch.rules import is_agent
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import holds, is_later, is_on, next_nearest
 from marouting.batch.window import MOST_RADIUS, move_order, write_numbers
+from marouting.columns import Games
 from marouting.config import check
 from marouting.game import NOBODY, Crossing
 from marouting.kernels import compiled, inlined, place, wide
@@ -217,7 +219,7 @@ class OutlookObservation:
         return self.layout["open"].stop
 
     def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
-        """The box of a row, the same for all problems; see :class:`.observation.Observation`."""
+        """The box of a row, the same for all problems; see :class:`.observations.Observation`."""
         del problems, overflow
         low, high = np.full(self.size, -1, np.float32), np.ones(self.size, np.float32)
         low[5:8], high[5:8] = -4, 4
@@ -228,17 +230,18 @@ class OutlookObservation:
 
     def write(
         self,
-        engine: Engine,
+        games: Games,
         problems: NDArray[np.integer],
         agents: NDArray[np.integer],
         out: NDArray[np.float32],
     ) -> None:
-        """Fills ``out`` (K, ``size``); see :class:`marouting.batch.observation.Observation`.
+        """Fills ``out`` (K, ``size``); see :class:`marouting.observations.Observation`.
 
         Raises:
             ValueError: there are no such agents.
         """
         check_rows(problems, agents, out, self.size)
+        engine = engine_of(games)
         known = engine.static, engine.dynamic, maps_of(engine), ways_of(engine)
         if not _write(*known, self.radius, self.margin, problems, agents, out):
             raise ValueError(f"expected agents of the games, found {problems}, {agents}")

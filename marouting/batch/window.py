@@ -66,7 +66,7 @@ from numpy.typing import NDArray
 
 from marouting.batch.bits import byte_at, places
 from marouting.batch.edges import uses
-from marouting.batch.engine import Engine, check_rows
+from marouting.batch.engine import check_rows
 from marouting.batch.expected import (
     Maps,
     maps_of,
@@ -75,10 +75,12 @@ from marouting.batch.expected import (
     slack_of,
     squashed,
 )
+from marouting.batch.mirror import engine_of
 from marouting.batch.places import grid_of, position
 from marouting.batch.rules import free_moves, is_agent
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_later
+from marouting.columns import Games
 from marouting.config import check
 from marouting.game import NOBODY, Status
 from marouting.kernels import compiled, inlined, place, wide
@@ -186,7 +188,7 @@ class WindowObservation:
         return _Where(self.radius, self.layers, *(begins.get(name, NOBODY) for name in CHANNELS))
 
     def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
-        """The box of a row, the same for all problems; see :class:`.observation.Observation`."""
+        """The box of a row, the same for all problems; see :class:`.observations.Observation`."""
         del problems, overflow
         low, high = np.zeros(self.size, np.float32), np.ones(self.size, np.float32)
         low[[0, 1, 4]], low[7] = -1, -_FAR
@@ -198,12 +200,12 @@ class WindowObservation:
 
     def write(
         self,
-        engine: Engine,
+        games: Games,
         problems: NDArray[np.integer],
         agents: NDArray[np.integer],
         out: NDArray[np.float32],
     ) -> None:
-        """Fills ``out`` (K, ``size``); see :class:`marouting.batch.observation.Observation`.
+        """Fills ``out`` (K, ``size``); see :class:`marouting.observations.Observation`.
 
         It is fastest if the rows of a problem follow one another.
 
@@ -211,6 +213,7 @@ class WindowObservation:
             ValueError: there are no such agents.
         """
         check_rows(problems, agents, out, self.size)
+        engine = engine_of(games)
         maps = maps_of(engine)
         if not _window(engine.static, engine.dynamic, maps, self._where, problems, agents, out):
             raise ValueError(f"expected agents of the games, found {problems}, {agents}")
@@ -236,11 +239,11 @@ class WindowObservation:
                 low += [-1 if channel in ("capacity", "demand") else 0] * len(_BLOCKS[channel])
         return Box(np.tile(np.array(low, np.float32), (columns, rows, layers)), np.float32(1))
 
-    def state(self, engine: Engine, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    def state(self, games: Games, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """The global states of all problems, with the channels of the observation.
 
         Args:
-            engine: the games.
+            games: the games.
             out: the array to fill and return; None: a new array.
 
         Returns:
@@ -252,6 +255,7 @@ class WindowObservation:
             Gcell: ``pins``, s(number of open tasks that end there), and ``heads``, s(number of
             active agents there).
         """
+        engine = engine_of(games)
         columns, rows, layers = engine.grid.shape
         channels = sum(len(_BLOCKS[channel]) for channel in self.channels)
         if out is None:

@@ -1,1 +1,1 @@
-"""The interfaces of the environment: AEC, Parallel, Gymnasium. The rules are in the engine."""
+"""The interfaces of the environment: AEC, Parallel, Gymnasium. The rules are in the game."""

@@ -2,14 +2,12 @@
 
 from typing import Any
 
-import numpy as np
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import EzPickle
-from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
 from marouting.env.base import METADATA, BaseGame, NetMethods, checked_move
-from marouting.game import NOBODY, Status
+from marouting.game import ACTIVE, NOBODY, Status
 from marouting.options import ORDERS
 from marouting.source import Source
 
@@ -38,7 +36,7 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
         AECEnv.__init__(self)
-        self._open(BaseGame(problem, ORDERS["multi"], options))
+        self._open(BaseGame(problem, ORDERS["multi"], options, self.game_class))
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Starts an episode.
@@ -48,25 +46,24 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
             options: ignored; PettingZoo's interface has them.
         """
         del options
-        self._game.restart(seed)
-        engine = self._game.engine
-        self._number = dict.fromkeys(self.possible_agents, NOBODY) | self._game.numbers
-        everyone = self._game.persists
-        self.agents = list(self.possible_agents if everyone else self._game.names)
+        base = self._game
+        base.restart(seed)
+        self._number = dict.fromkeys(self.possible_agents, NOBODY) | base.numbers
+        self.agents = list(self.possible_agents if base.persists else base.names)
         self.rewards = dict.fromkeys(self.agents, 0.0)
         self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
         self.terminations = dict.fromkeys(self.agents, False)
         self.truncations = dict.fromkeys(self.agents, False)
         self._ended: dict[str, dict[str, Any]] = {}  # by the last move of each agent
-        masks = dict(zip(self._game.names, self._game.masks(), strict=True))
+        # Nothing but masks: libraries take these for the keys of all infos.
+        masks = base.masks([self._number[agent] for agent in self.agents])
         self.infos = {
-            agent: self._info(masks.get(agent, self._game.no_op), active=agent in masks)
-            for agent in self.agents
+            agent: base.info(mask, over=False)
+            for agent, mask in zip(self.agents, masks, strict=True)
         }
-        self._game.describe(self.infos)
         self._skip_agent_selection: str | None = None
         self._mover = self.agents[0]
-        self.agent_selection = self._game.names[engine.games[0]["agent"]]
+        self.agent_selection = base.names[base.game.turn]
 
     def observe(self, agent: str) -> Any:
         """The agent's observation at this moment."""
@@ -85,75 +82,81 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
         """
         if not self.agents:
             raise ResetNeeded("step: expected a call of reset() before it")
-        game, agent = self._game, self.agent_selection
+        base, agent = self._game, self.agent_selection
         if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)
             agent = self.agent_selection
-            if not game.persists and agent in self.infos:
+            if not base.persists and agent in self.infos:
                 # Others may have taken capacity since this info was made.
                 told = self._ended.get(agent, {})
-                self.infos[agent] = game.info(game.mask(self._number[agent]), over=False) | told
+                self.infos[agent] = base.info(base.mask(self._number[agent]), over=False) | told
             return
-        player, number = game.player, self._number[agent]
-        buffers = player.buffers
-        buffers.actions[0, 0] = checked_move(action, game.actions)
-        player.step()
-        self._ended[agent] = game.task_end()
-        self._pay(agent, buffers.reward.item())
-        terminated, truncated = buffers.terminated.item(), buffers.truncated.item()
-        following = buffers.agents.item()
-        done = terminated or truncated
-        if game.persists and not game.active(number):
-            self.infos[agent] = self._info(game.no_op, active=False) | self._ended[agent]
-        if following == NOBODY and game.persists:
+        game, n = base.game, self._number[agent]
+        paid = base.move(n, checked_move(action, base.actions))
+        if game.ending[n]:
+            self._ended[agent] = base.task_end(n)
+            game.settle(n)
+        elif agent in self._ended:
+            del self._ended[agent]
+        game.pass_turn(n)
+        self._pay(agent, paid)
+        following, status = game.turn, game.status[n]
+        persists = base.persists
+        if persists and game.moves == 1:
+            for name in self.agents:
+                self.infos[name]["active"] = base.active(self._number[name])
+        if persists and status != ACTIVE:
+            self.infos[agent] = self._info(agent, n)
+        if persists and following == NOBODY:
             self._end_together()
-        elif not done or game.persists:
-            agent = self.agent_selection = game.names[following]
-            told = self._ended.get(agent, {})
-            self.infos[agent] = self._info(buffers.mask[0, 0], active=True) | told
+        elif persists or status == ACTIVE:
+            agent = self.agent_selection = base.names[following]
+            self.infos[agent] = self._info(agent, following)
         else:
-            self.terminations[agent] = terminated
-            self.truncations[agent] = truncated
-            told = game.info(game.mask(number), over=following == NOBODY)
-            self.infos[agent] = told | self._ended[agent]
+            self.terminations[agent] = status == Status.TERMINATED
+            self.truncations[agent] = status == Status.TRUNCATED
+            told = base.info(base.mask(n), over=following == NOBODY)
+            self.infos[agent] = told | self._ended.get(agent, {})
             # The agent is selected once more, to be removed from the list, before the next one is.
-            self._skip_agent_selection = None if following == NOBODY else game.names[following]
+            self._skip_agent_selection = None if following == NOBODY else base.names[following]
         if self.render_mode == "human":
             self.render()
 
-    def _info(self, mask: NDArray[np.int8], *, active: bool) -> dict[str, Any]:
-        """An agent's info during its episode."""
-        info = self._game.info(mask.copy(), over=False)
-        if self._game.persists:
-            info["active"] = active
+    def _info(self, agent: str, n: int) -> dict[str, Any]:
+        """The info of agent n during its episode."""
+        base = self._game
+        info: dict[str, Any] = {base.mask_key: base.mask(n)}
+        if base.persists:
+            info["active"] = base.active(n)
+        if agent in self._ended:
+            info |= self._ended[agent]
         return info
 
     def _end_together(self) -> None:
         """Ends the episodes of all agents: those that failed a task are truncated."""
-        status = self._game.engine.agents[0]["status"]
+        status = self._game.game.status
         for agent in self.agents:
-            number = self._number[agent]
-            failed = number != NOBODY and bool(status[number] == Status.TRUNCATED)
+            n = self._number[agent]
+            failed = n != NOBODY and status[n] == Status.TRUNCATED
             self.truncations[agent], self.terminations[agent] = failed, not failed
             self.infos[agent] |= self._game.result()
         self.agent_selection = self.agents[0]
 
-    def _pay(self, mover: str, reward: float) -> None:
+    def _pay(self, mover: str, paid: Any) -> None:
         """Sets the rewards of a move, and adds them to what each agent got since its last move.
 
         Args:
             mover: the agent that moved.
-            reward: its reward; only used if the reward pays just the agent that moves.
+            paid: a float for the agent that moved, or (N,) for all agents.
         """
         self._cumulative_rewards[mover] = 0.0
-        paid = self._game.player.paid
-        if paid is None:
+        if self._game.pays_mover:
             if self._mover in self.rewards:
                 self.rewards[self._mover] = 0.0
-            self.rewards[mover] = self._cumulative_rewards[mover] = reward
+            self.rewards[mover] = self._cumulative_rewards[mover] = paid
             self._mover = mover
             return
         for agent in self.agents:
-            number = self._number[agent]
-            self.rewards[agent] = 0.0 if number == NOBODY else paid[0, number].item()
+            n = self._number[agent]
+            self.rewards[agent] = 0.0 if n == NOBODY else paid[n].item()
         self._accumulate_rewards()

@@ -1,9 +1,10 @@
-"""What the interfaces of the environment have in common: a game made from options."""
+"""What the interfaces of the environment have in common: a plain game made from options."""
 
 import copy
+import functools
 import operator
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,13 +14,14 @@ from gymnasium.spaces import Box, Dict, Discrete
 from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 
-from marouting.batch.engine import Engine
-from marouting.batch.observation import state_of, state_space_of
-from marouting.game import NOBODY, Status, TurnOrder
+from marouting.columns import Columns
+from marouting.config import check
+from marouting.errors import InputError
+from marouting.game import ACTIVE, NOBODY, WAITING, Game, Rules, TurnOrder
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
+from marouting.observations import has_form, state_of, state_space_of
 from marouting.options import game_options
-from marouting.player import Player
-from marouting.problem.grid import Grid
+from marouting.problem.grid import MOVES, OFF_GRID, Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Window, ansi, rgb_array, scene_of
@@ -31,6 +33,9 @@ METADATA: dict[str, Any] = {
     "render_fps": 10,
 }
 
+_MANY = 12
+"""From so many agents on NumPy makes masks faster than Python."""
+
 
 class BaseGame:
     """A game of one problem with its observation, reward, masks, state and pictures.
@@ -40,19 +45,23 @@ class BaseGame:
         turn_order: the turn order if the options give none.
         options: the fields of :class:`marouting.options.GameOptions`; ``observation`` and
             ``reward`` may also be any object of their protocol.
-        everyone: whether all agents move in a step, or only the one whose turn it is.
+        kind: the class of the game, if its rules are others.
 
     Attributes:
-        engine: the game.
-        player: the player of the game.
+        game: the game.
+        columns: the game as observations and rewards see it.
         name: the name of the problem that is played.
-        names: the names of the engine's agents.
-        numbers: the engine's agents by their names.
+        many: whether there are several problems.
+        names: the names of the game's agents.
+        numbers: the game's agents by their names.
         everyone: the names of all nets that are agents in any episode.
+        box: the space of one agent's observation, without its mask.
         begun: whether an episode has begun.
         masked: whether observations hold the mask.
         mask_key: the name of the mask in observations and infos.
         persists: whether agents that are done stay until all are done.
+        reward: what moves pay.
+        pays_mover: whether a move pays only the agent that makes it.
         actions: A, the number of actions.
         no_op: (A,) the mask of an agent that is done and stays: the one move it may make does
             nothing.
@@ -69,43 +78,50 @@ class BaseGame:
         problem: Source,
         turn_order: TurnOrder,
         options: Mapping[str, Any],
-        *,
-        everyone: bool = False,
+        kind: type[Game] = Game,
     ) -> None:
         checked = game_options(options)
-        self._rules = checked if checked.turn_order else replace(checked, turn_order=turn_order)
+        for name in ("rip_up_prices", "rip_up_patience"):
+            check(name, not getattr(checked, name), "none here: only marouting.vector.BatchEnv has")
+        rules = {field.name: getattr(checked, field.name) for field in fields(Rules)}
+        self._rules = Rules(**{**rules, "turn_order": checked.turn_order or turn_order})
+        self._kind = kind
         self._observation = checked.observation.make()
-        self._reward = checked.reward.make()
-        self._together = everyone
+        self._sees_plainly = has_form(self._observation, "see", "write")
+        self.reward: Any = checked.reward.make()
+        self.pays_mover = has_form(self.reward, "pay", "__call__")
         self.render_mode = checked.render_mode
         self.masked = checked.mask_in_observation
         self.mask_key, self._observation_key = checked.mask_key, checked.observation_key
         self.persists = checked.persists
         self.actions = checked.actions
         self.no_op = np.eye(1, self.actions, dtype=np.int8)[0]
+        self._masks = list(mask_table(self.actions))  # a list's rows are found faster
         self.begun = False
         self._window = Window()
         self.rng, _ = seeding.np_random(0)
 
         self._episodes = Episodes(problem, checked.scenario, checked.split)
+        self.many = self._episodes.many
         problems = self._episodes.bounds
         grid = Grid.of(problems[0].grid)
         check_memory(
             grid.gcells * (TABLES + PLAYED + STATE), "an environment on a grid of {}", grid
         )
         self.everyone = [f"net_{net}" for net in self._episodes.nets]
-        self._play(*next(iter(self._episodes.problems.items())))
-        overflow = self.engine.static.overflow_allowed
-        self._box = self._observation.space(problems, overflow)
+        name, first = next(iter(self._episodes.problems.items()))
+        self._play(name, kind(first, self._rules))
+        overflow = self.game.overflow_allowed
+        self.box: Box = self._observation.space(problems, overflow)
         self.state_space: Box = state_space_of(self._observation, problems, overflow)
 
-    def _play(self, name: str, problem: Problem) -> None:
-        """Sets up the game of a problem."""
-        self.name = name
-        self.engine = Engine([problem], self._rules)
-        self.player = Player(self.engine, self._observation, self._reward, everyone=self._together)
-        self.names = [f"net_{net}" for net in self.engine.nets[0]]
+    def _play(self, name: str, game: Game) -> None:
+        """Takes up the game of a problem."""
+        self.name, self.game, self.columns = name, game, Columns(game)
+        self.names = [f"net_{net}" for net in game.nets]
         self.numbers = {agent: n for n, agent in enumerate(self.names)}
+        self._demand = np.array(game.demand)
+        self._figures = self.columns.figures()
 
     def restart(self, seed: int | None) -> None:
         """Starts a new episode, of another problem if there are several."""
@@ -113,8 +129,10 @@ class BaseGame:
             self.rng, _ = seeding.np_random(seed)
         name, problem = self._episodes.next(self.rng)
         if problem is not self.problem:
-            self._play(name, problem)
-        self.player.reset()
+            self._play(name, self._kind(problem, self._rules))
+        else:
+            self.game.reset()
+        self._figures = self.columns.figures()
         self.begun = True
 
     def check_begun(self) -> None:
@@ -125,71 +143,160 @@ class BaseGame:
     def save(self) -> dict[str, Any]:
         """A copy of the state of the game, for :meth:`restore`."""
         return {
-            "problem": (self.name, self.problem) if self._episodes.many else None,
+            "name": self.name,
+            "game": self.game.copy(),
+            "figures": dict(self._figures),
             "rng": copy.deepcopy(self.rng),
-            "order": self.engine.static.order.copy(),
             "begun": self.begun,
-            "player": self.player.save(),
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Goes back to a saved state; raises ValueError if it is that of another game."""
-        if saved["problem"] is not None and saved["problem"][1] != self.problem:
-            self._play(*saved["problem"])
-        self.player.restore(saved["player"])
-        self.engine.static.order[...] = saved["order"]
+        game: Game = saved["game"]
+        same = game.problem == self.problem or self.many
+        if not (type(game) is self._kind and game.rules == self._rules and same):
+            raise ValueError("saved: expected the state of a game with this problem and options")
+        problem = self.problem
+        self._play(saved["name"], game.copy())
+        if not self.many:  # the next episode begins with this one, and not with an equal one
+            self.game.problem = problem
+            self.columns.problems = (problem,)
+        self._figures = dict(saved["figures"])
         self.rng = copy.deepcopy(saved["rng"])
         self.begun = saved["begun"]
 
     @property
     def problem(self) -> Problem:
         """The problem that is played."""
-        return self.engine.problems[0]
+        return self.game.problem
 
-    def describe(self, infos: Mapping[str, dict[str, Any]]) -> None:
-        """Adds the name of the problem to the first infos of an episode, if there are several."""
-        if self._episodes.many:
-            for info in infos.values():
-                info["problem"] = self.name
+    # --- what agents see --------------------------------------------------------------------------
 
     def new_observation_space(self) -> Space[Any]:
         """An observation space of its own for each agent, so that each can be seeded separately."""
         # The copied space has no random numbers yet. Making a new one takes ten times as long.
-        box = copy.copy(self._box)
+        box = copy.copy(self.box)
         if not self.masked:
             return box
         mask = Box(0, 1, (self.actions,), np.int8)
         return Dict({self._observation_key: box, self.mask_key: mask})
 
-    def masks(self) -> NDArray[np.int8]:
-        """(N, A) int8, new action masks of all agents."""
-        return self.engine.masks(*self.engine.pairs(everyone=True))
+    def see(self, agent: int) -> NDArray[np.float32]:
+        """A new observation of one agent; zeros for NOBODY."""
+        if agent == NOBODY:
+            return np.zeros(self.box.shape, np.float32)
+        if self._sees_plainly:
+            seen: NDArray[np.float32] = self._observation.see(self.game, agent)
+            return seen
+        return self.see_all([agent])[0]
+
+    def see_all(self, agents: Sequence[int]) -> NDArray[np.float32]:
+        """(K, *S) new observations of many agents, or NOBODY."""
+        if not hasattr(self._observation, "write"):
+            return np.array([self.see(agent) for agent in agents], np.float32)
+        out = np.empty((len(agents), *self.box.shape), np.float32)
+        rows = np.zeros(len(agents), np.int32), np.array(agents, np.int32)
+        self._observation.write(self.columns, *rows, out)
+        return out
 
     def observation(self, agent: int) -> Any:
         """A new observation of one agent, in the form that the options ask for."""
-        buffers = self.player.buffers
-        if not self._together and buffers.agents[0, 0] == agent != NOBODY:
-            return self.seen(buffers.obs[0, 0].copy(), buffers.mask[0, 0])
-        problems, agents = np.zeros(1, np.int32), np.full(1, agent, np.int32)
-        out = np.empty((1, *self._box.shape), np.float32)
-        self._observation.write(self.engine, problems, agents, out)
-        return self.seen(out[0], self.mask(agent)) if self.masked else out[0]
-
-    def active(self, agent: int) -> bool:
-        """Whether an agent still has a task to route."""
-        return agent != NOBODY and bool(self.engine.agents[0, agent]["status"] == Status.ACTIVE)
-
-    def mask(self, agent: int) -> NDArray[np.int8]:
-        """(A,) int8, a new action mask of one agent; that of NOBODY is all ones."""
-        if self.persists and not self.active(agent):
-            return self.no_op.copy()
-        return self.engine.masks(np.zeros(1, np.int32), np.full(1, agent, np.int32))[0]
+        if self._sees_plainly and agent != NOBODY:
+            seen = self._observation.see(self.game, agent)
+        else:
+            seen = self.see(agent)
+        return self.seen(seen, self.mask(agent)) if self.masked else seen
 
     def seen(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
         """An observation with its mask, in the form that the options ask for."""
         if self.masked:
             return {self._observation_key: observation, self.mask_key: mask.copy()}
         return observation
+
+    # --- masks ------------------------------------------------------------------------------------
+
+    def active(self, agent: int) -> bool:
+        """Whether an agent still has a task to route."""
+        return agent != NOBODY and self.game.status[agent] == ACTIVE
+
+    def mask(self, agent: int) -> NDArray[np.int8]:
+        """(A,) int8, a new action mask of one agent; that of NOBODY is all ones."""
+        if self.persists and not self.active(agent):
+            return self.no_op.copy()
+        return self._masks[0 if agent == NOBODY else self.game.free_moves(agent)].copy()
+
+    def masks(self, agents: Sequence[int]) -> NDArray[np.int8]:
+        """(K, A) int8, new action masks of many agents."""
+        if len(agents) < _MANY or not self._masks_in_columns:
+            return np.array([self.mask(agent) for agent in agents], np.int8)
+        game, grid, who = self.game, self.game.grid, np.array(agents)
+        cell = self.columns.agents["cell"][0].take(who)
+        on_grid = grid.neighbour.take(cell, axis=0) != OFF_GRID
+        out = np.zeros((len(who), self.actions), np.int8)
+        if game.overflow_allowed:
+            out[:, :MOVES] = on_grid
+        else:
+            edge = grid.edge.take(cell, axis=0)
+            demand = self._demand[who, cell % game.layers]
+            room = self.columns.remaining[0].take(edge) >= demand[:, None]
+            out[:, :MOVES] = room & on_grid
+            rows, moves = np.nonzero(~room & on_grid)  # free for the nets that use these edges
+            numbers = edge[rows, moves].tolist()
+            for row, move, number in zip(rows.tolist(), moves.tolist(), numbers, strict=True):
+                if number in game.used[agents[row]]:
+                    out[row, move] = 1
+        out[~out.any(axis=1), :MOVES] = 1
+        status = self.columns.agents["status"][0].take(who)
+        away = who == NOBODY
+        out[away, :MOVES] = 1
+        if self.persists:
+            out[away | (status != ACTIVE)] = self.no_op
+        return out
+
+    @property
+    def _masks_in_columns(self) -> bool:
+        """Whether masks follow from capacities alone, by the rules that are written here."""
+        as_written = type(self.game).free_moves is Game.free_moves
+        return as_written and not (self.game.asked or self.game.rules.mask_visited)
+
+    # --- moves ------------------------------------------------------------------------------------
+
+    def move(self, n: int, action: int) -> Any:
+        """An agent moves.
+
+        Returns:
+            What that pays: a float for the agent that moves if ``pays_mover``, otherwise (N,)
+            float32 for all agents.
+        """
+        if self.pays_mover:
+            self.game.move(n, action)
+            return self.reward.pay(self.game, n)
+        before = self.columns.before(self._figures)
+        self.game.move(n, action)
+        self._figures = self.columns.figures()
+        paid = np.asarray(self.reward(self.columns, before, np.array([n], np.int32)), np.float32)
+        shape, name = (1, len(self.names)), type(self.reward).__name__
+        if paid.shape != shape:
+            raise InputError(f"reward: expected shape {shape}, found {paid.shape} from {name}")
+        if not np.isfinite(paid).all():
+            found = paid[~np.isfinite(paid)][0]
+            raise InputError(f"reward: expected finite numbers, found {found} from {name}")
+        status = before.agents["status"][0]
+        return np.where((status == ACTIVE) | (status == WAITING), paid[0], np.float32(0))
+
+    def task_end(self, n: int) -> dict[str, Any]:
+        """What the info after a move says of the task that has ended with it; empty if none has.
+
+        The agent still stands where it arrived.
+        """
+        ending = self.game.ending[n]
+        if not ending:
+            return {}
+        mask = self._masks[self.game.free_moves(n)].copy()
+        seen = self.seen(self.see(n), mask)
+        return {"task_ended": ending, "task_obs": seen, "task_mask": mask}
+
+    # --- results ----------------------------------------------------------------------------------
 
     def info(self, mask: NDArray[np.int8], over: bool) -> dict[str, Any]:
         """An agent's info: its mask and, when the game is over, the metrics."""
@@ -198,23 +305,9 @@ class BaseGame:
             info |= self.result()
         return info
 
-    def task_end(self, row: int = 0) -> dict[str, Any]:
-        """What the info after a move says of the task that has ended with it; empty if none has.
-
-        Args:
-            row: that of the agent in the player's buffers.
-        """
-        buffers = self.player.buffers
-        ending = buffers.ending[0, row].item()
-        if not ending:
-            return {}
-        mask = buffers.final_mask[0, row].copy()
-        seen = self.seen(buffers.final_obs[0, row].copy(), mask)
-        return {"task_ended": ending, "task_obs": seen, "task_mask": mask}
-
     def result(self) -> dict[str, Any]:
         """What infos hold when the game is over: the metrics, also where loggers look for them."""
-        metrics = self.metrics()
+        metrics = self.game.metrics()
         return {
             "metrics": metrics,
             **metrics,
@@ -222,17 +315,9 @@ class BaseGame:
             "is_success": metrics["tasks"] == metrics["joined"] and not metrics["overflow"],
         }
 
-    def metrics(self) -> dict[str, int]:
-        """The present metrics; see :class:`marouting.batch.engine.Metrics`."""
-        return asdict(self.engine.metrics())
-
-    def solution(self) -> Solution:
-        """The present routes."""
-        return self.engine.solution()
-
     def state(self) -> NDArray[np.float32]:
-        """The global state; see :func:`marouting.batch.observation.state_of`."""
-        return state_of(self._observation, self.engine)[0]
+        """The global state; see :func:`marouting.observations.state_of`."""
+        return state_of(self._observation, self.columns)[0]
 
     def picture(self) -> str | NDArray[np.uint8] | None:
         """Renders the game according to ``render_mode``."""
@@ -242,8 +327,8 @@ class BaseGame:
             logger.warn("render() needs a render_mode: give one when you make the environment.")
             return None
         if self.render_mode == "ansi":
-            return ansi(scene_of(self.engine))
-        pixels = rgb_array(scene_of(self.engine))
+            return ansi(scene_of(self.columns))
+        pixels = rgb_array(scene_of(self.columns))
         if self.render_mode == "rgb_array":
             return pixels
         self._window.show(pixels, self.metadata["render_fps"])
@@ -252,6 +337,17 @@ class BaseGame:
     def close(self) -> None:
         """Closes the window of ``render_mode="human"``."""
         self._window.close()
+
+
+@functools.cache
+def mask_table(actions: int) -> NDArray[np.int8]:
+    """(2^A, A) int8, the action mask of every set of free actions, one bit per action.
+
+    Without a free move all six are 1, so a mask is never all zero.
+    """
+    free = np.arange(1 << actions)
+    free[free % (1 << MOVES) == 0] += (1 << MOVES) - 1
+    return (free[:, None] >> np.arange(actions) & 1).astype(np.int8)
 
 
 def checked_move(action: Any, actions: int, name: str = "action") -> int:
@@ -270,8 +366,13 @@ class GameMethods(EzPickle):
 
     A copy by :mod:`copy` or :mod:`pickle` goes on where the environment stands. Pieces of your own
     that keep a state are only copied with it if they were given as objects.
+
+    Attributes:
+        game_class: the rules; a subclass of the environment may name its own
+            :class:`marouting.game.Game`.
     """
 
+    game_class: ClassVar[type[Game]] = Game
     _game: BaseGame
     _episode: ClassVar[tuple[str, ...]]
     """The attributes that change during an episode, beside the game."""
@@ -305,9 +406,14 @@ class GameMethods(EzPickle):
         self.restore(state["saved"])
 
     @property
-    def engine(self) -> Engine:
-        """The game, to be read, for guides such as A*."""
-        return self._game.engine
+    def game(self) -> Game:
+        """The game, to be read."""
+        return self._game.game
+
+    @property
+    def problem_name(self) -> str:
+        """The name of the problem that is played, of its file or in its set or scenario."""
+        return self._game.name
 
     def action_mask(self, agent: str) -> NDArray[np.int8]:
         """(A,) int8, 1 for the moves of a net that cross an edge now; never all zero.
@@ -330,20 +436,20 @@ class GameMethods(EzPickle):
         return [net for net in nets if net not in agents]
 
     def state(self) -> NDArray[np.float32]:
-        """The global state, float32: (X, Y, 5 Z), see :func:`marouting.batch.observation.state`.
+        """The global state, float32: (X, Y, 5 Z), see :func:`marouting.observations.state_space`.
 
         Other observations than the paper's may have another one, see
-        :func:`marouting.batch.observation.state_of`.
+        :func:`marouting.observations.state_of`.
         """
         return self._game.state()
 
     def metrics(self) -> dict[str, int]:
         """The present overflow, wirelength, tasks joined, number of tasks, and steps."""
-        return self._game.metrics()
+        return self._game.game.metrics()
 
     def solution(self) -> Solution:
         """The present routes."""
-        return self._game.solution()
+        return self._game.game.solution()
 
     def render(self) -> Any:
         """Renders the game according to ``render_mode``."""

@@ -1,18 +1,19 @@
 """The Parallel environment: all nets move at once (PettingZoo's ``ParallelEnv``).
 
-It uses the engine directly, not a conversion from AEC. The moves of one step are carried out in
+It plays the game directly, not by a conversion from AEC. The moves of one step are carried out in
 turn order, so the same moves give the same game as in AEC.
 """
 
+import math
 from typing import Any
 
 import numpy as np
 from gymnasium.utils import EzPickle
-from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from marouting.env.base import METADATA, BaseGame, NetMethods, checked_move
-from marouting.game import NOBODY
+from marouting.game import ACTIVE, NOBODY, WAITING, Game, Status
+from marouting.memory import check_memory
 from marouting.options import ORDERS
 from marouting.source import Source
 
@@ -33,7 +34,10 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
 
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
-        self._open(BaseGame(problem, ORDERS["multi"], options, everyone=True))
+        self._open(BaseGame(problem, ORDERS["multi"], options, self.game_class))
+        agents, numbers = len(self.possible_agents), math.prod(self._game.box.shape)
+        size = agents * numbers * np.dtype(np.float32).itemsize
+        check_memory(size, "{} observations of {} numbers", agents, numbers)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -45,29 +49,28 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
             options: ignored; PettingZoo's interface has them.
         """
         del options
-        self._game.restart(seed)
-        game = self._game
-        self.agents = list(self.possible_agents if game.persists else game.names)
-        # The rows of the agents in the game; NOBODY for one that this problem does not have.
-        self._numbers = np.array([game.numbers.get(agent, NOBODY) for agent in self.agents])
-        observations, infos = self._look()
-        game.describe(infos)
-        return observations, infos
+        base = self._game
+        base.restart(seed)
+        self.agents = list(self.possible_agents if base.persists else base.names)
+        # Those in the game; NOBODY for one that this problem does not have.
+        self._numbers = [base.numbers.get(agent, NOBODY) for agent in self.agents]
+        return self._look(first=True)
 
-    def _look(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """New observations and infos of the agents that are in the game."""
-        buffers, numbers, agents = self._game.player.buffers, self._numbers, self.agents
-        seen: Any = buffers.obs[0].take(numbers, axis=0)
-        masks = buffers.mask[0].take(numbers, axis=0)
-        infos: list[dict[str, Any]] = [{self._game.mask_key: mask} for mask in masks]
-        if self._game.persists:
-            active = buffers.active[0].take(numbers) & (numbers != NOBODY)
-            seen[numbers == NOBODY] = 0
-            masks[~active] = self._game.no_op
-            for info, moves in zip(infos, active.tolist(), strict=True):
-                info["active"] = moves
-        if self._game.masked:
-            seen = [self._game.seen(*both) for both in zip(seen, masks, strict=True)]
+    def _look(self, *, first: bool) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """New observations and infos of the agents that are in the game.
+
+        Args:
+            first: whether they are those of the beginning, when infos hold nothing but masks.
+        """
+        base, numbers, agents = self._game, self._numbers, self.agents
+        seen: Any = base.see_all(numbers)
+        masks = base.masks(numbers)
+        infos: list[dict[str, Any]] = [{base.mask_key: mask} for mask in masks]
+        if base.persists and not first:
+            for info, n in zip(infos, numbers, strict=True):
+                info["active"] = base.active(n)
+        if base.masked:
+            seen = [base.seen(*both) for both in zip(seen, masks, strict=True)]
         return dict(zip(agents, seen, strict=True)), dict(zip(agents, infos, strict=True))
 
     def step(
@@ -90,44 +93,96 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
             ValueError: an action is out of range.
         """
         self._game.check_begun()
-        agents, numbers, player = self.agents, self._numbers, self._game.player
-        buffers = player.buffers
-        there = numbers != NOBODY
-        moves = _moves([actions[agent] for agent in agents], agents, self._game.actions)
-        buffers.actions[0, numbers[there]] = moves[there]
-        player.step()
-
-        observations, infos = self._look()
-        terminated, truncated, stays = (
-            flags[0].take(numbers)
-            for flags in (buffers.terminated, buffers.truncated, buffers.active)
-        )
-        paid = buffers.reward[0].take(numbers)
-        if buffers.ending.any():
-            for k in np.flatnonzero(there & (buffers.ending[0].take(numbers) != 0)):
-                infos[agents[k]] |= self._game.task_end(numbers[k])
-        if self._game.persists:  # all end together
-            stays[:] = buffers.active.any()
-            paid[~there] = 0
-            truncated &= ~stays & there
-            terminated = ~stays & ~truncated
-        ended = dict(zip(agents, terminated.tolist(), strict=True))
-        cut = dict(zip(agents, truncated.tolist(), strict=True))
-        rewards = dict(zip(agents, paid.tolist(), strict=True))
-        if not stays.all():
-            if not stays.any():  # the game is over: its figures change no more
-                result = self._game.result()
-                for info in infos.values():
-                    info |= {**result, "metrics": dict(result["metrics"])}
-            self._numbers = numbers[stays]
-            self.agents = [agents[k] for k in np.flatnonzero(stays)]
+        agents, numbers, base = self.agents, self._numbers, self._game
+        game = base.game
+        moves = _moves([actions[agent] for agent in agents], agents, base.actions)
+        rewards, ended = self._move(dict(zip(numbers, moves, strict=True)))
+        observations, infos = self._look(first=False)
+        for n, told in ended.items():
+            infos[base.names[n]] |= told
+        status = [WAITING if n == NOBODY else game.status[n] for n in numbers]
+        over = not game.active
+        if base.persists:  # all end together
+            cut = [over and s == Status.TRUNCATED for s in status]
+            done = [over and not c for c in cut]
+        else:
+            cut = [s == Status.TRUNCATED for s in status]
+            done = [s == Status.TERMINATED for s in status]
+        if over and agents:  # the figures of the game change no more
+            result = base.result()
+            for info in infos.values():
+                info |= {**result, "metrics": dict(result["metrics"])}
+            self.agents, self._numbers = [], []
+        elif not base.persists and any(status):
+            stays = [k for k, s in enumerate(status) if s == ACTIVE]
+            self.agents = [agents[k] for k in stays]
+            self._numbers = [numbers[k] for k in stays]
         if self.render_mode == "human":
             self.render()
-        return observations, rewards, ended, cut, infos
+        return (
+            observations,
+            dict(zip(agents, (rewards.get(n, 0.0) for n in numbers), strict=True)),
+            dict(zip(agents, done, strict=True)),
+            dict(zip(agents, cut, strict=True)),
+            infos,
+        )
+
+    def _move(self, moves: dict[int, int]) -> tuple[dict[int, float], dict[int, dict[str, Any]]]:
+        """The moves of a step, one after the other in turn order.
+
+        Args:
+            moves: a move for each agent.
+
+        Returns:
+            By agent what the step paid it, and what infos say of the task that has ended.
+        """
+        base, game = self._game, self._game.game
+        movers = game.movers()
+        if base.pays_mover:
+            move, pay, rewards = game.move, base.reward.pay, {}
+            for n in movers:
+                move(n, moves[n])
+                rewards[n] = pay(game, n)
+            ending = [n for n in movers if game.ending[n]]
+            ended = {n: base.task_end(n) for n in ending}
+            for n in ending:
+                game.settle(n)
+        else:
+            # The reward of a move is to see that earlier movers have begun their next tasks, as it
+            # does where they move one at a time; what agents saw where they arrived, they saw when
+            # all had moved.
+            paid, arrived = np.zeros(len(game.nets), np.float32), {}
+            for n in movers:
+                paid += base.move(n, moves[n])
+                if game.ending[n]:
+                    arrived[n] = _standing(game, n)
+                game.settle(n)
+            settled = {n: _standing(game, n) for n in arrived}
+            _stand(game, arrived)
+            ended = {n: base.task_end(n) for n in arrived}
+            _stand(game, settled)
+            rewards = dict(enumerate(paid.tolist()))
+        if movers:
+            game.pass_turns()
+        return rewards, ended
 
 
-def _moves(actions: list[Any], agents: list[str], count: int) -> NDArray[np.int8]:
-    """Actions as an array; raises ValueError, naming the agent, for all but 0 to count - 1."""
+def _standing(game: Game, n: int) -> tuple[list[int], list[set[int]]]:
+    """All that changes when an agent begins its next task."""
+    columns = [getattr(game, name)[n] for name in game.COLUMNS]
+    return columns, [game.begun[n], game.visited[n], game.taken[n]]
+
+
+def _stand(game: Game, agents: dict[int, tuple[list[int], list[set[int]]]]) -> None:
+    """Makes agents stand as they stood."""
+    for n, (columns, sets) in agents.items():
+        for name, value in zip(game.COLUMNS, columns, strict=True):
+            getattr(game, name)[n] = value
+        game.begun[n], game.visited[n], game.taken[n] = sets
+
+
+def _moves(actions: list[Any], agents: list[str], count: int) -> bytes:
+    """Actions as integers; raises ValueError, naming the agent, for all but 0 to count - 1."""
     try:
         moves = bytes(actions)  # integers from 0 to 255 of any type
     except (TypeError, ValueError):
@@ -135,4 +190,4 @@ def _moves(actions: list[Any], agents: list[str], count: int) -> NDArray[np.int8
     if moves and max(moves) >= count:
         named = zip(actions, agents, strict=True)
         moves = bytes([checked_move(a, count, f"action of {agent}") for a, agent in named])
-    return np.frombuffer(moves, np.int8)
+    return moves

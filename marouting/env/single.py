@@ -22,7 +22,8 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
     The observation is that of the net to move. The episode is terminated when all tasks of all nets
     are joined, and truncated when all tasks have ended and some failed. The reward is the sum of
     what a move pays all nets. ``info`` holds the ``action_mask`` and the name of the ``net`` to
-    move, what ``task_ended`` with the move, and, at the end, the ``metrics``.
+    move, what ``task_ended`` with the move, and, at the end, the ``metrics``; the first one of an
+    episode has the name of the ``problem``, if there are several.
 
     Args:
         problem: see :data:`marouting.source.Source`.
@@ -37,7 +38,9 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
         self, problem: Source = None, render_mode: str | None = None, **options: Any
     ) -> None:
         EzPickle.__init__(self, problem, render_mode, **options)
-        self._game = BaseGame(problem, ORDERS["single"], {**options, "render_mode": render_mode})
+        self._game = BaseGame(
+            problem, ORDERS["single"], {**options, "render_mode": render_mode}, self.game_class
+        )
         check("agents_persist", not options.get("agents_persist"), "false: only one player")
         self.render_mode = render_mode
         self.observation_space = self._game.new_observation_space()
@@ -58,21 +61,21 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
         if self.render_mode == "human":
             self.render()
         seen, info = self._look()
-        self._game.describe({"player": info})
+        if self._game.many:
+            info["problem"] = self._game.name
         return seen, info
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(A,) bool, the moves of the net to move that cross an edge, as sb3-contrib asks."""
-        return self._game.player.buffers.mask[0, 0].astype(np.bool_)
+        return self._game.mask(self._game.game.turn).astype(np.bool_)
 
     def _look(self) -> tuple[Any, dict[str, Any]]:
         """Observation and info of the net to move."""
-        game = self._game
-        buffers = game.player.buffers
-        self._net = buffers.agents.item()
-        mask = buffers.mask[0, 0].copy()
-        info = game.info(mask, over=False) | {"net": game.names[self._net]}
-        return game.seen(buffers.obs[0, 0].copy(), mask), info
+        base = self._game
+        n = self._net = base.game.turn
+        mask = base.mask(n)
+        info = base.info(mask, over=False) | {"net": base.names[n]}
+        return base.seen(base.see(n), mask), info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Moves the net whose turn it is.
@@ -83,24 +86,25 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
             ResetNeeded: no episode has begun.
             ValueError: the action is not one of the actions.
         """
-        game = self._game
-        buffers = game.player.buffers
-        game.check_begun()
-        if buffers.agents.item() == NOBODY:
+        base = self._game
+        base.check_begun()
+        move, game = checked_move(action, base.actions), base.game
+        reward, ended = 0.0, {}
+        if (n := game.turn) == NOBODY:
             logger.warn("step(): the episode is over, and nothing changes before reset().")
-        buffers.actions[0, 0] = checked_move(action, game.actions)
-        game.player.step()
-        reward = buffers.reward.item()
-        over = buffers.agents.item() == NOBODY
+        else:
+            paid = base.move(n, move)
+            reward = paid if base.pays_mover else paid.sum().item()
+            ended = base.task_end(n)
+            game.settle(n)
+            game.pass_turn(n)
         if self.render_mode == "human":
             self.render()
-        ended = game.task_end()
-        if not over:
+        if game.turn != NOBODY:
             seen, info = self._look()
             return seen, reward, False, False, info | ended
         # At the end, the observation is that of the net that moved last.
-        info = game.info(game.mask(self._net), over=True) | ended
-        info["net"] = game.names[self._net]
-        now = game.engine.metrics()
-        joined = now.joined == now.tasks
-        return game.observation(self._net), reward, joined, not joined, info
+        info = base.info(base.mask(self._net), over=True) | ended
+        info["net"] = base.names[self._net]
+        joined = info["open"] == 0
+        return base.observation(self._net), reward, joined, not joined, info

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import Problem, evaluate
-from marouting.batch.engine import Engine
 from marouting.batch.outlook import OutlookObservation
+from marouting.columns import Games
 from marouting.config import check, config_file
 from policies.bench.negotiation import write_rows
 from policies.learned.config import load_config
@@ -56,13 +56,13 @@ class Blind(OutlookObservation):
 
     def write(
         self,
-        engine: Engine,
+        games: Games,
         problems: NDArray[np.integer],
         agents: NDArray[np.integer],
         out: NDArray[np.float32],
     ) -> None:
         """Fills ``out`` (K, ``size``) like the outlook."""
-        super().write(engine, problems, agents, out)
+        super().write(games, problems, agents, out)
         for name in self.without:
             out[:, self.layout[name]] = 0
 

@@ -2,7 +2,7 @@
 
 A learner plays a :class:`marouting.player.Player` and learns from what comes of it. The player's
 actions and masks are in the order of the observation's own moves, if it has one
-(:func:`marouting.batch.observation.move_order_of`); no learner need know. It has L networks: one
+(:func:`marouting.observations.move_order_of`); no learner need know. It has L networks: one
 for each problem, or one that all problems share.
 """
 

@@ -16,8 +16,8 @@ from torch import nn
 
 from marouting import EnvOptions, InputError, Problem, Solution
 from marouting.batch.engine import Engine
-from marouting.batch.observation import has_move_order, move_order_of
 from marouting.config import MOST, build, piece
+from marouting.observations import has_move_order, move_order_of
 from marouting.options import ORDERS
 from marouting.player import Player
 from marouting.source import Draws

@@ -22,11 +22,11 @@ from torch import Tensor, nn
 from marouting import InputError, Problem, Solution
 from marouting.batch.bits import chosen, with_problem
 from marouting.batch.engine import Metrics
-from marouting.batch.observation import state_space_of
 from marouting.batch.saved import checked_demand
 from marouting.batch.state import Dynamic
 from marouting.config import check, plain
 from marouting.game import NOBODY
+from marouting.observations import state_space_of
 from marouting.options import PLAYED
 from marouting.player import Saved, StepBuffers
 from marouting.source import Draws

@@ -1,0 +1,307 @@
+"""What an agent sees, and the global state.
+
+The paper's observation is here; :mod:`marouting.batch.window` has one that fits every grid. You can
+also write your own: any object with the methods of :class:`Observation`. It works in all interfaces
+of the environment, in the batch and in trainings; see :func:`marouting.register`. An observation
+with a method ``state``, whose arguments are those of :meth:`marouting.columns.Games.state` after
+the games, and ``state_space``, with those of :func:`state_space`, also decides what the global
+state is. One that turns what it shows, as :mod:`marouting.batch.window` does, may have a method
+``move_order`` with the arguments and result of :meth:`.window.WindowObservation.move_order`:
+learners then choose among its moves, and their masks are of these; see :func:`move_order_of`.
+Environments take and show the moves of the grid in any case.
+
+A worked example: the paper's 12 numbers, and the number of agents that are still routing::
+
+    import numpy as np
+    from gymnasium.spaces import Box
+    from marouting import PaperObservation
+
+    class CountingObservation:
+        def __init__(self) -> None:
+            self.paper = PaperObservation()
+
+        def space(self, problems, overflow):
+            inner = self.paper.space(problems, overflow)
+            most = np.float32(max(len(problem.nets) for problem in problems))
+            return Box(np.append(inner.low, np.float32(0)), np.append(inner.high, most))
+
+        def write(self, games, problems, agents, out):
+            self.paper.write(games, problems, agents, out[:, :-1])
+            out[:, -1] = np.where(agents < 0, 0, games.games["active"][problems])
+
+    env = marouting.global_routing_v0.env(observation=CountingObservation())
+
+In YAML, with the class in ``my_pieces.py``::
+
+    observation: {kind: "my_pieces:CountingObservation"}
+
+For a start there is a simpler form, for the environments alone: in place of ``write`` a method
+``see(game, n)``, which returns what agent n of a :class:`marouting.game.Game` sees::
+
+    class HereAndThere:
+        def space(self, problems, overflow):
+            return Box(0, len(problems[0].capacity), (2,))
+
+        def see(self, game, n):
+            return np.array([game.cell[n], game.target[n]], np.float32)
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from marouting.columns import Games, check_rows
+from marouting.errors import InputError
+from marouting.game import NOBODY, Game
+from marouting.problem.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid, Rows
+from marouting.problem.problem import Problem
+from marouting.registry import register
+
+
+class Observation(Protocol):
+    """What an agent sees of the game."""
+
+    def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
+        """The space of one agent's observation.
+
+        Args:
+            problems: the problems that will be played.
+            overflow: whether a move may cross an edge without enough remaining capacity.
+
+        Returns:
+            A float32 box of any shape S, the same for all agents.
+        """
+        ...
+
+    def write(
+        self,
+        games: Games,
+        problems: NDArray[np.integer],
+        agents: NDArray[np.integer],
+        out: NDArray[np.float32],
+    ) -> None:
+        """Writes what K agents see.
+
+        Args:
+            games: the games, to be read by columns: ``games.agents["cell"][problems, agents]`` are
+                the agents' Gcells, ``games.remaining[problems]`` (K, E) the remaining capacities.
+            problems: (K,) int32, the problem of each agent.
+            agents: (K,) int32, the agents' numbers; NOBODY (−1) for rows to be filled with zeros.
+            out: (K, *S) float32 to be filled. When an agent's task has just ended, this method is
+                also called while the agent still stands where it arrived.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class PaperObservation:
+    """The paper's state, 12 numbers (paper, section "Deep Q-networks Router Implementation").
+
+    The x, y, z of the agent's Gcell; the signed distances to the target in x, y, z; the remaining
+    capacity of the edges that the six moves would cross, in the order of
+    :class:`marouting.problem.grid.Move`: 0 off the grid, negative for an overflowed edge.
+
+    Attributes:
+        via_capacity: the number shown for a via, whose real capacity is unlimited. The authors'
+            code starts at 10 (there it runs out; here it does not).
+    """
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
+
+    via_capacity: float = 10.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.via_capacity < np.inf:
+            raise InputError(f"via_capacity: expected a number from 0, found {self.via_capacity}")
+
+    def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
+        """The box of the 12 numbers; see :class:`Observation`."""
+        far = np.array(problems[0].grid, np.float32) - 1
+        most = np.full(MOVES, max(*map(most_capacity, problems), self.via_capacity), np.float32)
+        least = np.zeros(MOVES, np.float32)
+        if overflow:
+            least -= max(map(most_demand, problems))
+        return Box(
+            np.concatenate((np.zeros(3, np.float32), -far, least)),
+            np.concatenate((far, far, most)),
+            dtype=np.float32,
+        )
+
+    def write(
+        self,
+        games: Games,
+        problems: NDArray[np.integer],
+        agents: NDArray[np.integer],
+        out: NDArray[np.float32],
+    ) -> None:
+        """Fills ``out`` (K, 12); see :class:`Observation`.
+
+        Raises:
+            ValueError: there are no such agents.
+        """
+        check_rows(games, problems, agents, out, AXES + AXES + MOVES)
+        grid, who = games.grid, (problems, agents)
+        cell, target = games.agents["cell"][who], games.agents["target"][who]
+        here = grid.position.take(cell, axis=0)
+        edges = grid.edge.take(cell, axis=0)[:, : 2 * VIA_AXIS]
+        out[:, :AXES] = here
+        out[:, AXES : 2 * AXES] = grid.position.take(target, axis=0) - here
+        out[:, 2 * AXES : -2] = games.remaining[problems[:, None], edges]
+        has_via = grid.neighbour.take(cell, axis=0)[:, 2 * VIA_AXIS :] != OFF_GRID
+        out[:, -2:] = has_via * np.float32(self.via_capacity)
+        out[agents == NOBODY] = 0
+
+    def see(self, game: Game, n: int) -> NDArray[np.float32]:
+        """(12,) what an agent sees: the same as by columns, and faster for a single agent."""
+        left, near = game.remaining, _near(game.grid, self.via_capacity)
+        x, y, z, east, west, north, south, up, down = near[game.cell[n]]
+        to_x, to_y, to_z = game.grid.position_of[game.target[n]]
+        return np.array(
+            (
+                x, y, z, to_x - x, to_y - y, to_z - z,
+                left[east], left[west], left[north], left[south], up, down,
+            ),
+            np.float32,
+        )  # fmt: skip
+
+
+@functools.lru_cache(maxsize=16)
+def _near(grid: Grid, via_capacity: float) -> Rows[tuple[Any, ...]]:
+    """By Gcell: x, y, z; the edges of the moves 0 to 3; what is shown for those of 4 and 5."""
+
+    def row_of(cell: int) -> tuple[Any, ...]:
+        edges = [edge for edge, _ in grid.ways[cell][: 2 * VIA_AXIS]]
+        vias = [via_capacity * (ahead != OFF_GRID) for _, ahead in grid.ways[cell][2 * VIA_AXIS :]]
+        return (*grid.position_of[cell], *edges, *vias)
+
+    return Rows(row_of)
+
+
+CHANNELS = AXES + 2
+"""Numbers per Gcell in the global state."""
+
+
+def state_space(problems: Sequence[Problem], overflow: bool) -> Box:
+    """The space of the global state of a problem (:meth:`marouting.columns.Games.state`).
+
+    Returns:
+        (X, Y, 5 Z) float32, five numbers per layer. For every Gcell: the remaining capacity of its
+        edges towards +x and +y (0 off the grid), the number of nets that use its via towards +z,
+        the number of active agents in it, and the number of active agents whose target it is.
+    """
+    columns, rows, layers = problems[0].grid
+    high = np.full(
+        (columns, rows, layers, CHANNELS), max(len(p.nets) for p in problems), np.float32
+    )
+    high[..., :VIA_AXIS] = max(most_capacity(problem) for problem in problems)
+    low = np.zeros_like(high)
+    if overflow:
+        low[..., :VIA_AXIS] -= max(most_demand(problem) for problem in problems)
+    shape = (columns, rows, layers * CHANNELS)
+    return Box(low.reshape(shape), high.reshape(shape), dtype=np.float32)
+
+
+def most_capacity(problem: Problem) -> float:
+    """The largest capacity of an edge inside a layer."""
+    return float(problem.capacity.reshape(-1, AXES)[:, :VIA_AXIS].max())
+
+
+def most_demand(problem: Problem) -> float:
+    """An upper bound for the demand on an edge: every net uses it, in its most demanding layer."""
+    return float(problem.net_demand.max(axis=1).sum(dtype=np.int64))
+
+
+def has_move_order(observation: Observation) -> bool:
+    """Whether an observation has an order of moves of its own."""
+    return callable(getattr(observation, "move_order", None))
+
+
+def move_order_of(
+    observation: Observation, obs: NDArray[np.float32], actions: int
+) -> NDArray[np.int64]:
+    """The actions on the grid that the actions of an observation are.
+
+    Args:
+        observation: with a method ``move_order``.
+        obs: (K, *S) float32, what agents saw.
+        actions: A; an action that is no move, such as giving way, stays what it is.
+
+    Returns:
+        (K, A) int64, each row the numbers from 0 to A − 1 in some order.
+        ``numpy.take_along_axis(mask, order, -1)`` turns the grid's mask into the observation's.
+
+    Raises:
+        InputError: the observation gives something else.
+    """
+    own: Any = observation
+    order = np.asarray(own.move_order(obs))
+    whole = order.shape == (len(obs), MOVES) and order.dtype.kind in "iu"
+    # One bit per move: all six of them, each once.
+    if not whole or (order.clip(0, 62) != order).any() or (_bits(order) != _bits(_MOVES)).any():
+        found = f"{type(observation).__name__}.move_order"
+        raise InputError(
+            f"{found}: expected the moves 0 to 5, each once, for {len(obs)} agents, found {order}"
+        )
+    rest = np.broadcast_to(np.arange(MOVES, actions), (len(obs), actions - MOVES))
+    return np.concatenate((order.astype(np.int64), rest), axis=1)
+
+
+_MOVES = np.arange(MOVES)
+
+
+def _bits(moves: NDArray[np.integer]) -> NDArray[np.int64]:
+    return np.asarray(np.left_shift(1, moves.astype(np.int64)).sum(axis=-1))
+
+
+def state_space_of(observation: Observation, problems: Sequence[Problem], overflow: bool) -> Box:
+    """The space of :func:`state_of`."""
+    own: Any = observation if _has_state(observation) else None
+    space: Callable[..., Box] = own.state_space if own else state_space
+    return space(problems, overflow)
+
+
+def state_of(
+    observation: Observation, games: Games, out: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
+    """The global states (M, …) that go with an observation: its own, or else those of the games.
+
+    Args:
+        observation: the observation.
+        games: the games.
+        out: the array to fill and return; None: a new array.
+    """
+    own: Any = observation
+    states: NDArray[np.float32] = (
+        own.state(games, out) if _has_state(observation) else games.state(out)
+    )
+    return states
+
+
+def _has_state(observation: Observation) -> bool:
+    return all(callable(getattr(observation, name, None)) for name in ("state", "state_space"))
+
+
+def has_form(piece: object, plain: str, columns: str) -> bool:
+    """Whether a piece has its form for a plain game, and no later class only that by columns.
+
+    Args:
+        piece: an observation or a reward.
+        plain: the method for a plain game: ``see`` or ``pay``.
+        columns: the method by columns: ``write`` or ``__call__``.
+    """
+    for cls in type(piece).__mro__:
+        if plain in vars(cls):
+            return True
+        if columns in vars(cls):
+            return False
+    return False
+
+
+register("observation", "paper", PaperObservation)
+register("observation", "window", "marouting.batch.window:WindowObservation")
+register("observation", "outlook", "marouting.batch.outlook:OutlookObservation")
