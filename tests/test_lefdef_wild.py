@@ -106,6 +106,12 @@ def test_comments_of_any_bytes(tmp_path: Path) -> None:
     file.write_bytes(file.read_bytes().replace(b"- n1 ", b"- n\xb5 "))
     with pytest.raises(InputError, match=r"chip\.def:17: net .*expected a name of printable"):
         Problem.read(file)
+    for name, word in (("chip.def", b"DESIGN chip"), ("chip.lef", b"CLASS CORE")):
+        design(tmp_path)
+        file = tmp_path / name
+        file.write_bytes(file.read_bytes().replace(word, word + b"\xb5"))
+        with pytest.raises(InputError, match=rf"{name}:[0-9]+: expected UTF-8 text outside of"):
+            Problem.read(tmp_path / "chip.def")
 
 
 def test_power_stays_where_it_has_vias(tmp_path: Path) -> None:
@@ -116,6 +122,34 @@ def test_power_stays_where_it_has_vias(tmp_path: Path) -> None:
         special = f"SPECIALNETS 1 ;\n{wire}{via} ;\nEND SPECIALNETS\nNETS 2"
         problem = Problem.read(design(tmp_path, DEF.replace("NETS 2", special), lef))
         assert capacities(problem, 0, 0) == [[2, 3], [2, 2], [0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("wires", "what"),
+    [
+        ("+ ROUTED M1 100 ( 0 850 ) ( 1000 * ) v ( * 900 ) + USE POWER", ""),
+        ("+ ROUTED M1 100 + SHAPE STRIPE ( 0 850 9 ) MASK 1 ( 9 850 ) v FS DO 2 BY 1 STEP 9 0", ""),
+        (
+            "+ FIXED M1 100 ( 0 850 ) VIRTUAL ( 9 850 ) RECT ( 0 -50 99 50 ) NEW M2 0 ( 5 5 ) v N",
+            "",
+        ),
+        ("+ RECT M1 ( 0 800 ) ( 99 900 ) + VIA v ( 0 0 ) + USE POWER", ""),
+        (
+            "+ ROUTED M1 100 ( 0 850 ) ( 1000 * ) v9",
+            "net VDD: .*expected a via of VIAS or of the LEF",
+        ),
+        ("+ ROUTED M1 100 ( 0 850 ) NEW M2 0 ( 5 5 ) v N NEW M2 0 ( 5 5 ) v9", "found v9"),
+        ("+ VIA v9 ( 0 0 )", "found v9"),
+    ],
+)
+def test_vias_of_special_nets_are_defined_somewhere(tmp_path: Path, wires: str, what: str) -> None:
+    special = f"SPECIALNETS 1 ;\n- VDD ( * VDD ) {wires} ;\nEND SPECIALNETS\nNETS 2"
+    file = design(tmp_path, DEF.replace("NETS 2", special), LEF.replace("MACRO", f"{VIA}MACRO"))
+    if what:
+        with pytest.raises(InputError, match=what):
+            Problem.read(file)
+    else:
+        assert Problem.read(file).nets
 
 
 def test_a_pin_of_the_chip_in_a_layer_of_cells_pins(tmp_path: Path) -> None:

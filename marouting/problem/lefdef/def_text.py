@@ -192,7 +192,7 @@ def _read_statement(
         if len(rest) < 6 or names[0] not in ("X", "Y") or names[2:5:2] != ["DO", "STEP"]:
             raise unexpected(f"'{word} X|Y first DO count STEP step'", [word, *rest])
         first, count = whole(rest[1], "the first place"), whole(rest[3], "a count", 1)
-        step = whole(rest[5], "a step", 1)
+        step = max(1, whole(rest[5], "a step", int(count > 1)))
         layers = tuple(rest[names.index("LAYER") + 1 :]) if "LAYER" in names else ()
         for name in layers:
             if name not in library.routing and name not in library.others:
@@ -386,6 +386,8 @@ def _check_vias(rest: list[str], design: Design, library: Library) -> None:
             inside, skip = word == "(", False
         elif word in ("+", "NEW"):  # up to the next point stand keywords, a layer and a width
             skip = True
+            if [part.upper() for part in rest[at : at + 2]] == ["+", "VIA"]:
+                _check_via(rest[at + 2], what, design, library)
         elif not inside and not skip:
             if word == "DO":
                 at += 6  # DO count BY count STEP x y

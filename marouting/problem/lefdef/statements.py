@@ -10,7 +10,7 @@ from marouting.errors import InputError
 from marouting.problem.ispd.lines import Lines, unexpected
 
 ENCODING_ERRORS = "surrogateescape"
-"""Comments may hold any bytes; what is not UTF-8 in a name reaches klayout as it is."""
+"""For reading: comments may hold any bytes."""
 
 
 class Copy:
@@ -28,14 +28,17 @@ class Copy:
 
     def write(self, line: int, words: Sequence[str]) -> None:
         """Writes words in a line, or after what was written last if that stands further down."""
-        self._file.write("\n" * (line - self._line) + " ".join(words) + " ")
+        try:
+            self._file.write("\n" * (line - self._line) + " ".join(words) + " ")
+        except UnicodeEncodeError:
+            raise InputError("expected UTF-8 text outside of comments") from None
         self._line = max(line, self._line)
 
 
 @contextlib.contextmanager
 def copying(path: str | os.PathLike[str]) -> Iterator[Copy]:
     """Opens a file for a copy."""
-    with open(path, "w", encoding="utf-8", errors=ENCODING_ERRORS) as file:  # noqa: PTH123
+    with open(path, "w", encoding="utf-8") as file:  # noqa: PTH123
         yield Copy(file)
 
 
