@@ -7,7 +7,7 @@ from marouting.game.bits import byte_at, byte_of, copy_row, places
 from marouting.game.edges import use_edges
 from marouting.game.state import Dynamic, Option, Static, Status
 from marouting.game.tasks import clear, grow_tree, is_on, keeps_tree
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 
 
 @inlined
@@ -49,7 +49,7 @@ def put_best(static: Static, dynamic: Dynamic, m: int) -> None:
     dynamic.games[m].joined = dynamic.games[m].best_joined
 
 
-@compiled
+@inner
 def take_routes(static: Static, dynamic: Dynamic, m: int, n: int, row: int, joined: int) -> None:
     """A net uses just the edges of a set.
 

@@ -79,7 +79,7 @@ from marouting.game.rules import is_agent
 from marouting.game.state import NOBODY, Crossing, Dynamic, Option, Static
 from marouting.game.tasks import holds, is_later, is_on, next_nearest
 from marouting.game.window import MOST_RADIUS, move_order, write_numbers
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
@@ -354,7 +354,7 @@ def _is_end(static: Static, dynamic: Dynamic, m: int, n: int, cell: int) -> bool
     return cell == dynamic.agents[m, n].target
 
 
-@compiled
+@inner
 def _note(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
 ) -> None:
@@ -375,7 +375,7 @@ def _note(
     ways.found[m, 3] = _present(static, dynamic, m)
 
 
-@compiled
+@inner
 def _are_found(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
 ) -> bool:
@@ -413,7 +413,7 @@ def _are_found(
     return True
 
 
-@compiled
+@inner
 def find_ways(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
 ) -> None:
@@ -572,7 +572,7 @@ def note_move(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> N
         _touch(static, ways, m, place(ways.start[m]))
 
 
-@compiled
+@inner
 def find_wires(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> None:
     """Finds how far the open pins are from the Gcells at the net's edges and from the agent.
 

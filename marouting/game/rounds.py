@@ -61,7 +61,7 @@ from marouting.game.tasks import (
     next_task,
     wait,
 )
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.heap import pop, push
 
@@ -79,7 +79,7 @@ def is_full(static: Static, dynamic: Dynamic, m: int, edge: int) -> bool:
     return inside and dynamic.remaining[m, edge] <= 0 < static.capacity[m, edge]
 
 
-@compiled
+@inner
 def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
     """What a net's open tasks and full edges cost.
 
@@ -122,7 +122,7 @@ def lot(number: int, n: int, other: int) -> int:
     return 1 + (mixed >> 22)
 
 
-@compiled
+@inner
 def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     """Counts full edges, and lines up the nets."""
     game = dynamic.games[m]
@@ -150,7 +150,7 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     line[size:] = NOBODY
 
 
-@compiled
+@inner
 def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net walks again now that it is considered."""
     rip_up = static.options[Option.RIP_UP]
@@ -176,7 +176,7 @@ def _box(static: Static, m: int, n: int, joined: int) -> tuple[int, int, int, in
     return left, min(right + beyond, columns - 1), low, min(high + beyond, rows - 1)
 
 
-@compiled
+@inner
 def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """Fills ``again`` with a net and those that stand in its way; returns how many they are."""
     o, most = static.options, static.options[Option.AGAIN_MOST]
@@ -265,7 +265,7 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
         begin_net(static, dynamic, m, member)
 
 
-@compiled
+@inner
 def all_have_walked(static: Static, dynamic: Dynamic, m: int) -> bool:
     """Whether all nets that walk again have ended their last tasks."""
     for k in range(dynamic.games[m].again):
@@ -319,7 +319,7 @@ def done(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     return Status.TERMINATED if dynamic.agents[m, n].joined == tasks else Status.TRUNCATED
 
 
-@compiled
+@inner
 def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
     """When no agent is active: the next net walks again or is asked, or the episode is over."""
     game = dynamic.games[m]

@@ -53,7 +53,7 @@ from marouting.game.tasks import (
     next_task,
     wait,
 )
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import inlined, inner, place, wide
 from marouting.problem.grid import MOVES
 
 GIVE_WAY = MOVES
@@ -120,7 +120,7 @@ def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> N
     end_task(static, dynamic, m, n, agent.cell == agent.target)
 
 
-@compiled
+@inner
 def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> None:
     """:func:`move_agent` by the options."""
     agent, game = dynamic.agents[m, n], dynamic.games[m]
@@ -143,7 +143,7 @@ def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -
         _end_extended(static, dynamic, m, n)
 
 
-@compiled
+@inner
 def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """What the options do when a task has ended: edges go back, trees grow, nets are judged."""
     agent = dynamic.agents[m, n]
@@ -177,7 +177,7 @@ def settle_agent(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
         dynamic.games[m].active -= 1
 
 
-@compiled
+@inner
 def settle_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """:func:`settle_agent` for an agent whose task has ended, by the options."""
     task = wide(NOBODY)
@@ -241,7 +241,7 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
     game.agent = static.order[m, 0]
 
 
-@compiled
+@inner
 def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
     """Forgets the rounds of an episode."""
     # What others of its problem had there is of no use to an agent; hashed rows give it back.
@@ -346,7 +346,7 @@ def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     return _free_extended(static, dynamic, m, n, free) if static.extended is not None else free
 
 
-@compiled
+@inner
 def _free_extended(static: Static, dynamic: Dynamic, m: int, n: int, free: int) -> int:
     """What the options make of an agent's free moves."""
     game, cell = dynamic.games[m], place(dynamic.agents[m, n].cell)

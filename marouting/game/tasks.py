@@ -21,7 +21,7 @@ Gcell with the lowest number. With Steiner trees, "pin" stands for Steiner point
 from marouting.game.bits import byte_at, empty, has, places, put
 from marouting.game.edges import uses
 from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, Static
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, MOVES
 
 
@@ -57,7 +57,7 @@ def keeps_tree(static: Static) -> bool:
     return static.options[Option.TREE] >= 0
 
 
-@compiled
+@inner
 def grow_tree(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """Finds all Gcells that a net's edges join to its first pin, and the tasks joined by them."""
     agent, numbers = dynamic.agents[m, n], dynamic.numbers
@@ -87,7 +87,7 @@ def grow_tree(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     agent.joined = joined
 
 
-@compiled
+@inner
 def nearest_in_tree(static: Static, dynamic: Dynamic, m: int, n: int, pin: int) -> tuple[int, int]:
     """The Gcell of a net's tree that is nearest to another Gcell, and its distance."""
     nearest, least = wide(0), wide(1 << 62)
@@ -120,7 +120,7 @@ def is_later(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> boo
     return not begun
 
 
-@compiled
+@inner
 def next_nearest(
     static: Static, dynamic: Dynamic, m: int, n: int, far: int, after: int
 ) -> tuple[int, int]:
@@ -190,7 +190,7 @@ def begin_task(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> N
     agent.steps = 0
 
 
-@compiled
+@inner
 def begin_extended(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> None:
     """:func:`begin_task` by the options."""
     begin_task(static, dynamic, m, n, task)

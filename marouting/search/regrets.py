@@ -33,7 +33,7 @@ from marouting.game.prices import UNIT, edge_cost, is_priced
 from marouting.game.rules import free_moves, is_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static
 from marouting.game.tasks import holds, next_nearest
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.solution import Solution
 
@@ -258,7 +258,7 @@ def _begin(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, m
         lessons.attach[m, joined] = _FAR
 
 
-@compiled
+@inner
 def _regret(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, out: Any) -> None:
     """Fills ``out`` (6,) with the regrets of an agent's moves; see :meth:`Regrets.write`."""
     cell = place(dynamic.agents[m, n].cell)

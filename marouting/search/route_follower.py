@@ -11,7 +11,7 @@ from marouting.game.bits import make_rows, put_numbers
 from marouting.game.edges import may_cross, uses
 from marouting.game.engine import Engine
 from marouting.game.state import NOBODY, Dynamic, Static, Status
-from marouting.kernels import compiled, place, wide
+from marouting.kernels import compiled, inner, place, wide
 from marouting.problem.grid import MOVES
 from marouting.problem.solution import Solution
 from marouting.search.bounded import SearchBuffers, search_buffers, shortest_path
@@ -121,7 +121,7 @@ def _follow(
             out[i] = s.path[0]
 
 
-@compiled
+@inner
 def move_along(
     static: Static,
     dynamic: Dynamic,

@@ -46,7 +46,7 @@ from marouting.game.prices import UNIT, first_present, is_priced, net_cost
 from marouting.game.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
 from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
 from marouting.game.tasks import is_on
-from marouting.kernels import allocating, bound, compiled, inlined, place, wide
+from marouting.kernels import allocating, bound, compiled, inlined, inner, place, wide
 from marouting.problem.grid import MOVES, VIA_AXIS
 from marouting.search.cheapest_tree import (
     Trees,
@@ -323,7 +323,7 @@ def _walk(
     return False, wide(0)
 
 
-@compiled
+@inner
 def _go_on(static: Static, dynamic: Dynamic, given: Walk) -> None:
     """Begins the next rip-up in games that have stopped."""
     for m in range(len(given.playing)):
@@ -416,7 +416,7 @@ def _length(dynamic: Dynamic, m: int, n: int) -> int:
     return edges
 
 
-@compiled
+@inner
 def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net uses an edge with overflow."""
     for at in range(places(dynamic.used, m, n)):
@@ -427,7 +427,7 @@ def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
     return False
 
 
-@compiled
+@inner
 def _gives_way(static: Static, dynamic: Dynamic, given: Walk, m: int, n: int) -> bool:
     """The answer of an agent that is asked; see the module's docstring."""
     game = dynamic.games[m]
