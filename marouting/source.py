@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from marouting.config import build, check
 from marouting.errors import InputError
+from marouting.files import stem_of, suffix_of
 from marouting.game.setup import Room
 from marouting.generator import GeneratorOptions, generate_from
 from marouting.options import SMALL, GameOptions
@@ -83,16 +84,21 @@ def load_problems(source: Source) -> dict[str, Problem]:
         return {generated_name(i) if source[1:] else "problem": p for i, p in enumerate(source)}
     files: list[Path] = []
     for entry in map(Path, source):
-        inside = sorted(entry.glob("*.gr")) if entry.is_dir() else [entry]
+        inside = problems_in(entry) if entry.is_dir() else [entry]
         if not inside:
             raise InputError(f"{entry}: expected a .gr file in this folder")
         files += inside
-    names = [file.stem for file in files]
+    names = [stem_of(file) for file in files]
     if len(set(names)) < len(names):
-        names = [f"{file.parent.name}_{file.stem}" for file in files]
+        names = [f"{file.parent.name}_{stem_of(file)}" for file in files]
     if len(set(names)) < len(names):
         raise InputError("problem: expected every file once, with different names")
     return {name: Problem.read(file) for name, file in zip(names, files, strict=True)}
+
+
+def problems_in(folder: Path) -> list[Path]:
+    """The ``.gr`` files of a folder, in the order of their names."""
+    return sorted(file for file in folder.glob("*") if suffix_of(file) == ".gr")
 
 
 def fixed_problems(options: GameOptions) -> dict[str, Problem]:

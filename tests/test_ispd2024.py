@@ -406,7 +406,7 @@ def test_spoiled_resources(files: Path, old: str, new: str, line: int, what: str
     [
         ("[(2, 1, 1)]", "[(2, 4, 1)]", 8, "net b: expected places (layer, x, y) on the 4x3 grid"),
         ("[(2, 1, 1)]", "[(3, 1, 1)]", 8, "found (3, 1, 1)"),
-        ("[(2, 1, 1)]", "[(2, 1)]", 8, "a pin '[(layer, x, y), …]' of net b, or ')'"),
+        ("[(2, 1, 1)]", "[(2, 1)]", 8, "(layer, x, y), …]' of net b, or ')'"),
         ("[(2, 1, 1)]", "[(-2, 1, 1)]", 8, "a pin"),
         ("[(2, 1, 1)]\n[(0, 1, 2)]\n", "", 8, "net b: expected at least one pin"),
         ("b\n(", "b c\n(", 6, "a net's name"),

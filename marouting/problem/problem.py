@@ -12,13 +12,13 @@ import os
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
+from marouting.files import beside, suffix_of
 from marouting.kernels import compiled
 from marouting.problem import ispd, lefdef
 from marouting.problem.chip import Chip
@@ -296,9 +296,10 @@ class Problem:
         """Reads a problem.
 
         A file ``.def`` is a LEF/DEF design (:mod:`marouting.problem.lefdef`, which needs the extra
-        ``lefdef``), a file ``.cap`` a problem of the ISPD 2024 contest
+        ``lefdef``), a file ``.cap`` a problem of the ISPD 2024 or 2025 contest
         (:mod:`marouting.problem.ispd.ispd2024`). All others are ISPD text
-        (:mod:`marouting.problem.ispd`), whose header tells the format.
+        (:mod:`marouting.problem.ispd`), whose header tells the format. Suffixes may be in capitals
+        and have ``.gz`` after them: any file may be compressed by gzip.
 
         Args:
             path: the file.
@@ -314,7 +315,7 @@ class Problem:
                 a valid problem; the message names the file, the line, and what was expected. Or an
                 argument is for another format.
         """
-        suffix = Path(path).suffix.lower()
+        suffix = suffix_of(path)
         for name, given, own in (
             ("lef", lef, ".def"),
             ("tile", tile, ".def"),
@@ -323,10 +324,10 @@ class Problem:
             if given and suffix != own:
                 raise InputError(f"{os.fspath(path)}: expected no {name} for it, only for {own}")
         if suffix == ".def":
-            files = lef or [Path(path).with_suffix(".lef")]
+            files = lef or [beside(path, ".lef")]
             record = lefdef.read_design(path, files, tile)
         elif suffix == ".cap":
-            record = ispd.read_contest(path, net or Path(path).with_suffix(".net"))
+            record = ispd.read_contest(path, net or beside(path, ".net"))
         else:
             record = ispd.read_problem(path)
         try:

@@ -161,10 +161,11 @@ def convert(
 ) -> None:
     """Write PROBLEM, or a solution of it, to OUT in another format.
 
-    PROBLEM is a LEF/DEF design (.def), a problem of the ISPD 2024 contest (.cap), or ISPD text,
-    whose header tells the format. Solutions are ISPD text (ispd2008), a routing guide (.guide) or
-    ISPD 2024's output (.PR_output). Reading OUT gives the same again; a format that cannot hold it
-    is refused.
+    PROBLEM is a LEF/DEF design (.def), a problem of the ISPD 2024 or 2025 contest (.cap), or ISPD
+    text, whose header tells the format. Solutions are ISPD text (ispd2008), a routing guide
+    (.guide) or ISPD 2024's output (.PR_output); OpenROAD's route segments are read as well. Any of
+    them may be compressed (.gz). Reading OUT gives the same again; a format that cannot hold it is
+    refused.
     """
     known: Sequence[str] = FORMATS if solution is None else ROUTE_FORMATS
     if format is not None and format not in known:

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from marouting import Problem
+from marouting.files import stem_of
 from policies.cli.options import FILE
 
 
@@ -31,7 +32,7 @@ class ProblemFile:
     @property
     def stem(self) -> str:
         """The problem's name."""
-        return self.path.stem
+        return stem_of(self.path)
 
     def read(self) -> Problem:
         """The problem; raises InputError if it cannot be read."""

@@ -12,7 +12,7 @@ from marouting.config import build, check, merged, override, plain, read_yaml
 from marouting.files import is_file_name
 from marouting.generator import GeneratorOptions
 from marouting.options import PLAYED
-from marouting.source import generated_name, load_problems
+from marouting.source import generated_name, load_problems, problems_in
 from policies.engines import EngineName
 from policies.learned.config import Config, for_learner
 from policies.results.rows import read_published
@@ -353,7 +353,7 @@ def load_sets(problems: str | Mapping[str, Any]) -> dict[str, dict[str, Problem]
         return sets
     folder = Path(problems)
     folders = [folder, *sorted(path for path in folder.glob("*") if path.is_dir())]
-    paths = {path.resolve().name: path for path in folders if any(path.glob("*.gr"))}
+    paths = {path.resolve().name: path for path in folders if problems_in(path)}
     if not paths:
         raise InputError(f"problems: {folder}: expected .gr files in this folder or those in it")
     for name in paths:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
 from marouting.config import piece
+from marouting.files import stem_of, suffix_of
 from marouting.game.engine import Engine
 from marouting.registry import names
 from marouting.search.astar import AStar
@@ -99,7 +100,11 @@ def solution_files(burn_in: str, wanted: Sequence[str]) -> list[Path]:
 
 def _file(folder: Path, name: str) -> Path:
     """The one solution file of a problem in a folder."""
-    found = sorted({*folder.glob(f"{name}.solution"), *folder.glob(f"{name}.*.solution")})
+    found = [
+        file
+        for file in folder.glob("*")
+        if suffix_of(file) == ".solution" and f"{stem_of(file)}.".startswith(f"{name}.")
+    ]
     if len(found) != 1:
         raise InputError(
             f"burn_in: {folder}: expected one file {name}.solution or {name}.*.solution, "
