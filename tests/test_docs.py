@@ -167,6 +167,7 @@ def add_designs(folder: Path) -> None:
     """LEF/DEF designs and their routes; they need the extra ``lefdef``."""
     pytest.importorskip("klayout.db")
     from test_lefdef import DEF, LEF
+    from test_openroad_segments import as_segments
 
     head, macro = LEF.split("MACRO")
     (folder / "tech.lef").write_text(f"{head}END LIBRARY\n")
@@ -179,6 +180,8 @@ def add_designs(folder: Path) -> None:
         solution.write(folder / f"{name}.guide")
     shutil.copy(folder / "chip.guide", folder / "theirs.guide")
     solution.write(folder / "routes.solution")
+    segments = as_segments(solution, 1).replace("Metal", "M")
+    (folder / "openroad.segs").write_text(segments)
 
 
 @pytest.fixture
