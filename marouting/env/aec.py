@@ -58,12 +58,10 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
         self.terminations = dict.fromkeys(self.agents, False)
         self.truncations = dict.fromkeys(self.agents, False)
         self._ended: dict[str, dict[str, Any]] = {}  # by the last move of each agent
-        masks = dict(zip(self._game.names, self._game.masks(), strict=True))
-        self.infos = {
-            agent: self._info(masks.get(agent, self._game.no_op), active=agent in masks)
-            for agent in self.agents
-        }
-        self._game.describe(self.infos)
+        masks = dict.fromkeys(self.agents, self._game.no_op)
+        masks |= zip(self._game.names, self._game.masks(), strict=True)
+        # Nothing but masks: libraries take these for the keys of all infos.
+        self.infos = {a: self._game.info(masks[a].copy(), over=False) for a in self.agents}
         self._skip_agent_selection: str | None = None
         self._mover = self.agents[0]
         self.agent_selection = self._game.names[engine.games[0]["agent"]]
@@ -103,6 +101,9 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
         terminated, truncated = buffers.terminated.item(), buffers.truncated.item()
         following = buffers.agents.item()
         done = terminated or truncated
+        if game.persists and game.engine.games[0]["steps"] == 1:
+            for name in self.agents:
+                self.infos[name]["active"] = game.active(self._number[name])
         if game.persists and not game.active(number):
             self.infos[agent] = self._info(game.no_op, active=False) | self._ended[agent]
         if following == NOBODY and game.persists:

@@ -47,6 +47,7 @@ class BaseGame:
         engine: the game.
         player: the player of the game.
         name: the name of the problem that is played.
+        many: whether there are several problems.
         names: the names of the engine's agents.
         numbers: the engine's agents by their names.
         everyone: the names of all nets that are agents in any episode.
@@ -89,6 +90,7 @@ class BaseGame:
         self.rng, _ = seeding.np_random(0)
 
         self._episodes = Episodes(problem, checked.scenario, checked.split)
+        self.many = self._episodes.many
         problems = self._episodes.bounds
         grid = Grid.of(problems[0].grid)
         check_memory(
@@ -126,7 +128,7 @@ class BaseGame:
     def save(self) -> dict[str, Any]:
         """A copy of the state of the game, for :meth:`restore`."""
         return {
-            "problem": (self.name, self.problem) if self._episodes.many else None,
+            "problem": (self.name, self.problem) if self.many else None,
             "rng": copy.deepcopy(self.rng),
             "order": self.engine.static.order.copy(),
             "begun": self.begun,
@@ -146,12 +148,6 @@ class BaseGame:
     def problem(self) -> Problem:
         """The problem that is played."""
         return self.engine.problems[0]
-
-    def describe(self, infos: Mapping[str, dict[str, Any]]) -> None:
-        """Adds the name of the problem to the first infos of an episode, if there are several."""
-        if self._episodes.many:
-            for info in infos.values():
-                info["problem"] = self.name
 
     def new_observation_space(self) -> Space[Any]:
         """An observation space of its own for each agent, so that each can be seeded separately."""
@@ -309,6 +305,11 @@ class GameMethods(EzPickle):
     def engine(self) -> Engine:
         """The game, to be read, for guides such as A*."""
         return self._game.engine
+
+    @property
+    def problem_name(self) -> str:
+        """The name of the problem that is played, of its file or in its set or scenario."""
+        return self._game.name
 
     def action_mask(self, agent: str) -> NDArray[np.int8]:
         """(A,) int8, 1 for the moves of a net that cross an edge now; never all zero.

@@ -50,12 +50,14 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
         self.agents = list(self.possible_agents if game.persists else game.names)
         # The rows of the agents in the game; NOBODY for one that this problem does not have.
         self._numbers = np.array([game.numbers.get(agent, NOBODY) for agent in self.agents])
-        observations, infos = self._look()
-        game.describe(infos)
-        return observations, infos
+        return self._look(first=True)
 
-    def _look(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """New observations and infos of the agents that are in the game."""
+    def _look(self, *, first: bool) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """New observations and infos of the agents that are in the game.
+
+        Args:
+            first: whether they are those of the beginning, when infos hold nothing but masks.
+        """
         buffers, numbers, agents = self._game.player.buffers, self._numbers, self.agents
         seen: Any = buffers.obs[0].take(numbers, axis=0)
         masks = buffers.mask[0].take(numbers, axis=0)
@@ -64,7 +66,7 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
             active = buffers.active[0].take(numbers) & (numbers != NOBODY)
             seen[numbers == NOBODY] = 0
             masks[~active] = self._game.no_op
-            for info, moves in zip(infos, active.tolist(), strict=True):
+            for info, moves in zip(infos, active.tolist(), strict=True) if not first else ():
                 info["active"] = moves
         if self._game.masked:
             seen = [self._game.seen(*both) for both in zip(seen, masks, strict=True)]
@@ -97,7 +99,7 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
         buffers.actions[0, numbers[there]] = moves[there]
         player.step()
 
-        observations, infos = self._look()
+        observations, infos = self._look(first=False)
         terminated, truncated, stays = (
             flags[0].take(numbers)
             for flags in (buffers.terminated, buffers.truncated, buffers.active)

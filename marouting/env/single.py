@@ -22,7 +22,8 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
     The observation is that of the net to move. The episode is terminated when all tasks of all nets
     are joined, and truncated when all tasks have ended and some failed. The reward is the sum of
     what a move pays all nets. ``info`` holds the ``action_mask`` and the name of the ``net`` to
-    move, what ``task_ended`` with the move, and, at the end, the ``metrics``.
+    move, what ``task_ended`` with the move, and, at the end, the ``metrics``; the first one of an
+    episode has the name of the ``problem``, if there are several.
 
     Args:
         problem: see :data:`marouting.source.Source`.
@@ -58,7 +59,8 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
         if self.render_mode == "human":
             self.render()
         seen, info = self._look()
-        self._game.describe({"player": info})
+        if self._game.many:
+            info["problem"] = self._game.name
         return seen, info
 
     def action_masks(self) -> NDArray[np.bool_]:

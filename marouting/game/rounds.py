@@ -12,15 +12,16 @@ order, is the option ``rip_up``:
 * ``agents``: in turn order, every net is asked. Its agent has a seventh action, to give way; any of
   the six moves keeps the routes as they are.
 
-With ``rip_up_neighbours: K`` up to K nets that stand in a net's way give their edges back with it,
-and walk again after it (``sequential``) or along with it (``round_robin``). A net stands in its way
-by the number of full edges that it uses: of those that the other uses too, and of those in the box
-around the other's pins (and one Gcell beyond, if the other has a task open). Of all such nets those
-with the largest product of this number and a lot are taken. Lots are numbers from 1 to 1024 that
-follow from the round and the two nets (:func:`lot`), so that a net walks again with others in
-every round. With ``rip_up_patience: R`` there are more of them as rounds go by: none in the first
-R rounds, at most one in the next R, and so on up to K. What one net can repair is repaired first;
-what takes several comes later.
+With ``rip_up_neighbours: K`` up to K nets that stand in a net's way give their edges back with it.
+In the turn order ``sequential`` they walk again after it, the next in ``net_order`` first; in
+``round_robin`` all of them take steps in turns, in ``net_order``, as in the first walk. A net
+stands in its way by the number of full edges that it uses: of those that the other uses too, and of
+those in the box around the other's pins (and one Gcell beyond, if the other has a task open). Of
+all such nets those with the largest product of this number and a lot are taken. Lots are numbers
+from 1 to 1024 that follow from the round and the two nets (:func:`lot`), so that a net walks again
+with others in every round. With ``rip_up_patience: R`` there are more of them as rounds go by: none
+in the first R rounds, at most one in the next R, and so on up to K. What one net can repair is
+repaired first; what takes several comes later.
 
 When all of them have walked, the problem is judged by its open tasks, its overflow and its
 wirelength, in this order. If it is worse than before they gave their edges back, they get them all
@@ -243,6 +244,8 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     game.again = game.active = _find_neighbours(static, dynamic, m, n)
     game.picked += 1
     game.ripped = 1
+    if not static.sequential:
+        game.turn = static.order.shape[1] - 1  # the turn passes to the first of them
     o = static.options
     for k in range(o[Option.AGAIN_MOST]):
         if k >= game.again:
@@ -336,7 +339,7 @@ def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
         game.place += 1
         if not _walks_again(static, dynamic, m, n):
             continue
-        game.turn, game.agent = turn, n
+        game.turn = turn
         if static.options[Option.RIP_UP] == RipUp.AGENTS:
             game.asked = game.active = 1
             dynamic.agents[m, n].status = Status.ACTIVE
@@ -346,7 +349,6 @@ def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
         return
     if is_on(static, Option.PRICES):
         put_best(static, dynamic, m)
-    game.agent = NOBODY
     for n in range(agents):
         if dynamic.agents[m, n].status == Status.WAITING:
             dynamic.agents[m, n].status = done(static, dynamic, m, n)

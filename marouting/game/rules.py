@@ -13,7 +13,8 @@ The agent routes them one after the other, one Gcell per move, from a task's sta
 * An agent is **terminated** when all its tasks are joined. It is **truncated** when its last task
   has ended and at least one of its tasks failed. An episode ends when all agents are done.
 * The nets take turns in ``net_order``. ``sequential``: a net finishes before the next one starts
-  (the paper). ``round_robin``: each net takes one step in turn.
+  (the paper). ``round_robin``: each net takes one step in turn. In a step of all agents they
+  move in the same order.
 
 These are the paper's rules. Options extend them: trees as targets and the choice of tasks
 (:mod:`marouting.game.tasks`), nets that give their edges back and walk again
@@ -196,10 +197,10 @@ def settle_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
 def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
     """Passes the turn to the next active agent. In sequential order an active agent keeps it."""
     game = dynamic.games[m]
+    if game.active == 0 and static.extended is not None and is_on(static, Option.ROUNDS):
+        walk_again(static, dynamic, m)
     if game.active == 0:
         game.agent = NOBODY
-        if static.extended is not None and is_on(static, Option.ROUNDS):
-            walk_again(static, dynamic, m)
         return
     agents = static.order.shape[1]
     turn = game.turn if static.sequential else (game.turn + 1) % agents
@@ -317,11 +318,11 @@ def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
 
 @inlined
 def settle_turns(static: Static, dynamic: Dynamic, m: int) -> None:
-    """After all agents of a problem have settled: passes the turn if necessary."""
-    playing = wide(dynamic.games[m].agent)
-    if playing != NOBODY and (
-        static.sequential or dynamic.agents[m, playing].status != Status.ACTIVE
-    ):
+    """After all agents of a problem have settled: the turn passes to the first that is active."""
+    game = dynamic.games[m]
+    if game.agent != NOBODY:
+        if not static.sequential:
+            game.turn = static.order.shape[1] - 1
         pass_turn(static, dynamic, m)
 
 

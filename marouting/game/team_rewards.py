@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from marouting.config import check, piece
 from marouting.game.engine import Engine
 from marouting.game.reward import Reward
-from marouting.game.state import NOBODY, Dynamic
+from marouting.game.state import NOBODY, Crossing, Dynamic
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,10 @@ class PotentialReward:
     """Pays the net that moves for getting nearer to its target (Ng, Harada and Russell, 1999).
 
     The potential of an agent is minus its distance to the target in moves, capacities aside. A move
-    is paid ``gamma`` · potential after − potential before. With ``gamma=1`` a task that is joined
-    pays the distance from its start to its target, whatever the way. With the discount factor of
-    the learner, the best policies are those without this reward.
+    is paid ``gamma`` · potential after − potential before; an answer whether to give way pays 0.
+    With ``gamma=1`` a task that is joined pays the distance from its start to its target, whatever
+    the way. With the discount factor of the learner, the best policies are those without this
+    reward.
 
     Attributes:
         gamma: discount factor.
@@ -110,6 +111,8 @@ class PotentialReward:
         self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
     ) -> NDArray[np.floating]:
         """What the moves pay; see :class:`marouting.game.reward.Reward`."""
+        crossing = game.agents["crossing"][np.arange(len(movers)), movers]
+        movers = np.where(crossing == Crossing.ANSWERED, np.int32(NOBODY), movers)
         after, then = (_distance(game, agents, movers) for agents in (game.agents, before.agents))
         return _to_movers(self.scale * (then - self.gamma * after), movers, game)
 
@@ -128,6 +131,7 @@ class MixedReward:
     parts: tuple[Mapping[str, Any], ...] = ({"kind": "paper"}, {"kind": "potential"})
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "parts", tuple(self.parts))
         check("parts", len(self.parts) > 0, "at least one reward")
         _ = self.rewards  # raises an error now
 

@@ -30,6 +30,7 @@ from marouting.problem.net import (
     Net,
     check_net,
     check_numbers,
+    records,
     whole_numbers,
 )
 
@@ -79,8 +80,12 @@ class Problem:
         )  # fmt: skip
         for name, count in (("grid", 3), ("origin", 2), ("tile", 2), *((n, None) for n in layered)):
             object.__setattr__(self, name, whole_numbers(name, getattr(self, name), count))
-        for name in ("nets", "adjustments"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+        try:
+            object.__setattr__(self, "nets", tuple(self.nets))
+        except TypeError:
+            raise FieldError(f"nets: expected nets, found {self.nets!r}", "nets") from None
+        adjustments = records("adjustments: expected rows", Adjustment, self.adjustments)
+        object.__setattr__(self, "adjustments", adjustments)
         check_grid(self.grid)
         if not all(abs(value) <= MAX_NUMBER for value in self.origin):
             raise FieldError(
