@@ -32,7 +32,7 @@ from pydantic import PlainValidator, Tag, TypeAdapter, ValidationError
 from pydantic.errors import PydanticUserError
 
 from marouting.errors import InputError
-from marouting.files import read_text
+from marouting.files import exists, is_file, read_text
 from marouting.registry import lookup, name_of, names
 
 MOST = 2**31 - 1
@@ -177,11 +177,11 @@ def config_file(path: str | os.PathLike[str]) -> Path:
     directory; files that are there come first.
     """
     found, here = Path(path), Path(__file__).parent
-    if found.parts[:1] != ("configs",) or found.exists():
+    if found.parts[:1] != ("configs",) or exists(found):
         return found
     # In an installed package they lie inside it, in a checkout beside it.
     shipped = (here / found, here.parent / found)
-    return next((file for file in shipped if file.is_file()), found)
+    return next((file for file in shipped if is_file(file)), found)
 
 
 INCLUDE = "include"
@@ -286,9 +286,9 @@ def _files(path: str | os.PathLike[str]) -> list[_File]:
         here = (*above, file.resolve())
         for one in included:
             inner, shown = file.parent / one, os.path.normpath(Path(name).parent / one)
-            if not inner.exists() and Path(one).parts[:1] == ("configs",):
+            if not exists(inner) and Path(one).parts[:1] == ("configs",):
                 inner, shown = config_file(one), one
-            if not one or not inner.is_file():
+            if not one or not is_file(inner):
                 raise InputError(f"{place}: expected a file, found none at {shown}")
             if inner.resolve() in here:
                 raise InputError(f"{place}: expected no circle, found {shown}, which includes it")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from marouting.config import build, check
 from marouting.errors import InputError
+from marouting.files import is_dir
 from marouting.game.setup import Room
 from marouting.generator import GeneratorOptions, generate_from
 from marouting.options import SMALL, GameOptions
@@ -83,7 +84,7 @@ def load_problems(source: Source) -> dict[str, Problem]:
         return {generated_name(i) if source[1:] else "problem": p for i, p in enumerate(source)}
     files: list[Path] = []
     for entry in map(Path, source):
-        inside = sorted(entry.glob("*.gr")) if entry.is_dir() else [entry]
+        inside = sorted(entry.glob("*.gr")) if is_dir(entry) else [entry]
         if not inside:
             raise InputError(f"{entry}: expected a .gr file in this folder")
         files += inside

@@ -1130,6 +1130,12 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "no best episode": changed(lambda state: state["trainer"]["best_episode"].fill_(-1)),
     "a best episode to come": changed(lambda state: state["trainer"]["episodes"].fill_(1)),
     "an impossible reward": changed(lambda state: state["trainer"]["buffers.total"].fill_(1e30)),
+    "a parameter": changed(
+        lambda state: state["training"].update(
+            {"networks.flat": torch.nn.Parameter(state["training"]["networks.flat"])}
+        )
+    ),
+    "gradients": changed(lambda state: state["training"]["networks.flat"].requires_grad_()),
     "no number": changed(lambda state: state.update(seconds="long")),
     "endless": changed(lambda state: state.update(logged=float("inf"))),
     "logged": changed(lambda state: state.update(logged=10**6)),

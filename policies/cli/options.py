@@ -1,6 +1,7 @@
 """Options and arguments that commands share."""
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,40 @@ import click
 
 from policies.cli.completion import Complete
 
-FILE = click.Path(path_type=Path)
+
+class _File(click.Path):
+    """A path, which holds no character NUL: no function of the operating system takes that."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path; a usage error if it cannot be one."""
+        if "\0" in str(value):
+            self.fail(f"{value!r} is no path.", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FILE = _File(path_type=Path)
 """The path of a file or folder, which shells complete."""
+
+
+class _Number(click.ParamType[Any]):
+    """A number in ASCII, as everywhere: Python's own functions take more, such as ``1_0``."""
+
+    def __init__(self, type: click.ParamType[Any], pattern: str) -> None:
+        self.name, self._type = type.name, type
+        self._matches = re.compile(pattern).fullmatch
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number; a usage error if it is none."""
+        if isinstance(value, str) and not self._matches(value):
+            self.fail(f"{value!r} is not a valid {self.name}.", param, ctx)
+        return self._type.convert(value, param, ctx)
+
+
+WHOLE = _Number(click.INT, "[+-]?[0-9]+")
+"""A whole number on the command line."""
+
+NUMBER = _Number(click.FLOAT, r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+"""A finite number on the command line."""
 
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object instead of text."

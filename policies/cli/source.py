@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from marouting import Problem
-from policies.cli.options import FILE
+from policies.cli.options import FILE, WHOLE
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
     )
     @click.option(
         "--tile",
-        type=click.Tuple([int, int]),
+        type=click.Tuple([WHOLE, WHOLE]),
         help="Width and height of a Gcell of a .def file, in its units.  "
         "[default: its GCELLGRID, or 15 tracks]",
     )

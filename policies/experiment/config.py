@@ -9,7 +9,7 @@ from typing import Any
 
 from marouting import InputError, Problem
 from marouting.config import build, check, merged, override, plain, read_yaml
-from marouting.files import is_file_name
+from marouting.files import is_dir, is_file_name, naming
 from marouting.generator import GeneratorOptions
 from marouting.options import PLAYED
 from marouting.source import generated_name, load_problems
@@ -352,8 +352,9 @@ def load_sets(problems: str | Mapping[str, Any]) -> dict[str, dict[str, Problem]
                 raise InputError(f"problems.{name}: {error}") from None
         return sets
     folder = Path(problems)
-    folders = [folder, *sorted(path for path in folder.glob("*") if path.is_dir())]
-    paths = {path.resolve().name: path for path in folders if any(path.glob("*.gr"))}
+    with naming(folder, "cannot be read"):
+        folders = [folder, *sorted(path for path in folder.glob("*") if is_dir(path))]
+        paths = {path.resolve().name: path for path in folders if any(path.glob("*.gr"))}
     if not paths:
         raise InputError(f"problems: {folder}: expected .gr files in this folder or those in it")
     for name in paths:

@@ -10,7 +10,7 @@ from typing import Any
 
 from marouting import InputError, Problem, Solution
 from marouting.config import build
-from marouting.files import write_text
+from marouting.files import is_file, write_text
 from policies.experiment.config import PARTS, PUBLISHED, Entry, Published
 from policies.learned.burn_in import read_solutions, solution_files
 from policies.learned.config import Config, load_config
@@ -80,7 +80,7 @@ class Part:
         found: dict[str, tuple[Path, ...]] = {
             text: (Path(text),)
             for text in _texts(self.entry.options)
-            if (Path(text).suffix or os.sep in text) and Path(text).is_file()
+            if (Path(text).suffix or os.sep in text) and is_file(text)
         }
         if self.entry.trains and "burn_in" in self.entry.options["learner"]:
             burn_in = self.entry.options["learner"]["burn_in"]

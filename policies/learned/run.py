@@ -20,7 +20,7 @@ import torch
 
 from marouting import InputError, Problem, Solution
 from marouting.config import check, check_same, plain, yaml_text
-from marouting.files import FILE_NAME, is_file_name, write_text, writing
+from marouting.files import FILE_NAME, exists, is_file_name, naming, write_text, writing
 from marouting.generator import GeneratorOptions
 from marouting.scenarios import get
 from marouting.source import Draws, Episodes, fixed_problems, load_problems
@@ -61,7 +61,7 @@ def _yaml(config: Config) -> str:
 def _never_began(folder: Path) -> bool:
     """Whether a folder holds only what a run writes before its first episode."""
     config, metrics = folder / CONFIG, folder / METRICS
-    if (folder / CHECKPOINT).exists() or (metrics.exists() and metrics.stat().st_size > 0):
+    if exists(folder / CHECKPOINT) or (exists(metrics) and metrics.stat().st_size > 0):
         return False
     try:
         return config.read_text(encoding="utf-8") == _yaml(load_config(config))
@@ -174,7 +174,8 @@ class Run:
             self._load()
         else:
             _ = self.trainer.start, self.trainer.replayed  # errors now, not when there is a folder
-            others = {path.stem for path in (self.folder / "problems").glob("*.gr")}
+            with naming(self.folder, "cannot be written"):
+                others = {path.stem for path in (self.folder / "problems").glob("*.gr")}
             others -= self.problems.keys()
             if others:
                 raise InputError(
@@ -189,7 +190,7 @@ class Run:
 
     def _check_new(self) -> None:
         """A new run starts in a folder of its own, or in place of one without any episode."""
-        if not (self.folder / CONFIG).exists():
+        if not exists(self.folder / CONFIG):
             check_own(self.folder, ("problems", CONFIG))
         elif not _never_began(self.folder):
             raise InputError(
@@ -209,7 +210,7 @@ class Run:
 
     def _load(self) -> None:
         path = self.folder / CHECKPOINT
-        if not path.exists():
+        if not exists(path):
             return  # killed before the first checkpoint: it starts again
         state = read_checkpoint(path, training=True)
         try:
@@ -240,7 +241,7 @@ class Run:
     def finished(self) -> list[Row] | None:
         """The rows of ``result.json`` if the run is finished, else None; raises InputError."""
         played, total = self.episodes
-        if played < total or not (self.folder / RESULT).exists():
+        if played < total or not exists(self.folder / RESULT):
             return None
         _ = self.best  # a folder whose files do not belong together is not taken for finished
         return read_result(self.folder)
@@ -378,7 +379,7 @@ def _holding_interrupts() -> Iterator[list[int]]:
 
 def clear(folder: Path) -> None:
     """Removes a run from its folder, and nothing else that lies there."""
-    if not (folder / CONFIG).exists():
+    if not exists(folder / CONFIG):
         return
     for name in _FILES:
         (folder / name).unlink(missing_ok=True)
