@@ -9,7 +9,7 @@ import click
 
 from marouting import InputError
 from policies.cli.completion import keys_of, routers, scenario_names
-from policies.cli.options import FILE, WHOLE, json_option, overrides_argument
+from policies.cli.options import FILE, WHOLE, allow_code_option, json_option, overrides_argument
 
 BASELINES = Path("configs/benchmark/baselines.yaml")
 """What is scored unless a router is named."""
@@ -84,6 +84,7 @@ RESULTS = Path("docs/results/benchmark")
     show_default=True,
     help="The leaderboard's page; its plots lie beside it, in pictures/leaderboard.",
 )
+@allow_code_option
 @json_option
 def benchmark(
     overrides: tuple[str, ...],

@@ -9,7 +9,9 @@ them.
 import contextlib
 import io
 import json
+import os
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Mapping, Sequence
@@ -30,16 +32,25 @@ from marouting.generator import ReducedPer
 from marouting.problem.contest import contest_cost, with_pins_covered
 from marouting.problem.ispd import FORMATS, Format
 from marouting.problem.solution import ROUTE_FORMATS, RouteFormat
-from marouting.registry import names
+from marouting.registry import importing_from, names
 from policies.cli.animate import animate
 from policies.cli.benchmark import benchmark
 from policies.cli.completion import file_or_keys, keys_of, options_of_the_router, routers
-from policies.cli.options import FILE, NUMBER, WHOLE, as_text, json_option, overrides_argument, tell
+from policies.cli.options import (
+    FILE,
+    NUMBER,
+    WHOLE,
+    allow_code_option,
+    as_text,
+    json_option,
+    overrides_argument,
+    tell,
+)
 from policies.cli.report import guide, report
 from policies.cli.source import ProblemFile, problem_argument
 from policies.cli.view import view
 from policies.interrupts import interruptible
-from policies.routers.base import small_problem, solve, warm_up
+from policies.routers.base import LEFT_ALONE, small_problem, solve, warm_up
 from policies.routers.registry import has_seed, is_learner, make_router, router_names, unknown
 
 if TYPE_CHECKING:
@@ -229,6 +240,7 @@ def convert(
     help="File for the solution; without it, none is written. In a long search, the best solution "
     "so far is written every five minutes.",
 )
+@allow_code_option
 @json_option
 def route(
     problem: ProblemFile,
@@ -375,6 +387,7 @@ def evaluate_command(problem: ProblemFile, solution: Path, as_json: bool) -> Non
     help="Print the JSON schema of this command's configurations, for editors; without it, give "
     "--show.",
 )
+@allow_code_option
 @json_option
 def config_command(
     overrides: tuple[str, ...], show: Path | None, schema: str | None, as_json: bool
@@ -408,6 +421,7 @@ def config_command(
     help="Run folder of a training to continue; CONFIG may be left out.  "
     "[default: a new training, in the folder `out`]",
 )
+@allow_code_option
 @json_option
 def train(
     config: Path | None, overrides: tuple[str, ...], resume: Path | None, as_json: bool
@@ -468,6 +482,7 @@ def train(
 @cli.command()
 @click.argument("config", type=FILE)
 @overrides_argument(keys_of("experiment"))
+@allow_code_option
 @json_option
 def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     """Compare routers on sets of problems, as CONFIG, a YAML file, describes.
@@ -604,15 +619,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     warnings.showwarning = _warn
-    sys.exit(status(arguments))
+    code = status(arguments)
+    if any(thread.name == LEFT_ALONE for thread in threading.enumerate()):
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 def status(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line; returns the exit status."""
-    if str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))  # for module:Class, wherever the command itself lies
     try:
-        with interruptible():
+        # The command itself may lie anywhere, module:Class is of the folder where it is given.
+        with interruptible(), importing_from(Path.cwd()):
             cli.main(args=arguments, prog_name="marouting", standalone_mode=False)
     except InputError as error:
         return _complain(str(error))

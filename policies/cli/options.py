@@ -1,5 +1,6 @@
 """Options and arguments that commands share."""
 
+import functools
 import json
 import re
 from collections.abc import Callable, Mapping
@@ -8,6 +9,7 @@ from typing import Any
 
 import click
 
+from marouting.registry import allowing_code
 from policies.cli.completion import Complete
 
 
@@ -48,6 +50,23 @@ NUMBER = _Number(click.FLOAT, r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object instead of text."
 )
+
+
+def allow_code_option(command: Callable[..., None]) -> Callable[..., None]:
+    """Gives a command that reads names of pieces from files the option ``--allow-code``."""
+
+    @click.option(
+        "--allow-code",
+        is_flag=True,
+        help="Let files name observations, rewards, routers, networks and learners as "
+        "module:Class, which is code that is imported.",
+    )
+    @functools.wraps(command)
+    def allowing(allow_code: bool, **rest: Any) -> None:
+        with allowing_code(allow_code):
+            command(**rest)
+
+    return allowing
 
 
 def overrides_argument(complete: Complete) -> Callable[[Any], Any]:

@@ -12,6 +12,7 @@ from marouting.config import build, check, merged, override, plain, read_yaml
 from marouting.files import is_dir, is_file_name, naming
 from marouting.generator import GeneratorOptions
 from marouting.options import PLAYED
+from marouting.registry import allowing_code
 from marouting.source import generated_name, load_problems
 from policies.engines import EngineName
 from policies.learned.config import Config, for_learner
@@ -297,19 +298,22 @@ _LABEL = 80
 
 
 def load_experiment(
-    path: str | os.PathLike[str], overrides: Sequence[str] = ()
+    path: str | os.PathLike[str], overrides: Sequence[str] = (), *, allow_code: bool = False
 ) -> ExperimentConfig:
     """Reads the configuration of an experiment and changes single keys of it.
 
     Args:
         path: a YAML file.
         overrides: ``key=value``, as :func:`marouting.config.override` takes them.
+        allow_code: whether the file, and configurations that it names, may name pieces as
+            ``module:Class``, which is code that is imported. Overrides always may.
 
     Raises:
         InputError: names the file or key, what was expected and what was found.
     """
-    raw = read_yaml(path)
-    config = build(ExperimentConfig, override(raw, overrides), os.fspath(path))
+    with allowing_code(allow_code):
+        raw = read_yaml(path)
+        config = build(ExperimentConfig, override(raw, overrides), os.fspath(path))
     sets = raw.get("problems")
     return _without_those_gone(config, sets) if isinstance(sets, Mapping) else config
 

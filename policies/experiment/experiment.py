@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem, Solution
-from marouting.config import check, check_same, read_yaml, yaml_text
+from marouting.config import check, check_same, code_named, read_yaml, yaml_text
 from marouting.files import FILE_NAME, exists, is_file_name, naming, write_text
+from marouting.registry import allowing_code
 from marouting.source import load_problems
 from policies.engines import check_engine, cores
 from policies.experiment.config import (
@@ -73,9 +74,10 @@ class Experiment:
         if not exists(kept):
             check_own(self.folder, ("problems", CONFIG))
             return None
-        if "routers" not in read_yaml(kept):
-            raise InputError(f"{self.folder}: holds a training: expected another out=")
-        before = load_experiment(kept)
+        with allowing_code(name for _, name in code_named(self.config.routers)):
+            if "routers" not in read_yaml(kept):
+                raise InputError(f"{self.folder}: holds a training: expected another out=")
+            before = load_experiment(kept)
         mine, theirs = (self._rows_depend_on(asked, before) for asked in (self.config, before))
         check_same(mine, theirs, kept)
         return before

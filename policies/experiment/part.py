@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem, Solution
-from marouting.config import build
+from marouting.config import build, code_named
 from marouting.files import is_file, write_text
+from marouting.registry import allowing_code
 from policies.experiment.config import PARTS, PUBLISHED, Entry, Published
 from policies.learned.burn_in import read_solutions, solution_files
 from policies.learned.config import Config, load_config
@@ -175,7 +176,8 @@ class Part:
 
         kept = self.run / run_folder.CONFIG
         if not (self.run / run_folder.POLICY).exists():
-            config = load_config(kept) if kept.exists() else self._training()
+            with allowing_code(name for _, name in code_named(self.entry)):
+                config = load_config(kept) if kept.exists() else self._training()
             # The folder may have been renamed since the training was started.
             config = replace(config, out=str(self.run))
             if not kept.exists():

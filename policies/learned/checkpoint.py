@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from marouting import InputError
+from marouting.config import check_code
 from marouting.files import unusable
 
 POLICY_FORMAT, TRAINING_FORMAT = "marouting-policy-1", "marouting-training-2"
@@ -41,7 +42,8 @@ def read_checkpoint(path: str | os.PathLike[str], *, training: bool) -> Mapping[
             may also be a file of trained networks.
 
     Raises:
-        InputError: the file is missing, damaged, or holds anything else.
+        InputError: the file is missing, damaged, or holds anything else, or names code that files
+            may not name here (:func:`marouting.config.check_code`).
     """
     try:
         # torch does not look at the archive's checksums.
@@ -67,6 +69,7 @@ def read_checkpoint(path: str | os.PathLike[str], *, training: bool) -> Mapping[
     known = (TRAINING_FORMAT,) if training else (POLICY_FORMAT, TRAINING_FORMAT)
     if not isinstance(state, Mapping) or state.get("format") not in known:
         raise InputError(f"{os.fspath(path)}: expected a file of format {' or '.join(known)}")
+    check_code(state, os.fspath(path))
     return state
 
 
