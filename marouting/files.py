@@ -40,7 +40,11 @@ def reading(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         InputError: it cannot be read, is damaged or UTF-16, or it is a device, which may never end.
     """
     try:
-        if stat.S_ISCHR(mode := os.stat(path).st_mode) or stat.S_ISBLK(mode):  # noqa: PTH116
+        try:
+            mode = os.stat(path).st_mode  # noqa: PTH116 (PathLike without Path)
+        except ValueError as error:
+            raise OSError(0, str(error)) from None  # no path at all
+        if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
             raise InputError(f"{os.fspath(path)}: expected a file, found a device")
         with open(path, "rb") as file:  # noqa: PTH123 (PathLike without Path)
             text: io.BufferedIOBase = file
@@ -160,8 +164,12 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(path)
     try:
+        if "\0" in str(target):
+            raise OSError(0, "it is no path")
         if target.is_symlink():
-            target = target.resolve()
+            target = Path(os.path.realpath(target))
+            if target.is_symlink():
+                raise OSError(0, "it is a circle of symbolic links")
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.is_dir():
             raise IsADirectoryError(0, "it is a folder")
@@ -233,15 +241,32 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
         temporary.write_bytes(content)
 
 
+def exists(path: str | os.PathLike[str]) -> bool:
+    """Whether there is something at a path; no where none can be, as :mod:`os.path` answers."""
+    return os.path.exists(path)  # noqa: PTH110 (that of Path raises errors for names too long)
+
+
+def is_file(path: str | os.PathLike[str]) -> bool:
+    """Whether there is a file at a path; no where none can be."""
+    return os.path.isfile(path)  # noqa: PTH113
+
+
+def is_dir(path: str | os.PathLike[str]) -> bool:
+    """Whether there is a folder at a path; no where none can be."""
+    return os.path.isdir(path)  # noqa: PTH112
+
+
 @contextlib.contextmanager
 def naming(path: str | os.PathLike[str], what: str) -> Iterator[None]:
     """Turns an operating system's error into an InputError about ``path``."""
     try:
         yield
-    except OSError as error:
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # of no path at all
         raise unusable(path, what, error) from None
 
 
-def unusable(path: str | os.PathLike[str], what: str, error: OSError) -> InputError:
+def unusable(path: str | os.PathLike[str], what: str, error: OSError | ValueError) -> InputError:
     """The InputError for an operating system's error about ``path``."""
-    return InputError(f"{os.fspath(path)}: {what}: {error.strerror or error}")
+    return InputError(f"{os.fspath(path)}: {what}: {getattr(error, 'strerror', None) or error}")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from marouting.config import build, check
 from marouting.errors import InputError
-from marouting.files import stem_of, suffix_of
+from marouting.files import is_dir, stem_of, suffix_of
 from marouting.game.setup import Room
 from marouting.generator import GeneratorOptions, generate_from
 from marouting.options import SMALL, GameOptions
@@ -84,7 +84,7 @@ def load_problems(source: Source) -> dict[str, Problem]:
         return {generated_name(i) if source[1:] else "problem": p for i, p in enumerate(source)}
     files: list[Path] = []
     for entry in map(Path, source):
-        inside = problems_in(entry) if entry.is_dir() else [entry]
+        inside = problems_in(entry) if is_dir(entry) else [entry]
         if not inside:
             raise InputError(f"{entry}: expected a .gr file in this folder")
         files += inside

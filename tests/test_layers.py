@@ -26,7 +26,7 @@ OPTIONAL = {"klayout", "matplotlib"}
 
 ROOMS = {
     "marouting": (
-        ("_version", "errors", "files", "memory", "kernels", "registry", "config"),
+        ("_version", "first", "errors", "files", "memory", "kernels", "registry", "config"),
         ("problem",),
         ("trees",),
         ("game",),

@@ -10,7 +10,7 @@ import click
 
 from marouting import Problem
 from marouting.files import stem_of
-from policies.cli.options import FILE
+from policies.cli.options import FILE, WHOLE
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
     )
     @click.option(
         "--tile",
-        type=click.Tuple([int, int]),
+        type=click.Tuple([WHOLE, WHOLE]),
         help="Width and height of a Gcell of a .def file, in its units.  "
         "[default: its GCELLGRID, or 15 tracks]",
     )

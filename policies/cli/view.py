@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from marouting import InputError, Solution
-from marouting.files import check_writable, stem_of, suffix_of, write_text
+from marouting.files import check_writable, is_dir, stem_of, suffix_of, write_text
 from policies.cli.options import FILE, json_option, tell
 from policies.cli.source import ProblemFile, problem_argument
 from policies.results.run_folder import solution_name
@@ -42,7 +42,7 @@ def view(problem: ProblemFile, solutions: tuple[Path, ...], out: Path, as_json: 
 
 def _files(path: Path, problem: Path) -> list[Path]:
     """The solution files that a path stands for; raises InputError if there are none."""
-    if not path.is_dir():
+    if not is_dir(path):
         return [path]
     inside = path / "solutions"
     stem, run = stem_of(problem), inside.is_dir()

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
-from marouting.files import reading, stem_of, suffix_of
+from marouting.files import exists, is_dir, reading, stem_of, suffix_of
 from policies import figures
 from policies.results import experiment_folder, run_folder
 from policies.results.rows import Row
@@ -321,7 +321,7 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
     written: list[Path] = []
     groups: list[tuple[Path, list[Path]]] = []
     for path in map(Path, paths):
-        if path.is_dir():
+        if is_dir(path):
             if (path / experiment_folder.RESULTS).exists():
                 written += experiment_figures(path, out)
             elif (path / run_folder.CONFIG).exists():
@@ -331,7 +331,7 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
                     f"{path}: expected a run folder, with {run_folder.CONFIG} in it, or an "
                     f"experiment's, with {experiment_folder.RESULTS}"
                 )
-        elif not path.exists():
+        elif not exists(path):
             raise InputError(f"{path}: expected a folder or a file, found nothing")
         elif suffix_of(path) == ".jsonl":
             written += reward_figures(path, out or path.parent / "figures")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
-from marouting.config import check, plain
+from marouting.config import check, code_named, plain
 from marouting.game.bits import chosen, with_problem
 from marouting.game.engine import Metrics
 from marouting.game.observation import state_space_of
@@ -28,6 +28,7 @@ from marouting.game.saved import checked_demand
 from marouting.game.state import NOBODY, Dynamic
 from marouting.options import PLAYED
 from marouting.player import Saved, StepBuffers
+from marouting.registry import allowing_code
 from marouting.source import Draws
 from policies.learned.burn_in import GUIDES, guide, read_solutions
 from policies.learned.checkpoint import ANY, FINITE, POLICY_FORMAT, TRAINING_FORMAT, checked
@@ -209,7 +210,8 @@ class Trainer:
         own = config.learner.cls.network(config.learner.options, setup.obs_shape, setup.actions)
         weights: list[Mapping[str, Tensor]] = []
         for name in setup.names:
-            policy = TrainedPolicy.load(path, name)
+            with allowing_code(code for _, code in code_named(config)):
+                policy = TrainedPolicy.load(path, name)
             expected, found = plain(config.env.observation), plain(policy.env.observation)
             what = f"networks that see {expected}, found {found} in {path}"
             check("train.start", found == expected, what)

@@ -8,6 +8,10 @@ from marouting import InputError, Problem, Solution, generate
 from marouting.game.setup import is_hashed
 from marouting.problem.grid import Grid
 
+LEFT_ALONE = "left alone"
+"""The name of threads that may be at work in a library when the process ends; it must not wait for
+them, nor take apart what they use."""
+
 
 class Policy(Protocol):
     """Chooses moves in the environment, through any of its interfaces."""

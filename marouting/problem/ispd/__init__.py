@@ -42,9 +42,10 @@ route segments, which are ISPD 2025's output, or ISPD 2024's output
 
 Readers return plain records and know neither Problem nor Solution, which read and write through
 this package. Files are read line by line and nothing is allocated for what a header merely
-promises. Tokens are separated by any white space, blank lines are ignored, and keywords may be in
-any case. Anything wrong raises :class:`~marouting.errors.InputError` with one line that names the
-file and the line. Written files have one form only, so equal objects give equal bytes.
+promises. Numbers have ASCII digits, tokens are separated by ASCII blanks, blank lines are ignored,
+and keywords may be in any case. Anything wrong raises :class:`~marouting.errors.InputError` with
+one line that names the file and the line. Written files have one form only, so equal objects give
+equal bytes.
 """
 
 from marouting.problem.ispd.ispd2024 import read_contest

@@ -32,7 +32,14 @@ from marouting.errors import InputError
 from marouting.problem.capacities import as_adjustments
 from marouting.problem.chip import Chip, Contest, Places
 from marouting.problem.grid import MAX_GCELLS
-from marouting.problem.ispd.lines import Lines, Record, is_number, reading, unexpected
+from marouting.problem.ispd.lines import (
+    Lines,
+    Record,
+    is_decimal,
+    is_number,
+    reading,
+    unexpected,
+)
 from marouting.problem.ispd.problem_text import ProblemRecord
 from marouting.problem.net import MAX_NUMBER, Net, Pin
 
@@ -241,10 +248,7 @@ class _Numbers:
 
 def _floats(what: str, tokens: list[str]) -> NDArray[np.float64]:
     """Numbers from 0 to MAX_NUMBER; raises InputError for anything else."""
-    try:
-        numbers = np.array(tokens, np.float64)
-    except ValueError:
-        raise unexpected(f"{what}: numbers", tokens) from None
+    numbers = np.array(tokens if all(map(is_decimal, tokens)) else ["nan"], np.float64)
     if not ((numbers >= 0) & (numbers <= MAX_NUMBER)).all():
         raise unexpected(f"{what}: numbers from 0 to {MAX_NUMBER}", tokens)
     return numbers

@@ -16,6 +16,10 @@ NUMBER = "[+-]?[0-9]{1,18}"
 
 is_number = re.compile(NUMBER).fullmatch
 
+is_decimal = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?").fullmatch
+"""Whether a text is a decimal number. Python's float() takes more, such as ``1_0`` and digits of
+other scripts."""
+
 
 class Lines:
     """The lines of a text file as tokens.
@@ -41,7 +45,8 @@ class Lines:
             if len(line) > files.LONGEST_LINE:
                 raise InputError(f"expected lines of at most {files.LONGEST_LINE} bytes")
             try:
-                tokens = line.decode(errors=self._errors).split()
+                # Of bytes, so that only ASCII blanks part them, as in the contests' own programs.
+                tokens = [token.decode(errors=self._errors) for token in line.split()]
             except UnicodeDecodeError:
                 raise InputError("expected UTF-8 text") from None
             if tokens:
