@@ -5,7 +5,7 @@ The Markdown files read well on GitHub as they are. On the site
 * README.md, CONTRIBUTING.md and CHANGELOG.md are pages;
 * a link to a source file or a folder leads to a page with its text or its files;
 * ``<!-- include: PATH -->`` is replaced by the file;
-* code such as ``marouting.evaluate`` leads to the API reference, and ``marouting.game.rules`` to
+* code such as ``marouting.evaluate`` leads to the API reference, and ``marouting.batch.rules`` to
   the text of the module. The pages of the reference are made of reference.yml and the docstrings;
   that of the command line is what ``--help`` prints.
 """
@@ -128,7 +128,7 @@ def _links(page: str, markdown: str) -> Iterator[Path]:
 
 
 def _module(name: str) -> Path | None:
-    """The file of a module such as ``marouting.game.rules``; None if it is something else."""
+    """The file of a module such as ``marouting.batch.rules``; None if it is something else."""
     if name.split(".")[0] not in ("marouting", "policies") or "." not in name:
         return None
     path = ROOT / name.replace(".", "/")

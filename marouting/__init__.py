@@ -11,11 +11,11 @@ import gymnasium
 
 from marouting import global_routing_v0, scenarios, vector
 from marouting._version import __version__
+from marouting.batch.engine import Engine
+from marouting.batch.observation import Observation, PaperObservation
+from marouting.batch.reward import PaperReward, Reward
+from marouting.batch.window import WindowObservation
 from marouting.errors import InputError
-from marouting.game.engine import Engine
-from marouting.game.observation import Observation, PaperObservation
-from marouting.game.reward import PaperReward, Reward
-from marouting.game.window import WindowObservation
 from marouting.generator import generate
 from marouting.make import make
 from marouting.options import EnvOptions

@@ -22,7 +22,7 @@ from the edges that they cross, so the nets have to share it.
 A net's pins are split into two-pin **tasks**, which its agent routes one after the other: it starts
 at one pin and walks, one Gcell per step, to the other. `env.unwrapped.solution()` holds the routes,
 which `marouting.evaluate` judges by the rules of the ISPD 2008 contest.
-:mod:`marouting.game.rules` has all rules of the game.
+:mod:`marouting.batch.rules` has all rules of the game.
 
 ## Usage
 
@@ -84,9 +84,9 @@ The paper's 12 numbers, in Gcells and tracks:
 | 6–9 | remaining capacity of the edges of moves 0 to 3 | 0 off the grid, negative in overflow |
 | 10–11 | the same for moves 4 and 5, the vias | 10, or 0 off the grid |
 
-The observations `window` (:class:`marouting.game.window.WindowObservation`) and `outlook`
-(:class:`marouting.game.outlook.OutlookObservation`) show more, in numbers of order 1, with the same
-shape on every grid.
+The observations `window` (:class:`marouting.batch.window.WindowObservation`) and `outlook`
+(:class:`marouting.batch.outlook.OutlookObservation`) show more, in numbers of order 1, with the
+same shape on every grid.
 
 ## State
 
@@ -116,8 +116,8 @@ that of its next task. In the AEC environment it comes with the agent's next tur
 use `task_obs` after a failed task, which only ran out of steps, and nothing after a joined one.
 
 With `rip_up_rounds` nets give their edges back after all have routed, and walk again with the
-others in place (:mod:`marouting.game.rounds`). Agents stay then, as with `agents_persist`. With
-`rip_up_prices` they negotiate: edges with overflow get dearer (:mod:`marouting.game.prices`).
+others in place (:mod:`marouting.batch.rounds`). Agents stay then, as with `agents_persist`. With
+`rip_up_prices` they negotiate: edges with overflow get dearer (:mod:`marouting.batch.prices`).
 
 ## Problems
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from marouting.config import check
 from marouting.env.base import METADATA
-from marouting.game.state import NOBODY
+from marouting.game import NOBODY
 from marouting.options import game_options
 from marouting.render import ansi, rgb_array, scene_of
 from marouting.source import OwnDraws, Source

@@ -6,9 +6,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Tag
 
+from marouting.batch.options import RuleOptions
 from marouting.config import Named, build, check, piece_field, take_pieces, unknown_key
 from marouting.errors import UnknownOption
-from marouting.game.options import RuleOptions, TurnOrder
+from marouting.game import TurnOrder
 from marouting.generator import GeneratorOptions
 from marouting.scenarios import Split, get
 
@@ -44,7 +45,7 @@ ProblemSource = Annotated[
 class GameOptions(RuleOptions):
     """The options of every interface of the environment; the defaults are the paper's.
 
-    The options of the rules come from :class:`marouting.game.options.RuleOptions`.
+    The options of the rules come from :class:`marouting.batch.options.RuleOptions`.
 
     Attributes:
         problem: a ``.gr`` file, a folder of them, a list of both, or options of the generator
@@ -56,8 +57,8 @@ class GameOptions(RuleOptions):
             ``test``, one of these, drawn at every reset.
         observation: what agents see: the name of a registered observation, ``module:Class``, a
             mapping with the name under ``kind`` and its options beside it, or an object. See
-            :mod:`marouting.game.observation`.
-        reward: what moves pay, given in the same ways. See :mod:`marouting.game.reward`.
+            :mod:`marouting.batch.observation`.
+        reward: what moves pay, given in the same ways. See :mod:`marouting.batch.reward`.
         agents_persist: whether agents that are done stay among ``agents`` until all are done, with
             rewards of 0 and a mask whose only move does nothing, and all end together. Of several
             problems, the agents of all take part in each. For PettingZoo's interfaces, and

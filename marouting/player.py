@@ -22,19 +22,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.errors import InputError
-from marouting.game.bits import adopt, byte_of, copied, copy_row, set_byte, swap_rows
-from marouting.game.engine import Engine
-from marouting.game.growth import lengthened, needed_room
-from marouting.game.observation import (
+from marouting.batch.bits import adopt, byte_of, copied, copy_row, set_byte, swap_rows
+from marouting.batch.engine import Engine
+from marouting.batch.growth import lengthened, needed_room
+from marouting.batch.observation import (
     Observation,
     PaperObservation,
     has_move_order,
     move_order_of,
     write_paper,
 )
-from marouting.game.reward import KNOWN, PaperReward, Reward, paper_reward
-from marouting.game.rules import (
+from marouting.batch.reward import KNOWN, PaperReward, Reward, paper_reward
+from marouting.batch.rules import (
     free_moves,
     may_move,
     move_agent,
@@ -48,19 +47,10 @@ from marouting.game.rules import (
     settle_turns,
     write_moves,
 )
-from marouting.game.state import (
-    GAME,
-    MASKS,
-    NOBODY,
-    ROWS,
-    Crossing,
-    Dynamic,
-    Ending,
-    Option,
-    Static,
-    Status,
-)
-from marouting.game.tasks import wait
+from marouting.batch.state import GAME, MASKS, ROWS, Dynamic, Option, Static
+from marouting.batch.tasks import wait
+from marouting.errors import InputError
+from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import bound, compiled, inlined, place, wide
 from marouting.memory import check_memory
 from marouting.problem.grid import MOVES
@@ -156,7 +146,7 @@ class Player:
         draws: what the games play, another problem in every episode; the engine plays the present
             ones and has room for the others. None: the engine's problems stay.
         turned: whether actions and masks are in the order of an observation's own moves, if it has
-            one (:func:`marouting.game.observation.move_order_of`), as learners want them, and not
+            one (:func:`marouting.batch.observation.move_order_of`), as learners want them, and not
             in that of the grid.
 
     Attributes:
@@ -382,7 +372,7 @@ class Player:
         return _picked(self._order(), actions)
 
     def _order(self) -> NDArray[np.int64]:
-        """(M, K, A), see :func:`marouting.game.observation.move_order_of`."""
+        """(M, K, A), see :func:`marouting.batch.observation.move_order_of`."""
         b = self.buffers
         obs = b.obs.reshape(-1, *b.obs.shape[2:])
         return move_order_of(self.observation, obs, self.engine.actions).reshape(b.mask.shape)
@@ -699,7 +689,7 @@ def _swap_sets(
 # --- what a step writes ---------------------------------------------------------------------------
 
 _MASKS = MASKS.view(np.int16)
-"""(64, 3) int16, :data:`marouting.game.state.MASKS` in pairs of bytes."""
+"""(64, 3) int16, :data:`marouting.batch.state.MASKS` in pairs of bytes."""
 
 
 @inlined

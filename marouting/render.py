@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.engine import Engine
-from marouting.game.state import NOBODY, Status
+from marouting.batch.engine import Engine
+from marouting.game import NOBODY, Status
 from marouting.problem.grid import AXES, VIA_AXIS, Grid
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.batch.setup import Room
 from marouting.config import build, check
 from marouting.errors import InputError
 from marouting.files import is_dir, stem_of, suffix_of
-from marouting.game.setup import Room
 from marouting.generator import GeneratorOptions, generate_from
 from marouting.options import SMALL, GameOptions
 from marouting.problem.net import MAX_NUMBER, is_whole

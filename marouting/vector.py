@@ -15,10 +15,10 @@ from gymnasium.spaces import Discrete
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
+from marouting.batch.engine import Engine
+from marouting.batch.observation import state_of, state_space_of
 from marouting.config import check
 from marouting.errors import InputError
-from marouting.game.engine import Engine
-from marouting.game.observation import state_of, state_space_of
 from marouting.options import ORDERS, GameOptions, game_options
 from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole

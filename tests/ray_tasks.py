@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem, Solution
-from marouting.game.reward import PaperReward
+from marouting.batch.reward import PaperReward
 from policies.routers.astar import AStarRouter
 
 

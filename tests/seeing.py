@@ -12,7 +12,7 @@ import numpy as np
 from reference import Edge, all_edges, edge_number
 
 from marouting import Engine
-from marouting.game.state import Status
+from marouting.game import Status
 
 Gcell = tuple[int, int, int]
 

@@ -19,7 +19,7 @@ from marouting import (
     generate,
     global_routing_v0,
 )
-from marouting.game.team_rewards import MixedReward
+from marouting.batch.team_rewards import MixedReward
 from marouting.generator import GeneratorOptions, Least
 from marouting.problem.net import Adjustment
 from marouting.vector import BatchEnv

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from marouting import Engine, InputError, generate
-from marouting.game.outlook import OutlookObservation
+from marouting.batch.outlook import OutlookObservation
 from policies.bench import SECTIONS, Bench, environment, evolution, negotiation, oracle, predicted
 from policies.bench.features import Blind
 from policies.bench.measure import rate

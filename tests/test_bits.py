@@ -14,10 +14,10 @@ from reference import contested, random_moves
 
 import marouting
 from marouting import Engine, Net, Pin, Problem, global_routing_v0
+from marouting.batch import bits, setup
+from marouting.batch.outlook import OutlookObservation
 from marouting.config import build
-from marouting.game import bits, setup
-from marouting.game.outlook import OutlookObservation
-from marouting.game.state import NOBODY
+from marouting.game import NOBODY
 from marouting.kernels import compiled, wide
 from marouting.vector import BatchEnv
 from policies.learned.compiled.walk import Walker

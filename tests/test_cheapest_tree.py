@@ -11,7 +11,7 @@ from seeing import cheapest_tree, edge_costs, gcell, is_priced
 
 from marouting import Engine, Problem, evaluate, generate
 from marouting.config import InputError, build
-from marouting.game.state import NOBODY
+from marouting.game import NOBODY
 from marouting.search.cheapest_tree import make_trees, move_on_tree, plan_tree
 from policies.learned.generalist import GeneralistOptions, GeneralistRouter
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from marouting import Engine, InputError, Problem, generate, scenarios
-from marouting.game.setup import Room
-from marouting.game.state import NOBODY
+from marouting.batch.setup import Room
+from marouting.game import NOBODY
 from marouting.source import Episodes, load_problem
 from marouting.vector import BatchEnv
 

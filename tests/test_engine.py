@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from reference import Game, contested, edge_number, gcell_of, random_moves
 
 from marouting import Adjustment, Engine, InputError, Move, Net, Pin, Problem, evaluate, generate
-from marouting.game.state import NOBODY, Crossing, Ending, Status
+from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.problem.problem import UNLIMITED
 from marouting.search.astar import AStar
 

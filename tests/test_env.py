@@ -38,8 +38,9 @@ from marouting import (
     generate,
     global_routing_v0,
 )
-from marouting.game.reward import NormalisedReward
-from marouting.game.state import NOBODY, Dynamic, Ending, Status
+from marouting.batch.reward import NormalisedReward
+from marouting.batch.state import Dynamic
+from marouting.game import NOBODY, Ending, Status
 from marouting.player import Player
 from marouting.vector import BatchEnv
 

@@ -12,7 +12,7 @@ from pettingzoo.test import api_test, parallel_api_test
 from marouting import Engine, InputError, Move, Net, Pin, Problem, evaluate, generate
 from marouting import global_routing_v0 as game
 from marouting.env.single import GlobalRoutingSingle
-from marouting.game.state import NOBODY
+from marouting.game import NOBODY
 from marouting.search.astar import AStar
 from marouting.vector import BatchEnv
 

@@ -17,7 +17,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 from marouting import ENVIRONMENT_ID, InputError, PaperObservation, generate, global_routing_v0
-from marouting.game.state import NOBODY
+from marouting.game import NOBODY
 from marouting.vector import BatchEnv
 
 

@@ -14,7 +14,7 @@ import wheels
 from numba.core.cpu import CPUTargetOptions
 
 import marouting
-from marouting import kernels
+from marouting import compiling, kernels
 
 _PLAY = """
 import marouting, numpy as np
@@ -57,7 +57,7 @@ def test_an_edited_rule_is_played_by_code_that_was_compiled_before(tmp_path: Pat
     assert play(copy, cache) == [3, 3]
     assert sorted(cache.rglob("*.nbc")) == kept  # nothing was compiled again
 
-    rules = copy / "marouting" / "game" / "rules.py"
+    rules = copy / "marouting" / "batch" / "rules.py"
     source = rules.read_text(encoding="utf-8")
     assert source.count("game.wirelength += new\n") == 1
     rules.write_text(source.replace("game.wirelength += new\n", "game.wirelength += 5 * new\n"))
@@ -69,7 +69,7 @@ def test_an_upgrade_is_played_by_code_that_was_compiled_before_it(tmp_path: Path
     """Two wheels that differ in a rule, the second installed over the first."""
     site, source = tmp_path / "site", wheels.source(tmp_path)
     first = wheels.build(source, tmp_path / "first")
-    rules = source / "marouting" / "game" / "rules.py"
+    rules = source / "marouting" / "batch" / "rules.py"
     text = rules.read_text(encoding="utf-8")
     rules.write_text(text.replace("game.wirelength += new\n", "game.wirelength += 5 * new\n"))
     second = wheels.build(source, tmp_path / "second")
@@ -113,9 +113,9 @@ def test_a_stamp_depends_on_what_is_compiled_into_a_function(
         (tmp_path / "pack").mkdir(exist_ok=True)
         for name, text in sources.items():
             (tmp_path / "pack" / f"{name}.py").write_text(text)
-        code = "from marouting import kernels; from pack import calls; "
+        code = "from marouting import compiling; from pack import calls; "
         done = subprocess.run(
-            [sys.executable, "-c", f"{code}print(kernels.stamp(calls.call.py_func))"],
+            [sys.executable, "-c", f"{code}print(compiling.stamp(calls.call.py_func))"],
             env={
                 **os.environ,
                 "PYTHONPATH": os.pathsep.join(
@@ -147,7 +147,7 @@ def test_private_options_are_left_out_where_numba_lacks_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     options = {"nogil": True, "_nrt": False, "forceinline": True}
-    assert kernels._known(options) == options
+    assert compiling._known(options) == options
 
     parse = CPUTargetOptions.parse_as_flags
 
@@ -157,8 +157,8 @@ def test_private_options_are_left_out_where_numba_lacks_them(
         return parse(flags, given)
 
     monkeypatch.setattr(CPUTargetOptions, "parse_as_flags", older)
-    assert kernels._known(options) == {"nogil": True}
-    assert kernels._decorator(**options)(double)(21) == 42
+    assert compiling._known(options) == {"nogil": True}
+    assert compiling.compile_with(double, options)(21) == 42
 
 
 def test_without_a_cache_functions_are_compiled_all_the_same(
@@ -168,13 +168,13 @@ def test_without_a_cache_functions_are_compiled_all_the_same(
         raise AttributeError("no such attribute")
 
     monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.__init__", changed)
-    monkeypatch.setattr(kernels, "_reasons", [])
+    monkeypatch.setattr(compiling, "_reasons", [])
     with pytest.warns(RuntimeWarning, match="compiled code is not kept on disk"):
-        compiled = kernels._decorator()(double)
+        compiled = compiling.compile_with(double, {})
     assert compiled(21) == 42
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert kernels._decorator()(double)(4) == 8  # said once
+        assert compiling.compile_with(double, {})(4) == 8  # said once
 
 
 def run_mine(

@@ -26,10 +26,21 @@ OPTIONAL = {"klayout", "matplotlib"}
 
 ROOMS = {
     "marouting": (
-        ("_version", "first", "errors", "files", "memory", "kernels", "registry", "config"),
+        (
+            "_version",
+            "errors",
+            "checks",
+            "files",
+            "memory",
+            "kernels",
+            "compiling",
+            "registry",
+            "config",
+        ),
         ("problem",),
         ("trees",),
         ("game",),
+        ("batch",),
         ("search",),
         ("generator",),
         ("scenarios",),

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting import InputError, PaperObservation, PaperReward, Problem, generate
+from marouting.batch.engine import Engine
 from marouting.config import piece
-from marouting.game.engine import Engine
-from marouting.game.state import Ending
+from marouting.game import Ending
 from marouting.player import Player, StepBuffers
 from marouting.problem.grid import MOVES
 from policies.learned.algorithms.dqn import DQN, DQNOptions

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from reference import contested
 
 from marouting import Engine, Move, Net, Pin, Problem, global_routing_v0
+from marouting.batch.state import Dynamic
 from marouting.env.single import GlobalRoutingSingle
-from marouting.game.state import NOBODY, Dynamic
+from marouting.game import NOBODY
 from marouting.gym_vector import GlobalRoutingVector
 from marouting.vector import BatchEnv
 

@@ -15,10 +15,10 @@ from torch import nn
 
 import marouting
 from marouting import Engine, EnvOptions, InputError, Problem, evaluate
-from marouting.game.outlook import OutlookObservation
-from marouting.game.rules import GIVE_WAY
-from marouting.game.state import NOBODY, Status
-from marouting.game.window import mirrored
+from marouting.batch.outlook import OutlookObservation
+from marouting.batch.rules import GIVE_WAY
+from marouting.batch.window import mirrored
+from marouting.game import NOBODY, Status
 from policies.learned.compiled import greedy
 from policies.learned.compiled.walk import Walker
 from policies.learned.learner import play_steps

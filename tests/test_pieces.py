@@ -27,8 +27,9 @@ from marouting import (
     global_routing_v0,
     registry,
 )
+from marouting.batch.state import Dynamic
 from marouting.config import plain
-from marouting.game.state import NOBODY, Dynamic, Ending
+from marouting.game import NOBODY, Ending
 from marouting.options import GameOptions
 from marouting.player import Player
 from marouting.vector import BatchEnv

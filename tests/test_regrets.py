@@ -10,8 +10,8 @@ from reference import contested, edge_number
 from seeing import cheapest_tree, edge_costs, gcell, is_priced
 
 from marouting import Engine, InputError, Net, Pin, Problem, Solution, evaluate
-from marouting.game.prices import UNIT
-from marouting.game.state import NOBODY
+from marouting.batch.prices import UNIT
+from marouting.game import NOBODY
 from marouting.search.regrets import MASKED, Regrets
 from policies.routers.optimal import OptimalRouter
 

@@ -19,7 +19,7 @@ from marouting import (
     global_routing_v0,
     sequential_astar,
 )
-from marouting.game.state import NOBODY
+from marouting.game import NOBODY
 from marouting.search.astar import AStar
 from marouting.search.route_follower import RouteFollower
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter

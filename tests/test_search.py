@@ -23,7 +23,7 @@ from marouting import (
     generate,
     sequential_astar,
 )
-from marouting.game.state import NOBODY, Ending, Status
+from marouting.game import NOBODY, Ending, Status
 from marouting.problem.grid import OFF_GRID
 from marouting.search.astar import AStar
 from marouting.search.bounded import search_buffers, shortest_path

@@ -26,11 +26,11 @@ from marouting import (
     global_routing_v0,
     sequential_astar,
 )
+from marouting.batch.engine import Engine
+from marouting.batch.reward import PaperReward
+from marouting.batch.state import Dynamic
 from marouting.config import build
 from marouting.env.single import GlobalRoutingSingle
-from marouting.game.engine import Engine
-from marouting.game.reward import PaperReward
-from marouting.game.state import Dynamic
 from marouting.problem.grid import MOVES
 from policies.learned.config import Config, TrainOptions, load_config
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD

@@ -10,9 +10,9 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from marouting import EnvOptions, InputError, PaperObservation, generate, global_routing_v0
-from marouting.game.engine import Engine
-from marouting.game.state import NOBODY, Ending
-from marouting.game.window import mirrored, move_order
+from marouting.batch.engine import Engine
+from marouting.batch.window import mirrored, move_order
+from marouting.game import NOBODY, Ending
 from marouting.options import game_options
 from marouting.player import Player
 from marouting.search.astar import AStar

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 import marouting
 from marouting import InputError, generate, global_routing_v0
-from marouting.game.observation import PaperObservation
-from marouting.game.options import TurnOrder
-from marouting.game.reward import PaperReward
-from marouting.game.state import NOBODY
+from marouting.batch.observation import PaperObservation
+from marouting.batch.reward import PaperReward
+from marouting.game import NOBODY, TurnOrder
 from marouting.vector import BatchEnv
 
 PROBLEMS = [

@@ -38,9 +38,9 @@ from marouting import (
     generate,
     global_routing_v0,
 )
+from marouting.batch.window import CHANNELS, mirrored, move_order
 from marouting.config import build
-from marouting.game.state import NOBODY, Ending, Status
-from marouting.game.window import CHANNELS, mirrored, move_order
+from marouting.game import NOBODY, Ending, Status
 from marouting.player import Player
 from marouting.vector import BatchEnv
 from policies.learned.config import Config

@@ -15,7 +15,7 @@ import torch
 
 import marouting
 from marouting.config import Named, build, check, piece_field, take_pieces
-from marouting.game.state import Ending
+from marouting.game import Ending
 from policies.cli.tables import show
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration

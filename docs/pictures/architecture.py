@@ -24,10 +24,10 @@ ENVIRONMENT = (
         ("problem/", "Problem, Solution, evaluate; ISPD, LEF/DEF", 1, False),
         ("trees/", "two-pin tasks of nets", 0.7, False),
     ),
-    (("game/rules, tasks, rounds, state, engine", "the game: M problems in arrays", 1, False),),
+    (("batch/rules, tasks, rounds, state, engine", "the game: M problems in arrays", 1, False),),
     (
-        ("game/observation, window", "what agents see", 1, True),
-        ("game/reward, team_rewards", "what moves pay", 1, True),
+        ("batch/observation, window", "what agents see", 1, True),
+        ("batch/reward, team_rewards", "what moves pay", 1, True),
     ),
     (
         ("search/", "A*", 0.7, False),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
 from marouting.env.base import METADATA, BaseGame, NetMethods, checked_move
-from marouting.game.state import NOBODY, Status
+from marouting.game import NOBODY, Status
 from marouting.options import ORDERS
 from marouting.source import Source
 

@@ -13,10 +13,9 @@ from gymnasium.spaces import Box, Dict, Discrete
 from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 
-from marouting.game.engine import Engine
-from marouting.game.observation import state_of, state_space_of
-from marouting.game.options import TurnOrder
-from marouting.game.state import NOBODY, Status
+from marouting.batch.engine import Engine
+from marouting.batch.observation import state_of, state_space_of
+from marouting.game import NOBODY, Status, TurnOrder
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.options import game_options
 from marouting.player import Player
@@ -220,7 +219,7 @@ class BaseGame:
         }
 
     def metrics(self) -> dict[str, int]:
-        """The present metrics; see :class:`marouting.game.engine.Metrics`."""
+        """The present metrics; see :class:`marouting.batch.engine.Metrics`."""
         return asdict(self.engine.metrics())
 
     def solution(self) -> Solution:
@@ -228,7 +227,7 @@ class BaseGame:
         return self.engine.solution()
 
     def state(self) -> NDArray[np.float32]:
-        """The global state; see :func:`marouting.game.observation.state_of`."""
+        """The global state; see :func:`marouting.batch.observation.state_of`."""
         return state_of(self._observation, self.engine)[0]
 
     def picture(self) -> str | NDArray[np.uint8] | None:
@@ -332,10 +331,10 @@ class GameMethods(EzPickle):
         return [net for net in nets if net not in agents]
 
     def state(self) -> NDArray[np.float32]:
-        """The global state, float32: (X, Y, 5 Z), see :func:`marouting.game.observation.state`.
+        """The global state, float32: (X, Y, 5 Z), see :func:`marouting.batch.observation.state`.
 
         Other observations than the paper's may have another one, see
-        :func:`marouting.game.observation.state_of`.
+        :func:`marouting.batch.observation.state_of`.
         """
         return self._game.state()
 

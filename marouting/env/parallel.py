@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from marouting.env.base import METADATA, BaseGame, NetMethods, checked_move
-from marouting.game.state import NOBODY
+from marouting.game import NOBODY
 from marouting.options import ORDERS
 from marouting.source import Source
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from marouting.config import check
 from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
-from marouting.game.state import NOBODY
+from marouting.game import NOBODY
 from marouting.options import ORDERS
 from marouting.source import Source
 

@@ -9,8 +9,9 @@ their numbers exist, the edges do not.
 import enum
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +40,29 @@ MAX_GCELLS = 2**24
 MOVES = len(Move)
 
 
+Row = TypeVar("Row")
+
+
+class Rows(dict[int, Row], Generic[Row]):
+    """What is known of single Gcells, as Python numbers: made when a Gcell is first asked for."""
+
+    def __init__(self, row_of: Callable[[int], Row]) -> None:
+        self._row_of = row_of
+
+    def __missing__(self, gcell: int) -> Row:
+        row = self[gcell] = self._row_of(gcell)
+        return row
+
+
 @dataclass(frozen=True, eq=False)
 class Grid:
     """The topology of an X×Y×Z grid as lookup tables, shared by all problems of that shape.
 
     A table is made when it is first asked for, because it takes memory for every Gcell: judging a
     few routes on a large grid needs none. All are read-only.
+
+    The same is there for plain Python, which reads its own numbers faster than those of arrays:
+    ``ways``, ``exits_of`` and ``position_of``, by Gcell.
 
     Attributes:
         shape: (X, Y, Z).
@@ -112,6 +130,34 @@ class Grid:
         for axis, (near, _) in enumerate(_BESIDE):
             table[*near, axis] = True
         return _read_only(table.reshape(-1))
+
+    @functools.cached_property
+    def ways(self) -> Rows[tuple[tuple[int, int], ...]]:
+        """For a Gcell and each of the six moves: the edge, and the Gcell ahead or OFF_GRID."""
+        edge, neighbour = self.edge, self.neighbour
+        return Rows(lambda g: tuple(zip(edge[g].tolist(), neighbour[g].tolist(), strict=True)))
+
+    @functools.cached_property
+    def exits_of(self) -> Rows[tuple[tuple[int, int, int], ...]]:
+        """For a Gcell the moves that stay on the grid: bit of the move, edge and Gcell ahead."""
+        ways = self.ways
+        return Rows(
+            lambda g: tuple((1 << m, *way) for m, way in enumerate(ways[g]) if way[1] != OFF_GRID)
+        )
+
+    @functools.cached_property
+    def position_of(self) -> Rows[tuple[int, int, int]]:
+        """x, y and z of a Gcell."""
+        position = self.position
+        return Rows(lambda g: tuple(position[g].tolist()))
+
+    def distance(self, a: int, b: int) -> int:
+        """The Manhattan distance of two Gcells, over x, y and layer."""
+        (ax, ay, az), (bx, by, bz) = self.position_of[a], self.position_of[b]
+        return abs(ax - bx) + abs(ay - by) + abs(az - bz)
+
+    def __reduce__(self) -> Any:
+        return Grid.of, (self.shape,)
 
     def number(self, x: int, y: int, z: int) -> int:
         """The number of the Gcell at (x, y, z), all from 0; it must be on the grid."""

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.files import beside, suffix_of
-from marouting.kernels import compiled
 from marouting.problem import ispd, lefdef
 from marouting.problem.chip import Chip
 from marouting.problem.grid import AXES, MAX_GCELLS, OFF_GRID, VIA_AXIS, Grid
@@ -272,8 +271,10 @@ class Problem:
         ``gcell[first[i] : first[i + 1]]``.
         """
         net, pins = self._pins
-        first, gcell = np.zeros(len(self.nets) + 1, np.int64), np.empty_like(pins)
-        gcell = gcell[: _distinct(net, pins, first, gcell)]
+        gcells = int(np.prod(self.grid))
+        distinct = np.sort(np.unique(net * gcells + pins, return_index=True)[1])
+        gcell = pins[distinct]
+        first = np.searchsorted(net[distinct], np.arange(len(self.nets) + 1))
         for table in (first, gcell):
             table.setflags(write=False)
         return first, gcell
@@ -357,30 +358,6 @@ class Problem:
         """
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         ispd.write_problem(path, fields, format)
-
-
-@compiled
-def _distinct(net: Any, gcell: Any, first: Any, out: Any) -> int:
-    """Writes the Gcells of every net, each once, to ``out``; returns how many there are.
-
-    Args:
-        net: (pins,) the net of every pin, ascending.
-        gcell: (pins,) its Gcell.
-        first: (nets + 1,) zeros, filled as in :attr:`Problem.flat_pin_gcells`.
-        out: (pins,) receives the Gcells.
-    """
-    size = 0
-    for pin in range(len(net)):
-        # Pairs of pins are compared, as for the spanning tree: a table of Gcells would take memory
-        # for the whole of a grid that a file may merely promise.
-        for earlier in range(first[net[pin]], size):
-            if out[earlier] == gcell[pin]:
-                break
-        else:
-            out[size] = gcell[pin]
-            size += 1
-        first[net[pin] + 1] = size
-    return size
 
 
 def check_grid(grid: tuple[int, int, int]) -> None:

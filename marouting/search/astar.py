@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.bits import set_byte
-from marouting.game.engine import Engine
-from marouting.game.options import NetOrder, RuleOptions, Target
-from marouting.game.rules import move_agent
-from marouting.game.setup import dynamic_state, static_state
-from marouting.game.state import NOBODY, Crossing, Dynamic, Static, Status
-from marouting.game.tasks import begin_task
+from marouting.batch.bits import set_byte
+from marouting.batch.engine import Engine
+from marouting.batch.options import RuleOptions
+from marouting.batch.rules import move_agent
+from marouting.batch.setup import dynamic_state, static_state
+from marouting.batch.state import Dynamic, Static
+from marouting.batch.tasks import begin_task
+from marouting.game import NOBODY, Crossing, NetOrder, Status, Target
 from marouting.kernels import compiled, wide
 from marouting.memory import PLAYED, SEARCH, TABLES, check_memory
 from marouting.problem.problem import Problem, check_choice, check_problem
@@ -157,7 +158,7 @@ def sequential_astar(
 
     Args:
         problem: the problem to route.
-        net_order: which nets come first, see :class:`marouting.game.options.RuleOptions`; or
+        net_order: which nets come first, see :class:`marouting.batch.options.RuleOptions`; or
             (nets,) integers, smallest first.
         target: where a task's path ends: ``pin``, at the task's other pin (the paper); ``tree``, at
             the nearest Gcell of the net's route so far.

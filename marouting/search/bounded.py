@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.edges import has_room
-from marouting.game.state import Dynamic, Static
+from marouting.batch.edges import has_room
+from marouting.batch.state import Dynamic, Static
 from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import MOVES, Grid
 from marouting.search.plain import (

@@ -1,6 +1,6 @@
 """Cheapest trees where nets negotiate, for agents to walk along.
 
-In games with prices (:mod:`marouting.game.prices`) one net walks at a time, so what its edges cost
+In games with prices (:mod:`marouting.batch.prices`) one net walks at a time, so what its edges cost
 stays as it is until it has walked: in priced rounds what prices say, in others 1, and the most
 where it would overflow. If it has few pins, a tree that costs it the least can be found by the
 search of :mod:`marouting.trees.exact_tree`, inside a box around its pins. Its agent then walks
@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.engine import Engine
-from marouting.game.places import grid_of, position
-from marouting.game.prices import MOST, UNIT, edge_cost, is_priced
-from marouting.game.state import NOBODY, Dynamic, Static
+from marouting.batch.engine import Engine
+from marouting.batch.places import grid_of, position
+from marouting.batch.prices import MOST, UNIT, edge_cost, is_priced
+from marouting.batch.state import Dynamic, Static
+from marouting.game import NOBODY
 from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree, make_search

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.edges import has_room
-from marouting.game.state import Dynamic, Static
+from marouting.batch.edges import has_room
+from marouting.batch.state import Dynamic, Static
 from marouting.kernels import inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, Grid
 

@@ -7,10 +7,10 @@ all. Moves without regret are best; an agent that makes no other has routed its 
 that the other nets leave.
 
 Costs: an edge that the net uses costs nothing; in a priced round any other costs what
-:mod:`marouting.game.prices` says, elsewhere 1, and 64 more without room for the net. Nets that have
-still to walk for the first time can be given as **coming**: the demand that they will have, say by
-a solution. Then a net leaves them the room that they need: agents that all make moves without
-regret end up with a solution no worse than that one. In priced rounds nobody leaves room.
+:mod:`marouting.batch.prices` says, elsewhere 1, and 64 more without room for the net. Nets that
+have still to walk for the first time can be given as **coming**: the demand that they will have,
+say by a solution. Then a net leaves them the room that they need: agents that all make moves
+without regret end up with a solution no worse than that one. In priced rounds nobody leaves room.
 
 The costs are exact for nets with up to four open pins beside the agent's own (of larger nets the
 four nearest count), inside the box around these pins and ``margin`` Gcells more. When a task
@@ -24,15 +24,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.batch.edges import demand_of, uses
+from marouting.batch.engine import Engine
+from marouting.batch.outlook import widened
+from marouting.batch.places import grid_of, position
+from marouting.batch.prices import UNIT, edge_cost, is_priced
+from marouting.batch.rules import free_moves, is_agent
+from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.tasks import holds, next_nearest
 from marouting.config import check
-from marouting.game.edges import demand_of, uses
-from marouting.game.engine import Engine
-from marouting.game.outlook import widened
-from marouting.game.places import grid_of, position
-from marouting.game.prices import UNIT, edge_cost, is_priced
-from marouting.game.rules import free_moves, is_agent
-from marouting.game.state import NOBODY, Dynamic, Option, Static
-from marouting.game.tasks import holds, next_nearest
+from marouting.game import NOBODY
 from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.solution import Solution
@@ -75,7 +76,7 @@ class Regrets:
     Args:
         engine: the games.
         margin: Gcells around the open pins; more in priced rounds that gain nothing, as in
-            :mod:`marouting.game.outlook`.
+            :mod:`marouting.batch.outlook`.
 
     Attributes:
         lessons: what is known; it is to be saved and restored with the games.
@@ -121,7 +122,7 @@ class Regrets:
         Args:
             problems: (K,) their problems.
             agents: (K,) their numbers, of each problem the one whose turn it is, or NOBODY.
-            out: (K, 6) int32 filled, in parts of :data:`marouting.game.prices.UNIT` of an edge: 0
+            out: (K, 6) int32 filled, in parts of :data:`marouting.batch.prices.UNIT` of an edge: 0
                 for the best moves; MASKED for those that the mask leaves out, and for all moves of
                 NOBODY.
 

@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.batch.bits import make_rows, put_numbers
+from marouting.batch.edges import may_cross, uses
+from marouting.batch.engine import Engine
+from marouting.batch.state import Dynamic, Static
 from marouting.errors import InputError
-from marouting.game.bits import make_rows, put_numbers
-from marouting.game.edges import may_cross, uses
-from marouting.game.engine import Engine
-from marouting.game.state import NOBODY, Dynamic, Static, Status
+from marouting.game import NOBODY, Status
 from marouting.kernels import compiled, inner, place, wide
 from marouting.problem.grid import MOVES
 from marouting.problem.solution import Solution

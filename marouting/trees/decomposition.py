@@ -5,13 +5,11 @@ between two pins is the Manhattan distance of their Gcells over x, y and layer. 
 Gcell count once; a net whose pins all lie in one Gcell has no task.
 """
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled
-from marouting.problem.grid import AXES
 from marouting.problem.problem import Problem
 from marouting.trees.steiner import steiner_tasks
 
@@ -37,69 +35,66 @@ def two_pin_tasks(problem: Problem, decomposition: Decomposition = "mst") -> NDA
     if decomposition == "steiner":
         return steiner_tasks(problem)
     first, gcells = problem.flat_pin_gcells
-    tasks = np.empty((len(gcells) - len(problem.nets), 3), np.int32)
-    working = np.empty((4, len(gcells)), np.int64)
-    _span(first, gcells, problem.topology.position, *working, tasks)
-    return tasks
+    pins = np.diff(first)
+    tasks = [np.empty((0, 3), np.int32)]
+    for count in np.unique(pins[pins > 1]).tolist():
+        nets = np.flatnonzero(pins == count)  # those with so many pins, side by side
+        own = gcells[first[nets, None] + np.arange(count)]
+        ends = _breadth_first(_parents(problem.topology.position[own]))
+        rows = np.take_along_axis(own, ends.reshape(len(nets), -1), axis=1).reshape(-1, 2)
+        tasks.append(np.column_stack((np.repeat(nets, count - 1), rows)).astype(np.int32))
+    found = np.concatenate(tasks)
+    return found[np.argsort(found[:, 0], kind="stable")]
 
 
-@compiled
-def _span(
-    first: Any, gcells: Any, position: Any, parent: Any, near: Any, rank: Any, queue: Any, out: Any
-) -> None:
-    """Writes the spanning trees of all nets (Prim) as tasks.
+def _parents(at: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The minimum spanning trees (Prim) of K nets with P pins each.
 
     Among pairs of pins at equal distance, the first in the order (0, 1), (0, 2), …, (1, 2), … goes
     into the tree. So no two pairs tie, and there is exactly one shortest tree.
 
     Args:
-        first: (nets + 1,) see :attr:`marouting.problem.problem.Problem.flat_pin_gcells`.
-        gcells: (pins,) see there.
-        position: (G, 3) x, y, z of every Gcell.
-        parent: (pins,) working array, one net at a time: for each pin the nearest pin in the tree.
-        near: (pins,) working array: their distance; negative for a pin in the tree.
-        rank: (pins,) working array: the place of this pair in the order of pairs.
-        queue: (pins,) working array: pins in the order in which the tree reaches them.
-        out: (K, 3) receives the tasks.
+        at: (K, P, 3) x, y, z of the pins.
+
+    Returns:
+        (K, P) for each pin the one by which the tree, which begins with pin 0, reaches it.
     """
-    row = 0
-    for net in range(len(first) - 1):
-        base, pins = first[net], first[net + 1] - first[net]
-        for pin in range(pins):
-            near[pin] = 1 << 62
-        latest = 0
-        for _ in range(pins - 1):
-            near[latest] = -1
-            closest = -1
-            for pin in range(pins):
-                if near[pin] < 0:
-                    continue
-                distance = 0
-                for axis in range(AXES):
-                    distance += abs(
-                        position[gcells[base + pin], axis] - position[gcells[base + latest], axis]
-                    )
-                pair = pin * pins + latest if pin < latest else latest * pins + pin
-                if distance < near[pin] or (distance == near[pin] and pair < rank[pin]):
-                    parent[pin], near[pin], rank[pin] = latest, distance, pair
-                if (
-                    closest < 0
-                    or near[pin] < near[closest]
-                    or (near[pin] == near[closest] and rank[pin] < rank[closest])
-                ):
-                    closest = pin
-            latest = closest
-        # Breadth first; of a pin's branches those to later pins come before those to earlier ones.
-        queue[0], size = 0, 1
-        parent[0] = -1
-        for place in range(pins - 1):
-            start = queue[place]
-            for k in range(pins):
-                pin = (start + k) % pins
-                if parent[pin] == start:
-                    queue[size] = pin
-                    size += 1
-                    out[row, 0] = net
-                    out[row, 1] = gcells[base + start]
-                    out[row, 2] = gcells[base + pin]
-                    row += 1
+    nets, pins, _ = at.shape
+    every, pin = np.arange(nets), np.arange(pins)
+    far = np.iinfo(np.int64).max
+    parent = np.zeros((nets, pins), np.int64)
+    key = np.full((nets, pins), far)  # of the best pair that joins a pin to the tree
+    outside = np.ones((nets, pins), np.bool_)
+    latest = np.zeros(nets, np.int64)
+    for _ in range(pins - 1):
+        outside[every, latest] = False
+        other = latest[:, None]
+        distance = np.abs(at - at[every, latest][:, None]).sum(axis=2, dtype=np.int64)
+        pair = np.minimum(pin, other) * pins + np.maximum(pin, other)
+        new = distance * pins**2 + pair
+        nearer = new < key
+        parent = np.where(nearer & outside, other, parent)
+        key = np.where(nearer, new, key)
+        latest = np.where(outside, key, far).argmin(axis=1)
+    return parent
+
+
+def _breadth_first(parent: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(K, P − 1, 2) the edges of K trees: pin that is reached already, new pin.
+
+    Of a pin's branches those to later pins come before those to earlier ones.
+    """
+    nets, pins = parent.shape
+    if pins == 2:
+        return np.tile(np.array([0, 1]), (nets, 1, 1))
+    edges = []
+    for tree in parent.tolist():
+        branches: dict[int, list[int]] = {}
+        for pin in range(1, pins):
+            branches.setdefault(tree[pin], []).append(pin)
+        reached = [0]
+        for start in reached:  # which grows as it is gone through
+            later = sorted(branches.get(start, ()), key=lambda pin: (pin - start) % pins)
+            edges += [(start, pin) for pin in later]
+            reached += later
+    return np.array(edges).reshape(nets, pins - 1, 2)

@@ -20,7 +20,7 @@ from marouting import (
     generate,
     global_routing_v0,
 )
-from marouting.game.outlook import OutlookObservation
+from marouting.batch.outlook import OutlookObservation
 from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.bench.measure import Bench, Measurement, Work

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import Problem, evaluate
+from marouting.batch.engine import Engine
+from marouting.batch.outlook import OutlookObservation
 from marouting.config import check, config_file
-from marouting.game.engine import Engine
-from marouting.game.outlook import OutlookObservation
 from policies.bench.negotiation import write_rows
 from policies.learned.config import load_config
 from policies.learned.policy import TrainedPolicy

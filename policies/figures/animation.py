@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from marouting.batch.engine import Engine
 from marouting.errors import InputError
 from marouting.files import writing
-from marouting.game.engine import Engine
-from marouting.game.options import MOST_STEPS, TurnOrder
-from marouting.game.state import NOBODY
+from marouting.game import MOST_STEPS, NOBODY, TurnOrder
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
+from marouting.batch.engine import Engine
 from marouting.config import piece
 from marouting.files import exists, is_dir, stem_of, suffix_of
-from marouting.game.engine import Engine
 from marouting.registry import names
 from marouting.search.astar import AStar
 from marouting.search.route_follower import RouteFollower

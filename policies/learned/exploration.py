@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.state import NOBODY
+from marouting.game import NOBODY
 from marouting.kernels import compiled
 from marouting.player import StepBuffers
 from policies.learned.rows import COUNT, Rows

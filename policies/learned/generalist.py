@@ -4,7 +4,7 @@ First all nets walk, by the best moves, from pin to pin: where there is time for
 which they share edges, the more cheaply the more time there is. In another game they walk along
 Steiner trees (:mod:`marouting.trees.steiner`), which are shorter where there is room; if that ends
 better, they walk along its routes in the first game too. Then the router goes through rip-up rounds
-(:mod:`marouting.game.rounds`), with drawn moves: net after net is asked whether it gives way, it
+(:mod:`marouting.batch.rounds`), with drawn moves: net after net is asked whether it gives way, it
 and some of those in its way walk again, and what is worse is undone. In priced rounds nets walk
 alone, past edges that past overflow has made dearer, and keep what costs them less; nets with few
 pins walk along cheapest trees then, which are computed, and the network moves the others. The best
@@ -25,10 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import EnvOptions, Problem, Solution
+from marouting.batch.engine import Engine
+from marouting.batch.options import MOST_PRESENT, RuleOptions
+from marouting.batch.outlook import DETOURS, OutlookObservation
 from marouting.config import check
-from marouting.game.engine import Engine
-from marouting.game.options import MOST_NEIGHBOURS, MOST_PRESENT, MOST_ROUNDS, RuleOptions
-from marouting.game.outlook import DETOURS, OutlookObservation
+from marouting.game import MOST_NEIGHBOURS, MOST_ROUNDS
 from marouting.problem.grid import MOVES
 from marouting.search.cheapest_tree import MOST_PINS
 from policies.learned.compiled.walk import MOST_STEPS, Walker, take_best
@@ -90,7 +91,7 @@ class GeneralistOptions:
         neighbours: the most nets that walk again with a net because they stand in its way.
         patience: plain rounds in a row after which one more of them does so, from none in the first
             ones; 0: all of them from the first on.
-        prices: whether nets negotiate (:mod:`marouting.game.prices`), if there is time for it and
+        prices: whether nets negotiate (:mod:`marouting.batch.prices`), if there is time for it and
             there are rounds. Without ``overflow: allowed``, of which the weights tell, they cannot.
         exact_pins: where nets negotiate, those with at most so many pins walk along a cheapest tree
             that is computed (:mod:`marouting.search.cheapest_tree`), and do not ask the network; 0:

@@ -2,8 +2,8 @@
 
 A learner plays a :class:`marouting.player.Player` and learns from what comes of it. The player's
 actions and masks are in the order of the observation's own moves, if it has one
-(:func:`marouting.game.observation.move_order_of`); no learner need know. It has L networks: one for
-each problem, or one that all problems share.
+(:func:`marouting.batch.observation.move_order_of`); no learner need know. It has L networks: one
+for each problem, or one that all problems share.
 """
 
 import abc
@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from marouting.game.state import NOBODY
+from marouting.game import NOBODY
 from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned.compiled import greedy

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from torch import nn
 
 from marouting import EnvOptions, InputError, Problem, Solution
+from marouting.batch.engine import Engine
+from marouting.batch.observation import has_move_order, move_order_of
 from marouting.config import MOST, build, piece
-from marouting.game.engine import Engine
-from marouting.game.observation import has_move_order, move_order_of
 from marouting.options import ORDERS
 from marouting.player import Player
 from marouting.registry import allowing_code

@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
+from marouting.batch.bits import chosen, with_problem
+from marouting.batch.engine import Metrics
+from marouting.batch.observation import state_space_of
+from marouting.batch.saved import checked_demand
+from marouting.batch.state import Dynamic
 from marouting.config import check, code_named, plain
-from marouting.game.bits import chosen, with_problem
-from marouting.game.engine import Metrics
-from marouting.game.observation import state_space_of
-from marouting.game.saved import checked_demand
-from marouting.game.state import NOBODY, Dynamic
+from marouting.game import NOBODY
 from marouting.options import PLAYED
 from marouting.player import Saved, StepBuffers
 from marouting.registry import allowing_code

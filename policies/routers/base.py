@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 from marouting import InputError, Problem, Solution, generate
-from marouting.game.setup import is_hashed
+from marouting.batch.setup import is_hashed
 from marouting.problem.grid import Grid
 
 LEFT_ALONE = "left alone"

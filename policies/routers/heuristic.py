@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from marouting import Engine, Problem, Solution
-from marouting.game.edges import has_room, uses
-from marouting.game.growth import lacks_room
-from marouting.game.options import NetOrder
-from marouting.game.rules import move_player, settle_player
-from marouting.game.state import NOBODY, Dynamic, Static
+from marouting.batch.edges import has_room, uses
+from marouting.batch.growth import lacks_room
+from marouting.batch.rules import move_player, settle_player
+from marouting.batch.state import Dynamic, Static
+from marouting.game import NOBODY, NetOrder
 from marouting.kernels import compiled, inner, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.search.bounded import SearchBuffers, search_buffers, shortest_path
@@ -29,7 +29,7 @@ class HeuristicRouter:
     finds it, until there is one again. Where every way is full, it stays until the task fails.
 
     Attributes:
-        net_order: which nets come first, see :class:`marouting.game.options.RuleOptions`.
+        net_order: which nets come first, see :class:`marouting.batch.options.RuleOptions`.
         decomposition: how nets are cut into two-pin tasks, see there.
         max_steps: steps after which a task fails; None for the default of
             :class:`marouting.Engine`.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from marouting import Engine, InputError, Problem, Solution
-from marouting.game.state import NOBODY
+from marouting.game import NOBODY
 
 
 class RandomPolicy:

@@ -11,9 +11,10 @@ from numba import prange
 from numpy.typing import NDArray
 from torch import Tensor
 
+from marouting.batch.growth import lacks_room
+from marouting.batch.state import Dynamic, Static
 from marouting.config import check
-from marouting.game.growth import lacks_room
-from marouting.game.state import Dynamic, Ending, Static
+from marouting.game import Ending
 from marouting.kernels import allocating, threaded, wide
 from marouting.player import Known, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES

@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from marouting import Problem, Solution
+from marouting.batch.observation import has_move_order, move_order_of
+from marouting.batch.prices import UNIT
 from marouting.config import MOST, Named, check, piece_field, take_pieces
-from marouting.game.observation import has_move_order, move_order_of
-from marouting.game.prices import UNIT
-from marouting.game.state import NOBODY
+from marouting.game import NOBODY
 from marouting.kernels import compiled
 from marouting.player import Player
 from marouting.problem.grid import MOVES

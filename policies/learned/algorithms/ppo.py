@@ -21,9 +21,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from marouting.batch.observation import state_of
 from marouting.config import MOST, Named, check, piece_field, take_pieces
-from marouting.game.observation import state_of
-from marouting.game.state import Ending
+from marouting.game import Ending
 from marouting.player import Player
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup

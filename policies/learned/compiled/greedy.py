@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import nn
 
-from marouting.game.growth import lacks_room
-from marouting.game.outlook import OutlookObservation
-from marouting.game.state import Dynamic, Option, Static
+from marouting.batch.growth import lacks_room
+from marouting.batch.outlook import OutlookObservation
+from marouting.batch.state import Dynamic, Option, Static
 from marouting.kernels import allocating, wide
 from marouting.player import Known, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES

@@ -26,12 +26,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.best import put_best
-from marouting.game.bits import byte_at, places
-from marouting.game.engine import Engine
-from marouting.game.expected import Maps, maps_of, recount, refresh, sum_up
-from marouting.game.growth import lacks_room
-from marouting.game.outlook import (
+from marouting.batch.best import put_best
+from marouting.batch.bits import byte_at, places
+from marouting.batch.engine import Engine
+from marouting.batch.expected import Maps, maps_of, recount, refresh, sum_up
+from marouting.batch.growth import lacks_room
+from marouting.batch.outlook import (
     DETOURS,
     OutlookObservation,
     Ways,
@@ -42,10 +42,11 @@ from marouting.game.outlook import (
     widened,
     write_outlook,
 )
-from marouting.game.prices import UNIT, first_present, is_priced, net_cost
-from marouting.game.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
-from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
-from marouting.game.tasks import is_on
+from marouting.batch.prices import UNIT, first_present, is_priced, net_cost
+from marouting.batch.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
+from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.tasks import is_on
+from marouting.game import NOBODY, Status
 from marouting.kernels import allocating, bound, compiled, inlined, inner, place, wide
 from marouting.problem.grid import MOVES, VIA_AXIS
 from marouting.search.cheapest_tree import (

@@ -24,7 +24,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from marouting.game.state import Ending
+from marouting.game import Ending
 from marouting.kernels import compiled
 from marouting.player import StepBuffers
 from marouting.problem.grid import MOVES

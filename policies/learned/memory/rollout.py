@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from marouting.game.state import Ending
+from marouting.game import Ending
 from marouting.kernels import compiled
 from marouting.player import StepBuffers
 from policies.learned.memory.before import Before

@@ -1,6 +1,6 @@
 """Prices of edges: how nets learn from each other, round by round, which edges are in demand.
 
-With ``rip_up_prices`` the first walk and most rip-up rounds (:mod:`marouting.game.rounds`) are
+With ``rip_up_prices`` the first walk and most rip-up rounds (:mod:`marouting.batch.rounds`) are
 **priced**. In them an edge inside a layer costs a net
 
     (1 + price) · (1 + present · over / demand),
@@ -24,11 +24,11 @@ which an edge without a price has :data:`UNIT`; what prices rise by is finer.
 
 from typing import Any
 
-from marouting.game.best import note_best, put_best
-from marouting.game.bits import byte_at, places
-from marouting.game.options import MOST_PRESENT
-from marouting.game.state import Dynamic, Option, Static
-from marouting.game.tasks import is_on
+from marouting.batch.best import note_best, put_best
+from marouting.batch.bits import byte_at, places
+from marouting.batch.options import MOST_PRESENT
+from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.tasks import is_on
 from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 
@@ -60,7 +60,7 @@ _FALL = 10  # per cent by which prices fall after plain rounds
 
 @inlined
 def is_priced(static: Static, dynamic: Dynamic, m: int) -> bool:
-    """Whether the first walk or the present round is; see :mod:`marouting.game.rounds`."""
+    """Whether the first walk or the present round is; see :mod:`marouting.batch.rounds`."""
     return is_on(static, Option.PRICES) and dynamic.games[m].plain == 0
 
 

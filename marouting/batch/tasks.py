@@ -18,9 +18,10 @@ Distances are Manhattan distances over x, y and layer; ties go to the task liste
 Gcell with the lowest number. With Steiner trees, "pin" stands for Steiner points as well.
 """
 
-from marouting.game.bits import byte_at, empty, has, places, put
-from marouting.game.edges import uses
-from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, Static
+from marouting.batch.bits import byte_at, empty, has, places, put
+from marouting.batch.edges import uses
+from marouting.batch.state import Dynamic, Option, Static
+from marouting.game import NOBODY, Crossing, Ending
 from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, MOVES
 

@@ -3,10 +3,11 @@
 The better routes have more tasks joined, then less overflow, then less wirelength.
 """
 
-from marouting.game.bits import byte_at, byte_of, copy_row, places
-from marouting.game.edges import use_edges
-from marouting.game.state import Dynamic, Option, Static, Status
-from marouting.game.tasks import clear, grow_tree, is_on, keeps_tree
+from marouting.batch.bits import byte_at, byte_of, copy_row, places
+from marouting.batch.edges import use_edges
+from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.tasks import clear, grow_tree, is_on, keeps_tree
+from marouting.game import Status
 from marouting.kernels import compiled, inlined, inner, place, wide
 
 

@@ -16,10 +16,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.engine import Engine
-from marouting.game.places import grid_of
-from marouting.game.state import NOBODY, Dynamic, Static, Status
-from marouting.game.tasks import is_later
+from marouting.batch.engine import Engine
+from marouting.batch.places import grid_of
+from marouting.batch.state import Dynamic, Static
+from marouting.batch.tasks import is_later
+from marouting.game import NOBODY, Status
 from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.memory import EXPECTED, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS

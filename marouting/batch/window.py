@@ -36,14 +36,14 @@ A block has the shape (columns, rows, layers), in the window's directions, the l
 :attr:`WindowObservation.layout` tells where each block is. Off the grid all is 0. Agents that are
 done have no open tasks and no share in the predicted demand.
 
-Predicted demand is explained in :mod:`marouting.game.expected`. The agent's own is not counted.
+Predicted demand is explained in :mod:`marouting.batch.expected`. The agent's own is not counted.
 
 The moves of environments are those of the grid, whatever the window's directions. :func:`mirrored`
 turns moves of the window into moves of the grid and back; :func:`move_order` does it for masks and
 values. Trainings and trained policies do so by themselves: their networks choose among the moves of
 the window and need not learn the mirror (:meth:`WindowObservation.move_order`)::
 
-    from marouting.game.window import mirrored, move_order
+    from marouting.batch.window import mirrored, move_order
 
     env = BatchEnv(problems, observation={"kind": "window", "radius": 3})
     obs, info = env.reset()
@@ -64,11 +64,10 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from marouting.config import check
-from marouting.game.bits import byte_at, places
-from marouting.game.edges import uses
-from marouting.game.engine import Engine, check_rows
-from marouting.game.expected import (
+from marouting.batch.bits import byte_at, places
+from marouting.batch.edges import uses
+from marouting.batch.engine import Engine, check_rows
+from marouting.batch.expected import (
     Maps,
     maps_of,
     refresh,
@@ -76,10 +75,12 @@ from marouting.game.expected import (
     slack_of,
     squashed,
 )
-from marouting.game.places import grid_of, position
-from marouting.game.rules import free_moves, is_agent
-from marouting.game.state import NOBODY, Dynamic, Option, Static, Status
-from marouting.game.tasks import is_later
+from marouting.batch.places import grid_of, position
+from marouting.batch.rules import free_moves, is_agent
+from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.tasks import is_later
+from marouting.config import check
+from marouting.game import NOBODY, Status
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole
@@ -125,7 +126,7 @@ class _Where(NamedTuple):
 
 @dataclass(frozen=True)
 class WindowObservation:
-    """The surroundings of an agent, turned towards its target; see :mod:`marouting.game.window`.
+    """The surroundings of an agent, turned towards its target; see :mod:`marouting.batch.window`.
 
     Attributes:
         radius: Gcells that are seen in each direction of x and y, 0 to 32.
@@ -202,7 +203,7 @@ class WindowObservation:
         agents: NDArray[np.integer],
         out: NDArray[np.float32],
     ) -> None:
-        """Fills ``out`` (K, ``size``); see :class:`marouting.game.observation.Observation`.
+        """Fills ``out`` (K, ``size``); see :class:`marouting.batch.observation.Observation`.
 
         It is fastest if the rows of a problem follow one another.
 

@@ -1,14 +1,14 @@
 """What an agent sees, and the global state.
 
-The paper's observation is here; :mod:`marouting.game.window` has one that fits every grid. You can
+The paper's observation is here; :mod:`marouting.batch.window` has one that fits every grid. You can
 also write your own: any object with the two methods of :class:`Observation`. It works in all
 interfaces of the environment, in the batch and in trainings; see :func:`marouting.register`. An
 observation with a method ``state``, whose arguments are those of :func:`state`, and
 ``state_space``, with those of :func:`state_space`, also decides what the global state is. One that
-turns what it shows, as :mod:`marouting.game.window` does, may have a method ``move_order`` with the
-arguments and result of :meth:`.window.WindowObservation.move_order`: learners then choose among its
-moves, and their masks are of these; see :func:`move_order_of`. Environments take and show the moves
-of the grid in any case.
+turns what it shows, as :mod:`marouting.batch.window` does, may have a method ``move_order`` with
+the arguments and result of :meth:`.window.WindowObservation.move_order`: learners then choose among
+its moves, and their masks are of these; see :func:`move_order_of`. Environments take and show the
+moves of the grid in any case.
 
 A worked example: the paper's 12 numbers, and the number of agents that are still routing::
 
@@ -44,11 +44,12 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from marouting.batch.bits import byte_at, places
+from marouting.batch.engine import Engine, check_rows
+from marouting.batch.rules import is_agent
+from marouting.batch.state import Dynamic, Static
 from marouting.errors import InputError
-from marouting.game.bits import byte_at, places
-from marouting.game.engine import Engine, check_rows
-from marouting.game.rules import is_agent
-from marouting.game.state import NOBODY, Dynamic, Static, Status
+from marouting.game import NOBODY, Status
 from marouting.kernels import compiled, inlined, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.problem import Problem
@@ -79,7 +80,7 @@ class Observation(Protocol):
         """Writes what K agents see.
 
         Args:
-            engine: the games, to be read; see :class:`marouting.game.engine.Engine`. Its problems
+            engine: the games, to be read; see :class:`marouting.batch.engine.Engine`. Its problems
                 may change between episodes.
             problems: (K,) int32, the problem of each agent. ``engine.agents[problems, agents]`` are
                 the agents' records, ``engine.dynamic.remaining[problems]`` (K, E) the remaining

@@ -1,6 +1,6 @@
 """Where Gcells lie, in compiled code."""
 
-from marouting.game.state import Static
+from marouting.batch.state import Static
 from marouting.kernels import inlined, wide
 
 

@@ -29,7 +29,7 @@ back: no connection is ever lost, and the routes are always the best so far. A r
 walks again is the last one.
 
 With ``rip_up_prices`` nets negotiate as well. The first walk and some of the rounds are **priced**:
-edges cost what :mod:`marouting.game.prices` says. In such a round every net walks again alone, and
+edges cost what :mod:`marouting.batch.prices` says. In such a round every net walks again alone, and
 it keeps its new routes if they join as many tasks and cost it no more than the old ones, whatever
 becomes of the whole problem. So nets part that share an edge with others. In rounds that are not
 priced, the **plain** ones, all is as without the option, but patience counts plain rounds in a row.
@@ -46,22 +46,23 @@ priced, the **plain** ones, all is as without the option, but patience counts pl
 No move is made, and no reward paid, when nets take earlier routes.
 
 An edge is full if it has no remaining capacity. In rip-up rounds agents wait
-(:attr:`marouting.game.state.Status.WAITING`), and all are terminated or truncated with the last.
+(:attr:`marouting.batch.state.Status.WAITING`), and all are terminated or truncated with the last.
 """
 
-from marouting.game.best import put_best, take_routes
-from marouting.game.bits import byte_at, byte_of, empty, places, put, set_byte, span
-from marouting.game.edges import use_edges
-from marouting.game.places import grid_of
-from marouting.game.prices import choose_kind, is_priced, net_cost
-from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
-from marouting.game.tasks import (
+from marouting.batch.best import put_best, take_routes
+from marouting.batch.bits import byte_at, byte_of, empty, places, put, set_byte, span
+from marouting.batch.edges import use_edges
+from marouting.batch.places import grid_of
+from marouting.batch.prices import choose_kind, is_priced, net_cost
+from marouting.batch.state import Dynamic, Option, RipUp, Static
+from marouting.batch.tasks import (
     begin_net,
     begin_task,
     is_on,
     next_task,
     wait,
 )
+from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.heap import pop, push

@@ -1,12 +1,12 @@
-"""Room for the next step, where rows of bits are hashed (:mod:`marouting.game.bits`).
+"""Room for the next step, where rows of bits are hashed (:mod:`marouting.batch.bits`).
 
 Compiled code cannot make arrays longer, so before every step there has to be room for whatever may
 come of it. It is easy to say what may come: a net crosses one edge at most.
 """
 
-from marouting.game.bits import length, longer
-from marouting.game.state import Dynamic, Option, Static
-from marouting.game.tasks import is_on
+from marouting.batch.bits import length, longer
+from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.tasks import is_on
 from marouting.kernels import compiled, inlined, wide
 from marouting.memory import check_memory
 

@@ -24,10 +24,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.batch.engine import Engine
+from marouting.batch.reward import Reward
+from marouting.batch.state import Dynamic
 from marouting.config import check, piece
-from marouting.game.engine import Engine
-from marouting.game.reward import Reward
-from marouting.game.state import NOBODY, Crossing, Dynamic
+from marouting.game import NOBODY, Crossing
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class TeamReward:
     def __call__(
         self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
     ) -> NDArray[np.floating]:
-        """What the moves pay; see :class:`marouting.game.reward.Reward`."""
+        """What the moves pay; see :class:`marouting.batch.reward.Reward`."""
         del movers
         return np.broadcast_to(self.saved(game, before)[:, None], game.agents.shape)
 
@@ -80,7 +81,7 @@ class DifferenceReward(TeamReward):
     def __call__(
         self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
     ) -> NDArray[np.floating]:
-        """What the moves pay; see :class:`marouting.game.reward.Reward`."""
+        """What the moves pay; see :class:`marouting.batch.reward.Reward`."""
         return _to_movers(self.saved(game, before), movers, game)
 
 
@@ -110,7 +111,7 @@ class PotentialReward:
     def __call__(
         self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
     ) -> NDArray[np.floating]:
-        """What the moves pay; see :class:`marouting.game.reward.Reward`."""
+        """What the moves pay; see :class:`marouting.batch.reward.Reward`."""
         crossing = game.agents["crossing"][np.arange(len(movers)), movers]
         movers = np.where(crossing == Crossing.ANSWERED, np.int32(NOBODY), movers)
         after, then = (_distance(game, agents, movers) for agents in (game.agents, before.agents))
@@ -150,7 +151,7 @@ class MixedReward:
     def __call__(
         self, game: Engine, before: Dynamic, movers: NDArray[np.int32]
     ) -> NDArray[np.floating]:
-        """What the moves pay; see :class:`marouting.game.reward.Reward`."""
+        """What the moves pay; see :class:`marouting.batch.reward.Reward`."""
         paid = np.zeros(game.agents.shape)
         for weight, reward in self.rewards:
             paid += weight * np.asarray(reward(game, before, movers))

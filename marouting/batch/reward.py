@@ -1,6 +1,6 @@
 """What a move pays.
 
-The paper's reward is here; :mod:`marouting.game.team_rewards` has those for nets that share. You
+The paper's reward is here; :mod:`marouting.batch.team_rewards` has those for nets that share. You
 can also write your own; see :func:`marouting.register`. A reward is called after every single move,
 in all interfaces of the environment, in the batch and in trainings alike, and it may pay any agent
 of the problem. The metrics of routes (overflow, wirelength, tasks joined) do not depend on it.
@@ -36,9 +36,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.batch.engine import Engine
+from marouting.batch.state import Dynamic
 from marouting.config import check
-from marouting.game.engine import Engine
-from marouting.game.state import NOBODY, Crossing, Dynamic, Ending
+from marouting.game import NOBODY, Crossing, Ending
 from marouting.kernels import inlined, place
 
 _MOST = 1e30
@@ -55,8 +56,8 @@ class Reward(Protocol):
 
         Args:
             game: the games after the moves. ``game.agents`` (M, N) and ``game.games`` (M,) are
-                records of the types :data:`marouting.game.state.AGENT` and
-                :data:`marouting.game.state.GAME`; ``game.dynamic`` holds everything that changes,
+                records of the types :data:`marouting.batch.state.AGENT` and
+                :data:`marouting.batch.state.GAME`; ``game.dynamic`` holds everything that changes,
                 ``game.static`` everything that does not. An agent whose task has ended stands where
                 it arrived; its next task has not begun.
             before: the arrays of ``game.dynamic`` as they were before the moves, to be read. Where

@@ -17,8 +17,8 @@ The agent routes them one after the other, one Gcell per move, from a task's sta
   move in the same order.
 
 These are the paper's rules. Options extend them: trees as targets and the choice of tasks
-(:mod:`marouting.game.tasks`), nets that give their edges back and walk again
-(:mod:`marouting.game.rounds`), at prices or not (:mod:`marouting.game.prices`), and
+(:mod:`marouting.batch.tasks`), nets that give their edges back and walk again
+(:mod:`marouting.batch.rounds`), at prices or not (:mod:`marouting.batch.prices`), and
 
 * ``mask_visited``: masks leave out moves to Gcells that the agent has visited in its task, as long
   as others are left;
@@ -30,10 +30,10 @@ next task puts the agent on another pin.
 
 from typing import Any
 
-from marouting.game.bits import byte_at, byte_of, empty, forget, places, put
-from marouting.game.edges import demand_of, may_cross, take, use_edges, uses
-from marouting.game.prices import NO_LIMIT, first_present
-from marouting.game.rounds import (
+from marouting.batch.bits import byte_at, byte_of, empty, forget, places, put
+from marouting.batch.edges import demand_of, may_cross, take, use_edges, uses
+from marouting.batch.prices import NO_LIMIT, first_present
+from marouting.batch.rounds import (
     all_have_walked,
     answer,
     done,
@@ -41,8 +41,8 @@ from marouting.game.rounds import (
     judge,
     walk_again,
 )
-from marouting.game.state import MASKS, NOBODY, Crossing, Dynamic, Ending, Option, Static, Status
-from marouting.game.tasks import (
+from marouting.batch.state import MASKS, Dynamic, Option, Static
+from marouting.batch.tasks import (
     begin_extended,
     begin_net,
     begin_task,
@@ -54,6 +54,7 @@ from marouting.game.tasks import (
     next_task,
     wait,
 )
+from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import inlined, inner, place, wide
 from marouting.problem.grid import MOVES
 

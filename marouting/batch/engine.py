@@ -1,6 +1,6 @@
 """The engine: M problems of one grid shape, played side by side.
 
-All rules are in :mod:`marouting.game.rules`, all state in :mod:`marouting.game.state`.
+All rules are in :mod:`marouting.batch.rules`, all state in :mod:`marouting.batch.state`.
 """
 
 import copy
@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.bits import adopt, chosen, forget, in_use, numbers_of, rebuilt
-from marouting.game.growth import lengthened, needed_room
-from marouting.game.options import RuleOptions
-from marouting.game.rules import (
+from marouting.batch.bits import adopt, chosen, forget, in_use, numbers_of, rebuilt
+from marouting.batch.growth import lengthened, needed_room
+from marouting.batch.options import RuleOptions
+from marouting.batch.rules import (
     is_agent,
     move_everyone,
     move_player,
@@ -24,8 +24,8 @@ from marouting.game.rules import (
     settle_player,
     write_mask,
 )
-from marouting.game.saved import check_saved
-from marouting.game.setup import (
+from marouting.batch.saved import check_saved
+from marouting.batch.setup import (
     More,
     Room,
     dynamic_state,
@@ -33,7 +33,8 @@ from marouting.game.setup import (
     replace_problem,
     static_state,
 )
-from marouting.game.state import NOBODY, ROWS, Dynamic, Option, Static
+from marouting.batch.state import ROWS, Dynamic, Option, Static
+from marouting.game import NOBODY
 from marouting.kernels import compiled, place, wide
 from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
@@ -138,7 +139,8 @@ class Engine:
         rules: the options of the rules; None: those of the paper.
         room: how large problems are that may take the place of these, see :meth:`replace`; None:
             they stay.
-        **changes: fields of :class:`marouting.game.options.RuleOptions` that differ from ``rules``.
+        **changes: fields of :class:`marouting.batch.options.RuleOptions` that differ from
+            ``rules``.
 
     Attributes:
         rules: the options of the rules.
@@ -148,7 +150,7 @@ class Engine:
         static: the arrays that do not change during an episode.
         dynamic: the arrays that do.
         hashed: whether ``dynamic.used`` and ``dynamic.sets`` are hashed, as they are where a bit
-            for each net and edge would take much memory; see :mod:`marouting.game.bits`.
+            for each net and edge would take much memory; see :mod:`marouting.batch.bits`.
         replaced: (M,) int64, how often a problem has taken the place of another.
 
     Raises:
@@ -208,7 +210,7 @@ class Engine:
 
     @property
     def actions(self) -> int:
-        """How many actions an agent has; see :class:`marouting.game.options.RuleOptions`."""
+        """How many actions an agent has; see :class:`marouting.batch.options.RuleOptions`."""
         return self.rules.actions
 
     @property
@@ -281,7 +283,7 @@ class Engine:
         return part
 
     def make_room(self) -> None:
-        """Makes room for a step where rows of bits are hashed; see :mod:`marouting.game.growth`.
+        """Makes room for a step where rows of bits are hashed; see :mod:`marouting.batch.growth`.
 
         The methods of the engine do so themselves. Who hands ``dynamic`` to compiled rules calls
         this before each step of all agents, and takes ``dynamic`` afterwards: its arrays may be

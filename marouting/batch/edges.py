@@ -6,8 +6,8 @@ it uses the edge; a via has no limit.
 
 from typing import Any
 
-from marouting.game.bits import byte_of, has, set_byte
-from marouting.game.state import Dynamic, Static
+from marouting.batch.bits import byte_of, has, set_byte
+from marouting.batch.state import Dynamic, Static
 from marouting.kernels import inlined, inner, place, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 

@@ -3,8 +3,8 @@
 The state of M problems with N agents on one grid shape is held in plain arrays, with the problem as
 the first axis. There are G Gcells, E edges, Z layers, K tasks over all problems, and P nets at most
 that walk again at a time. Arrays of options that are switched off have no elements. Sets of edges
-and Gcells are rows of bits, hashed where grids are large (:mod:`marouting.game.bits`). Only
-:mod:`marouting.game.rules`, and what it calls, changes the dynamic state.
+and Gcells are rows of bits, hashed where grids are large (:mod:`marouting.batch.bits`). Only
+:mod:`marouting.batch.rules`, and what it calls, changes the dynamic state.
 """
 
 import enum
@@ -15,40 +15,9 @@ from numpy.typing import NDArray
 
 from marouting.problem.grid import MOVES
 
-NOBODY = -1
-"""Stands for no agent, such as after the end of an episode; also the action for no move."""
-
-
-class Status(enum.IntEnum):
-    """The status of an agent in its episode."""
-
-    ACTIVE = 0  #: still has a task to route
-    TERMINATED = 1  #: all tasks joined
-    TRUNCATED = 2  #: all tasks ended, at least one of them failed
-    ABSENT = 3  #: no net: padding for a problem with fewer agents than the largest one
-    WAITING = 4  #: all tasks ended, but the net may still walk again in a rip-up round
-
-
-class Crossing(enum.IntEnum):
-    """What an agent's last move did."""
-
-    NONE = 0  #: the agent did not move
-    BLOCKED = 1  #: too little capacity, or off the grid: the agent stayed
-    NEW = 2  #: crossed an edge that the net now uses
-    OWN = 3  #: crossed an edge that the net already used
-    ANSWERED = 4  #: the agent was asked whether its net gives way, and answered
-
-
-class Ending(enum.IntEnum):
-    """What an agent's last move did to its task."""
-
-    NONE = 0  #: the task goes on
-    JOINED = 1  #: the target pin is reached
-    FAILED = 2  #: the steps are used up
-
 
 class RipUp(enum.IntEnum):
-    """Which nets walk again in a rip-up round; see :mod:`marouting.game.rounds`."""
+    """Which nets walk again in a rip-up round; see :mod:`marouting.batch.rounds`."""
 
     ALL = 0  #: all, in turn order
     CONFLICTS = 1  #: those with open tasks or on full edges, in turn order

@@ -1,6 +1,6 @@
 """What a learned router looks at: every move's way to the end, all open pins, a folded window.
 
-Like the window of :mod:`marouting.game.window`, it is mirrored in x and in y so that the target
+Like the window of :mod:`marouting.batch.window`, it is mirrored in x and in y so that the target
 lies towards +x and +y, and one shape fits every grid, number of layers and capacity. It takes
 longer to compute and is much smaller: the layers are folded into one, and two searches tell for
 every move how much farther than the best it leads.
@@ -10,7 +10,7 @@ grows as the logarithm, 1 + ln(d / 8), up to 4; and a net's track is its demand 
 layer, at least 1.
 
 =======  ===  =====================================================================================
-numbers  16   as in :mod:`marouting.game.window`
+numbers  16   as in :mod:`marouting.batch.window`
 detour   12   for +x, −x, +y, −y of the frame, up and down: s(d), where d is by how much the
               cheapest way to the end that begins with the move is dearer than the cheapest of all;
               1 where there is none. First with the capacity there is, then with predicted slack
@@ -43,13 +43,13 @@ well. A move towards two pins at once is best where the tree has branches to bot
 of the net's tree, otherwise the target. Every edge costs 1, those of the present walk included. One
 without room for the net costs 32 more if overflow is allowed, and cannot be crossed otherwise. With
 the predicted slack, an edge that would be left with less than nothing costs up to 4 more, 1 per
-track. In a priced round (:mod:`marouting.game.rounds`) an edge costs what it costs the net by
-:mod:`marouting.game.prices`. Ways stay within ``margin`` Gcells of the box around the task's ends
+track. In a priced round (:mod:`marouting.batch.rounds`) an edge costs what it costs the net by
+:mod:`marouting.batch.prices`. Ways stay within ``margin`` Gcells of the box around the task's ends
 and the net's other open pins; in a priced round the box grows by two Gcells more on each side for
 every round before it in a row that gained nothing.
 
-Predicted demand is explained in :mod:`marouting.game.expected`; that of the agent itself is left
-out. Moves are those of the grid; :func:`marouting.game.window.mirrored` translates them.
+Predicted demand is explained in :mod:`marouting.batch.expected`; that of the agent itself is left
+out. Moves are those of the grid; :func:`marouting.batch.window.mirrored` translates them.
 """
 
 from collections.abc import Sequence
@@ -62,23 +62,24 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from marouting.config import check
-from marouting.game.bits import byte_at, places
-from marouting.game.edges import demand_of, uses
-from marouting.game.engine import Engine, check_rows
-from marouting.game.expected import (
+from marouting.batch.bits import byte_at, places
+from marouting.batch.edges import demand_of, uses
+from marouting.batch.engine import Engine, check_rows
+from marouting.batch.expected import (
     Maps,
     maps_of,
     refresh,
     slack_of,
     squashed,
 )
-from marouting.game.places import grid_of, position
-from marouting.game.prices import UNIT, edge_cost, is_priced, price_of
-from marouting.game.rules import is_agent
-from marouting.game.state import NOBODY, Crossing, Dynamic, Option, Static
-from marouting.game.tasks import holds, is_later, is_on, next_nearest
-from marouting.game.window import MOST_RADIUS, move_order, write_numbers
+from marouting.batch.places import grid_of, position
+from marouting.batch.prices import UNIT, edge_cost, is_priced, price_of
+from marouting.batch.rules import is_agent
+from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.tasks import holds, is_later, is_on, next_nearest
+from marouting.batch.window import MOST_RADIUS, move_order, write_numbers
+from marouting.config import check
+from marouting.game import NOBODY, Crossing
 from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole
@@ -172,7 +173,7 @@ def ways_of(engine: Engine) -> Ways:
 
 @dataclass(frozen=True)
 class OutlookObservation:
-    """What a learned router looks at; see :mod:`marouting.game.outlook`.
+    """What a learned router looks at; see :mod:`marouting.batch.outlook`.
 
     Attributes:
         radius: Gcells that are seen in each direction of x and y, 0 to 32.
@@ -232,7 +233,7 @@ class OutlookObservation:
         agents: NDArray[np.integer],
         out: NDArray[np.float32],
     ) -> None:
-        """Fills ``out`` (K, ``size``); see :class:`marouting.game.observation.Observation`.
+        """Fills ``out`` (K, ``size``); see :class:`marouting.batch.observation.Observation`.
 
         Raises:
             ValueError: there are no such agents.
@@ -249,7 +250,7 @@ class OutlookObservation:
             obs: (K, size) float32, what agents saw.
 
         Returns:
-            (K, 6) int64; see :func:`marouting.game.window.move_order`.
+            (K, 6) int64; see :func:`marouting.batch.window.move_order`.
         """
         return move_order(obs)
 
@@ -273,7 +274,7 @@ def _edge_cost(
     Args:
         static: the static state of the games.
         dynamic: their dynamic state.
-        maps: see :class:`marouting.game.expected.Maps`.
+        maps: see :class:`marouting.batch.expected.Maps`.
         m: the problem.
         n: the agent.
         cell: the Gcell.

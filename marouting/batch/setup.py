@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.batch.bits import make_rows
+from marouting.batch.growth import lengthened, needed_room
+from marouting.batch.options import RuleOptions
+from marouting.batch.prices import WHOLE
+from marouting.batch.state import AGENT, GAME, Dynamic, Option, RipUp, Static
 from marouting.errors import InputError
-from marouting.game.bits import make_rows
-from marouting.game.growth import lengthened, needed_room
-from marouting.game.options import NetOrder, RuleOptions
-from marouting.game.prices import WHOLE
-from marouting.game.state import AGENT, GAME, NOBODY, Dynamic, Option, RipUp, Static
+from marouting.game import NOBODY, NetOrder
 from marouting.kernels import compiled, wide
 from marouting.memory import HASHED, PLAYED, TABLES, check_memory
 from marouting.problem.grid import VIA_AXIS, Grid
@@ -229,7 +230,7 @@ _PLAIN = _options(RuleOptions(), (0, 0, 0))
 class More(NamedTuple):
     """Views of the state of the options, by name; see :class:`Option`. Empty where switched off.
 
-    Sets are also empty where their rows are hashed, see :mod:`marouting.game.bits`.
+    Sets are also empty where their rows are hashed, see :mod:`marouting.batch.bits`.
     """
 
     tree: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
@@ -300,7 +301,7 @@ capacity takes."""
 
 
 def is_hashed(agents: int, edges: int) -> bool:
-    """Whether the rows of bits of a game are hashed; see :mod:`marouting.game.bits`."""
+    """Whether the rows of bits of a game are hashed; see :mod:`marouting.batch.bits`."""
     return agents * -(-edges // 8) > PER_NET * agents + PER_EDGE * edges
 
 

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.game.bits import are_within, byte_at, copy_rows, longer, places
-from marouting.game.edges import demand_of
-from marouting.game.prices import LARGEST, MOST_RISE
-from marouting.game.setup import more_of
-from marouting.game.state import NOBODY, Crossing, Dynamic, Ending, Option, RipUp, Static, Status
+from marouting.batch.bits import are_within, byte_at, copy_rows, longer, places
+from marouting.batch.edges import demand_of
+from marouting.batch.prices import LARGEST, MOST_RISE
+from marouting.batch.setup import more_of
+from marouting.batch.state import Dynamic, Option, RipUp, Static
+from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES
 
@@ -137,7 +138,7 @@ def checked_demand(
 
     Args:
         static: the static state of the games.
-        used: its part of what :class:`marouting.game.state.Dynamic` has, with an axis for it.
+        used: its part of what :class:`marouting.batch.state.Dynamic` has, with an axis for it.
         m: the problem.
 
     Raises:

@@ -1,0 +1,599 @@
+"""The game of global routing: all of its rules, in one file, to be read from top to bottom.
+
+Every net is an **agent**. Its pins are split into two-pin **tasks**; the agent walks from a task's
+start to its target, one Gcell a move. The edges that it crosses become the net's route.
+
+* A move **crosses** an edge that the net already uses, a via, or an edge whose remaining capacity
+  covers the net's demand; with ``overflow="allowed"`` any edge. From then on the net uses the edge.
+* Any other move is **blocked**: the agent stays where it is. Either way the step counts.
+* A task ends **joined** when the agent reaches the target, or **failed** after ``max_steps`` steps.
+  Then the next task begins at its own start. The net keeps the edges that it used.
+* An agent is **terminated** when all its tasks are joined, **truncated** when all have ended and
+  some failed. The game is over when no agent is active.
+* Nets move in **turn order**: one after the other to its end, or one move each in turn.
+
+These are the paper's rules; options add to them. A step has three parts, so that others can look
+in between: :meth:`Game.move` (what did the move do?), :meth:`Game.settle` (the next task begins)
+and :meth:`Game.pass_turn` (whose turn is it?)::
+
+    game = Game(problem, Rules(turn_order="round_robin"))
+    while game.active:
+        game.step(some_action)
+    print(game.metrics())
+
+To change a rule, override the method that it is in. :mod:`marouting.batch` plays the same game for
+many problems at once, compiled; ``tests/test_game.py`` holds the two equal.
+"""
+
+import copy
+from array import array
+from collections import Counter
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.checks import check_fields
+from marouting.errors import InputError
+from marouting.problem.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid
+from marouting.problem.problem import UNLIMITED, Problem
+from marouting.problem.solution import Solution
+from marouting.trees.decomposition import Decomposition, two_pin_tasks
+
+RIP_UP = MOVES
+"""Action 6, with ``rip_up="agents"``: the net is ripped up and routed again."""
+
+NOBODY = -1
+"""Stands for no agent, such as after the end of the game."""
+
+NO_TASK = -1
+
+
+class Status(IntEnum):
+    """The status of an agent."""
+
+    ACTIVE = 0  #: still has a task to route
+    TERMINATED = 1  #: all tasks joined
+    TRUNCATED = 2  #: all tasks ended, at least one of them failed
+    ABSENT = 3  #: no net: padding in a batch whose problems have different numbers of nets
+    WAITING = 4  #: all tasks ended, but the net may still be ripped up and rerouted
+
+
+class Crossing(IntEnum):
+    """What an agent's last move did."""
+
+    NONE = 0  #: the agent did not move
+    BLOCKED = 1  #: too little capacity, or off the grid: the agent stayed
+    NEW = 2  #: crossed an edge that the net now uses
+    OWN = 3  #: crossed an edge that the net already used
+    ANSWERED = 4  #: the agent was asked whether to rip up its net, and answered
+
+
+class Ending(IntEnum):
+    """What an agent's last move did to its task."""
+
+    NONE = 0  #: the task goes on
+    JOINED = 1  #: the target is reached
+    FAILED = 2  #: the steps are used up
+
+
+# Plain integers: looking up the member of an enumeration takes as long as the rest of a rule.
+ACTIVE, WAITING = Status.ACTIVE.value, Status.WAITING.value
+BLOCKED, NEW, OWN = Crossing.BLOCKED.value, Crossing.NEW.value, Crossing.OWN.value
+ANSWERED = Crossing.ANSWERED.value
+GOES_ON, JOINED, FAILED = Ending.NONE.value, Ending.JOINED.value, Ending.FAILED.value
+
+MOST_STEPS, MOST_ROUNDS, MOST_NEIGHBOURS = 1_000_000, 100_000, 100
+"""The largest ``max_steps``, ``rip_up_rounds`` and ``rip_up_neighbours``."""
+
+TurnOrder = Literal["sequential", "round_robin"]
+NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
+Overflow = Literal["forbidden", "allowed"]
+Target = Literal["pin", "tree"]
+NextTask = Literal["listed", "nearest"]
+RipUpChoice = Literal["all", "conflicts", "price", "agents"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """The options of the rules; the defaults are the paper's.
+
+    Attributes:
+        turn_order: ``sequential``, a net finishes before the next one starts (the paper), or
+            ``round_robin``, each net makes one move in turn. None: ``round_robin`` in the
+            interfaces where every net is an agent, otherwise ``sequential``.
+        net_order: ``half_perimeter``, largest bounding box first (the authors' code), ties in file
+            order; ``half_perimeter_up``, smallest first; or ``file``.
+        max_steps: steps after which a task fails (the paper's T_max), up to a million. None: 50 as
+            in the paper, or 2 (X + Y) if that is more, because 50 steps do not cross a large grid.
+        overflow: ``forbidden``, a move across a full edge is blocked (the paper), or ``allowed``,
+            it overflows the edge, at a price that the reward sets.
+        decomposition: the tree along which a net's pins are split into tasks: ``mst``, a minimum
+            spanning tree (the paper), or ``steiner``, a rectilinear Steiner tree.
+        target: what ends a task: ``pin``, the task's target pin (the paper), or ``tree``: the agent
+            starts at the new pin, and any Gcell that the net's edges join to its first pin will do.
+        next_task: ``listed``, tasks in the order of the decomposition (the paper), or ``nearest``,
+            the open pin nearest to the net's tree is next. For ``decomposition: mst`` only.
+        mask_visited: whether masks leave out moves to Gcells that the agent has visited in its
+            task, as long as other moves are left.
+        give_back: whether a failed task releases the edges that it took.
+        rip_up_rounds: how many rounds of rip-up and reroute follow after all nets have routed.
+            Agents then stay until the last round is over.
+        rip_up: which nets are ripped up in a round, and in which order: ``all``; ``conflicts``,
+            those with open tasks or on full edges; ``price``, those on edges that were full in this
+            or earlier rounds, the costliest first; or ``agents``, those whose agents say so when
+            they are asked, by a seventh action.
+        rip_up_neighbours: how many nets that stand in its way are ripped up together with a net.
+    """
+
+    turn_order: TurnOrder | None = None
+    net_order: NetOrder = "half_perimeter"
+    max_steps: int | None = None
+    overflow: Overflow = "forbidden"
+    decomposition: Decomposition = "mst"
+    target: Target = "pin"
+    next_task: NextTask = "listed"
+    mask_visited: bool = False
+    give_back: bool = False
+    rip_up_rounds: int = 0
+    rip_up: RipUpChoice = "all"
+    rip_up_neighbours: int = 0
+
+    def __post_init__(self) -> None:
+        most = {"rip_up_rounds": (0, MOST_ROUNDS), "rip_up_neighbours": (0, MOST_NEIGHBOURS)}
+        check_fields(self, max_steps=(1, MOST_STEPS), **most)
+        if self.next_task == "nearest" and self.decomposition != "mst":
+            raise InputError("next_task: expected listed, for a decomposition other than mst")
+
+    @property
+    def actions(self) -> int:
+        """How many actions an agent has: six moves and, with ``rip_up: agents``, ripping up."""
+        return MOVES + self.asks
+
+    @property
+    def asks(self) -> bool:
+        """Whether agents are asked whether to rip up their nets."""
+        return self.rip_up_rounds > 0 and self.rip_up == "agents"
+
+    def steps_per_task(self, grid: tuple[int, int, int]) -> int:
+        """Steps after which a task fails on a grid of X×Y×Z Gcells."""
+        return self.max_steps or max(50, 2 * (grid[0] + grid[1]))
+
+
+class Game:
+    """One problem, played by the rules; None stands for the paper's.
+
+    What is known of agent n stands in place n of the **columns**, arrays of the standard library:
+    as quick to read as lists, and NumPy reads them without a copy.
+
+    Attributes:
+        nets: the net of every agent, by its number in the problem. Nets with all pins in one Gcell
+            have nothing to route and are no agents.
+        tasks: the (start, target) Gcells of every agent's tasks.
+        order: the agents in turn order.
+        active: the agents that still have a task to route, in turn order.
+        remaining: (E,) what is left of every edge's capacity; negative where it overflows.
+        used: the edges that every net uses: its route.
+        cell, target, task, steps: columns: where the agent is, the Gcell that it walks to, which
+            of its tasks that is, and the steps made in it.
+        joined, status: columns: how many of the agent's tasks are joined; its :class:`Status`.
+        crossing, ending, added_overflow: columns: what the agent's last move did.
+        joined_tasks, overflow, wirelength, moves: figures of the whole problem.
+        round: of rip-up and reroute, from 1; 0 while nets are routed for the first time.
+        asked: whether the agent to move is asked whether to rip up its net.
+
+    Raises:
+        InputError: the problem has nothing to route, or demands do not fit into 32 bits.
+    """
+
+    COLUMNS = (
+        "cell", "target", "task", "steps", "joined",
+        "status", "crossing", "ending", "added_overflow",
+    )  # fmt: skip
+
+    def __init__(self, problem: Problem, rules: Rules | None = None) -> None:
+        self.problem, self.rules = problem, rules or Rules()
+        self.grid, self.layers = Grid.of(problem.grid), problem.grid[2]
+        tasks: dict[int, list[tuple[int, int]]] = {}
+        for net, start, target in two_pin_tasks(problem, self.rules.decomposition).tolist():
+            tasks.setdefault(net, []).append((start, target))
+        self.nets, self.tasks = list(tasks), list(tasks.values())
+        if not self.nets:
+            raise InputError("problem: expected a net with pins in two Gcells or more")
+        self.overflow_allowed = self.rules.overflow == "allowed"
+        self.demand: list[list[int]] = problem.net_demand[self.nets].tolist()  # by layer
+        if self.overflow_allowed and sum(map(max, self.demand)) > UNLIMITED:
+            raise InputError(f"problem: expected demands that add up to at most {UNLIMITED}")
+        self.capacity = array("i", problem.capacity.tobytes())
+        self.remaining = array("i", self.capacity)
+        # First and last column and row of the box around a net's pins.
+        self.low, self.high = (corner[self.nets, :2] for corner in problem.pin_boxes())
+        sign = {"half_perimeter": -1, "half_perimeter_up": 1, "file": 0}[self.rules.net_order]
+        half_perimeter = (self.high - self.low).sum(axis=1)
+        self.order: list[int] = np.argsort(sign * half_perimeter, kind="stable").tolist()
+        self.max_steps = self.rules.steps_per_task(problem.grid)
+        self.sequential = self.rules.turn_order != "round_robin"
+        self.keeps_tree = self.rules.target == "tree" or self.rules.next_task == "nearest"
+        columns = [array("i", bytes(4 * len(self.nets))) for _ in self.COLUMNS]
+        self.cell, self.target, self.task, self.steps, self.joined = columns[:5]
+        self.status, self.crossing, self.ending, self.added_overflow = columns[5:]
+        self.reset()
+
+    def reset(self) -> None:
+        """Begins an episode: all capacity is free, every agent is at the start of a task."""
+        self.remaining[:] = self.capacity
+        for name in self.COLUMNS:
+            getattr(self, name)[:] = array("i", bytes(4 * len(self.nets)))
+        self.used: list[set[int]] = [set() for _ in self.nets]
+        self.tree: list[set[int]] = [set() for _ in self.nets]  # see "Tasks"
+        self.begun: list[set[int]] = [set() for _ in self.nets]  # tasks begun
+        self.visited: list[set[int]] = [set() for _ in self.nets]  # Gcells, in the present task
+        self.taken: list[set[int]] = [set() for _ in self.nets]  # edges newly used in it
+        self.joined_tasks = self.overflow = self.wirelength = self.moves = 0
+        self.active, self._at = list(self.order), 0  # whose turn it is: active[_at]
+        self.queue: list[int] = []  # nets that may still be ripped up in this round, last one first
+        self.ripped: dict[int, tuple[set[int], int]] = {}  # nets rerouted now: what each had before
+        self.score_before = self._score()
+        self.round, self.asked, self.reroutes = 0, False, 0  # reroutes: in the present round
+        self.history: Counter[int] = Counter()  # in how many rounds an edge was full at the start
+        for n in self.order:
+            self._begin_net(n)
+
+    # --- A step -----------------------------------------------------------------------------------
+
+    @property
+    def turn(self) -> int:
+        """The agent whose turn it is, or NOBODY."""
+        return self.active[self._at] if self.active else NOBODY
+
+    def step(self, action: int) -> None:
+        """The agent whose turn it is moves."""
+        n = self.turn
+        self.move(n, action)
+        self.settle(n)
+        self.pass_turn(n)
+
+    def movers(self) -> list[int]:
+        """Who moves in a step of all agents: those that are active, or only the one to move."""
+        alone = self.sequential or self.asked
+        return [self.turn] if alone and self.active else list(self.active)
+
+    def move(self, n: int, action: int) -> None:
+        """An active agent crosses an edge or is blocked, and its task may end."""
+        self.moves += 1
+        self.added_overflow[n], self.ending[n] = 0, GOES_ON
+        if self.asked:
+            self._answer(n, rip_up=action == RIP_UP)
+            return
+        cell, layer = self.cell[n], self.cell[n] % self.layers
+        # Nobody is asked here, so RIP_UP is a move that is blocked.
+        edge, ahead = (0, OFF_GRID) if action == RIP_UP else self.grid.ways[cell][action]
+        if ahead == OFF_GRID or not self.may_cross(n, edge, layer):
+            self.crossing[n] = BLOCKED
+        else:
+            self.crossing[n] = OWN if edge in self.used[n] else NEW
+            self.cell[n] = cell = ahead
+        if self.crossing[n] == NEW:
+            self.used[n].add(edge)
+            self.wirelength += 1
+            self.added_overflow[n] = self._take(n, edge)
+            if self.rules.give_back:
+                self.taken[n].add(edge)
+        self.steps[n] += 1
+        if self.rules.mask_visited:
+            self.visited[n].add(cell)
+        if cell in self.tree[n] if self.rules.target == "tree" else cell == self.target[n]:
+            self._end_task(n, JOINED)
+        elif self.steps[n] >= self.max_steps:
+            self._end_task(n, FAILED)
+
+    def settle(self, n: int) -> None:
+        """After its move: an agent whose task has ended begins its next one, or is done."""
+        if not self.ending[n] or self.status[n] != ACTIVE:
+            return
+        # After the first routing nets only move to be rerouted, and until that is judged.
+        is_done = self.round and not self.ripped
+        task = NO_TASK if is_done else self._next_task(n)
+        if task != NO_TASK:
+            self._begin_task(n, task)
+        else:
+            self.status[n] = WAITING if self.rules.rip_up_rounds else self._final_status(n)
+
+    def pass_turn(self, n: int) -> None:
+        """After agent n's move the next one's turn comes; in sequential order when n is done."""
+        if self.status[n] != ACTIVE:
+            del self.active[self._at]  # now the next one is in its place
+        elif not self.sequential and self.crossing[n] != ANSWERED:  # see _rip_up
+            self._at += 1
+        if self._at >= len(self.active):
+            self._at = 0
+        if not self.active:
+            self._rip_up_next()
+
+    def pass_turns(self) -> None:
+        """:meth:`pass_turn` after a step of all agents."""
+        if self.sequential:
+            self.pass_turn(self.turn)
+            return
+        self.active, self._at = [n for n in self.active if self.status[n] == ACTIVE], 0
+        if not self.active:
+            self._rip_up_next()
+
+    def free_moves(self, n: int) -> int:
+        """The moves of an agent that cross an edge, one bit per move: the action mask."""
+        if self.asked and n == self.turn:
+            return 1 | 1 << RIP_UP  # any of the six moves keeps the route: one is enough
+        exits, layer = self.grid.exits_of[self.cell[n]], self.cell[n] % self.layers
+        free = sum(bit for bit, edge, _ in exits if self.may_cross(n, edge, layer))
+        if self.rules.mask_visited:
+            visited = self.visited[n]
+            new = sum(bit for bit, _, ahead in exits if ahead not in visited)
+            free = free & new or free
+        return free
+
+    def may_cross(self, n: int, edge: int, layer: int) -> bool:
+        """Whether an agent may cross an edge inside its Gcell's layer, or a via there."""
+        has_room = self.overflow_allowed or self.remaining[edge] >= self.demand[n][layer]
+        return has_room or edge in self.used[n]
+
+    # --- Edges ------------------------------------------------------------------------------------
+
+    def _take(self, n: int, edge: int, sign: int = 1) -> int:
+        """A net takes its demand of an edge (−1: releases it); returns the overflow this adds."""
+        if edge % AXES == VIA_AXIS:  # vias have no limit
+            return 0
+        demand, left = sign * self.demand[n][edge // AXES % self.layers], self.remaining[edge]
+        added = max(demand - left, 0) - max(-left, 0)
+        self.remaining[edge] = left - demand
+        self.overflow += added
+        return added
+
+    def _set_route(self, n: int, edges: set[int]) -> None:
+        """Makes a net use just these edges: it releases the others, and takes what is new."""
+        for edge in self.used[n] - edges:
+            self._take(n, edge, -1)
+        for edge in edges - self.used[n]:
+            self._take(n, edge)
+        self.wirelength += len(edges) - len(self.used[n])
+        self.used[n] = edges
+
+    def is_full(self, edge: int) -> bool:
+        """Whether an edge has capacity, and all of it is taken."""
+        return self.remaining[edge] <= 0 < self.capacity[edge]
+
+    # --- Tasks ------------------------------------------------------------------------------------
+    #
+    # By the paper's rules tasks are begun in the order of the decomposition, at Gcells that earlier
+    # ones have reached. Two options know more of the net: they keep its **tree**, all Gcells that
+    # its edges join to its first pin. It grows when a task ends; then all tasks whose pins are in
+    # it are joined, and are not begun any more. With ``target="tree"`` agents walk from the new
+    # pin; what they see as their target is the Gcell of the tree that was nearest at the beginning.
+    # With ``next_task="nearest"`` and ``target="pin"`` they start at the Gcell nearest to the pin.
+    # Ties go to the task listed first, and to the Gcell with the lowest number.
+
+    def _begin_net(self, n: int) -> None:
+        """An agent whose net uses no edge begins its first task."""
+        self._add_joined(n, -self.joined[n])
+        self.status[n], self.task[n], self.begun[n] = ACTIVE, NO_TASK, set()
+        if self.keeps_tree:
+            self._grow_tree(n)
+        self._begin_task(n, self._next_task(n))
+
+    def _begin_task(self, n: int, task: int) -> None:
+        """Puts an agent at the beginning of a task."""
+        start, target = self.tasks[n][task]
+        if self.keeps_tree:
+            _, start = self._nearest_in_tree(n, target)
+            if self.rules.target == "tree":
+                start, target = target, start
+        self.task[n], self.steps[n], self.cell[n], self.target[n] = task, 0, start, target
+        self.begun[n] = self.begun[n] | {task}
+        self.visited[n], self.taken[n] = {start}, set()
+
+    def _next_task(self, n: int) -> int:
+        """The task that an agent begins after its present one, or NO_TASK."""
+        tasks, tree = self.tasks[n], self.tree[n]
+        if self.rules.next_task == "listed":
+            later = (t for t in range(self.task[n] + 1, len(tasks)) if tasks[t][1] not in tree)
+            return next(later, NO_TASK)
+        later = (t for t in range(len(tasks)) if t not in self.begun[n] and tasks[t][1] not in tree)
+        return min(later, key=lambda t: self._nearest_in_tree(n, tasks[t][1])[0], default=NO_TASK)
+
+    def _end_task(self, n: int, ending: int) -> None:
+        """A task is joined or has failed."""
+        self.ending[n] = ending
+        if ending == JOINED:
+            self._add_joined(n, 1)
+        elif self.rules.give_back:
+            self._set_route(n, self.used[n] - self.taken[n])
+        if self.keeps_tree:
+            self._grow_tree(n)
+        # Judged as a part of the last move, which is then paid for what becomes of it.
+        if self.ripped and all(map(self._is_rerouted, self.ripped)):
+            self._judge()
+
+    def _grow_tree(self, n: int) -> None:
+        """Finds all Gcells that a net's edges join to its first pin, and the tasks joined so."""
+        first_pin, used, exits_of = self.tasks[n][0][0], self.used[n], self.grid.exits_of
+        tree, found = {first_pin}, [first_pin]
+        for cell in found:  # which grows as it is gone through
+            for _, edge, ahead in exits_of[cell]:
+                if edge in used and ahead not in tree:
+                    tree.add(ahead)
+                    found.append(ahead)
+        self.tree[n] = tree
+        self._add_joined(n, sum(pin in tree for _, pin in self.tasks[n]) - self.joined[n])
+
+    def _nearest_in_tree(self, n: int, pin: int) -> tuple[int, int]:
+        """The distance of a pin from its net's tree, and the Gcell of the tree nearest to it."""
+        return min((self.grid.distance(cell, pin), cell) for cell in self.tree[n])
+
+    def _add_joined(self, n: int, tasks: int) -> None:
+        self.joined[n] += tasks
+        self.joined_tasks += tasks
+
+    def open_tasks(self, n: int) -> int:
+        """How many of an agent's tasks are not joined."""
+        return len(self.tasks[n]) - self.joined[n]
+
+    def _final_status(self, n: int) -> int:
+        """The status of an agent that has no more tasks."""
+        return Status.TRUNCATED.value if self.open_tasks(n) else Status.TERMINATED.value
+
+    # --- Rip-up and reroute -----------------------------------------------------------------------
+    #
+    # After all nets have routed there are ``rip_up_rounds`` rounds. In a round one net after the
+    # other, as ``rip_up`` says, is ripped up and rerouted with all the others in place, and with it
+    # up to ``rip_up_neighbours`` nets that stand in its way. When all of them have ended their last
+    # tasks they are judged: if the problem now has fewer tasks joined, more overflow or more
+    # wirelength than before (in this order), they get their old routes back. A round in which no
+    # net is ripped up is the last one.
+
+    def _rip_up_next(self) -> None:
+        """When no agent is active: the next net is ripped up or asked, or the game is over."""
+        while self.queue or self._begin_round():
+            n = self.queue.pop()
+            if self.rules.asks:
+                self._ask(n)
+                return
+            if self._is_chosen(n):
+                self._rip_up(n)
+                return
+        for n in self.order:
+            if self.status[n] == WAITING:
+                self.status[n] = self._final_status(n)
+
+    def _begin_round(self) -> bool:
+        """Lines up the nets for the next round; returns whether there is one."""
+        if self.round == self.rules.rip_up_rounds or (self.round and not self.reroutes):
+            return False
+        self.round, self.reroutes = self.round + 1, 0
+        self.history.update(np.flatnonzero(self._full_edges()).tolist())
+        self.queue = list(self.order)
+        if self.rules.rip_up == "price":
+            self.queue.sort(key=self._price, reverse=True)  # equal ones stay in turn order
+        self.queue.reverse()
+        return True
+
+    def _price(self, n: int) -> tuple[int, int]:
+        """What a net costs: open tasks, then its edges, each the rounds it was full before."""
+        return self.open_tasks(n), sum(self.history[edge] for edge in self.used[n])
+
+    def _is_chosen(self, n: int) -> bool:
+        """Whether a net is ripped up now that it is its turn in a round."""
+        if self.rules.rip_up == "conflicts":
+            return self.open_tasks(n) > 0 or any(map(self.is_full, self.used[n]))
+        return self.rules.rip_up == "all" or any(self._price(n))
+
+    def _ask(self, n: int) -> None:
+        """Asks an agent: RIP_UP, or any move to keep the route? It stands at its first pin."""
+        self.asked, self.active, self._at = True, [n], 0
+        self.status[n], self.task[n], self.steps[n] = ACTIVE, 0, 0
+        self.cell[n], self.target[n] = self.tasks[n][0]
+
+    def _answer(self, n: int, *, rip_up: bool) -> None:
+        """The agent that was asked answers, which counts as a step."""
+        self.asked = False
+        if rip_up:
+            self._rip_up(n)
+        self.crossing[n] = ANSWERED
+        self.ending[n] = GOES_ON if rip_up else JOINED  # so that it settles: its tasks are over
+
+    def _rip_up(self, n: int) -> None:
+        """Rips up a net and those that stand in its way; all begin their first tasks again."""
+        self.score_before = self._score()
+        self.reroutes += 1
+        members = sorted((n, *self._in_the_way(n)), key=self.order.index)
+        self.ripped = {o: (self.used[o], self.joined[o]) for o in members}
+        for o in members:
+            self._set_route(o, set())
+            self.crossing[o], self.ending[o], self.added_overflow[o] = 0, GOES_ON, 0
+            self._begin_net(o)
+        # In sequential order the net itself is rerouted first, and the others after it; otherwise
+        # all move in turn order, from the first one on. So after an answer the turn stays.
+        self.active, self._at = members, members.index(n) if self.sequential else 0
+
+    def _in_the_way(self, n: int) -> list[int]:
+        """The nets that stand most in a net's way, at most ``rip_up_neighbours``.
+
+        What counts is how many full edges they use: of those that the net uses too, and of those
+        around its pins. It is multiplied by a lot, so that a net meets other ones in every round.
+        """
+        if not self.rules.rip_up_neighbours:
+            return []
+        edges = set(filter(self.is_full, self.used[n])) | self._full_around(n)
+        others = [o for o, used in enumerate(self.used) if o != n and not edges.isdisjoint(used)]
+        weight = {o: len(edges & self.used[o]) * lot(self.round, n, o) for o in others}
+        return sorted(others, key=lambda o: (-weight[o], o))[: self.rules.rip_up_neighbours]
+
+    def _is_rerouted(self, n: int) -> bool:
+        """Whether an agent has ended its last task, settled or not."""
+        if self.status[n] != ACTIVE:
+            return True
+        at_the_end = self.ending[n] and self.steps[n]  # otherwise its next task has begun already
+        return bool(at_the_end) and self._next_task(n) == NO_TASK
+
+    def _judge(self) -> None:
+        """Nets that have been rerouted get their old routes back if the problem is worse now."""
+        ripped, self.ripped = self.ripped, {}
+        if self._score() > self.score_before:
+            for n, (route, joined) in ripped.items():
+                self._set_route(n, route)
+                self._add_joined(n, joined - self.joined[n])
+
+    def _score(self) -> tuple[int, int, int]:
+        """What routing is to make small: open tasks, then overflow, then wirelength."""
+        return -self.joined_tasks, self.overflow, self.wirelength
+
+    def _full_edges(self) -> NDArray[np.bool_]:
+        """(X, Y, 3 Z) :meth:`is_full` of all edges."""
+        remaining, capacity = (np.frombuffer(a, np.int32) for a in (self.remaining, self.capacity))
+        columns, rows, layers = self.grid.shape
+        return ((remaining <= 0) & (capacity > 0)).reshape(columns, rows, AXES * layers)
+
+    def _full_around(self, n: int) -> set[int]:
+        """The full edges in the box around a net's pins, and one Gcell beyond if a task is open."""
+        beyond = 1 if self.open_tasks(n) else 0
+        left, low = np.maximum(self.low[n] - beyond, 0)
+        right, high = self.high[n] + beyond
+        box = np.zeros((*self.grid.shape[:2], 1), np.bool_)
+        box[left : right + 1, low : high + 1] = True
+        return set(np.flatnonzero(self._full_edges() & box).tolist())
+
+    # --- Results ----------------------------------------------------------------------------------
+
+    def metrics(self) -> dict[str, int]:
+        """The figures at this moment; they do not depend on the reward."""
+        return {
+            "overflow": self.overflow,
+            "wirelength": self.wirelength,
+            "joined": self.joined_tasks,
+            "tasks": sum(map(len, self.tasks)),
+            "steps": self.moves,
+        }
+
+    def solution(self) -> Solution:
+        """The routes at this moment."""
+        routes = [np.zeros(0, np.int64) for _ in self.problem.nets]
+        for net, used in zip(self.nets, self.used, strict=True):
+            routes[net] = np.array(sorted(used), np.int64)
+        return Solution(self.problem, routes)
+
+    def copy(self) -> "Game":
+        """A game that goes on from here by itself; what never changes is shared."""
+        twin = copy.copy(self)
+        for name in ("remaining", *self.COLUMNS, "active", "queue", "ripped", "history"):
+            setattr(twin, name, copy.copy(getattr(self, name)))
+        for name in ("used", "tree", "begun", "visited", "taken"):
+            setattr(twin, name, [set(one) for one in getattr(self, name)])
+        return twin
+
+
+def lot(number: int, n: int, other: int) -> int:
+    """A number from 1 to 1024 that follows from a round and two agents, as if it were drawn."""
+    mixed = (number * 0x9E3779B1 ^ n * 0x85EBCA6B ^ other * 0xC2B2AE35) & 0xFFFFFFFF
+    for _ in range(2):
+        mixed = (mixed ^ mixed >> 16) * 0x45D9F3B & 0xFFFFFFFF
+    return 1 + (mixed >> 22)
