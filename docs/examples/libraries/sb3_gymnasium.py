@@ -26,8 +26,8 @@ if curve.algorithm == "dqn":
     chance = {"learning_starts": 2_000, "exploration_fraction": 0.1}
     model = DQN("MlpPolicy", env, batch_size=128, seed=curve.seed, **often, **chance, **common)
 else:
-    rollout = {"n_steps": 128, "batch_size": 256, "n_epochs": 6, "ent_coef": 0.02}
-    model = PPO("MlpPolicy", env, seed=curve.seed, **rollout, **common)
+    rollout = {"n_steps": 128, "batch_size": 256, "n_epochs": 8, "ent_coef": 0.03}
+    model = PPO("MlpPolicy", env, seed=curve.seed, gae_lambda=0.9, **rollout, **common)
 
 
 def joined():

@@ -30,6 +30,7 @@ model = MaskablePPO(
     gae_lambda=0.9,
     ent_coef=0.01,
     policy_kwargs={"net_arch": [128, 128], "activation_fn": torch.nn.ReLU},
+    stats_window_size=5 * env.num_envs,  # for success_rate; 100 is less than an episode of each
     device="cpu",
     seed=curve.seed,
 )
