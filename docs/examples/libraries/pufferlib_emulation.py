@@ -1,4 +1,4 @@
-"""PPO written out on PufferLib's emulation and vector: ``pip install pufferlib-core``."""
+"""PPO written out on PufferLib's emulation and vector: ``pip install pufferlib-core==3.0.19``."""
 
 from functools import partial
 
