@@ -12,9 +12,9 @@ A name comes from one of two places:
       [project.entry-points."marouting.reward"]
       selfless = "my_package.rewards:Selfless"
 
-``module:Class`` is code, which is imported. In Python and on the command line it is the user's own
-word. A file can be somebody else's: what reads one (:func:`marouting.config.check_code`) refuses
-such names unless :func:`allowing_code` is in force, by ``--allow-code`` or ``allow_code=True``.
+``module:Class`` is code, which is imported. In Python and on the command line it comes from
+the user. A file may come from somebody else, so :func:`marouting.config.check_code` refuses such
+names in files unless :func:`allowing_code` is in force (``--allow-code``, ``allow_code=True``).
 """
 
 import contextlib
@@ -101,7 +101,7 @@ def lookup(kind: str, name: str, where: str = "") -> type[Any]:
 
 @contextlib.contextmanager
 def allowing_code(which: bool | Iterable[str] = True) -> Iterator[None]:
-    """Lets files name code in a block, beside what they may name already.
+    """Within the block, lets files name these classes too.
 
     Args:
         which: True for any code; False for no more; or the names that files may use, each
@@ -119,7 +119,7 @@ def allowing_code(which: bool | Iterable[str] = True) -> Iterator[None]:
 
 
 def code_allowed() -> bool | frozenset[str]:
-    """What code files may name here, as :func:`allowing_code` takes it."""
+    """Which classes files may name now, in the form that :func:`allowing_code` takes."""
     return _allowed.get()
 
 

@@ -1,9 +1,9 @@
-"""Ctrl-C, which must not be lost.
+"""Makes sure that Ctrl-C is never lost.
 
 LLVM calls back into Python where it loads and stores compiled code, and goes on with what the
 callback should have set: an exception raised there is printed and forgotten, and the process may
-end with a segmentation fault. So an interrupt is put off there, and where numba takes a type that
-is gone out of its tables.
+end with a segmentation fault. So an interrupt is put off there, and while numba
+removes a type from its tables.
 
 Elsewhere it is raised at once. But Python prints and forgets exceptions in destructors and where a
 weak reference tells that an object is gone, and libraries have bare ``except:`` around what they
@@ -27,7 +27,7 @@ AGAIN = 0.02
 
 
 class _Work:
-    """What an interrupt is to end."""
+    """The running job that an interrupt should end."""
 
     ended = False
 
@@ -66,9 +66,9 @@ def interrupt(number: int, frame: FrameType | None) -> None:
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """Answers Ctrl-C by :func:`interrupt`, unless somebody else answers or ignores it already.
+    """Answers Ctrl-C by :func:`interrupt`, unless another handler is installed.
 
-    The command's own first answer (:mod:`marouting.first`) is nobody else's.
+    The one of :mod:`marouting.first` is ours.
     """
     global _work
     before, told = signal.getsignal(signal.SIGINT), sys.unraisablehook

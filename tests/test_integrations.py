@@ -394,6 +394,37 @@ def test_torchrl_steps_the_games_of_the_parallel_environment() -> None:
     assert ends >= 4
 
 
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
+@pytest.mark.parametrize("interface", ["parallel_env", "env"])
+def test_torchrl_wraps_pettingzoo_only_with_agents_that_persist(interface: str) -> None:
+    """As docs/libraries.md says: which options are needed, and what happens without them."""
+    pytest.importorskip("torchrl")
+    from torchrl.envs import PettingZooWrapper
+    from torchrl.envs.utils import check_env_specs
+
+    def wrapped(**options: object) -> PettingZooWrapper:
+        known = {name: options.pop(name) for name in ("done_on_any",) if name in options}
+        game = getattr(global_routing_v0, interface)(PROBLEM, max_steps=6, **options)
+        return PettingZooWrapper(game, use_mask=interface == "env", seed=0, **known)
+
+    def ended(env: PettingZooWrapper) -> list[bool]:
+        """Of each net, whether it has ended at the end of the game that TorchRL plays."""
+        last = env.rollout(500)[-1]["next"]
+        assert last["done"].item()
+        return [done for group in env.group_map for done in last[group, "done"].flatten().tolist()]
+
+    if interface == "parallel_env":
+        assert sorted(set(ended(wrapped()))) == [False, True]  # the first net has left
+        with pytest.raises(KeyError, match="net_"):
+            wrapped(done_on_any=False).rollout(500)
+    else:
+        with pytest.raises(ValueError, match="the only valid action is None"):
+            wrapped().rollout(500)
+    env = wrapped(agents_persist=True)
+    check_env_specs(env)
+    assert ended(env) == [True] * len(PROBLEM.nets)
+
+
 def test_benchmarl_takes_the_task() -> None:
     pytest.importorskip("benchmarl")
     from marouting.config import config_file
@@ -409,6 +440,33 @@ def test_benchmarl_takes_the_task() -> None:
     steps = env.rollout(100, break_when_all_done=True)
     assert steps.shape[1] <= task.max_steps(env)
     assert set(task.log_info(steps)) == {"collection/info/joined", "collection/info/overflow"}
+
+
+# Tianshou -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("persist", [False, True])
+@pytest.mark.parametrize("masks", [False, True])
+def test_tianshou_wraps_pettingzoo_only_with_agents_that_persist(
+    persist: bool, masks: bool
+) -> None:
+    """As docs/libraries.md says: which options are needed, and what happens without them."""
+    pytest.importorskip("tianshou")
+    from tianshou.env import PettingZooEnv
+
+    options = {"agents_persist": persist, "mask_in_observation": masks}
+    env = PettingZooEnv(global_routing_v0.env(PROBLEM, max_steps=6, **options))
+    seen, _ = env.reset(seed=0)
+    rng, over, masked = np.random.default_rng(0), False, False
+    while not over:
+        masked |= not all(seen["mask"])
+        seen, _, terminated, truncated, _ = env.step(int(rng.choice(np.flatnonzero(seen["mask"]))))
+        over = terminated or truncated
+    game = env.env.unwrapped
+    ended = [game.terminations[agent] or game.truncations[agent] for agent in game.agents]
+    assert ended == [persist or agent == game.agent_selection for agent in game.agents]
+    assert len(ended) == len(PROBLEM.nets)
+    assert masked == masks
 
 
 # Recipes ------------------------------------------------------------------------------------------
@@ -455,9 +513,30 @@ def test_a_recipe_joins_the_nets(run: str) -> None:
     assert float(seconds) <= 180
 
 
+@pytest.mark.parametrize(
+    "run",
+    [pytest.param(run, marks=[] if RUNS[run] == "torch" else pytest.mark.slow) for run in RUNS],
+)
+def test_a_recipe_fails_where_too_few_nets_are_joined(run: str) -> None:
+    if importlib.util.find_spec(RUNS[run]) is None:
+        pytest.skip(f"{RUNS[run]} is not installed")
+    name, *words = run.split()
+    done = subprocess.run(
+        [sys.executable, RECIPES / f"{name}.py", *words, "--steps", "1"],
+        capture_output=True,
+        text=True,
+        timeout=900,
+        check=False,
+    )
+    assert done.returncode == 1, done.stderr
+    assert re.fullmatch(
+        r"joined 0\.[0-8]\d+ of the nets, expected 0\.95 or more", done.stderr.splitlines()[-1]
+    )
+
+
 def test_every_recipe_is_listed_and_short() -> None:
     page = (RECIPES.parents[1] / "libraries.md").read_text(encoding="utf-8")
-    files = {file.stem: file for file in RECIPES.glob("*.py")}
+    files = {file.stem: file for file in RECIPES.glob("*.py") if file.stem != "curve"}
     assert set(files) == {run.split()[0] for run in RUNS}
     for name, file in files.items():
         assert f"(examples/libraries/{name}.py)" in page

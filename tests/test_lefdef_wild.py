@@ -74,6 +74,29 @@ SAME = {
     "FILLS": (DEF.replace("NETS 2", BLOCKED.replace("RECT", "+ FILLS RECT") + "NETS 2"), LEF),
     "SLOTS": (DEF.replace("NETS 2", BLOCKED.replace("RECT", "+ SLOTS RECT") + "NETS 2"), LEF),
     "tracks of a cut layer": (DEF.replace("LAYER M1 M2", "LAYER M1 M2 V1"), LEF),
+    "a comment without a blank": (
+        DEF.replace("DESIGN chip ;", "DESIGN chip ;# a chip"),
+        LEF.replace("WIDTH 0.04 ;\n  SPACING", "WIDTH 0.04 ;# of \"wires\" ;\n  SPACING"),
+    ),
+    "tables of currents": (
+        DEF,
+        LEF.replace(
+            "END M2",
+            "ACCURRENTDENSITY RMS FREQUENCY 1E6 4E8 ; WIDTH 0.4 0.8 ; TABLEENTRIES 2E-6 1 1 1 ;\n"
+            "DCCURRENTDENSITY AVERAGE WIDTH 2 5 ; TABLEENTRIES 1 2 ;\n"
+            "ACCURRENTDENSITY PEAK 5.5 ;\nEND M2",
+        ),
+    ),
+    "tracks without a layer": (
+        swapped(DEF, ("STEP 100 LAYER M1 ;\nTRACKS X", "STEP 100 ;\nTRACKS X")),
+        LEF,
+    ),
+    "NOISETABLE": (DEF, LEF.replace("MACRO", "NOISETABLE 1 ; X 2 ;\nEND NOISETABLE\nMACRO")),
+    "byte order marks in the middle": (DEF, LEF.replace("MACRO", "\ufeffVERSION 5.8 ;\nMACRO")),
+    "a pin of the chip in small letters": (
+        swapped(DEF, ("( PIN in ) ( u1 A ) + USE", "(pin in)(u1 A)+USE")),
+        LEF,
+    ),
     "a die of six corners, in a line": (
         DEF.replace("( 0 0 ) ( 1000", "( 0 0 ) ( 0 500 ) ( 0 1000 ) ( 1000 1000 ) ( 1000 0 ) ; #"),
         LEF,
@@ -171,6 +194,54 @@ def test_a_pin_that_is_a_via(tmp_path: Path) -> None:
     assert capacities(problem, 0, 0)[0] == [2, 1]  # it blocks 50 and 150 of M1
 
 
+@pytest.mark.parametrize(
+    ("rects", "vias"),
+    [
+        ("RECT -0.03 -0.01 0.07 0.09", "VIA 0.02 0.04 v"),
+        (
+            "RECT 0.05 0.15 0.15 0.25 ; RECT 0.15 0.15 0.25 0.25",
+            "VIA ITERATE 0.1 0.2 v DO 2 BY 1 STEP 0.1 0",
+        ),
+    ],
+)
+def test_vias_of_macros_are_shapes_like_others(tmp_path: Path, rects: str, vias: str) -> None:
+    """In obstructions and in pins, beside rectangles or alone; undefined ones are refused."""
+    defined = LEF.replace("MACRO", VIA + "MACRO")
+    shapes = "".join(f"LAYER {layer} ; {rects} ; " for layer in ("M1", "M2"))
+    for old in ("    LAYER M2 ;\n      RECT 0.1", "      LAYER M1 ;\n        RECT 0.3"):
+        by_rect, by_via = (defined.replace(old, f"{s}{old}") for s in (shapes, f"{vias} ;\n"))
+        expected = Problem.read(design(tmp_path, DEF, by_rect))
+        assert expected != Problem.read(design(tmp_path, DEF, defined))
+        found = Problem.read(design(tmp_path, DEF, by_via))
+        assert (found.nets, found.adjustments) == (expected.nets, expected.adjustments)
+    port = "      LAYER M1 ;\n        RECT 0.3 0.3 0.36 0.36 ;\n"
+    alone = [swapped(defined, (port, text)) for text in (shapes, f"{vias} ;\n")]
+    one, other = (Problem.read(design(tmp_path, DEF, lef)) for lef in alone)
+    assert one == other
+    with pytest.raises(
+        InputError, match=r"chip\.lef:[0-9]+: macro CELL: expected a via of the LEF"
+    ):
+        Problem.read(design(tmp_path, DEF, alone[1].replace(VIA, "")))
+
+
+def test_names_are_given_once_and_nothing_follows(tmp_path: Path) -> None:
+    again = "END PINS", "- in + NET n1 + LAYER M1 ( 0 0 ) ( 9 9 ) + PLACED ( 0 0 ) N ;\nEND PINS"
+    with pytest.raises(
+        InputError, match=r"chip\.def:15: pin in: expected a name no earlier pin has"
+    ):
+        Problem.read(design(tmp_path, swapped(DEF, again)))
+    file = design(tmp_path, f"{DEF}NETS 1 ;\n")
+    with pytest.warns(UserWarning, match=r"chip\.def:21: text after END DESIGN is not read"):
+        Problem.read(file)
+
+
+def test_pins_in_what_a_die_lacks_are_refused(tmp_path: Path) -> None:
+    corner = "( 0 0 ) ( 0 1000 ) ( 1000 1000 ) ( 1000 400 ) ( 600 400 ) ( 600 0 )"
+    text = swapped(DEF, ("( 0 0 ) ( 1000 1000 )", corner))
+    with pytest.raises(InputError, match="net n1: pin in of PIN lies outside the die"):
+        Problem.read(design(tmp_path, text))
+
+
 def test_a_die_that_is_no_rectangle(tmp_path: Path) -> None:
     corner = "( 0 0 ) ( 0 1000 ) ( 1000 1000 ) ( 1000 400 ) ( 600 400 ) ( 600 0 )"
     text = swapped(DEF, ("( 0 0 ) ( 1000 1000 )", corner), ("( 900 0 )", "( 900 800 )"))
@@ -194,10 +265,14 @@ def test_a_count_that_is_wrong(tmp_path: Path, section: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "what"),
     [
-        ("NEW M1", "NEW M9", "layer M9 of a special net: expected a layer of the LEF files"),
-        ("+ LAYER M2", "+ LAYER M9", "layer M9 of a pin: expected a layer of the LEF files"),
-        ("- LAYER M2 RECT", "- LAYER M9 RECT", "layer M9 of a blockage: expected a layer of"),
-        ("RECT M2", "RECT M9", "layer M9 of a via: expected a layer of the LEF files"),
+        ("NEW M1", "NEW M9", "layer M9 of a special net, in .*: expected a layer of the LEF files"),
+        ("+ LAYER M2", "+ LAYER M9", "layer M9 of a pin, in .*: expected a layer of the LEF files"),
+        (
+            "- LAYER M2 RECT",
+            "- LAYER M9 RECT",
+            "layer M9 of a blockage, in .*: expected a layer of",
+        ),
+        ("RECT M2", "RECT M9", "layer M9 of a via, in .*: expected a layer of the LEF files"),
     ],
 )
 def test_a_layer_that_nobody_defines_is_refused(
@@ -217,7 +292,9 @@ def test_a_layer_that_nobody_defines_is_refused(
 
 def test_a_macro_in_a_layer_that_nobody_defines_is_refused(tmp_path: Path) -> None:
     lef = LEF.replace("  OBS\n    LAYER M2", "  OBS\n    LAYER M9")
-    with pytest.raises(InputError, match="layer M9 of a macro's obstruction: expected a layer of"):
+    with pytest.raises(
+        InputError, match="layer M9 of a macro's obstruction, in CELL: expected a layer of"
+    ):
         Problem.read(design(tmp_path, lef=lef))
 
 

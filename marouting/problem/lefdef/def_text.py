@@ -14,7 +14,13 @@ from typing import NamedTuple
 from marouting.errors import InputError, nearest
 from marouting.problem.ispd.lines import reading, unexpected
 from marouting.problem.lefdef.lef_text import Library, is_keyword
-from marouting.problem.lefdef.statements import ENCODING_ERRORS, Copy, Statements, whole
+from marouting.problem.lefdef.statements import (
+    ENCODING_ERRORS,
+    MOST_CUTS,
+    Copy,
+    Statements,
+    whole,
+)
 
 
 class Tracks(NamedTuple):
@@ -122,8 +128,6 @@ _SECTIONS = {
     "CONSTRAINTS", "IOTIMINGS", "FLOORPLANCONSTRAINTS", "DEFAULTCAP", "TIMINGDISABLES",
     "PARTITIONS",
 }  # fmt: skip
-_MOST_CUTS = 10**6
-"""The most cuts of a via made by rule, and vias of an array: each becomes a shape."""
 _COPIED = {"VERSION", "NAMESCASESENSITIVE", "DIVIDERCHAR", "BUSBITCHARS", "DESIGN", "UNITS"}
 _PLACED = ("PLACED", "FIXED", "COVER")
 
@@ -161,6 +165,10 @@ def read_def(path: str | os.PathLike[str], library: Library, copy: Copy) -> Desi
                     copy.write(line, [word, *rest, ";"])
         if words.keyword() != "DESIGN":
             raise unexpected("'END DESIGN'", ["END"])
+        if words.peek():
+            warnings.warn(
+                f"{design.file}:{words.line}: text after END DESIGN is not read", stacklevel=2
+            )
         if design.pin_vias:
             layer = next(iter(library.routing))
             copy.write(words.line, ["SPECIALNETS", str(len(design.pin_vias)), ";"])
@@ -342,8 +350,11 @@ def _pin(rest: list[str], design: Design, library: Library) -> list[str]:
             copied += ["+", "PORT"] * (len(ports) > 1)
             copied += [word for clause in (*shapes, place) for word in ("+", *clause)]
         design.pin_vias += _vias_of_pin(name, vias, place, design, library)
+    plain = name.replace("\\", "")
+    if plain in design.pins:
+        raise InputError(f"pin {name}: expected a name no earlier pin has")
     lacks = "" if usable else _NO_SHAPE if placed and not shaped else _NO_PLACE
-    design.pins[name.replace("\\", "")] = lacks
+    design.pins[plain] = lacks
     return [name, "+", "NET", name, *copied] if copied else []
 
 
@@ -408,10 +419,11 @@ def _check_via(name: str, what: str, design: Design, library: Library) -> None:
 
 def _net(rest: list[str], line: int, design: Design, library: Library) -> None:
     """Adds a net with its connections, if it has any, to the design."""
-    connections = [
-        (component.replace("\\", ""), pin.replace("\\", ""))
-        for component, pin in _connections(rest[1:], rest[0])
-    ]
+    connections = []
+    for names in _connections(rest[1:], rest[0]):
+        component, pin = (name.replace("\\", "") for name in names)
+        of_chip = component.upper() == "PIN" and component not in design.components
+        connections.append(("PIN" if of_chip else component, pin))
     for component, pin in connections:
         if component == "PIN":
             if pin not in design.pins:
@@ -457,5 +469,5 @@ def _check_arrays(rest: list[str]) -> None:
             pair = [rest[at + 1], *rest[at + 3 : at + 4]]
         if pair:
             sides = [whole(side, "the sides of an array", 0) for side in pair]
-            if len(sides) != 2 or sides[0] * sides[1] > _MOST_CUTS:
-                raise InputError(f"expected at most {_MOST_CUTS} in an array, found {pair}")
+            if len(sides) != 2 or sides[0] * sides[1] > MOST_CUTS:
+                raise InputError(f"expected at most {MOST_CUTS} in an array, found {pair}")

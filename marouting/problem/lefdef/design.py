@@ -186,7 +186,11 @@ def _capacity(
     """
     across = 1 - layer.axis  # the axis along which tracks have their places
     low, high = design.box[across], design.box[across + 2]
-    own = [t for t in design.tracks if t.axis == across and (layer.name in t.layers)]
+    own = [
+        t
+        for t in design.tracks  # those that name no layer are of all layers
+        if t.axis == across and (layer.name in t.layers or not t.layers)
+    ]
     if not own:
         pitch = _pitch(design, layer, across)
         offset = layer.offset[across] * design.units if layer.offset else pitch / 2
@@ -223,6 +227,8 @@ def _located_pins(design: Design, shapes: Shapes) -> tuple[NDArray[np.int64], ND
     left, low, right, high = design.box
     on_die = (boxes[:, 1] < right) & (boxes[:, 3] > left)
     on_die &= (boxes[:, 2] < high) & (boxes[:, 4] > low)
+    for sides in shapes.outside:  # of a die that is no rectangle
+        on_die &= (boxes[:, 1:3] < sides[:2]).any(axis=1) | (boxes[:, 3:] > sides[2:]).any(axis=1)
     missing = np.setdiff1d(np.arange(len(design.connections)), owner[on_die])
     if not len(missing):
         return owner[on_die], boxes[on_die]

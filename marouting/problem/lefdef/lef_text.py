@@ -11,9 +11,11 @@ from marouting.errors import InputError
 from marouting.problem.ispd.lines import reading, unexpected
 from marouting.problem.lefdef.statements import (
     ENCODING_ERRORS,
+    MOST_CUTS,
     Copy,
     Statements,
     number,
+    whole,
 )
 
 
@@ -49,6 +51,8 @@ class Library:
         others: the names of the other layers.
         vias: the names of the vias.
         macros: the names of the pins of each macro, without backslashes.
+        pin_vias: vias that are shapes of macros' pins: macro, pin, via, and where it stands.
+        used_vias: the vias of macros, with the file and the line that first names each.
         files: their names.
     """
 
@@ -56,6 +60,8 @@ class Library:
     others: set[str] = field(default_factory=set)
     vias: set[str] = field(default_factory=set)
     macros: dict[str, set[str]] = field(default_factory=dict)
+    pin_vias: list[tuple[str, str, str, float, float]] = field(default_factory=list)
+    used_vias: dict[str, str] = field(default_factory=dict)
     files: list[str] = field(default_factory=list)
 
     @property
@@ -64,7 +70,7 @@ class Library:
         return list(self.routing.values())
 
     def check(self) -> None:
-        """Raises InputError if a routing layer lacks what routing takes."""
+        """Raises InputError if a layer lacks what routing takes, or a via is not defined."""
         for layer in self.layers:
             if layer.axis < 0:
                 raise InputError(
@@ -72,10 +78,15 @@ class Library:
                 )
             if not layer.width:
                 raise InputError(f"{layer.at}: layer {layer.name}: expected a WIDTH")
+        for via, at in self.used_vias.items():
+            if via not in self.vias:
+                raise InputError(f"{at}: expected a via of the LEF files, found {via}")
 
 
-_NAMED = {"VIARULE", "SITE", "NONDEFAULTRULE", "ARRAY", "NOISETABLE", "CORRECTIONTABLE"}
-_CLOSED = {"UNITS", "SPACING", "IRDROP", "PROPERTYDEFINITIONS"}
+_NAMED = {"VIARULE", "SITE", "NONDEFAULTRULE", "ARRAY"}
+_CLOSED = {
+    "UNITS", "SPACING", "IRDROP", "PROPERTYDEFINITIONS", "NOISETABLE", "CORRECTIONTABLE",
+}  # fmt: skip
 is_keyword = re.compile("[A-Za-z][A-Za-z0-9_]*").fullmatch
 
 
@@ -126,7 +137,13 @@ def _read_layer(words: Statements, library: Library, file: str) -> None:
         keyword = words.keyword()
         rest = words.rest()
         first = rest[0].upper() if rest else ""
-        if keyword == "TYPE":
+        if keyword.endswith("CURRENTDENSITY"):
+            # A table has statements of its own, WIDTH among them, the last of which is this:
+            if len(rest) > 1 and rest[1].upper() in ("FREQUENCY", "WIDTH", "CUTAREA"):
+                while words.keyword() != "TABLEENTRIES":
+                    words.rest()
+                words.rest()
+        elif keyword == "TYPE":
             routing = first == "ROUTING"
         elif keyword == "DIRECTION" and first in ("HORIZONTAL", "VERTICAL"):
             layer.axis = int(first == "VERTICAL")
@@ -184,18 +201,19 @@ def _read_macro(words: Statements, library: Library) -> None:
     name = words.word()
     begun = words.line
     pins: set[str] = set()
+    vias = len(library.pin_vias)
     while (keyword := _keyword_of(words, name, begun)) != "END":
         if keyword == "PIN":
             pin = words.word()
             pins.add(pin.replace("\\", ""))
             while (inside := _keyword_of(words, name, begun)) != "END":
                 if inside == "PORT":
-                    _skip_block(words, name, begun)
+                    _read_geometries(words, library, name, begun, pin.replace("\\", ""))
                 else:
                     words.rest()
             words.expect(pin)
         elif keyword in ("OBS", "DENSITY"):
-            _skip_block(words, name, begun)
+            _read_geometries(words, library, name, begun)
         elif keyword == "TIMING":
             words.skip_to("END", "TIMING")
         elif keyword == "SIZE":
@@ -204,13 +222,40 @@ def _read_macro(words: Statements, library: Library) -> None:
         else:
             words.rest()
     words.expect(name)
-    library.macros.setdefault(name, pins)
+    if name not in library.macros:
+        library.macros[name] = pins
+    else:  # klayout takes the first as well
+        del library.pin_vias[vias:]
 
 
-def _skip_block(words: Statements, macro: str, begun: int) -> None:
-    """Passes over statements up to an ``END`` without a name."""
-    while _keyword_of(words, macro, begun) != "END":
-        words.rest()
+def _read_geometries(
+    words: Statements, library: Library, macro: str, begun: int, pin: str | None = None
+) -> None:
+    """Passes over shapes up to an ``END`` without a name; notes the vias among them.
+
+    A via is ``VIA [MASK n] x y name`` or ``VIA ITERATE [MASK n] x y name DO a BY b STEP c d``.
+    """
+    while (keyword := _keyword_of(words, macro, begun)) != "END":
+        line, rest = words.line, words.rest()
+        if keyword != "VIA":
+            continue
+        times = [(0.0, 0.0)]
+        if rest[:1] and rest[0].upper() == "ITERATE":
+            if len(rest) < 8 or [rest[i].upper() for i in (-7, -5, -3)] != ["DO", "BY", "STEP"]:
+                raise unexpected(f"'DO a BY b STEP x y' of a via of macro {macro}", rest)
+            columns, rows = (whole(rest[i], "the sides of an array", 1) for i in (-6, -4))
+            if columns * rows > MOST_CUTS:
+                raise InputError(f"expected at most {MOST_CUTS} in an array")
+            step = [number(word, "the step of an array") for word in rest[-2:]]
+            times = [(i * step[0], j * step[1]) for i in range(columns) for j in range(rows)]
+            rest = rest[1:-7]
+        rest = rest[2:] if rest[:1] and rest[0].upper() == "MASK" else rest
+        if len(rest) != 3:
+            raise unexpected(f"'VIA x y name' of macro {macro}", ["VIA", *rest])
+        x, y = (number(word, f"the place of a via of macro {macro}") for word in rest[:2])
+        library.used_vias.setdefault(rest[2], f"{library.files[-1]}:{line}: macro {macro}")
+        if pin is not None:
+            library.pin_vias += [(macro, pin, rest[2], x + i, y + j) for i, j in times]
 
 
 def _keyword_of(words: Statements, macro: str, begun: int) -> str:

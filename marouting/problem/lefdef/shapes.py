@@ -118,36 +118,53 @@ def read_shapes(
             if name in row and kind in _KINDS:
                 known.append((index, row[name], kind in ("lef_pins", "pins")))
             elif name not in library.others or kind not in _KINDS:
+                cells = [c.name for c in layout.each_cell() if not c.shapes(index).is_empty()]
                 raise InputError(
-                    f"{design.file}: layer {name or info} of {_KINDS.get(kind, 'a shape')}: "
-                    "expected a layer of the LEF files"
+                    f"{design.file}: layer {name or info} of {_KINDS.get(kind, 'a shape')}, "
+                    f"in {cells[0] if cells else top.name}: expected a layer of the LEF files"
                 )
-        for cell in layout.each_cell():
-            pins[cell.cell_index()], solid[cell.cell_index()] = _boxes_of(db, cell, known)
+        for index in layout.each_cell_bottom_up():
+            pins[index], own = _boxes_of(db, layout.cell(index), known)
+            solid[index] = _with_instances(layout.cell(index), own, solid)
     except RuntimeError as error:  # klayout's only one
         raise InputError(_located(str(error), path, lef, design, library)) from None
-    for pin, via, turn, x, y in design.pin_vias:
+    placed_vias = [(top, *via) for via in design.pin_vias]
+    for macro, pin, via, x, y in library.pin_vias:
+        if (cell := layout.cell(macro)) is not None:  # the design has such a component
+            at = (round(x * design.units), round(y * design.units))
+            placed_vias.append((cell, pin, via, 0, *at))
+    for cell, pin, via, turn, x, y in placed_vias:
         boxes = turned(solid[layout.cell(f"{_VIA}{via}").cell_index()], turn)
+        of_pin = pins[cell.cell_index()].get(pin, NO_BOXES)
         moved = _moved(boxes, np.array([[x, y]]))[0]
-        of_pin = pins[top.cell_index()].get(pin, NO_BOXES)
-        pins[top.cell_index()][pin] = np.concatenate((of_pin, moved))
+        pins[cell.cell_index()][pin] = np.concatenate((of_pin, moved))
     places: dict[str, Place] = {}
-    alike: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
     for instance in top.each_inst():
+        if (name := instance.property("instance")) is not None:
+            trans = instance.trans
+            places[str(name)] = Place(
+                int(instance.cell_index), trans.rot, trans.disp.x, trans.disp.y
+            )
+    index = top.cell_index()
+    return Shapes(pins, places, index, solid[index], _outside(db, design))
+
+
+def _with_instances(cell: Any, own: Boxes, solid: Mapping[int, Boxes]) -> Boxes:
+    """A cell's own boxes and those of the cells placed in it, whose boxes are known."""
+    alike: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
+    for instance in cell.each_inst():
         at, number, turn = instance.trans.disp, int(instance.cell_index), instance.trans.rot
         alike[number, turn] += [
             (at.x + instance.a.x * i + instance.b.x * j, at.y + instance.a.y * i + instance.b.y * j)
             for i in range(max(1, instance.na))
             for j in range(max(1, instance.nb))
         ]
-        if (name := instance.property("instance")) is not None:
-            places[str(name)] = Place(number, turn, at.x, at.y)
-    parts = [solid[top.cell_index()]]
     count = sum(len(solid[number]) * len(moves) for (number, _), moves in alike.items())
     check_memory(_BOX * count, "{} shapes", count)
+    parts = [own]
     for (number, turn), moves in alike.items():
         parts.append(_moved(turned(solid[number], turn), np.array(moves)).reshape(-1, 5))
-    return Shapes(pins, places, top.cell_index(), np.concatenate(parts), _outside(db, design))
+    return np.concatenate(parts)
 
 
 _KINDS = {

@@ -116,9 +116,12 @@ class Statements:
             begun = self.line
             words: list[str] = []
             at = 0
+            tokens[0] = tokens[0].removeprefix(_BOM)  # of a file that was joined to others
             while at < len(tokens):
                 token = tokens[at]
                 at += 1
+                if not token:
+                    continue
                 if token[0] == "#":
                     break
                 if token[0] == '"':
@@ -126,7 +129,11 @@ class Statements:
                     at = 0
                     words.append(text)
                 elif len(token) > 1 and (";" in token or "(" in token or ")" in token):
-                    words += _parts(token)
+                    parts = _parts(token)
+                    glued = next((i for i, part in enumerate(parts) if part[0] == "#"), None)
+                    words += parts[:glued]
+                    if glued is not None:
+                        break
                 else:
                     words.append(token)
             if words:
@@ -157,7 +164,11 @@ class Statements:
         raise InputError(f"file ends inside a text in quotes, which begins in line {begun}")
 
 
+_BOM = "\ufeff"
 _MOST_WORDS = 2**22
+
+MOST_CUTS = 10**6
+"""The most cuts of a via made by rule, and vias of an array: each becomes a shape."""
 
 
 def _parts(token: str) -> list[str]:
@@ -166,7 +177,7 @@ def _parts(token: str) -> list[str]:
     Parentheses may be part of a name, such as that of a bus's bit: ``a(3)``.
     """
     words: list[str] = []
-    for word in token.replace(";", " ; ").replace(")(", ") (").split():
+    for word in token.replace(";", " ; ").replace(")(", ") (").replace(")+", ") + ").split():
         name = word.lstrip("(")
         closing = min(len(name) - len(name.rstrip(")")), max(0, name.count(")") - name.count("(")))
         words += "(" * (len(word) - len(name))
