@@ -9,12 +9,13 @@ import torch
 from curve import Curve
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecNormalize
 
 import marouting
 from marouting import scenarios
 
 torch.set_num_threads(1)
-curve = Curve("ppo", "dqn", steps=300_000)
+curve = Curve("ppo", "dqn", steps=400_000)
 problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"problem": problem, "reward": "normalised", "max_steps": 20}
 test = gymnasium.make(marouting.ENVIRONMENT_ID, **options)
@@ -26,16 +27,18 @@ if curve.algorithm == "dqn":
     chance = {"learning_starts": 2_000, "exploration_fraction": 0.1}
     model = DQN("MlpPolicy", env, batch_size=128, seed=curve.seed, **often, **chance, **common)
 else:
-    rollout = {"n_steps": 128, "batch_size": 256, "n_epochs": 8, "ent_coef": 0.03}
+    env = VecNormalize(env, norm_reward=False)  # what agents see, to the order of 1
+    rollout = {"n_steps": 128, "batch_size": 256, "n_epochs": 8, "ent_coef": 0.05}
     model = PPO("MlpPolicy", env, seed=curve.seed, gae_lambda=0.9, **rollout, **common)
 
 
 def joined():
     """The share of the nets that the policy joins without exploration."""
     observation, info = test.reset()
-    over = False
+    over, scale = False, model.get_vec_normalize_env()
     while not over:
-        action, _ = model.predict(observation, deterministic=True)
+        seen = observation if scale is None else scale.normalize_obs(observation)
+        action, _ = model.predict(seen, deterministic=True)
         observation, _, terminated, truncated, info = test.step(int(action))
         over = terminated or truncated
     return info["joined"] / info["tasks"]
