@@ -5,6 +5,8 @@
 >>> env = marouting.global_routing_v0.env(problem)
 """
 
+from marouting import first  # isort: skip  # noqa: F401 (before all that takes time)
+
 import gymnasium
 
 from marouting import global_routing_v0, scenarios, vector

@@ -19,6 +19,7 @@ import functools
 import hashlib
 import os
 import pickle
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -164,18 +165,19 @@ def stamp(function: Callable[..., Any]) -> str:
     while todo:
         name, value = todo.pop()
         value = getattr(value, "py_func", getattr(value, "_defn", value))  # as Python
-        if id(value) in seen or isinstance(value, ModuleType):
-            continue
-        seen.add(id(value))
         if isinstance(value, type) and issubclass(value, enum.Enum):
             constants.add(f"{name} {[(member.name, member.value) for member in value]}")
             continue
         module = getattr(value, "__module__", None)
+        if isinstance(value, ModuleType) or id(value) in seen:
+            continue
         if isinstance(module, str) and module.partition(".")[0] in packages:
+            seen.add(id(value))  # a constant may have many names, all of which count
             files.add(getattr(sys.modules.get(module), "__file__", None) or "")
             todo += _used(value)
         elif not callable(value):  # what belongs to other libraries changes with their versions
-            constants.add(f"{name} {getattr(value, 'tolist', value.__repr__)()}")
+            text = f"{name} {getattr(value, 'tolist', value.__repr__)()}"
+            constants.add(re.sub(r" at 0x[0-9a-f]+", "", text))  # addresses differ by process
     digest = hashlib.sha256("\n".join(sorted(constants)).encode())
     for file in sorted(filter(os.path.isfile, files)):
         digest.update(Path(file).read_bytes())

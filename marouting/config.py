@@ -45,8 +45,8 @@ from typing import (
 import yaml
 
 from marouting.errors import InputError
-from marouting.files import read_text
-from marouting.registry import lookup, name_of, names
+from marouting.files import exists, is_file, read_text
+from marouting.registry import KINDS, code_allowed, lookup, name_of, names
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter, ValidationError
@@ -196,11 +196,11 @@ def config_file(path: str | os.PathLike[str]) -> Path:
     directory; files that are there come first.
     """
     found, here = Path(path), Path(__file__).parent
-    if found.parts[:1] != ("configs",) or found.exists():
+    if found.parts[:1] != ("configs",) or exists(found):
         return found
     # In an installed package they lie inside it, in a checkout beside it.
     shipped = (here / found, here.parent / found)
-    return next((file for file in shipped if file.is_file()), found)
+    return next((file for file in shipped if is_file(file)), found)
 
 
 INCLUDE = "include"
@@ -222,8 +222,63 @@ class _File:
     lines: dict[Keys, int]
 
 
+def code_named(data: Any, above: Keys = ()) -> Iterator[tuple[Keys, str]]:
+    """The pieces that data calls by ``module:Class``, which is code, and the keys that lead there.
+
+    Names of pieces stand under the key ``kind``, or under that of their kind, such as ``reward``.
+
+    Args:
+        data: plain data, or a configuration that is made of it.
+        above: the keys that lead to the data.
+    """
+    if isinstance(data, Piece):
+        if ":" in data.name:
+            yield (*above, "kind"), data.name
+        data = data.options
+    if is_dataclass(data) and not isinstance(data, type):
+        data = {f.name: getattr(data, f.name) for f in fields(data)}
+    inner: Any = ()
+    if isinstance(data, Mapping):
+        inner = data.items()
+    elif isinstance(data, list | tuple):
+        inner = enumerate(data)
+    for key, value in inner:
+        keys = (*above, str(key))
+        if isinstance(value, str):
+            if ":" in value and key in ("kind", *KINDS):
+                yield keys, value
+        else:
+            yield from code_named(value, keys)
+
+
+def check_code(data: Any, file: str, lines: Mapping[Keys, int] | None = None) -> None:
+    """Raises InputError if a file names code that files may not name here.
+
+    What reads a file in which names of pieces can stand calls this before it makes anything of it.
+
+    Args:
+        data: what the file holds.
+        file: its name.
+        lines: where its values stand, if it has lines.
+    """
+    allowed = code_allowed()
+    for keys, name in () if allowed is True else code_named(data):
+        if not allowed or name not in cast(frozenset[str], allowed):
+            at = next(
+                (keys[:n] for n in range(len(keys), 0, -1) if keys[:n] in (lines or {})), None
+            )
+            line = "" if at is None or lines is None else f":{lines[at]}"
+            raise InputError(
+                f"{file}{line}: {'.'.join(keys)}: names code, {name}; pass --allow-code to import "
+                "it (allow_code=True in Python)"
+            )
+
+
 def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The mapping in a YAML file, and in those that it includes.
+
+    Where they name code (:func:`code_named`), they are refused unless files may name it here
+    (:func:`marouting.registry.allowing_code`).
 
     The key ``include`` names a file to begin from, or a list of them, each relative to the file
     that includes it, or one of those that the package brings (``configs/…``). What a file says
@@ -305,15 +360,16 @@ def _files(path: str | os.PathLike[str]) -> list[_File]:
         here = (*above, file.resolve())
         for one in included:
             inner, shown = file.parent / one, os.path.normpath(Path(name).parent / one)
-            if not inner.exists() and Path(one).parts[:1] == ("configs",):
+            if not exists(inner) and Path(one).parts[:1] == ("configs",):
                 inner, shown = config_file(one), one
-            if not one or not inner.is_file():
+            if not one or not is_file(inner):
                 raise InputError(f"{place}: expected a file, found none at {shown}")
             if inner.resolve() in here:
                 raise InputError(f"{place}: expected no circle, found {shown}, which includes it")
             if len(found) + len(here) >= _MOST_FILES:
                 raise InputError(f"{place}: expected at most {_MOST_FILES} files in all")
             read(shown, inner, here)
+        check_code(data, name, lines)
         found.append(_File(name, data, lines))
 
     read(os.fspath(path), config_file(path), ())
@@ -562,6 +618,9 @@ def take_pieces(options: Any) -> None:
             kind, name = f.metadata["kind"], f.metadata["name"]
             value = getattr(options, f.name)
             value = f.metadata["options"] if value is None else value
+            if isinstance(value, str) and ":" in value and f.name != kind:
+                # Elsewhere code_named would not find it.
+                raise InputError(f"{f.name}: expected a mapping with kind, found {value!r}")
             object.__setattr__(options, f.name, piece(kind, value, name, f.name))
 
 

@@ -1,16 +1,20 @@
-"""Files are written whole or not at all, and read within bounds.
+"""Files are written whole or not at all, and read within bounds, compressed by gzip or not.
 
 Errors of reading and writing become one-line messages.
 """
 
 import contextlib
+import gzip
+import io
 import os
 import re
 import stat
 import tempfile
+import zlib
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from marouting.errors import InputError
 
@@ -21,20 +25,104 @@ LONGEST_LINE = 2**20
 """The most bytes in a line of a file that is read line by line."""
 
 
+_GZIP = b"\x1f\x8b"
+"""What data compressed by gzip begin with."""
+
+
 @contextlib.contextmanager
 def reading(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Opens a file or a pipe, such as ``/dev/stdin``, for reading.
+    """Opens a text file or a pipe, such as ``/dev/stdin``, for reading.
+
+    What gzip has compressed is read as if it were not, whatever the file is called; a byte order
+    mark of UTF-8 is passed over.
 
     Raises:
-        InputError: it cannot be read, or it is a device, which may never end.
+        InputError: it cannot be read, is damaged or UTF-16, or it is a device, which may never end.
     """
     try:
-        if stat.S_ISCHR(mode := os.stat(path).st_mode) or stat.S_ISBLK(mode):  # noqa: PTH116
+        try:
+            mode = os.stat(path).st_mode  # noqa: PTH116 (PathLike without Path)
+        except ValueError as error:
+            raise OSError(0, str(error)) from None  # no path at all
+        if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
             raise InputError(f"{os.fspath(path)}: expected a file, found a device")
         with open(path, "rb") as file:  # noqa: PTH123 (PathLike without Path)
-            yield file
+            text: io.BufferedIOBase = file
+            head = text.read(len(BOM_UTF8))
+            if head.startswith(_GZIP):
+                text = gzip.GzipFile(fileobj=_rejoined(head, text))
+                head = text.read(len(BOM_UTF8))
+            if head.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+                raise InputError(f"{os.fspath(path)}: expected UTF-8 text, found UTF-16")
+            yield _rejoined(head.removeprefix(BOM_UTF8), text)
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{os.fspath(path)}: expected gzip data: {reason}") from None
     except OSError as error:
         raise unusable(path, "cannot be read", error) from None
+
+
+class _Rejoined(io.RawIOBase):
+    """A stream from its beginning: what was read of it already, and the rest."""
+
+    def __init__(self, head: bytes, rest: io.BufferedIOBase) -> None:
+        self._head, self._rest = head, rest
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        # A pipe cannot go back to its beginning, and need not have much to peek at.
+        part = self._head[: len(buffer)] or self._rest.read1(len(buffer))
+        self._head = self._head[len(part) :]
+        buffer[: len(part)] = part
+        return len(part)
+
+
+def _rejoined(head: bytes, rest: io.BufferedIOBase) -> io.BufferedReader:
+    return io.BufferedReader(_Rejoined(head, rest), 2**17)
+
+
+def suffix_of(path: str | os.PathLike[str]) -> str:
+    """The suffix of a name in small letters: ``.def`` of ``CHIP.DEF`` and of ``chip.def.gz``."""
+    return Path(plain_name(path)).suffix.lower()
+
+
+def stem_of(path: str | os.PathLike[str]) -> str:
+    """The name of a file without its suffix: ``chip`` of ``chip.def`` and ``chip.def.gz``."""
+    return Path(plain_name(path)).stem
+
+
+def plain_name(path: str | os.PathLike[str]) -> str:
+    """The name of a file without the ``.gz`` at its end, if it has one."""
+    name = Path(path).name
+    return name[: -len(".gz")] if is_zipped(path) else name
+
+
+def is_zipped(path: str | os.PathLike[str]) -> bool:
+    """Whether a file's name ends with ``.gz``."""
+    return Path(path).suffix.lower() == ".gz"
+
+
+def beside(path: str | os.PathLike[str], suffix: str) -> Path:
+    """The file that is named as another one, but for the suffix.
+
+    Args:
+        path: the other file.
+        suffix: in small letters, as :func:`suffix_of` gives it.
+
+    Returns:
+        The file with just this suffix; if there is none, one with the suffix in capitals or with
+        ``.gz`` after it, should there be one.
+    """
+    folder, stem = Path(path).parent, stem_of(path)
+    plain = folder / f"{stem}{suffix}"
+    if not plain.exists():
+        with contextlib.suppress(OSError):
+            for file in sorted(folder.iterdir()):
+                if (stem_of(file), suffix_of(file)) == (stem, suffix):
+                    return file
+    return plain
 
 
 def read_text(path: str | os.PathLike[str], most: int) -> str:
@@ -76,8 +164,12 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(path)
     try:
+        if "\0" in str(target):
+            raise OSError(0, "it is no path")
         if target.is_symlink():
-            target = target.resolve()
+            target = Path(os.path.realpath(target))
+            if target.is_symlink():
+                raise OSError(0, "it is a circle of symbolic links")
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.is_dir():
             raise IsADirectoryError(0, "it is a folder")
@@ -138,9 +230,30 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Writes ``text`` to ``path`` as UTF-8, whole or not at all; raises InputError if it cannot."""
+    """Writes ``text`` to ``path`` as UTF-8, whole or not at all; raises InputError if it cannot.
+
+    A name that ends with ``.gz`` gets it compressed; equal texts give equal files.
+    """
+    content = text.encode()
+    if is_zipped(path):
+        content = gzip.compress(content, mtime=0)
     with writing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+        temporary.write_bytes(content)
+
+
+def exists(path: str | os.PathLike[str]) -> bool:
+    """Whether there is something at a path; no where none can be, as :mod:`os.path` answers."""
+    return os.path.exists(path)  # noqa: PTH110 (that of Path raises errors for names too long)
+
+
+def is_file(path: str | os.PathLike[str]) -> bool:
+    """Whether there is a file at a path; no where none can be."""
+    return os.path.isfile(path)  # noqa: PTH113
+
+
+def is_dir(path: str | os.PathLike[str]) -> bool:
+    """Whether there is a folder at a path; no where none can be."""
+    return os.path.isdir(path)  # noqa: PTH112
 
 
 @contextlib.contextmanager
@@ -148,10 +261,12 @@ def naming(path: str | os.PathLike[str], what: str) -> Iterator[None]:
     """Turns an operating system's error into an InputError about ``path``."""
     try:
         yield
-    except OSError as error:
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # of no path at all
         raise unusable(path, what, error) from None
 
 
-def unusable(path: str | os.PathLike[str], what: str, error: OSError) -> InputError:
+def unusable(path: str | os.PathLike[str], what: str, error: OSError | ValueError) -> InputError:
     """The InputError for an operating system's error about ``path``."""
-    return InputError(f"{os.fspath(path)}: {what}: {error.strerror or error}")
+    return InputError(f"{os.fspath(path)}: {what}: {getattr(error, 'strerror', None) or error}")

@@ -62,6 +62,9 @@ class Least:
     max_pins: int = 2
     capacity: int = 1
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "grid", whole_numbers("least.grid", self.grid, 3))
+
 
 @dataclass(frozen=True, kw_only=True)
 class GeneratorOptions:
@@ -145,8 +148,7 @@ class GeneratorOptions:
     def _check_least(self, least: Least) -> None:
         """Raises InputError unless all problems from ``least`` up to these options can be made."""
         check_choice("least: reduced_per", self.reduced_per, Literal["problem"])
-        sides = whole_numbers("least.grid", least.grid, 3)
-        if any(not 1 <= a <= b for a, b in zip(sides, self.grid, strict=True)):
+        if any(not 1 <= a <= b for a, b in zip(least.grid, self.grid, strict=True)):
             raise InputError(f"least.grid: expected 1 to {self.grid}, found {least.grid}")
         try:
             _ = replace(self, least=None, **vars(least))

@@ -38,8 +38,9 @@ for agent in env.agent_iter():
 print(env.render())
 ```
 
-`parallel_env` is the same game with PettingZoo's Parallel interface, and `raw_env` is `env` without
-the wrappers that check actions and the order of calls.
+`parallel_env` is the same game with PettingZoo's Parallel interface: in each step the nets move one
+after the other in turn order, as they do in `env`. `raw_env` is `env` without the wrappers that
+check actions and the order of calls.
 `gymnasium.make("marouting/GlobalRouting-v0")` is the game for one player, who moves all nets.
 
 ## Agents
@@ -47,7 +48,7 @@ the wrappers that check actions and the order of calls.
 Every net is an agent. A net with all its pins in one Gcell has nothing to route and is no agent;
 `idle_nets` lists it. An agent leaves when all its tasks have ended. With `agents_persist` it stays
 among `agents`, with rewards of 0 and a mask whose only move does nothing, until all agents end
-together.
+together; from the first step on, `info["active"]` says whether an agent still plays.
 
 ## Actions
 
@@ -68,9 +69,9 @@ unlimited capacity.
 ## Action mask
 
 `info["action_mask"]` and `action_mask(agent)`: int8 of length 6, 1 for the moves that cross an
-edge. It is never all zero: an agent that is boxed in has all ones. With `mask_in_observation`
-observations are dictionaries with the keys `observation` and `action_mask`; `observation_key` and
-`mask_key` give both other names.
+edge. It is never all zero: an agent that is boxed in has all ones. The infos of `reset` hold
+nothing else. With `mask_in_observation` observations are dictionaries with the keys `observation`
+and `action_mask`; `observation_key` and `mask_key` give both other names.
 
 ## Observation space
 
@@ -122,9 +123,9 @@ moves. The infos of `reset` hold masks only.
 
 The problem may be a `Problem`, a `.gr` file, or a mapping of the generator's options
 (:class:`marouting.generator.GeneratorOptions`); or several of them, such as a folder: then every
-episode plays one, drawn at random. With `scenario` and `split` it plays a level of the benchmark
-(:mod:`marouting.scenarios`): a new training problem in every episode, or one of the validation or
-test problems.
+episode plays one, drawn at random, and `problem_name` names it. With `scenario` and `split` it
+plays a level of the benchmark (:mod:`marouting.scenarios`): a new training problem in every
+episode, or one of the validation or test problems.
 
 ## Arguments
 

@@ -3,10 +3,12 @@
 Each game is that of :class:`marouting.env.single.GlobalRoutingSingle`, played through arrays.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium import Space
+from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box, Dict
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -17,22 +19,33 @@ from marouting.env.base import METADATA
 from marouting.game import NOBODY
 from marouting.options import game_options
 from marouting.render import ansi, rgb_array, scene_of
-from marouting.source import Source
+from marouting.source import OwnDraws, Source
 from marouting.vector import BatchEnv, Info
+
+
+class _Games(BatchEnv):
+    """Games with seeds of their own."""
+
+    _draws_of = OwnDraws
 
 
 class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
     """Games for one player each, side by side; all arrays that it gives are the caller's.
 
-    A game that is over starts its next episode in the following step, which ignores its action
-    (``AutoresetMode.NEXT_STEP``).
+    It gives what ``gymnasium.vector.SyncVectorEnv`` gives for the single environments, with the
+    same seeds.
 
     Args:
         num_envs: how many games.
         problem: what each of them plays, see :data:`marouting.source.Source`.
         render_mode: ``ansi``, ``rgb_array`` or None.
-        **options: the other fields of :class:`marouting.options.GameOptions`, and ``threads`` and
-            ``seed`` of :class:`marouting.vector.BatchEnv`.
+        autoreset_mode: when a game that is over starts its next episode. ``NEXT_STEP``: in the
+            following step, which ignores its action. ``SAME_STEP``: at once; what it showed at the
+            end is in the infos as ``final_obs`` and ``final_info``. ``DISABLED``: when
+            :meth:`reset` is called with it in ``reset_mask``.
+        **options: the other fields of :class:`marouting.options.GameOptions`, ``threads`` of
+            :class:`marouting.vector.BatchEnv`, and ``seed``: unless :meth:`reset` is given others,
+            game m has the seed ``seed + m``.
 
     Raises:
         InputError: an option or the problem cannot be used.
@@ -43,8 +56,13 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         num_envs: int = 1,
         problem: Source = None,
         render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **options: Any,
     ) -> None:
+        modes = {name: mode for mode in AutoresetMode for name in (mode, mode.name, mode.value)}
+        what = f"one of {', '.join(mode.name for mode in AutoresetMode)}, found {autoreset_mode!r}"
+        check("autoreset_mode", autoreset_mode in modes, what)
+        self._mode = modes[autoreset_mode]
         rules = {key: value for key, value in options.items() if key not in ("threads", "seed")}
         self._options = game_options({**rules, "render_mode": render_mode})
         check("agents_persist", not self._options.agents_persist, "false: only one player")
@@ -52,9 +70,12 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         problem = self._options.problem if problem is None else problem
         self._observation = self._options.observation.make()
         options["observation"] = self._observation
-        self._batch = BatchEnv(num_envs, problem=problem, everyone=False, **options)
+        restarts = self._mode is AutoresetMode.NEXT_STEP
+        self._batch = _Games(
+            num_envs, problem=problem, everyone=False, autoreset=restarts, **options
+        )
         self.num_envs, self.render_mode = num_envs, render_mode
-        self.metadata = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
+        self.metadata = METADATA | {"autoreset_mode": self._mode}
         space: Space[Any] = self._batch.single_observation_space
         if self._options.mask_in_observation:
             mask = Box(0, 1, (self._options.actions,), np.int8)
@@ -68,20 +89,29 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         self._over = np.zeros(num_envs, np.bool_)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Any, Info]:
         """Starts the episodes of all games, or of those in ``options["reset_mask"]``.
 
         Args:
-            seed: decides which problems are played, if there are several.
+            seed: decides which problems are played, if there are several: game m has the seed
+                ``seed + m``. Or a list of one for each game, where None means that it goes on.
             options: see :meth:`marouting.vector.BatchEnv.reset`.
+
+        Raises:
+            ValueError: there is not one seed, or not one boolean, for each game.
         """
-        super().reset(seed=seed)
-        obs, info = self._batch.reset(seed=seed, options=options)
-        self._over = info["over"].copy()
-        begun = (options or {}).get("reset_mask", ~self._over)
-        seen, infos = self._seen(obs, info)
-        return seen, self._named(infos, info, begun)
+        if isinstance(seed, int | np.integer):
+            super().reset(seed=int(seed))
+            seed = [int(seed) + m for m in range(self.num_envs)]
+        obs, batch = self._batch.reset(seed=seed, options=options)
+        self._over = batch["over"].copy()
+        begun = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, np.bool_)))
+        seen, infos = self._seen(obs, batch, begun)
+        return seen, self._named(infos, batch, begun)
 
     def step(
         self, actions: Any
@@ -97,36 +127,57 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
             which games have it.
 
         Raises:
-            ResetNeeded: :meth:`reset` has not been called.
+            ResetNeeded: :meth:`reset` has not been called, or, with ``DISABLED``, not for a game
+                that is over.
             ValueError: there is not one action for each game, or one is none.
         """
         moves = np.asarray(actions)
         moves = moves.reshape(-1, 1) if moves.ndim == 1 else moves
         if moves.size and moves.min() < 0:
             raise ValueError(f"actions: expected 0 to {self._options.actions - 1}, found {actions}")
+        if self._mode is AutoresetMode.DISABLED and self._over.any():
+            games = np.flatnonzero(self._over).tolist()
+            raise ResetNeeded(f"step: expected a call of reset() for games {games}, which are over")
         obs, reward, _, _, batch = self._batch.step(moves)
         begun, self._over = self._over, batch["over"].copy()
-        over = self._over
-        seen, infos = self._seen(obs, batch)
-        infos = self._named(infos, batch, begun)
-        for m in np.flatnonzero(batch["task_ended"][:, 0]).tolist():
-            infos = self._add_info(infos, self._task_end(batch, m), m)
-        games = np.flatnonzero(over)
+        over, paid = self._over, reward[:, 0].astype(np.float64)
+        everywhere = np.ones(self.num_envs, np.bool_)
+        seen, infos = self._seen(obs, batch, everywhere)
+        ended = np.flatnonzero(batch["task_ended"][:, 0]).tolist()
+        told = {m: self._task_end(batch, m) for m in ended}
         joined = np.zeros(self.num_envs, np.bool_)
-        for m in games.tolist():
+        for m in np.flatnonzero(over).tolist():
             figures = vars(self._batch.engine.metrics(m))
             joined[m] = figures["joined"] == figures["tasks"]
-            last = {
-                "metrics": dict(figures),
+            told.setdefault(m, {}).update(
+                metrics=dict(figures),
                 **figures,
-                "open": figures["tasks"] - figures["joined"],
-                "is_success": bool(joined[m] and not figures["overflow"]),
-            }
-            infos = self._add_info(infos, last, m)
-        return seen, reward[:, 0].astype(np.float64), over & joined, over & ~joined, infos
+                open=figures["tasks"] - figures["joined"],
+                is_success=bool(joined[m] and not figures["overflow"]),
+            )
+        if self._mode is AutoresetMode.SAME_STEP and over.any():
+            for m in np.flatnonzero(over).tolist():
+                last = {name: infos[name][m] for name in (self._options.mask_key, "net")} | told[m]
+                obs_ = {k: v[m] for k, v in seen.items()} if isinstance(seen, dict) else seen[m]
+                told[m] = {"final_obs": obs_, "final_info": last}
+            obs, batch = self._batch.reset(options={"reset_mask": over})
+            begun, self._over = over, batch["over"].copy()
+            seen, infos = self._seen(obs, batch, everywhere)
+        infos = self._named(infos, batch, begun)
+        for m, info in told.items():
+            infos = self._add_info(infos, info, m)
+        return seen, paid, over & joined, over & ~joined, infos
 
-    def _seen(self, obs: NDArray[np.float32], batch: Info) -> tuple[Any, Info]:
-        """Observations and infos of the nets to move, and of those that moved last."""
+    def _seen(
+        self, obs: NDArray[np.float32], batch: Info, told: NDArray[np.bool_]
+    ) -> tuple[Any, Info]:
+        """Observations of the nets to move, and of those that moved last where games are over.
+
+        Args:
+            obs: those of the batch.
+            batch: its info.
+            told: (M,) the games that have infos, which come with the observations.
+        """
         now, mask, seen = batch["agents"][:, 0], batch["action_mask"][:, 0].copy(), obs[:, 0].copy()
         self._movers = np.where(now == NOBODY, self._movers, now)
         if self._over.any():  # nobody is to move: shown is the net that moved last
@@ -134,18 +185,17 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
             out, which = seen[games], (games, self._movers[games])
             self._observation.write(self._batch.engine, *which, out)
             seen[games], mask[games] = out, self._batch.engine.masks(*which)
-        everywhere = np.ones(self.num_envs, np.bool_)
+        shown: Any = seen
+        if self._options.mask_in_observation:
+            keys = self._options.observation_key, self._options.mask_key
+            shown = dict(zip(keys, (seen, mask.copy()), strict=True))
+        if not told.any():
+            return shown, {}
         nets = self._batch.engine.nets[self._games, self._movers]
-        infos: Info = {
-            self._options.mask_key: mask,
-            f"_{self._options.mask_key}": everywhere,
-            "net": np.array([f"net_{net}" for net in nets.tolist()], object),
-            "_net": everywhere.copy(),
-        }
-        if not self._options.mask_in_observation:
-            return seen, infos
-        keys = self._options.observation_key, self._options.mask_key
-        return dict(zip(keys, (seen, mask.copy()), strict=True)), infos
+        names = np.array([f"net_{net}" for net in nets.tolist()], object)
+        mask[~told], names[~told] = 0, None
+        key = self._options.mask_key
+        return shown, {key: mask, f"_{key}": told.copy(), "net": names, "_net": told.copy()}
 
     def _task_end(self, batch: Info, m: int) -> Info:
         """What the info of a game says of the task that has ended with the move."""

@@ -51,6 +51,16 @@ compiled = kernel(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **_NO_
 reference counts of arrays. Counting references at every call of a rule would take ten times as long
 as the rule itself."""
 
+inner = kernel(
+    nogil=True,
+    error_model="numpy",
+    no_cpython_wrapper=True,
+    no_cfunc_wrapper=True,
+    **_NO_REFERENCE_COUNTS,
+)
+"""Like ``compiled``, for functions that only kernels call. They cannot be called from Python: the
+code for that takes a fifth of the time to compile."""
+
 inlined = kernel(
     forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **_NO_REFERENCE_COUNTS
 )

@@ -9,9 +9,12 @@ from marouting.config import build, read_yaml
 from marouting.env.single import GlobalRoutingSingle
 from marouting.errors import InputError
 from marouting.options import EnvOptions
+from marouting.registry import allowing_code
 
 
-def make(config: str | os.PathLike[str] | Mapping[str, Any] | Any) -> Any:
+def make(
+    config: str | os.PathLike[str] | Mapping[str, Any] | Any, *, allow_code: bool = False
+) -> Any:
     """Makes the environment that the ``env:`` part of a configuration describes.
 
     The key ``agents`` decides between two environments: ``single`` gives the Gymnasium environment
@@ -22,6 +25,8 @@ def make(config: str | os.PathLike[str] | Mapping[str, Any] | Any) -> Any:
         config: the path of a YAML file, a mapping with a key ``env``, an
             :class:`marouting.options.EnvOptions`, or an object with one as its attribute ``env``.
             All other parts of the configuration belong to :mod:`policies`.
+        allow_code: whether a file may name observations and rewards as ``module:Class``, which is
+            code that is imported. A mapping always may.
 
     Returns:
         A ``gymnasium.Env`` or a ``pettingzoo.AECEnv``.
@@ -34,7 +39,9 @@ def make(config: str | os.PathLike[str] | Mapping[str, Any] | Any) -> Any:
 
     where = "config"
     if isinstance(config, str | os.PathLike):
-        where, config = os.fspath(config), read_yaml(config)
+        where = os.fspath(config)
+        with allowing_code(allow_code):
+            config = read_yaml(config)
     options: EnvOptions
     if isinstance(config, Mapping):
         part = config.get("env", {})

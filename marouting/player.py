@@ -229,6 +229,7 @@ class Player:
             dynamic = engine.dynamic
             agents, sets = dynamic.agents.copy(), copied(dynamic.sets)
             self._arrived = dynamic._replace(agents=agents, sets=sets)
+            self._mirror_games()
         if self.compiled:
             kernel = _play_everyone if self.everyone else _play_player
             self._step = bound(kernel, *self._arguments, True, True)
@@ -419,8 +420,14 @@ class Player:
                 mirrored = getattr(self._before, name)
                 if name in ROWS:
                     adopt(mirrored, array, which)
-                else:
+                elif name != "games":
                     mirrored[which] = array[which]
+            self._mirror_games()
+
+    def _mirror_games(self) -> None:
+        """Copies the records of all games to ``before``."""
+        if self._before is not None:
+            self._before.games[...] = self.engine.games
             # Edges that nets have just given back are paid for with the next move.
             games = self._before.games
             ripped = np.flatnonzero(games["ripped"])
@@ -451,7 +458,9 @@ class Player:
             self._look_back(asked)
             self._settle(*self._arguments, begins, asked, _TURNS)
             if engine.static.options[Option.ROUNDS]:
-                self._mirror(engine.games["ripped"] != 0)
+                self._mirror((engine.games["ripped"] | engine.games["asked"]) != 0)
+            else:
+                self._mirror_games()
         self._look(None)
 
     def _move_by_turns(
@@ -467,6 +476,7 @@ class Player:
         b, engine, paid = self.buffers, self.engine, self.paid
         assert paid is not None
         _forget(engine.dynamic)
+        _forget(before)
         paid[:] = 0
         for movers, moves in self._turns(begins):
             _move(engine.static, engine.dynamic, movers, moves)
@@ -670,6 +680,7 @@ def _settle_movers(
             if static.options[option] >= 0 and option != Option.KEPT:
                 row = place(static.options[option] + n)
                 copy_row(arrived.sets, m, row, dynamic.sets, m, row)
+                copy_row(before.sets, m, row, dynamic.sets, m, row)
         settle_agent(static, dynamic, m, n)
         before.remaining[m, edge] = dynamic.remaining[m, edge]
         byte = byte_of(dynamic.used, m, n, edge >> 3)

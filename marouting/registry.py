@@ -11,10 +11,19 @@ A name comes from one of two places:
 
       [project.entry-points."marouting.reward"]
       selfless = "my_package.rewards:Selfless"
+
+``module:Class`` is code, which is imported. In Python and on the command line it comes from
+the user. A file may come from somebody else, so :func:`marouting.config.check_code` refuses such
+names in files unless :func:`allowing_code` is in force (``--allow-code``, ``allow_code=True``).
 """
 
+import contextlib
 import functools
 import importlib
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from contextvars import ContextVar
 from importlib import metadata
 from typing import Any
 
@@ -22,6 +31,10 @@ from marouting.errors import InputError, nearest
 
 KINDS = ("observation", "reward", "router", "network", "learner")
 """The kinds of pieces that can be registered."""
+
+_allowed: ContextVar[bool | frozenset[str]] = ContextVar("allowed", default=False)
+
+_folder: ContextVar[str | None] = ContextVar("folder", default=None)
 
 _registered: dict[str, dict[str, type[Any] | str]] = {kind: {} for kind in KINDS}
 
@@ -81,7 +94,46 @@ def lookup(kind: str, name: str, where: str = "") -> type[Any]:
                 f"expected module:Class or one of {', '.join(names(kind))}"
             )
         found = name
+        if (folder := _folder.get()) is not None and folder not in sys.path:
+            sys.path.append(folder)
     return _imported(found, prefix) if isinstance(found, str) else found
+
+
+@contextlib.contextmanager
+def allowing_code(which: bool | Iterable[str] = True) -> Iterator[None]:
+    """Within the block, lets files name these classes too.
+
+    Args:
+        which: True for any code; False for no more; or the names that files may use, each
+            ``module:Class``, such as those of a configuration that has been read before.
+    """
+    before = _allowed.get()
+    if not isinstance(which, bool) and not isinstance(before, bool):
+        which = before.union(which)
+    wider = which if isinstance(which, bool) else frozenset(which)
+    token = _allowed.set(True if before is True else wider or before)
+    try:
+        yield
+    finally:
+        _allowed.reset(token)
+
+
+def code_allowed() -> bool | frozenset[str]:
+    """Which classes files may name now, in the form that :func:`allowing_code` takes."""
+    return _allowed.get()
+
+
+@contextlib.contextmanager
+def importing_from(folder: str | os.PathLike[str]) -> Iterator[None]:
+    """Looks for ``module:Class`` in a folder, too, after all others, once it is to be imported.
+
+    Until then nothing else is imported from there by accident.
+    """
+    token = _folder.set(os.fspath(folder))
+    try:
+        yield
+    finally:
+        _folder.reset(token)
 
 
 def name_of(kind: str, cls: type[Any]) -> str:

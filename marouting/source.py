@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from marouting.batch.setup import Room
 from marouting.config import build, check
 from marouting.errors import InputError
+from marouting.files import is_dir, stem_of, suffix_of
 from marouting.generator import GeneratorOptions, generate_from
 from marouting.options import SMALL, GameOptions
 from marouting.problem.net import MAX_NUMBER, is_whole
@@ -83,16 +84,21 @@ def load_problems(source: Source) -> dict[str, Problem]:
         return {generated_name(i) if source[1:] else "problem": p for i, p in enumerate(source)}
     files: list[Path] = []
     for entry in map(Path, source):
-        inside = sorted(entry.glob("*.gr")) if entry.is_dir() else [entry]
+        inside = problems_in(entry) if is_dir(entry) else [entry]
         if not inside:
             raise InputError(f"{entry}: expected a .gr file in this folder")
         files += inside
-    names = [file.stem for file in files]
+    names = [stem_of(file) for file in files]
     if len(set(names)) < len(names):
-        names = [f"{file.parent.name}_{file.stem}" for file in files]
+        names = [f"{file.parent.name}_{stem_of(file)}" for file in files]
     if len(set(names)) < len(names):
         raise InputError("problem: expected every file once, with different names")
     return {name: Problem.read(file) for name, file in zip(names, files, strict=True)}
+
+
+def problems_in(folder: Path) -> list[Path]:
+    """The ``.gr`` files of a folder, in the order of their names."""
+    return sorted(file for file in folder.glob("*") if suffix_of(file) == ".gr")
 
 
 def fixed_problems(options: GameOptions) -> dict[str, Problem]:
@@ -276,15 +282,21 @@ class Draws:
             setattr(part, name, getattr(self, name)[which])
         return part
 
-    def begin(self, seed: int, which: NDArray[np.bool_]) -> None:
-        """Begins with another seed, and the first episodes, in the games in ``which`` (M,).
+    def begin(self, seeds: Sequence[int | None], which: NDArray[np.bool_]) -> None:
+        """Begins with other seeds, and the first episodes, in the games in ``which`` (M,).
 
         The next episodes play their problems; until then those of the last ones stay in place.
 
+        Args:
+            seeds: M; a game whose seed is None goes on as it is.
+            which: the games.
+
         Raises:
-            InputError: it is no seed.
+            InputError: one of them is no seed.
         """
-        self.seeds[which], self.counts[which] = _checked_seed(seed), 0
+        for m in np.flatnonzero(which).tolist():
+            if seeds[m] is not None:
+                self.seeds[m], self.counts[m] = _checked_seed(seeds[m]), 0
 
     def go_to(
         self, counts: NDArray[np.integer], seeds: NDArray[np.object_] | None = None
@@ -326,6 +338,33 @@ class Draws:
         return self.episodes.number(rng)
 
 
-def _checked_seed(seed: int) -> int:
+class OwnDraws(Draws):
+    """Draws of games that have a seed of their own: each draws as an environment of its own does.
+
+    The first seed of game m is ``seed + m``, as in Gymnasium's vectors.
+    """
+
+    def __init__(self, episodes: Episodes, seed: int, games: int) -> None:
+        # By place: the seed, what draws, the number of the last episode, and that of its problem.
+        self._last: dict[int, tuple[int, np.random.Generator, int, int]] = {}
+        super().__init__(episodes, seed, games)
+        self.seeds[:] = [int(self.seeds[m]) + m for m in range(games)]
+        self.go_to(self.counts)
+
+    def _number(self, m: int) -> int:
+        """The number of the problem that game m plays now, or will play first."""
+        place, seed, episode = int(self._games[m]), self.seeds[m], max(int(self.counts[m]) - 1, 0)
+        last = self._last.get(place)
+        if last is None or last[0] != seed or last[2] > episode:
+            rng = np.random.default_rng(seed)
+            last = seed, rng, 0, self.episodes.number(rng)
+        _, rng, at, number = last
+        for _ in range(at, episode):
+            number = self.episodes.number(rng)
+        self._last[place] = seed, rng, episode, number
+        return number
+
+
+def _checked_seed(seed: Any) -> int:
     check("seed", is_whole(seed) and seed >= 0, f"a whole number from 0, found {seed!r}")
     return int(seed)

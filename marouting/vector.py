@@ -7,7 +7,7 @@ of Gymnasium's own vectors to the latter, use ``gymnasium.make_vec`` (:mod:`maro
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -83,6 +83,8 @@ class BatchEnv(EzPickle):
         InputError: the problems do not fit together, or an option is out of range.
     """
 
+    _draws_of: ClassVar[type[Draws]] = Draws
+
     def __init__(
         self,
         problems: Sequence[Problem] | int | None = None,
@@ -109,7 +111,7 @@ class BatchEnv(EzPickle):
         order = ORDERS["multi" if everyone else "single"]
         checked = game_options({"turn_order": order, **options})
         check("agents_persist", not checked.agents_persist, "false: all rows stay; see active")
-        draws = _draws(problems, problem, checked, seed)
+        draws = _draws(self._draws_of, problems, problem, checked, seed)
         if draws is None:
             self.engine = engine = Engine(_batch(problems, checked), checked)
         else:
@@ -161,13 +163,17 @@ class BatchEnv(EzPickle):
         return self.engine.tasks > 0
 
     def reset(
-        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
         """Starts the episodes of all problems.
 
         Args:
             seed: where games draw their problems, the new seed, with which they begin from their
-                first episodes; problems that stay know no chance.
+                first episodes, or one for each game, where None means that it goes on. Problems
+                that stay know no chance.
             options: with ``reset_mask``, (M,) bool, only the episodes of some problems start, as in
                 Gymnasium's vectors. Others are ignored.
 
@@ -175,14 +181,19 @@ class BatchEnv(EzPickle):
             (M, K, *S) float32 observations, and an info like that of :meth:`step`.
 
         Raises:
-            ValueError: ``reset_mask`` is not one boolean per problem.
+            ValueError: ``reset_mask`` is not one boolean per problem, or there is not one seed per
+                problem.
         """
+        listed = isinstance(seed, Sequence | np.ndarray)
+        seeds = list(cast(Sequence[int | None], seed if listed else [seed] * self.num_problems))
+        if len(seeds) != self.num_problems:
+            raise ValueError(f"seed: expected one, or {self.num_problems} of them, found {seed}")
         which = np.asarray((options or {}).get("reset_mask", np.ones(self.num_problems, np.bool_)))
         which = which if self._begun else np.ones_like(which)
         if which.shape != (self.num_problems,) or which.dtype != np.bool_:
             raise ValueError(f"reset_mask: expected {self.num_problems} booleans, found {which}")
-        if seed is not None and self._draws is not None:
-            self._draws.begin(seed, which)
+        if self._draws is not None:
+            self._draws.begin(seeds, which)
         first = 0
         for player in self._players:
             some = which[first : first + len(player.buffers.over)]
@@ -323,7 +334,11 @@ class BatchEnv(EzPickle):
 
 
 def _draws(
-    problems: Sequence[Problem] | int | None, source: Source, options: GameOptions, seed: int
+    kind: type[Draws],
+    problems: Sequence[Problem] | int | None,
+    source: Source,
+    options: GameOptions,
+    seed: int,
 ) -> Draws | None:
     """What the games of a batch draw their problems from; None if they stay, see `BatchEnv`."""
     if not is_whole(problems):
@@ -332,7 +347,7 @@ def _draws(
     if options.scenario is None:
         what = f"a list of problems, or a problem or scenario beside it; found {problems}"
         check("problems", source is not None, what)
-    return Draws(Episodes(source, options.scenario, options.split), seed, cast(int, problems))
+    return kind(Episodes(source, options.scenario, options.split), seed, cast(int, problems))
 
 
 def _batch(problems: Sequence[Problem] | int | None, options: GameOptions) -> Sequence[Problem]:

@@ -1,55 +1,103 @@
-"""Ctrl-C, put off while it would be lost.
+"""Makes sure that Ctrl-C is never lost.
 
 LLVM calls back into Python where it loads and stores compiled code, and goes on with what the
 callback should have set: an exception raised there is printed and forgotten, and the process may
-end with a segmentation fault. Python itself prints and forgets an exception that is raised while a
-weak reference tells that an object is gone; numba has such references to its types.
+end with a segmentation fault. So an interrupt is put off there, and while numba
+removes a type from its tables.
+
+Elsewhere it is raised at once. But Python prints and forgets exceptions in destructors and where a
+weak reference tells that an object is gone, and libraries have bare ``except:`` around what they
+import. An :class:`Interrupt` that is forgotten before it has ended the work is raised again.
 """
 
 import contextlib
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from types import FrameType
+
+from marouting.first import leave
 
 _TYPE_IS_GONE = "_on_type_disposal"
 """The function of numba that is told by weak references."""
 
 AGAIN = 0.02
-"""Seconds after which an interrupt that has been put off is tried again."""
+"""Seconds after which an interrupt that has been put off or forgotten is tried again."""
+
+
+class _Work:
+    """The running job that an interrupt should end."""
+
+    ended = False
+
+
+class Interrupt(KeyboardInterrupt):
+    """Ctrl-C in :func:`interruptible`; if it is forgotten there, it comes again."""
+
+    def __init__(self, work: _Work | None) -> None:
+        super().__init__()
+        self.work = work
+
+    def __del__(self) -> None:
+        if self.work is not None and not self.work.ended:
+            _later(signal.SIGINT)
+
+
+_work: _Work | None = None
+"""The work under way."""
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """Answers a signal as Python does, or later if an exception would be lost in the frame.
+    """Answers a signal as Python does, or later where an exception must not be raised.
 
     Raises:
-        KeyboardInterrupt: unless it is put off.
+        Interrupt: unless it is put off.
     """
     inner = frame
     while inner is not None:
         module = str(inner.f_globals.get("__name__")).partition(".")[0]
         if module == "llvmlite" or inner.f_code.co_name == _TYPE_IS_GONE:
-            later = threading.Timer(AGAIN, _again, (number,))
-            later.daemon = True
-            later.start()
+            _later(number)
             return
         inner = inner.f_back
-    signal.default_int_handler(number, frame)
+    raise Interrupt(_work)  # without a name for it, by which it would keep itself alive
 
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """Answers Ctrl-C by :func:`interrupt`, unless somebody else answers or ignores it already."""
-    usual = signal.default_int_handler
+    """Answers Ctrl-C by :func:`interrupt`, unless another handler is installed.
+
+    The one of :mod:`marouting.first` is ours.
+    """
+    global _work
+    before, told = signal.getsignal(signal.SIGINT), sys.unraisablehook
     ours = threading.current_thread() is threading.main_thread()  # signals are not for others
-    if not ours or signal.getsignal(signal.SIGINT) is not usual:
+    if not ours or before not in (signal.default_int_handler, leave):
         yield
         return
+
+    def tell(lost: "sys.UnraisableHookArgs") -> None:
+        if not issubclass(lost.exc_type, Interrupt):  # which comes again
+            told(lost)
+
+    _work = work = _Work()
+    sys.unraisablehook = tell
     signal.signal(signal.SIGINT, interrupt)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, usual)
+        work.ended = True
+        signal.signal(signal.SIGINT, before)
+        sys.unraisablehook = told
+        _work = None
+
+
+def _later(number: int) -> None:
+    """Sends a signal to this process after a moment."""
+    later = threading.Timer(AGAIN, _again, (number,))
+    later.daemon = True
+    later.start()
 
 
 def _again(number: int) -> None:

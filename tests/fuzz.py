@@ -39,6 +39,8 @@ from test_ispd import CONTEST
 from test_ispd98 import FLAT, LAYERED, said
 from test_ispd2024 import CAP, NET, ROUTES
 from test_lefdef import BLOCKED, DEF, LEF, SPECIAL
+from test_openroad_segments import FILES as ISPD2025
+from test_openroad_segments import as_segments
 from test_rows import DRAWN, READ
 from test_run import config_in
 
@@ -133,9 +135,9 @@ def designs(rng: Random, folder: Path) -> None:
     sane_problem(Problem.read(folder / "chip.def"), folder / "p.gr")
 
 
-def contests(rng: Random, folder: Path) -> None:
-    """A problem of the ISPD 2024 contest that is accepted is one, and routes of it have a cost."""
-    text = {"p.cap": CAP, "p.net": NET, "p.PR_output": ROUTES}
+def contests(rng: Random, folder: Path, files: tuple[str, str, str]) -> None:
+    """A problem of ISPD 2024 or 2025 that is accepted is one, and routes of it have a cost."""
+    text = dict(zip(("p.cap", "p.net", "p.PR_output"), files, strict=True))
     spoiled = rng.choice(list(text))
     for name, content in text.items():
         own = content.encode()
@@ -160,6 +162,39 @@ def guides(rng: Random, folder: Path) -> None:
     solution.write(file)
     joined = evaluate(problem, Solution.read(file, problem)).joined
     assert joined >= evaluate(problem, solution).joined
+
+
+def segments(rng: Random, folder: Path) -> None:
+    """OpenROAD's segments that are accepted are routes, which are written and read back."""
+    problem = any_problem(rng)
+    existing = np.flatnonzero(problem.topology.exists).tolist()
+    some = [rng.choices(existing, k=rng.randint(0, 20)) if existing else [] for _ in problem.nets]
+    solution, file = Solution(problem, [np.array(own, np.int64) for own in some]), folder / "p.segs"
+    text = as_segments(solution, rng.randrange(13))
+    file.write_bytes(in_text(rng, text.encode()))
+    read = Solution.read(file, problem)
+    assert evaluate(problem, read) == plain_evaluation(read)
+    read.write(folder / "p.solution")
+    assert Solution.read(folder / "p.solution", problem) == read
+
+
+def compressed(rng: Random, folder: Path) -> None:
+    """Compressed data that are accepted are those that were compressed: they hold a checksum."""
+    file, problem = folder / "p.gr.gz", any_problem(rng)
+    problem.write(file)
+    content = bytearray(file.read_bytes())
+    for _ in range(rng.randint(0, 3)):
+        at = rng.randrange(len(content))
+        how = rng.random()
+        if how < 0.2:
+            del content[at:]
+        elif how < 0.6:
+            content[at] ^= 1 << rng.randrange(8)
+        else:
+            content[at:at] = rng.randbytes(rng.randint(1, 9))
+        content = content or bytearray(b"\0")
+    file.write_bytes(content)
+    assert Problem.read(file) == problem
 
 
 def solutions(rng: Random, folder: Path) -> None:
@@ -542,9 +577,14 @@ KINDS: dict[str, Kind] = {
         for format in PROBLEMS
     },
     "problem, LEF/DEF": Kind(designs, 150, 5_000),
-    "problem, ispd2024": Kind(contests, 200, 5_000),
+    **{
+        f"problem, {contest}": Kind(functools.partial(contests, files=files), 200, 5_000)
+        for contest, files in (("ispd2024", (CAP, NET, ROUTES)), ("ispd2025", ISPD2025))
+    },
+    "problem, compressed": Kind(compressed, 200, 5_000),
     "solution": Kind(solutions, 200, 20_000),
     "guide": Kind(guides, 200, 5_000),
+    "segments": Kind(segments, 200, 5_000),
     "configuration of a training": Kind(trainings, 100, 10_000),
     "configuration of an experiment": Kind(experiments, 60, 4_000),
     "overrides": Kind(overrides, 100, 10_000),

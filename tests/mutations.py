@@ -9,6 +9,7 @@ import io
 import math
 import re
 import zipfile
+from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from random import Random
@@ -207,6 +208,19 @@ _OTHERS = [
     1.5,
     0,
     10**6,
+    # What torch reads as well with weights_only.
+    torch.nn.Parameter(torch.ones(3)),
+    OrderedDict(a=[1]),
+    torch.Size([2, 3]),
+    torch.float32,
+    torch.device("cpu"),
+    {1, 2},
+    {1: 2},
+    {(1, 2): torch.ones(2)},
+    1j,
+    (1, "x"),
+    bytearray(b"x"),
+    torch.ones(2).untyped_storage(),
 ]
 _TYPES = (torch.float16, torch.float64, torch.int8, torch.int64, torch.bool, torch.complex64)
 
@@ -239,8 +253,19 @@ def _other_tensor(rng: Random, tensor: torch.Tensor) -> Any:
     if kind < 0.2:
         large = torch.zeros(1, dtype=tensor.dtype).expand(1000, 1000, 1000)
         meta = torch.empty(3, device="meta")
-        sparse = tensor.to_sparse() if tensor.is_floating_point() else None
-        return rng.choice((sparse, large, meta, tensor.mT if tensor.dim() > 1 else None))
+        of = [large, meta, tensor.mT if tensor.dim() > 1 else None, *_OTHERS]
+        if tensor.is_floating_point():
+            whole = tensor.float()
+            of += [
+                tensor.to_sparse(),
+                torch.nn.Parameter(tensor),
+                tensor.clone().requires_grad_(),
+                torch.nn.Buffer(tensor),
+                torch.quantize_per_tensor(whole, 0.1, 0, torch.qint8),
+                torch.complex(whole, whole).conj(),
+                tensor.to_sparse_csr() if tensor.dim() == 2 else torch.ones(2, 2).to_sparse_csr(),
+            ]
+        return rng.choice(of)
     numbers = tensor.clone()
     if not numbers.numel():
         return numbers

@@ -574,19 +574,26 @@ class Game:
 
     def step(self, move: int) -> None:
         """The agent whose turn it is moves, and the turn passes."""
-        mover = self.turn
+        mover, answers = self.turn, self.asked
         assert mover is not None
         self.go(mover, move)
         if self.turn_order == "sequential" and self.agents[mover].status == "ACTIVE":
             return
-        self.turn = self.next_after(mover)
+        self.turn = self.first() if answers else self.next_after(mover)
 
     def next_after(self, mover: int) -> int | None:
         """The next active agent in turn order, the mover itself last."""
         place = self.order.index(mover)
         cycle = self.order[place + 1 :] + self.order[: place + 1]
         active = next((n for n in cycle if self.agents[n].status == "ACTIVE"), None)
-        return self.next_walk() if active is None and self.rip_up_rounds else active
+        return self.first() if active is None else active
+
+    def first(self) -> int | None:
+        """The first active agent in turn order; if there is none, nets walk again."""
+        if self.active() or not self.rip_up_rounds:
+            return next(iter(self.active()), None)
+        walker = self.next_walk()
+        return walker if self.turn_order == "sequential" else next(iter(self.active()), None)
 
     def step_all(self, moves: Sequence[int]) -> None:
         """Every active agent moves once; in sequential order only the one whose turn it is."""
@@ -595,7 +602,9 @@ class Game:
             agent.crossing, agent.ending, agent.added_overflow = "NONE", "NONE", 0
         for n in [self.turn] if self.turn_order == "sequential" else self.active():
             self.go(n, moves[n])
-        if self.agents[self.turn].status != "ACTIVE":
+        if self.turn_order == "round_robin":
+            self.turn = self.first()
+        elif self.agents[self.turn].status != "ACTIVE":
             self.turn = self.next_after(self.turn)
 
     def edges_of(self, n: int) -> set[Edge]:

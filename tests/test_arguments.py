@@ -2,10 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from marouting.batch.team_rewards import MixedReward
 
 from marouting import (
     Engine,
@@ -13,11 +15,12 @@ from marouting import (
     Net,
     PaperObservation,
     Pin,
+    Problem,
     Solution,
     generate,
     global_routing_v0,
 )
-from marouting.generator import GeneratorOptions
+from marouting.generator import GeneratorOptions, Least
 from marouting.problem.net import Adjustment
 from marouting.vector import BatchEnv
 
@@ -135,3 +138,51 @@ def test_masks_and_observations_are_those_of_agents(problems: Any, agents: Any) 
 def test_other_arguments(call: Callable[[], Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call()
+
+
+PLACES = [(0, 0, 1), (3, 3, 1)]
+EDGE = (0, 0, 1, 1, 0, 1, 1)
+
+
+@pytest.mark.parametrize(
+    "pins",
+    [
+        [Pin(*place) for place in PLACES],
+        PLACES,
+        tuple(map(list, PLACES)),
+        np.array(PLACES),
+        [np.array(place, np.uint8) for place in PLACES],
+    ],
+)
+@pytest.mark.parametrize("adjustments", [[EDGE], ([*EDGE],), np.array([EDGE])])
+def test_rows_of_any_kind_are_records(pins: Any, adjustments: Any, tmp_path: Path) -> None:
+    found = Net("a", 1, pins)
+    assert found == Net("a", 1, PINS) == Net("a", 1, (pin for pin in pins))
+    assert hash(found) == hash(Net("a", 1, PINS))
+    assert {type(pin) for pin in found.pins} == {Pin}
+    problem = replace(PROBLEM, nets=[found], adjustments=adjustments)
+    expected = replace(PROBLEM, nets=net(), adjustments=(Adjustment(*EDGE),))
+    assert problem == expected
+    assert hash(problem) == hash(expected)
+    assert repr(problem) == repr(expected)
+    assert problem.capacity.tolist() == expected.capacity.tolist()
+    problem.write(tmp_path / "a.gr")
+    assert Problem.read(tmp_path / "a.gr") == problem
+
+
+@pytest.mark.parametrize("pins", [5, None, PINS[0], [5], [None], [[[1], 2, 3]], [np.array(1.5)]])
+def test_what_holds_no_pins_is_refused(pins: Any) -> None:
+    with pytest.raises(InputError, match=r"a: expected pins, each \(x, y, layer\), found|^pins: "):
+        replace(PROBLEM, nets=[Net("a", 1, pins)])
+
+
+@pytest.mark.parametrize("rows", [5, None, [5], [(1, 2)], [(*EDGE[:6], 1.5)]])
+def test_what_holds_no_adjustments_is_refused(rows: Any) -> None:
+    with pytest.raises(InputError, match=r"^adjustments: expected"):
+        replace(PROBLEM, adjustments=rows)
+
+
+def test_options_from_lists_are_those_from_tuples() -> None:
+    assert hash(Least(grid=[3, 3, 1])) == hash(Least(grid=(3, 3, 1)))  # type: ignore[arg-type]
+    parts = [{"kind": "paper"}]
+    assert MixedReward(parts) == MixedReward(tuple(parts))  # type: ignore[arg-type]

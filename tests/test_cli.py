@@ -9,6 +9,7 @@ import stat
 import subprocess
 import sys
 import zipfile
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -1078,6 +1079,15 @@ def thirteen_inputs(state: dict[str, Any]) -> None:
     state["obs_shape"] = [13]
 
 
+def weights(state: dict[str, Any], change: Callable[[torch.Tensor], torch.Tensor]) -> None:
+    name, tensor = first_layer(state)
+    state["weights"][0][name] = change(tensor)
+
+
+def quantised(tensor: torch.Tensor) -> torch.Tensor:
+    return torch.quantize_per_tensor(tensor, 0.1, 0, torch.qint8)
+
+
 Damage = Callable[[Path, Path], None]
 
 
@@ -1170,6 +1180,18 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     "another game": (resaved(lambda state: state.update(env={"agents": "many"})), "agents"),
     "unknown option": (resaved(lambda state: state.update(env={"gravity": 1})), "gravity"),
     "no game": (resaved(lambda state: state.pop("env")), "whole"),
+    "a parameter": (resaved(lambda s: weights(s, torch.nn.Parameter)), "Parameter"),
+    "gradients": (resaved(lambda s: weights(s, lambda w: w.requires_grad_())), "gradients"),
+    "sparse": (resaved(lambda s: weights(s, torch.Tensor.to_sparse)), "dense"),
+    "quantised": (resaved(lambda s: weights(s, quantised)), "dense"),
+    "without numbers": (resaved(lambda s: weights(s, lambda w: w.to("meta"))), "dense"),
+    "an ordered mapping": (
+        resaved(lambda s: s.update(weights=[OrderedDict(s["weights"][0])])),
+        "OrderedDict",
+    ),
+    "a type": (resaved(lambda state: state["env"].update(agents=torch.float32)), "dtype"),
+    "a set": (resaved(lambda state: state.update(names={"p"})), "found set"),
+    "keys of numbers": (resaved(lambda state: state["env"].update({1: 2})), "keys"),
     "another problem": (
         lambda good, bad: torch.save(torch.load(good, weights_only=True), bad),
         "problem_000",

@@ -6,9 +6,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import click
 import pytest
 from click.shell_completion import ShellComplete
 
@@ -332,3 +333,42 @@ def test_resume_takes_keys_without_a_configuration(capsys: pytest.CaptureFixture
     assert json.loads(found.out)["episodes"] == 3
     assert "longer: 2 episodes become 3" in found.err
     assert "learner.epsilon goes by the share of all episodes" in found.err
+
+
+def numbers(command: click.Command) -> Iterator[click.Parameter]:
+    """The parameters of a command that are numbers, or several."""
+    for parameter in command.params:
+        kinds = getattr(parameter.type, "types", [parameter.type])
+        if any(kind.name in ("integer", "float") for kind in kinds):
+            yield parameter
+
+
+@pytest.mark.parametrize("command", sorted(cli.commands))
+@pytest.mark.parametrize("number", ["1_0", "١", "１"])
+def test_numbers_have_ascii_digits(
+    command: str, number: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for parameter in numbers(cli.commands[command]):
+        if isinstance(parameter, click.Option):
+            flag = parameter.opts[0]
+            assert status([command, flag, *[number] * parameter.nargs]) == 2
+            line = capsys.readouterr().err
+            assert flag in line
+            assert "is not a valid" in line
+
+
+def test_warnings_are_a_line(folder: Path) -> None:
+    text = (folder / "p.solution").read_text()
+    name, number, count = text.split("\n")[0].split()
+    wrong = text.replace(
+        f"{name} {number} {count}", f"{name} {int(number) + 7} {int(count) + 1}", 1
+    )
+    (folder / "wrong.solution").write_text(wrong)
+    command = [sys.executable, "-m", "marouting", "evaluate", "p.gr", "wrong.solution", "--json"]
+    ended = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    first, second = ended.stderr.splitlines()
+    assert first.startswith(
+        f"marouting: warning: wrong.solution:1: net {name}: expected id {number}"
+    )
+    assert second.startswith(f"marouting: warning: wrong.solution:1: net {name}: expected ")
+    assert json.loads(ended.stdout)["connected"]

@@ -7,7 +7,8 @@ that pages speak of. What would take long is marked in the page, in a comment be
 * ``<!-- parsed only (PHRASE): WHY -->``: commands with the phrase run up to the work itself, so
   files, options and keys are checked. Without a phrase: all commands of the block.
 
-Of other programs than ours it is only checked that what they name is there.
+A block ``text`` holds all that the block before it prints. Of other programs than ours it is only
+checked that what they name is there; a block ``bash`` is for the reader's own files and not run.
 """
 
 import importlib.util
@@ -167,6 +168,7 @@ def add_designs(folder: Path) -> None:
     """LEF/DEF designs and their routes; they need the extra ``lefdef``."""
     pytest.importorskip("klayout.db")
     from test_lefdef import DEF, LEF
+    from test_openroad_segments import as_segments
 
     head, macro = LEF.split("MACRO")
     (folder / "tech.lef").write_text(f"{head}END LIBRARY\n")
@@ -179,6 +181,8 @@ def add_designs(folder: Path) -> None:
         solution.write(folder / f"{name}.guide")
     shutil.copy(folder / "chip.guide", folder / "theirs.guide")
     solution.write(folder / "routes.solution")
+    segments = as_segments(solution, 1).replace("Metal", "M")
+    (folder / "openroad.segs").write_text(segments)
 
 
 @pytest.fixture
@@ -209,13 +213,16 @@ def test_every_block_of_a_page(
     code = "".join(block.code for block in blocks)
     take_what_is_named(inputs, folder, code)
     missing: list[str] = []
+    printed = ""
     if re.search(r"\.def\b", code):
         add_designs(folder)
     for block in blocks:
         monkeypatch.chdir(folder)
         check = {"python": run_python, "sh": run_shell, "yaml": check_yaml, "toml": check_toml}
         try:
-            if block.language != "text":  # what something prints
+            if block.language == "text":
+                assert printed == block.code, printed
+            elif block.language != "bash":
                 check[block.language](block, monkeypatch)
         except Exception as error:
             if isinstance(error, ModuleNotFoundError) and error.name in LIBRARIES:
@@ -223,6 +230,7 @@ def test_every_block_of_a_page(
                 continue
             out, err = capfd.readouterr()
             raise AssertionError(f"{block.where}: {error!r}\n{block.code}\n{out}{err}") from error
+        printed = capfd.readouterr().out
     if missing:
         pytest.skip(f"all blocks ran but these: {', '.join(missing)}")
 

@@ -689,9 +689,11 @@ def test_a_net_that_plays_in_some_problems_only() -> None:
             found.add(tuple(idle))
             assert env.agents == [a for a in env.possible_agents if persist or a not in idle]
             for agent in env.agents:
-                if agent in idle:  # the one move that does nothing
-                    assert infos[agent]["action_mask"].tolist() == [1, 0, 0, 0, 0, 0]
+                assert list(infos[agent]) == ["action_mask"]
                 assert seen[agent].any() == (agent not in idle)
+            *_, infos = env.step(dict.fromkeys(env.agents, 0))
+            for agent, info in infos.items():
+                assert info.get("active", True) == (agent not in idle) or "task_ended" in info
         assert found == {(), ("net_1",)}
 
 

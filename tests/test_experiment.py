@@ -1356,7 +1356,7 @@ def test_own_routers_stand_in_an_experiment(
     }
     problems = {"s": {**SMALL, "nets": 9}}
     config = write_config(here / "c.yaml", routers=routers, problems=problems, seeds=[0, 3])
-    assert status(["experiment", str(config)]) == 0
+    assert status(["experiment", str(config), "--allow-code"]) == 0
     kept = yaml.safe_load((here / "out" / "config.yaml").read_text())["routers"]
     assert kept["mine"] == {
         "router": "my_routers:Mine", "only": None, "prune": False, "label": None,
@@ -1383,7 +1383,7 @@ def test_own_routers_stand_in_an_experiment(
         ),
     ):
         write_config(config, routers={"mine": router}, out="another")
-        assert said in refused("experiment", config)
+        assert said in refused("experiment", config, "--allow-code")
 
 
 def test_route_takes_options_of_any_router(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

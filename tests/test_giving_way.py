@@ -313,9 +313,7 @@ def test_every_interface_plays_the_same_rounds(rip_up: str) -> None:
     while not over:
         mover = aec.agent_selection
         assert mover == info["net"]
-        if "active" in infos[mover]:  # from the first step on
-            assert infos[mover]["active"]
-            assert sum(i["active"] for i in infos.values()) >= 1
+        assert infos[mover].get("active", True)
         mask = info["action_mask"]
         for other in (aec.last()[4]["action_mask"], infos[mover]["action_mask"]):
             np.testing.assert_array_equal(other, mask)

@@ -2,16 +2,22 @@
 
 import csv
 import importlib.util
+import pickle
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
 
 from marouting import ENVIRONMENT_ID, InputError, PaperObservation, generate, global_routing_v0
+from marouting.game import NOBODY
 from marouting.vector import BatchEnv
 
 
@@ -20,6 +26,7 @@ class Seen(PaperObservation):
 
 
 PROBLEM = generate(1, grid=(4, 4, 2), nets=4, max_pins=3, seed=3)[0]
+SET = [PROBLEM, generate(1, grid=(4, 4, 2), nets=3, seed=4)[0]]
 
 
 # Gymnasium's vectors ------------------------------------------------------------------------------
@@ -34,9 +41,15 @@ def assert_same(mine: object, theirs: object) -> None:
         return
     found, expected = np.asarray(mine), np.asarray(theirs)
     assert found.dtype == expected.dtype
+    assert found.shape == expected.shape
+    if expected.dtype == object and expected.ndim:
+        for one, other in zip(found, expected, strict=True):
+            assert_same(one, other)
+        return
     np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.parametrize("mode", list(AutoresetMode))
 @pytest.mark.parametrize(
     "options",
     [
@@ -45,40 +58,69 @@ def assert_same(mine: object, theirs: object) -> None:
         {"turn_order": "round_robin"},
         {"overflow": "allowed", "reward": {"overflow_price": 2}},
         {"observation": Seen(), "reward": "team"},
+        {"problem": None, "scenario": "toy-4x4-v0", "max_steps": 4},
     ],
 )
-def test_the_vector_is_that_of_single_environments(options: dict[str, object]) -> None:
+def test_the_vector_is_that_of_single_environments(
+    options: dict[str, object], mode: AutoresetMode
+) -> None:
     """In all that it gives, down to the types."""
     options = {"problem": PROBLEM, "max_steps": 6, **options}
-    plain = gymnasium.make_vec(ENVIRONMENT_ID, 3, vectorization_mode="sync", **options)
-    quick = gymnasium.make_vec(ENVIRONMENT_ID, 3, **options)
+    quick = gymnasium.make_vec(ENVIRONMENT_ID, 3, autoreset_mode=mode, **options)
+    plain = gymnasium.make_vec(
+        ENVIRONMENT_ID,
+        3,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": mode},
+        **options,
+    )
     assert type(quick).__name__ == "GlobalRoutingVector"
-    assert quick.metadata["autoreset_mode"] == plain.metadata["autoreset_mode"]
+    assert quick.metadata["autoreset_mode"] == plain.metadata["autoreset_mode"] == mode
     assert quick.single_observation_space == plain.single_observation_space
     assert quick.action_space == plain.action_space
     rng = np.random.default_rng(0)
     ends = 0
-    for mine, theirs in zip(quick.reset(seed=1), plain.reset(seed=1), strict=True):
-        assert_same(mine, theirs)
-    for _ in range(150):
-        moves = rng.integers(6, size=3)
-        found, expected = quick.step(moves), plain.step(moves)
-        for mine, theirs in zip(found, expected, strict=True):
+    seeds: list[object] = [1, [5, 3, 5], [None, 4, None], None, 1]
+    for seed in seeds:
+        for mine, theirs in zip(quick.reset(seed=seed), plain.reset(seed=seed), strict=True):
             assert_same(mine, theirs)
-        assert quick.observation_space.contains(found[0])
-        ends += int((found[2] | found[3]).sum())
-    assert ends >= 6
+        for _ in range(60):
+            moves = rng.integers(6, size=3)
+            found, expected = quick.step(moves), plain.step(moves)
+            for mine, theirs in zip(found, expected, strict=True):
+                assert_same(mine, theirs)
+            assert quick.observation_space.contains(found[0])
+            over = found[2] | found[3]
+            ends += int(over.sum())
+            if mode is AutoresetMode.DISABLED and over.any():
+                both = [
+                    vector.reset(options={"reset_mask": over.copy()}) for vector in (quick, plain)
+                ]
+                for mine, theirs in zip(*both, strict=True):
+                    assert_same(mine, theirs)
+    assert ends >= 12
     quick.close()
     plain.close()
 
 
-def test_the_vector_draws_problems() -> None:
+def test_some_games_of_the_vector_begin_again_with_seeds_of_their_own() -> None:
     options = {"scenario": "toy-4x4-v0", "max_steps": 4}
-    env = gymnasium.make_vec(ENVIRONMENT_ID, 3, **options)
+    quick = gymnasium.make_vec(ENVIRONMENT_ID, 3, **options)
     plain = gymnasium.make_vec(ENVIRONMENT_ID, 3, vectorization_mode="sync", **options)
-    _, first = env.reset(seed=5)
-    _, expected = plain.reset(seed=5)
-    assert first["problem"].dtype == expected["problem"].dtype
+    for vector in (quick, plain):
+        vector.reset(seed=[2, 2, 9])
+    both = [
+        vector.reset(seed=[7, 8, 9], options={"reset_mask": np.array([True, False, True])})
+        for vector in (quick, plain)
+    ]
+    for mine, theirs in zip(*both, strict=True):
+        assert_same(mine, theirs)
+    assert both[0][1]["_net"].tolist() == [True, False, True]
+
+
+def test_the_vector_draws_problems() -> None:
+    env = gymnasium.make_vec(ENVIRONMENT_ID, 3, scenario="toy-4x4-v0", max_steps=4)
+    _, first = env.reset()
     played = set(first["problem"])
     assert len(played) == 3
     for _ in range(200):
@@ -88,7 +130,27 @@ def test_the_vector_draws_problems() -> None:
             assert not played & set(found)
             played |= set(found)
     assert len(played) > 6
-    assert env.reset(seed=5)[1]["problem"].tolist() == first["problem"].tolist()
+    twin = pickle.loads(pickle.dumps(env))
+    for _ in range(60):
+        for mine, theirs in zip(
+            *(vector.step(np.zeros(3, np.int64)) for vector in (twin, env)), strict=True
+        ):
+            assert_same(mine, theirs)
+    seeds = [env.reset(seed=seed)[1]["problem"].tolist() for seed in (5, 5, [5, 6, 7], [7, 6, 5])]
+    assert seeds[0] == seeds[1] == seeds[2] == seeds[3][::-1]
+
+
+def test_a_vector_that_nobody_resets_goes_no_further() -> None:
+    env = gymnasium.make_vec(
+        ENVIRONMENT_ID, 2, problem=PROBLEM, max_steps=1, autoreset_mode="Disabled"
+    )
+    env.reset()
+    over = np.zeros(2, np.bool_)
+    while not over.any():
+        *_, terminated, truncated, _ = env.step(np.zeros(2, np.int64))
+        over = terminated | truncated
+    with pytest.raises(ResetNeeded, match=r"expected a call of reset\(\) for games \[0, 1\]"):
+        env.step(np.zeros(2, np.int64))
 
 
 def test_the_vector_says_what_it_cannot_use() -> None:
@@ -96,6 +158,7 @@ def test_the_vector_says_what_it_cannot_use() -> None:
         ({"render_mode": "human"}, "render_mode: expected ansi, rgb_array or None"),
         ({"agents_persist": True}, "agents_persist: expected false"),
         ({"frameskip": 4}, "frameskip: unknown key"),
+        ({"autoreset_mode": "Later"}, "autoreset_mode: expected one of NEXT_STEP, SAME_STEP"),
     ):
         with pytest.raises(InputError, match=message):
             gymnasium.make_vec(ENVIRONMENT_ID, 2, **options)
@@ -103,6 +166,8 @@ def test_the_vector_says_what_it_cannot_use() -> None:
     env.reset()
     with pytest.raises(ValueError, match="expected 0 to 5"):
         env.step(np.array([0, -1]))
+    with pytest.raises(ValueError, match="seed: expected one, or 2 of them"):
+        env.reset(seed=[1, 2, 3])
     pictures = env.render()
     assert pictures is not None
     assert len(pictures) == 2
@@ -157,11 +222,13 @@ def test_sb3_steps_the_games_of_the_parallel_environment() -> None:
         for row in range(env.num_envs):
             game, agent = divmod(row, len(names))
             there, infos = seen[game]
-            active = infos[names[agent]]["active"]
+            active = infos[names[agent]].get("active", True)
             np.testing.assert_array_equal(obs[row], there[names[agent]] if active else np.zeros(12))
             assert masks[row].tolist() == infos[names[agent]]["action_mask"].astype(bool).tolist()
         moves = rng.integers(6, size=env.num_envs)
-        was_active = [seen[r // len(names)][1][names[r % len(names)]]["active"] for r in range(8)]
+        was_active = [
+            seen[r // len(names)][1][names[r % len(names)]].get("active", True) for r in range(8)
+        ]
         obs, rewards, dones, infos = env.step(moves)
         for game, one in enumerate(plain):
             rows = range(game * len(names), (game + 1) * len(names))
@@ -247,6 +314,38 @@ def test_sb3_learners_take_it(everyone: bool) -> None:
 # TorchRL and BenchMARL ----------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("make", "options", "wrapped"),
+    [
+        (global_routing_v0.parallel_env, {"agents_persist": True}, {}),
+        (global_routing_v0.parallel_env, {"agents_persist": True}, {"return_state": True}),
+        (global_routing_v0.parallel_env, {"rip_up_rounds": 1, "rip_up": "agents"}, {}),
+        (global_routing_v0.parallel_env, {"mask_in_observation": True, "rip_up_rounds": 1}, {}),
+        (global_routing_v0.parallel_env, {"problem": SET, "agents_persist": True}, {}),
+        (global_routing_v0.parallel_env, {}, {"use_mask": True}),
+        (global_routing_v0.env, {"agents_persist": True}, {"use_mask": True}),
+        (global_routing_v0.env, {"problem": SET, "agents_persist": True}, {"use_mask": True}),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
+def test_torchrl_wraps_the_pettingzoo_environments(
+    make: Callable[..., Any], options: dict[str, Any], wrapped: dict[str, Any]
+) -> None:
+    pytest.importorskip("torchrl")
+    from torchrl.envs import PettingZooWrapper
+    from torchrl.envs.utils import check_env_specs
+
+    inner = make(**{"problem": PROBLEM, "max_steps": 6, **options})
+    env = PettingZooWrapper(inner, **wrapped)
+    check_env_specs(env)
+    stays = "agents_persist" in options or "rip_up_rounds" in options
+    for _ in range(4):
+        td = env.rollout(500)
+        assert td["next", "done"].squeeze(-1).tolist() == [False] * (len(td) - 1) + [True]
+        assert inner.unwrapped.metrics()["steps"] > 0
+        assert not stays or inner.unwrapped.engine.games[0]["agent"] == NOBODY
+
+
 def test_torchrl_steps_the_games_of_the_parallel_environment() -> None:
     pytest.importorskip("torchrl")
     import torch
@@ -266,7 +365,7 @@ def test_torchrl_steps_the_games_of_the_parallel_environment() -> None:
     for _ in range(60):
         for m, (one, (there, infos)) in enumerate(zip(plain, seen, strict=True)):
             for n, name in enumerate(names):
-                active = infos[name]["active"]
+                active = infos[name].get("active", True)
                 expected = there[name] if active else np.zeros(12)
                 np.testing.assert_array_equal(td["nets", "observation"][m, n], expected)
                 mask = td["nets", "action_mask"][m, n].tolist()
@@ -295,6 +394,37 @@ def test_torchrl_steps_the_games_of_the_parallel_environment() -> None:
     assert ends >= 4
 
 
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
+@pytest.mark.parametrize("interface", ["parallel_env", "env"])
+def test_torchrl_wraps_pettingzoo_only_with_agents_that_persist(interface: str) -> None:
+    """As docs/libraries.md says: which options are needed, and what happens without them."""
+    pytest.importorskip("torchrl")
+    from torchrl.envs import PettingZooWrapper
+    from torchrl.envs.utils import check_env_specs
+
+    def wrapped(**options: object) -> PettingZooWrapper:
+        known = {name: options.pop(name) for name in ("done_on_any",) if name in options}
+        game = getattr(global_routing_v0, interface)(PROBLEM, max_steps=6, **options)
+        return PettingZooWrapper(game, use_mask=interface == "env", seed=0, **known)
+
+    def ended(env: PettingZooWrapper) -> list[bool]:
+        """Of each net, whether it has ended at the end of the game that TorchRL plays."""
+        last = env.rollout(500)[-1]["next"]
+        assert last["done"].item()
+        return [done for group in env.group_map for done in last[group, "done"].flatten().tolist()]
+
+    if interface == "parallel_env":
+        assert sorted(set(ended(wrapped()))) == [False, True]  # the first net has left
+        with pytest.raises(KeyError, match="net_"):
+            wrapped(done_on_any=False).rollout(500)
+    else:
+        with pytest.raises(ValueError, match="the only valid action is None"):
+            wrapped().rollout(500)
+    env = wrapped(agents_persist=True)
+    check_env_specs(env)
+    assert ended(env) == [True] * len(PROBLEM.nets)
+
+
 def test_benchmarl_takes_the_task() -> None:
     pytest.importorskip("benchmarl")
     from marouting.config import config_file
@@ -310,6 +440,33 @@ def test_benchmarl_takes_the_task() -> None:
     steps = env.rollout(100, break_when_all_done=True)
     assert steps.shape[1] <= task.max_steps(env)
     assert set(task.log_info(steps)) == {"collection/info/joined", "collection/info/overflow"}
+
+
+# Tianshou -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("persist", [False, True])
+@pytest.mark.parametrize("masks", [False, True])
+def test_tianshou_wraps_pettingzoo_only_with_agents_that_persist(
+    persist: bool, masks: bool
+) -> None:
+    """As docs/libraries.md says: which options are needed, and what happens without them."""
+    pytest.importorskip("tianshou")
+    from tianshou.env import PettingZooEnv
+
+    options = {"agents_persist": persist, "mask_in_observation": masks}
+    env = PettingZooEnv(global_routing_v0.env(PROBLEM, max_steps=6, **options))
+    seen, _ = env.reset(seed=0)
+    rng, over, masked = np.random.default_rng(0), False, False
+    while not over:
+        masked |= not all(seen["mask"])
+        seen, _, terminated, truncated, _ = env.step(int(rng.choice(np.flatnonzero(seen["mask"]))))
+        over = terminated or truncated
+    game = env.env.unwrapped
+    ended = [game.terminations[agent] or game.truncations[agent] for agent in game.agents]
+    assert ended == [persist or agent == game.agent_selection for agent in game.agents]
+    assert len(ended) == len(PROBLEM.nets)
+    assert masked == masks
 
 
 # Recipes ------------------------------------------------------------------------------------------
@@ -356,9 +513,29 @@ def test_a_recipe_joins_the_nets(run: str) -> None:
     assert float(seconds) <= 180
 
 
+@pytest.mark.parametrize(
+    "run",
+    [pytest.param(run, marks=[] if RUNS[run] == "torch" else pytest.mark.slow) for run in RUNS],
+)
+def test_a_recipe_fails_where_too_few_nets_are_joined(run: str) -> None:
+    if importlib.util.find_spec(RUNS[run]) is None:
+        pytest.skip(f"{RUNS[run]} is not installed")
+    name, *words = run.split()
+    done = subprocess.run(
+        [sys.executable, RECIPES / f"{name}.py", *words, "--steps", "1"],
+        capture_output=True,
+        text=True,
+        timeout=900,
+        check=False,
+    )
+    assert done.returncode == 1, done.stderr
+    said = r"^joined 0\.[0-8]\d+ of the nets, expected 0\.95 or more$"
+    assert re.search(said, done.stderr, re.MULTILINE), done.stderr
+
+
 def test_every_recipe_is_listed_and_short() -> None:
     page = (RECIPES.parents[1] / "libraries.md").read_text(encoding="utf-8")
-    files = {file.stem: file for file in RECIPES.glob("*.py")}
+    files = {file.stem: file for file in RECIPES.glob("*.py") if file.stem != "curve"}
     assert set(files) == {run.split()[0] for run in RUNS}
     for name, file in files.items():
         assert f"(examples/libraries/{name}.py)" in page

@@ -192,6 +192,36 @@ def test_an_edge_listed_twice_counts_once_and_warns_once(tmp_path: Path) -> None
     assert solution.edges[0].tolist() == [edge(problem, 0, 0, 1, 0), edge(problem, 1, 0, 1, 0)]
 
 
+@pytest.mark.parametrize(
+    ("text", "line", "what"),
+    [
+        ("A 7 2\n(-5,5,1)-(5,5,1)\n!\nB_1 3 0\n!\n", 1, "net A: expected 2 segments"),
+        ("A 7 1\n(-5,5,1)-(5,5,1)\n!\nB_1 3 4\n!\n", 4, "net B_1: expected 4 segments"),
+        ("A 7 0\n(-5,5,1)-(5,5,1)\n!\nB_1 3 4\n!\n", 1, "found 1 (2 such nets in this file)"),
+        ("B_1 0 0\n!\nA 7 1\n(-5,5,1)-(5,5,1)\n!\n", 1, "net B_1: expected id 3, found 0"),
+        ("B_1 7 0\n!\n\nA 3\n(-5,5,1)-(5,5,1)\n!\n", 1, "found 7 (2 such nets in this file)"),
+    ],
+)
+def test_wrong_counts_and_ids_warn_once(tmp_path: Path, text: str, line: int, what: str) -> None:
+    problem = small(tmp_path)
+    with pytest.warns(UserWarning, match="net ") as record:
+        solution = solution_of(tmp_path, problem, text)
+    assert solution == solution_of(tmp_path, problem, "A 7 1\n(-5,5,1)-(5,5,1)\n!\nB_1 3 0\n!\n")
+    assert [warning.filename for warning in record] == [__file__]
+    message = str(record[0].message)
+    assert message.startswith(f"{tmp_path / 'problem.solution'}:{line}: ")
+    assert what in message
+
+
+def test_right_counts_and_ids_are_taken_in_silence(tmp_path: Path) -> None:
+    problem = small(tmp_path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        solution_of(tmp_path, problem, "A 07 +1\n(-5,5,1)-(5,5,1)\n!\nB_1 3 0\n!\n")
+        sequential_astar(problem).write(tmp_path / "astar.solution")
+        Solution.read(tmp_path / "astar.solution", problem)
+
+
 def test_two_nets_may_share_an_edge_without_a_warning(tmp_path: Path) -> None:
     problem = small(tmp_path)
     text = "A 7\n(-5,5,1)-(5,5,1)\n!\nB_1 3\n(-5,5,1)-(5,5,1)\n!\n"

@@ -374,6 +374,10 @@ def test_negotiated_congestion_keeps_to_the_directions_of_layers(
 # --- files that cannot be used --------------------------------------------------------------------
 
 
+# What NumPy takes for numbers.
+NO_NUMBERS = ("1_0", "1_0.5", "١", "０.5", "infinity", "Nan", "1e1_0")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "line", "what"),
     [
@@ -383,6 +387,12 @@ def test_negotiated_congestion_keeps_to_the_directions_of_layers(
         ("0.5 2 1 3 10", "0.5 2 1 3 x", 2, "the cost of overflow in each layer: numbers"),
         ("0.5 2 1 3 10", "0.5 2 1 3 -1", 2, "from 0"),
         ("0.5 2 1 3 10", "0.5 2 nan 3 1", 2, "from 0"),
+        *(("0.5 2 1", f"{number} 2 1", 2, "the costs of wire and via") for number in NO_NUMBERS),
+        *(("1 1.5 2 0", f"1 1.5 {number} 0", 10, "capacities: numbers") for number in NO_NUMBERS),
+        ("3 4 3\n", "3 ４ 3\n", 1, "3 whole numbers"),
+        ("m2 1 1", "m2 1 1_0", 9, "a minimum length: numbers"),
+        ("m2 1 1", "m2 １ 1", 9, "direction 0 or 1"),
+        ("m2 1 1", "m2 1\xa01", 9, "direction 0 or 1"),
         ("m2 1 1", "m2 2 1", 9, "layer 2 of 3 (name, direction 0 or 1, minimum length)"),
         ("m2 1 1", "m1 1 1", 9, "layer m1: expected a name no earlier layer has"),
         ("1 1.5 2 0", "1 1.5 2", 10, "row 1 of 3 of layer m2, 4 capacities"),
@@ -406,7 +416,7 @@ def test_spoiled_resources(files: Path, old: str, new: str, line: int, what: str
     [
         ("[(2, 1, 1)]", "[(2, 4, 1)]", 8, "net b: expected places (layer, x, y) on the 4x3 grid"),
         ("[(2, 1, 1)]", "[(3, 1, 1)]", 8, "found (3, 1, 1)"),
-        ("[(2, 1, 1)]", "[(2, 1)]", 8, "a pin '[(layer, x, y), …]' of net b, or ')'"),
+        ("[(2, 1, 1)]", "[(2, 1)]", 8, "(layer, x, y), …]' of net b, or ')'"),
         ("[(2, 1, 1)]", "[(-2, 1, 1)]", 8, "a pin"),
         ("[(2, 1, 1)]\n[(0, 1, 2)]\n", "", 8, "net b: expected at least one pin"),
         ("b\n(", "b c\n(", 6, "a net's name"),

@@ -86,6 +86,7 @@ def test_an_upgrade_is_played_by_code_that_was_compiled_before_it(tmp_path: Path
         ("calls", "X, 2)", "X, 3)", False),  # the function itself
         ("rules", "a + b", "a - b", False),  # what it calls
         ("deeper", "LEAST = 1", "LEAST = 2", False),  # a constant of what that calls
+        ("deeper", "EVEN = 1", "EVEN = 7", False),  # another, and there is something equal to both
         ("deeper", "x: int", "y: int", False),  # a field of an argument
         ("other", "1", "2", True),  # imported, and not compiled into it
     ],
@@ -100,14 +101,15 @@ def test_a_stamp_depends_on_what_is_compiled_into_a_function(
         "rules": "from pack.deeper import Point, least\nfrom marouting.kernels import inlined\n\n\n"
         "@inlined\ndef add(a, b: Point):\n    return least(a + b)\n",
         "deeper": "from typing import NamedTuple\nfrom marouting.kernels import inlined\n"
-        "LEAST = 1\n\n\nclass Point(NamedTuple):\n    x: int\n\n\n"
+        "LEAST = 1\nEVEN = 1\nODD = 7\n\n\nclass Point(NamedTuple):\n    x: int\n\n\n"
         "@inlined\ndef least(a):\n    return later(a)\n\n\n"
-        "@inlined\ndef later(a):\n    return max(a, LEAST)\n",
+        "@inlined\ndef later(a):\n    return max(a, LEAST, EVEN, ODD, len(repr(THING)))\n\n\n"
+        "class Thing:\n    __module__ = None\n\n\nTHING = Thing()\n",
         "other": "Y = 4  # 1\n",
         "__init__": "",
     }
 
-    def stamp() -> str:
+    def stamp(seed: int = 0) -> str:
         (tmp_path / "pack").mkdir(exist_ok=True)
         for name, text in sources.items():
             (tmp_path / "pack" / f"{name}.py").write_text(text)
@@ -120,6 +122,7 @@ def test_a_stamp_depends_on_what_is_compiled_into_a_function(
                     (str(tmp_path), str(Path(marouting.__file__).parents[1]))
                 ),
                 "PYTHONDONTWRITEBYTECODE": "1",
+                "PYTHONHASHSEED": str(seed),
             },
             capture_output=True,
             text=True,
@@ -129,7 +132,7 @@ def test_a_stamp_depends_on_what_is_compiled_into_a_function(
         return done.stdout
 
     before = stamp()
-    assert stamp() == before
+    assert [stamp(seed) for seed in (1, 2, 3)] == [before] * 3
     assert sources[file].count(old) == 1
     sources[file] = sources[file].replace(old, new)
     assert (stamp() == before) == same

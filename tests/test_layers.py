@@ -28,6 +28,7 @@ ROOMS = {
     "marouting": (
         (
             "_version",
+            "first",
             "errors",
             "checks",
             "files",

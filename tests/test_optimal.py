@@ -4,6 +4,8 @@ import csv
 import functools
 import itertools
 import math
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,7 @@ from marouting import InputError, Net, Pin, Problem, evaluate, generate, sequent
 from marouting.config import build
 from marouting.problem.grid import AXES, VIA_AXIS, Grid
 from marouting.trees.steiner import steiner_length
-from policies.routers.base import Router, solve
+from policies.routers.base import Router, solve, warm_up
 from policies.routers.optimal import OptimalRouter, Optimum
 from policies.routers.optimal.priced_tree import NEVER, Across, Window, cheapest_priced_tree
 from policies.routers.optimal.router import MOST_PINS
@@ -470,6 +472,42 @@ def test_never_worse_than_the_first_pass_of_negotiated_congestion() -> None:
     first = PathfinderRouter(PathfinderOptions(seconds=0.0)).route(problem)
     figures = evaluate(problem, first)
     assert (found.overflow, found.wirelength) <= (figures.overflow, figures.wirelength)
+
+
+@pytest.mark.parametrize("solver", ["linprog", "milp"])
+def test_a_limit_holds_whatever_the_solver_does(
+    solver: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may look at the clock too late, or never."""
+    problem = generate(1, (8, 8, 2), nets=60, max_pins=3, capacity=2, seed=5)[0]
+    warm_up(OptimalRouter(), problem)
+    asked = threading.Event()
+
+    def never(*_: Any, **__: Any) -> Any:
+        asked.set()
+        time.sleep(30)
+        raise AssertionError
+
+    monkeypatch.setattr(f"policies.routers.optimal.programs.{solver}", never)
+    began = time.monotonic()
+    found = proven(problem, OptimalRouter(time_limit=2.0))
+    assert time.monotonic() - began < 3
+    assert asked.is_set()
+    assert found.status == "time limit"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [1.0, 5.0])
+def test_a_limit_holds_on_a_large_problem(limit: float) -> None:
+    problem = generate(1, (64, 64, 4), nets=3000, capacity=8)[0]
+    router = OptimalRouter(time_limit=limit)
+    warm_up(router, problem)
+    began, worked = time.monotonic(), time.process_time()
+    found = proven(problem, router)
+    assert found.status == "time limit"
+    # A shared processor can be elsewhere for as long as it likes.
+    spent = min(time.monotonic() - began, time.process_time() - worked)
+    assert spent <= limit + max(1.0, limit / 10)
 
 
 def test_a_time_limit_of_zero_leaves_a_gap() -> None:

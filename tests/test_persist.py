@@ -47,11 +47,13 @@ def test_agents_that_stay_play_the_same_game(reward: str) -> None:
     other_seen, other_infos = leaves.reset(seed=1)
     assert list(seen) == stays.agents == stays.possible_agents == leaves.agents
     assert leaves.agents == ["net_0", "net_2", "net_3", "net_4"]
+    first = True
     while stays.agents:
         assert stays.agents == stays.possible_agents
         playing = set(leaves.agents)
         for agent in stays.agents:
-            assert infos[agent].get("active", True) == (agent in playing)  # from the first step on
+            # In the first infos there is nothing but masks.
+            assert infos[agent].get("active") == (None if first else agent in playing)
             if agent in playing:
                 np.testing.assert_array_equal(seen[agent], other_seen[agent])
                 np.testing.assert_array_equal(
@@ -59,7 +61,7 @@ def test_agents_that_stay_play_the_same_game(reward: str) -> None:
                 )
             else:
                 assert infos[agent]["action_mask"].tolist() == NO_OP
-        actions = moves(rng, infos)
+        actions, first = moves(rng, infos), False
         seen, rewards, ended, cut, infos = stays.step(actions)
         other_seen, other_rewards, other_ended, other_cut, other_infos = leaves.step(
             {agent: actions[agent] for agent in leaves.agents}
@@ -96,7 +98,7 @@ def test_agents_that_stay_in_turns(reward: str) -> None:
             assert info["metrics"] == env.metrics()
             env.step(None)
             continue
-        assert info.get("active", True)  # from the first step on
+        assert info.get("active", True)
         assert not ends
         assert env.agents == env.possible_agents
         while other.terminations[other.agent_selection] or other.truncations[other.agent_selection]:
@@ -211,14 +213,36 @@ def test_spaces_hold_for_all_problems_of_the_set() -> None:
     env = global_routing_v0.parallel_env(SET)
     assert env.possible_agents == [f"net_{n}" for n in range(6)]
     rng = np.random.default_rng(0)
+    names = set()
     for _ in range(12):
-        seen, _ = env.reset()
-        assert env.unwrapped.problem_name.startswith("problem_")
+        seen, infos = env.reset()
+        assert all(set(info) == {"action_mask"} for info in infos.values())
+        names.add(env.problem_name)
         while env.agents:
             for agent in env.agents:
                 assert env.observation_space(agent).contains(seen[agent])
             assert env.state_space.contains(env.state())
-            seen, *_ = env.step({a: int(rng.integers(6)) for a in env.agents})
+            seen, _, _, _, infos = env.step({a: int(rng.integers(6)) for a in env.agents})
+    assert names == {f"problem_00{i}" for i in range(5)}
+
+
+@pytest.mark.parametrize("persist", [False, True])
+@pytest.mark.parametrize("make", [global_routing_v0.env, global_routing_v0.parallel_env])
+def test_the_first_infos_hold_masks_only(make: Callable[..., Any], persist: bool) -> None:
+    env = make(SET, agents_persist=persist)
+    _, infos = env.reset(seed=1) or (None, env.unwrapped.infos)
+    assert infos.keys() == set(env.agents)
+    assert all(set(info) == {"action_mask"} for info in infos.values())
+    played = {agent for agent in env.agents if agent not in env.idle_nets}
+    played &= {f"net_{net}" for net in range(len(env.unwrapped.game.problem.nets))}
+    moves = {agent: int(info["action_mask"].argmax()) for agent, info in infos.items()}
+    if make is global_routing_v0.env:
+        env.step(moves[env.agent_selection])
+        infos = env.unwrapped.infos
+    else:
+        *_, infos = env.step(moves)
+    for agent, info in infos.items():
+        assert info.get("active") == ((agent in played) if persist else None)
 
 
 def test_a_set_in_all_its_forms(tmp_path: Path) -> None:
@@ -227,7 +251,9 @@ def test_a_set_in_all_its_forms(tmp_path: Path) -> None:
     names = set()
     for source in (str(tmp_path), [str(tmp_path / f"p{i}.gr") for i in range(3)]):
         env = make({"env": {"problem": source}})
-        names |= {env.reset()[1]["problem"] for _ in range(30)}
+        for _ in range(30):
+            names.add(env.reset()[1]["problem"])
+            assert env.reset()[1]["problem"] == env.problem_name
     assert names == {"p0", "p1", "p2"}
     env = make({"env": {"problem": {"nets": 3, "count": 4}}})
     assert {env.reset()[1]["problem"] for _ in range(40)} == {f"problem_00{i}" for i in range(4)}

@@ -70,7 +70,7 @@ def compared(folder: Path, **routers: Any) -> Path:
 
 def execute(config: Path, *overrides: str) -> dict[str, Any]:
     """The statistics of an experiment, without the times."""
-    summary = Experiment(load_experiment(config, overrides)).execute()
+    summary = Experiment(load_experiment(config, overrides, allow_code=True)).execute()
     return test_experiment.untimed(json.loads(json.dumps(summary["sets"])))
 
 
@@ -180,7 +180,7 @@ def test_what_a_part_refuses_is_said_in_one_line(
     """With the names of files as they are here."""
     words = str(tmp_path / "words.txt")
     config = compared(tmp_path, refuses={"router": "ray_tasks:Refuses", "words": words})
-    assert status(["experiment", str(config), "engine=ray"]) == 2
+    assert status(["experiment", str(config), "engine=ray", "--allow-code"]) == 2
     line = capsys.readouterr().err.splitlines()[-1]
     where = "marouting: small, refuses: "
     assert line == f"{where}{words}: expected numbers, for (4, 4, 2)"
@@ -190,7 +190,7 @@ def test_without_ray_the_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    assert status(["experiment", str(compared(tmp_path)), "engine=ray"]) == 2
+    assert status(["experiment", str(compared(tmp_path)), "engine=ray", "--allow-code"]) == 2
     expected = "marouting: engine: ray is missing: pip install 'marouting[ray]'"
     assert capsys.readouterr().err.splitlines() == [expected]
     assert not (tmp_path / "out").exists()
@@ -263,7 +263,16 @@ def descendants(token: str) -> list[str]:
 def begun(config: Path, token: str, *keys: str, **variables: str) -> "subprocess.Popen[str]":
     """The command in a process group of its own, with a Ray of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", "marouting", "experiment", str(config), "engine=ray", *keys],
+        [
+            sys.executable,
+            "-m",
+            "marouting",
+            "experiment",
+            str(config),
+            "--allow-code",
+            "engine=ray",
+            *keys,
+        ],
         env={**os.environ, TOKEN: token, **variables},
         start_new_session=True,
         stderr=subprocess.PIPE,

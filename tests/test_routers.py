@@ -1,6 +1,9 @@
 """Routers and policies, against the same moves made by hand through the environment's faces."""
 
 import gc
+import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -446,3 +449,47 @@ def test_nothing_is_left_to_compile_after_warming_up(grid: tuple[int, int, int],
     before = [len(kernel.signatures) for kernel in kernels]
     assert router.solve(problem).report["rounds"] > 1
     assert [len(kernel.signatures) for kernel in kernels] == before
+
+
+_COMPILED_LATE = """
+import gc, json, sys
+from numba.core.dispatcher import Dispatcher
+from marouting import generate
+from policies.routers.base import solve, warm_up
+from policies.routers.registry import make_router
+
+problem = generate(1, (8, 8, 3), nets=30, max_pins=5, capacity=2, seed=1)[0]
+router = make_router(sys.argv[1], json.loads(sys.argv[2]))
+warm_up(router, problem)
+kernels = [one for one in gc.get_objects() if isinstance(one, Dispatcher)]
+before = {one: len(one.signatures) for one in kernels}
+solve(router, problem)[0].pruned()
+kernels = [one for one in gc.get_objects() if isinstance(one, Dispatcher)]
+print([one.__name__ for one in kernels if len(one.signatures) != before.get(one, 0)])
+"""
+
+
+@pytest.mark.parametrize(
+    ("router", "options"),
+    [
+        ("astar", {}),
+        ("random", {}),
+        ("heuristic", {}),
+        ("pathfinder", {"seconds": 0.5}),  # ends in the middle of a pass
+        ("evolved", {"seconds": 0.5}),
+        ("regions", {"seconds": 0.5}),
+    ],
+)
+def test_no_router_compiles_in_the_seconds_of_a_route(
+    router: str, options: dict[str, float]
+) -> None:
+    """In a process of its own, where no other test has compiled or loaded anything."""
+    done = subprocess.run(
+        [sys.executable, "-c", _COMPILED_LATE, router, json.dumps(options)],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "[]\n"

@@ -590,7 +590,7 @@ def _answering() -> Iterator[None]:
 def test_an_interrupt_waits_for_the_end_of_a_step(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ctrl-C in the middle of steps, where moves are made and learned from, or in burn-in."""
+    """Ctrl-C in the middle of steps, where moves are made and learned from; not in burn-in."""
     whole, folder = tmp_path / "whole", tmp_path / "stopped"
     Run(config_in(whole)).execute()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -615,7 +615,7 @@ def test_an_interrupt_waits_for_the_end_of_a_step(
             run.execute()
         monkeypatch.undo()
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        assert (folder / "checkpoint.pt").exists()
+        assert (folder / "checkpoint.pt").exists() == (method != "burn_in")
         assert not (folder / "result.json").exists()
     Run(config_in(folder), resume=True).execute()
     assert outcome(folder) == outcome(whole)
@@ -671,12 +671,19 @@ def test_sigterm_leaves_a_checkpoint(
 
 @pytest.mark.usefixtures("_answering")
 def test_a_second_interrupt_does_not_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def twice(_self: Trainer) -> None:
+    play, calls = FusedDQN.play, 0
+
+    def twice(self: FusedDQN, *arguments: Any) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 1:
+            play(self, *arguments)
+            return
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
         pytest.fail("expected the second interrupt at once")
 
-    monkeypatch.setattr(Trainer, "burn_in", twice)
+    monkeypatch.setattr(FusedDQN, "play", twice)
     with pytest.raises(KeyboardInterrupt):
         Run(config_in(tmp_path / "run")).execute()
     assert not (tmp_path / "run" / "checkpoint.pt").exists()
@@ -1130,6 +1137,12 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "no best episode": changed(lambda state: state["trainer"]["best_episode"].fill_(-1)),
     "a best episode to come": changed(lambda state: state["trainer"]["episodes"].fill_(1)),
     "an impossible reward": changed(lambda state: state["trainer"]["buffers.total"].fill_(1e30)),
+    "a parameter": changed(
+        lambda state: state["training"].update(
+            {"networks.flat": torch.nn.Parameter(state["training"]["networks.flat"])}
+        )
+    ),
+    "gradients": changed(lambda state: state["training"]["networks.flat"].requires_grad_()),
     "no number": changed(lambda state: state.update(seconds="long")),
     "endless": changed(lambda state: state.update(logged=float("inf"))),
     "logged": changed(lambda state: state.update(logged=10**6)),

@@ -492,14 +492,9 @@ def names_played(env: Any, episodes: int, seed: int | None = None) -> list[str]:
     """The names of the problems of some episodes."""
     names = []
     for _ in range(episodes):
-        result = env.reset(seed=seed)
+        env.reset(seed=seed)
         seed = None
-        if result is None:
-            info = env.unwrapped.infos[env.unwrapped.agents[0]]
-        else:
-            info = result[1]
-            info = info if "problem" in info else info[env.agents[0]]
-        names.append(info["problem"])
+        names.append(env.unwrapped.problem_name)
     return names
 
 

@@ -1,7 +1,8 @@
 """An own observation: the same 12 numbers as the paper's, and how crowded the grid is around.
 
 An observation is any class with the two methods of ``marouting.Observation``. It works in every
-face of the environment, in the batch and in trainings; in YAML it goes by its module and class::
+face of the environment, in the batch and in trainings; in YAML, which takes ``--allow-code``, it
+goes by its module and class::
 
     env:
       observation: {kind: "own_observation:CrowdedObservation", radius: 2}

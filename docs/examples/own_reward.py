@@ -1,7 +1,8 @@
 """An own reward: one that pays the whole team for what all nets together use.
 
 A reward is any callable like ``marouting.Reward``: it is asked about every single move and sees the
-games before and after it. In YAML it goes by its module and class::
+games before and after it. In YAML it goes by its module and class
+(``marouting train own.yaml --allow-code``)::
 
     env:
       reward: {kind: "own_reward:TeamReward", joined: 20}

@@ -8,7 +8,7 @@ from marouting.batch.edges import use_edges
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import clear, grow_tree, is_on, keeps_tree
 from marouting.game import Status
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 
 
 @inlined
@@ -50,7 +50,7 @@ def put_best(static: Static, dynamic: Dynamic, m: int) -> None:
     dynamic.games[m].joined = dynamic.games[m].best_joined
 
 
-@compiled
+@inner
 def take_routes(static: Static, dynamic: Dynamic, m: int, n: int, row: int, joined: int) -> None:
     """A net uses just the edges of a set.
 

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 
 _TOP, _ROWS, _FREE = 1, 2, 0  # the free tables of 2**k entries are found at _FREE + k, from k = 3
 _DIRECTORY, _RECORD = 32, 3
@@ -174,7 +174,7 @@ def _write(bits: Any, m: int, row: int, byte: int, value: int) -> None:
     bits[m, slot] = (byte + 1) << 8 | value
 
 
-@compiled
+@inner
 def _grow(bits: Any, m: int, row: int) -> None:
     """Gives a hashed row another table, with room for one more byte; bytes without bits go."""
     at = _DIRECTORY + _RECORD * place(row)
@@ -293,7 +293,7 @@ def swap_rows(bits: Any, others: Any, m: int, row: int) -> None:
             others[m, row, byte] = value
 
 
-@compiled
+@inner
 def _flip(bits: Any, others: Any, m: int, row: int) -> None:
     """Of every number in a row of others: takes it out of the same row of bits, or puts it in."""
     for at in range(places(others, m, row)):

@@ -8,7 +8,7 @@ from typing import Any
 
 from marouting.batch.bits import byte_of, has, set_byte
 from marouting.batch.state import Dynamic, Static
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import inlined, inner, place, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 
 # There are as few branches as possible: what an agent meets is as good as random, and a branch that
@@ -57,7 +57,7 @@ def take(dynamic: Dynamic, m: int, edge: int, demand: int) -> int:
     return added
 
 
-@compiled
+@inner
 def use_edges(static: Static, dynamic: Dynamic, m: int, n: int, byte: int, bits: int) -> None:
     """Makes a net use just these edges of a byte: it takes what is new, and gives the others back.
 

@@ -21,7 +21,7 @@ from marouting.batch.places import grid_of
 from marouting.batch.state import Dynamic, Static
 from marouting.batch.tasks import is_later
 from marouting.game import NOBODY, Status
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.memory import EXPECTED, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
 
@@ -165,7 +165,7 @@ def count_agent(static: Static, maps: Maps, m: int, n: int, later: bool, sign: i
             count_task(static, maps, m, n, near, far, sign)
 
 
-@compiled
+@inner
 def recount(static: Static, dynamic: Dynamic, maps: Maps, m: int, n: int, counts: bool) -> None:
     """Counts an agent again if it has moved; afterwards :func:`sum_up` has to be called.
 
@@ -203,7 +203,7 @@ def recount(static: Static, dynamic: Dynamic, maps: Maps, m: int, n: int, counts
             count_agent(static, maps, m, n, later, sign)
 
 
-@compiled
+@inner
 def sum_up(static: Static, maps: Maps, m: int) -> None:
     """Brings a problem's ``expected`` up to date with its ``corner``."""
     _, rows, layers = grid_of(static)
@@ -225,7 +225,7 @@ def sum_up(static: Static, maps: Maps, m: int) -> None:
     maps.changed[m, 0], maps.changed[m, 1] = _NO_COLUMN, NOBODY
 
 
-@compiled
+@inner
 def refresh(static: Static, dynamic: Dynamic, maps: Maps, m: int, without: int) -> None:
     """Brings the maps of a problem up to date: agents that have moved are counted again.
 

@@ -82,7 +82,7 @@ from marouting.batch.window import MOST_RADIUS, move_order, write_numbers
 from marouting.columns import Games
 from marouting.config import check
 from marouting.game import NOBODY, Crossing
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
@@ -358,7 +358,7 @@ def _is_end(static: Static, dynamic: Dynamic, m: int, n: int, cell: int) -> bool
     return cell == dynamic.agents[m, n].target
 
 
-@compiled
+@inner
 def _note(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
 ) -> None:
@@ -379,7 +379,7 @@ def _note(
     ways.found[m, 3] = _present(static, dynamic, m)
 
 
-@compiled
+@inner
 def _are_found(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
 ) -> bool:
@@ -417,7 +417,7 @@ def _are_found(
     return True
 
 
-@compiled
+@inner
 def find_ways(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
 ) -> None:
@@ -576,7 +576,7 @@ def note_move(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> N
         _touch(static, ways, m, place(ways.start[m]))
 
 
-@compiled
+@inner
 def find_wires(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> None:
     """Finds how far the open pins are from the Gcells at the net's edges and from the agent.
 

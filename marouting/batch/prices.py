@@ -29,7 +29,7 @@ from marouting.batch.bits import byte_at, places
 from marouting.batch.options import MOST_PRESENT
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_on
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 
 UNIT = 16
@@ -98,7 +98,7 @@ def edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int, 
     return min(cost, wide(MOST))
 
 
-@compiled
+@inner
 def net_cost(
     static: Static, dynamic: Dynamic, m: int, n: int, rows: Any, row: int, own: int
 ) -> int:
@@ -139,7 +139,7 @@ def _calmed(static: Static, dynamic: Dynamic, m: int, step: int) -> int:
     return 100 * step // (100 + static.options[Option.CALM] * wide(game.negotiations))
 
 
-@compiled
+@inner
 def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
     """Before a priced round: edges with overflow get dearer, and ``present`` grows."""
     game, first = dynamic.games[m], first_present(static)
@@ -153,7 +153,7 @@ def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
     game.present = min(max(present, first), LARGEST)
 
 
-@compiled
+@inner
 def _lower(static: Static, dynamic: Dynamic, m: int) -> None:
     """Before priced rounds that follow plain ones: prices fall, and nets share cheaply again.
 

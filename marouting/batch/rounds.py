@@ -12,15 +12,16 @@ order, is the option ``rip_up``:
 * ``agents``: in turn order, every net is asked. Its agent has a seventh action, to give way; any of
   the six moves keeps the routes as they are.
 
-With ``rip_up_neighbours: K`` up to K nets that stand in a net's way give their edges back with it,
-and walk again after it (``sequential``) or along with it (``round_robin``). A net stands in its way
-by the number of full edges that it uses: of those that the other uses too, and of those in the box
-around the other's pins (and one Gcell beyond, if the other has a task open). Of all such nets those
-with the largest product of this number and a lot are taken. Lots are numbers from 1 to 1024 that
-follow from the round and the two nets (:func:`lot`), so that a net walks again with others in
-every round. With ``rip_up_patience: R`` there are more of them as rounds go by: none in the first
-R rounds, at most one in the next R, and so on up to K. What one net can repair is repaired first;
-what takes several comes later.
+With ``rip_up_neighbours: K`` up to K nets that stand in a net's way give their edges back with it.
+In the turn order ``sequential`` they walk again after it, the next in ``net_order`` first; in
+``round_robin`` all of them take steps in turns, in ``net_order``, as in the first walk. A net
+stands in its way by the number of full edges that it uses: of those that the other uses too, and of
+those in the box around the other's pins (and one Gcell beyond, if the other has a task open). Of
+all such nets those with the largest product of this number and a lot are taken. Lots are numbers
+from 1 to 1024 that follow from the round and the two nets (:func:`lot`), so that a net walks again
+with others in every round. With ``rip_up_patience: R`` there are more of them as rounds go by: none
+in the first R rounds, at most one in the next R, and so on up to K. What one net can repair is
+repaired first; what takes several comes later.
 
 When all of them have walked, the problem is judged by its open tasks, its overflow and its
 wirelength, in this order. If it is worse than before they gave their edges back, they get them all
@@ -62,7 +63,7 @@ from marouting.batch.tasks import (
     wait,
 )
 from marouting.game import NOBODY, Crossing, Ending, Status
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.heap import pop, push
 
@@ -80,7 +81,7 @@ def is_full(static: Static, dynamic: Dynamic, m: int, edge: int) -> bool:
     return inside and dynamic.remaining[m, edge] <= 0 < static.capacity[m, edge]
 
 
-@compiled
+@inner
 def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
     """What a net's open tasks and full edges cost.
 
@@ -123,7 +124,7 @@ def lot(number: int, n: int, other: int) -> int:
     return 1 + (mixed >> 22)
 
 
-@compiled
+@inner
 def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     """Counts full edges, and lines up the nets."""
     game = dynamic.games[m]
@@ -151,7 +152,7 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     line[size:] = NOBODY
 
 
-@compiled
+@inner
 def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net walks again now that it is considered."""
     rip_up = static.options[Option.RIP_UP]
@@ -177,7 +178,7 @@ def _box(static: Static, m: int, n: int, joined: int) -> tuple[int, int, int, in
     return left, min(right + beyond, columns - 1), low, min(high + beyond, rows - 1)
 
 
-@compiled
+@inner
 def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """Fills ``again`` with a net and those that stand in its way; returns how many they are."""
     o, most = static.options, static.options[Option.AGAIN_MOST]
@@ -244,6 +245,8 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     game.again = game.active = _find_neighbours(static, dynamic, m, n)
     game.picked += 1
     game.ripped = 1
+    if not static.sequential:
+        game.turn = static.order.shape[1] - 1  # the turn passes to the first of them
     o = static.options
     for k in range(o[Option.AGAIN_MOST]):
         if k >= game.again:
@@ -266,7 +269,7 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
         begin_net(static, dynamic, m, member)
 
 
-@compiled
+@inner
 def all_have_walked(static: Static, dynamic: Dynamic, m: int) -> bool:
     """Whether all nets that walk again have ended their last tasks."""
     for k in range(dynamic.games[m].again):
@@ -320,7 +323,7 @@ def done(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     return Status.TERMINATED if dynamic.agents[m, n].joined == tasks else Status.TRUNCATED
 
 
-@compiled
+@inner
 def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
     """When no agent is active: the next net walks again or is asked, or the episode is over."""
     game = dynamic.games[m]
@@ -337,7 +340,7 @@ def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
         game.place += 1
         if not _walks_again(static, dynamic, m, n):
             continue
-        game.turn, game.agent = turn, n
+        game.turn = turn
         if static.options[Option.RIP_UP] == RipUp.AGENTS:
             game.asked = game.active = 1
             dynamic.agents[m, n].status = Status.ACTIVE
@@ -347,7 +350,6 @@ def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
         return
     if is_on(static, Option.PRICES):
         put_best(static, dynamic, m)
-    game.agent = NOBODY
     for n in range(agents):
         if dynamic.agents[m, n].status == Status.WAITING:
             dynamic.agents[m, n].status = done(static, dynamic, m, n)

@@ -13,7 +13,8 @@ The agent routes them one after the other, one Gcell per move, from a task's sta
 * An agent is **terminated** when all its tasks are joined. It is **truncated** when its last task
   has ended and at least one of its tasks failed. An episode ends when all agents are done.
 * The nets take turns in ``net_order``. ``sequential``: a net finishes before the next one starts
-  (the paper). ``round_robin``: each net takes one step in turn.
+  (the paper). ``round_robin``: each net takes one step in turn. In a step of all agents they
+  move in the same order.
 
 These are the paper's rules. Options extend them: trees as targets and the choice of tasks
 (:mod:`marouting.batch.tasks`), nets that give their edges back and walk again
@@ -54,7 +55,7 @@ from marouting.batch.tasks import (
     wait,
 )
 from marouting.game import NOBODY, Crossing, Ending, Status
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import inlined, inner, place, wide
 from marouting.problem.grid import MOVES
 
 GIVE_WAY = MOVES
@@ -121,7 +122,7 @@ def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> N
     end_task(static, dynamic, m, n, agent.cell == agent.target)
 
 
-@compiled
+@inner
 def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> None:
     """:func:`move_agent` by the options."""
     agent, game = dynamic.agents[m, n], dynamic.games[m]
@@ -144,7 +145,7 @@ def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -
         _end_extended(static, dynamic, m, n)
 
 
-@compiled
+@inner
 def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """What the options do when a task has ended: edges go back, trees grow, nets are judged."""
     agent = dynamic.agents[m, n]
@@ -178,7 +179,7 @@ def settle_agent(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
         dynamic.games[m].active -= 1
 
 
-@compiled
+@inner
 def settle_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """:func:`settle_agent` for an agent whose task has ended, by the options."""
     task = wide(NOBODY)
@@ -197,10 +198,10 @@ def settle_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
 def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
     """Passes the turn to the next active agent. In sequential order an active agent keeps it."""
     game = dynamic.games[m]
+    if game.active == 0 and static.extended is not None and is_on(static, Option.ROUNDS):
+        walk_again(static, dynamic, m)
     if game.active == 0:
         game.agent = NOBODY
-        if static.extended is not None and is_on(static, Option.ROUNDS):
-            walk_again(static, dynamic, m)
         return
     agents = static.order.shape[1]
     turn = game.turn if static.sequential else (game.turn + 1) % agents
@@ -242,7 +243,7 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
     game.agent = static.order[m, 0]
 
 
-@compiled
+@inner
 def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
     """Forgets the rounds of an episode."""
     # What others of its problem had there is of no use to an agent; hashed rows give it back.
@@ -318,11 +319,11 @@ def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
 
 @inlined
 def settle_turns(static: Static, dynamic: Dynamic, m: int) -> None:
-    """After all agents of a problem have settled: passes the turn if necessary."""
-    playing = wide(dynamic.games[m].agent)
-    if playing != NOBODY and (
-        static.sequential or dynamic.agents[m, playing].status != Status.ACTIVE
-    ):
+    """After all agents of a problem have settled: the turn passes to the first that is active."""
+    game = dynamic.games[m]
+    if game.agent != NOBODY:
+        if not static.sequential:
+            game.turn = static.order.shape[1] - 1
         pass_turn(static, dynamic, m)
 
 
@@ -347,7 +348,7 @@ def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     return _free_extended(static, dynamic, m, n, free) if static.extended is not None else free
 
 
-@compiled
+@inner
 def _free_extended(static: Static, dynamic: Dynamic, m: int, n: int, free: int) -> int:
     """What the options make of an agent's free moves."""
     game, cell = dynamic.games[m], place(dynamic.agents[m, n].cell)

@@ -22,7 +22,7 @@ from marouting.batch.bits import byte_at, empty, has, places, put
 from marouting.batch.edges import uses
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.game import NOBODY, Crossing, Ending
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, MOVES
 
 
@@ -58,7 +58,7 @@ def keeps_tree(static: Static) -> bool:
     return static.options[Option.TREE] >= 0
 
 
-@compiled
+@inner
 def grow_tree(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """Finds all Gcells that a net's edges join to its first pin, and the tasks joined by them."""
     agent, numbers = dynamic.agents[m, n], dynamic.numbers
@@ -88,7 +88,7 @@ def grow_tree(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     agent.joined = joined
 
 
-@compiled
+@inner
 def nearest_in_tree(static: Static, dynamic: Dynamic, m: int, n: int, pin: int) -> tuple[int, int]:
     """The Gcell of a net's tree that is nearest to another Gcell, and its distance."""
     nearest, least = wide(0), wide(1 << 62)
@@ -121,7 +121,7 @@ def is_later(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> boo
     return not begun
 
 
-@compiled
+@inner
 def next_nearest(
     static: Static, dynamic: Dynamic, m: int, n: int, far: int, after: int
 ) -> tuple[int, int]:
@@ -191,7 +191,7 @@ def begin_task(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> N
     agent.steps = 0
 
 
-@compiled
+@inner
 def begin_extended(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> None:
     """:func:`begin_task` by the options."""
     begin_task(static, dynamic, m, n, task)

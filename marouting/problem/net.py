@@ -48,14 +48,22 @@ class Net:
     Attributes:
         name: unique within its problem, printable, without white space.
         id: the number that the file gives the net.
-        pins: one or more; several may lie in one Gcell.
+        pins: one or more; several may lie in one Gcell. Any iterable of pins, or of other rows
+            of three integers, becomes a tuple of pins.
         min_width: minimum width of the net's wires; 1 in the paper.
+
+    Raises:
+        FieldError: the pins are no rows of numbers. All else is checked by the problem.
     """
 
     name: str
     id: int
     pins: tuple[Pin, ...]
     min_width: int = 1
+
+    def __post_init__(self) -> None:
+        pins = records(f"net {self.name}: expected pins", Pin, self.pins)
+        object.__setattr__(self, "pins", pins)
 
 
 class Adjustment(NamedTuple):
@@ -110,6 +118,33 @@ def check_numbers(name: str, values: Iterable[int], field: str = "", row: int = 
 def is_whole(value: object) -> bool:
     """Whether a value is an integer, of any type; 1.0 is none."""
     return isinstance(value, int) or hasattr(value, "__index__")
+
+
+def records(name: str, kind: Any, rows: Any) -> tuple[Any, ...]:
+    """Rows of numbers as a tuple of records, which can be hashed and compared.
+
+    A row of another length stays a tuple, and a number that is no integer as it is: a problem
+    refuses both.
+
+    Args:
+        name: what is expected, for the error.
+        kind: the class of the records, a named tuple.
+        rows: any iterable of such records or of other iterables of numbers.
+
+    Raises:
+        FieldError: it is none.
+    """
+    if type(rows) is tuple and all(type(row) is kind for row in rows):
+        return rows  # as files are read: a large chip has a million pins
+    made, found = [], rows
+    try:
+        for found in rows:
+            row = tuple(operator.index(n) if is_whole(n) else n for n in found)
+            made.append(kind(*row) if len(row) == len(kind._fields) else row)
+    except TypeError:
+        fields = ", ".join(kind._fields)
+        raise FieldError(f"{name}, each ({fields}), found {found!r}", row=len(made)) from None
+    return tuple(made)
 
 
 def whole_numbers(name: str, values: Any, count: int | None = None) -> tuple[int, ...]:

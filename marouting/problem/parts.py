@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from marouting.kernels import compiled
+from marouting.kernels import inner
 
 
-@compiled
+@inner
 def root_of(part: Any, vertex: int) -> int:
     """The root of a vertex's part; ways to it get shorter.
 

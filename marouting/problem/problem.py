@@ -12,13 +12,13 @@ import os
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
+from marouting.files import beside, suffix_of
 from marouting.problem import ispd, lefdef
 from marouting.problem.chip import Chip
 from marouting.problem.grid import AXES, MAX_GCELLS, OFF_GRID, VIA_AXIS, Grid
@@ -29,6 +29,7 @@ from marouting.problem.net import (
     Net,
     check_net,
     check_numbers,
+    records,
     whole_numbers,
 )
 
@@ -78,8 +79,12 @@ class Problem:
         )  # fmt: skip
         for name, count in (("grid", 3), ("origin", 2), ("tile", 2), *((n, None) for n in layered)):
             object.__setattr__(self, name, whole_numbers(name, getattr(self, name), count))
-        for name in ("nets", "adjustments"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+        try:
+            object.__setattr__(self, "nets", tuple(self.nets))
+        except TypeError:
+            raise FieldError(f"nets: expected nets, found {self.nets!r}", "nets") from None
+        adjustments = records("adjustments: expected rows", Adjustment, self.adjustments)
+        object.__setattr__(self, "adjustments", adjustments)
         check_grid(self.grid)
         if not all(abs(value) <= MAX_NUMBER for value in self.origin):
             raise FieldError(
@@ -297,9 +302,10 @@ class Problem:
         """Reads a problem.
 
         A file ``.def`` is a LEF/DEF design (:mod:`marouting.problem.lefdef`, which needs the extra
-        ``lefdef``), a file ``.cap`` a problem of the ISPD 2024 contest
+        ``lefdef``), a file ``.cap`` a problem of the ISPD 2024 or 2025 contest
         (:mod:`marouting.problem.ispd.ispd2024`). All others are ISPD text
-        (:mod:`marouting.problem.ispd`), whose header tells the format.
+        (:mod:`marouting.problem.ispd`), whose header tells the format. Suffixes may be in capitals
+        and have ``.gz`` after them: any file may be compressed by gzip.
 
         Args:
             path: the file.
@@ -315,7 +321,7 @@ class Problem:
                 a valid problem; the message names the file, the line, and what was expected. Or an
                 argument is for another format.
         """
-        suffix = Path(path).suffix.lower()
+        suffix = suffix_of(path)
         for name, given, own in (
             ("lef", lef, ".def"),
             ("tile", tile, ".def"),
@@ -324,10 +330,10 @@ class Problem:
             if given and suffix != own:
                 raise InputError(f"{os.fspath(path)}: expected no {name} for it, only for {own}")
         if suffix == ".def":
-            files = lef or [Path(path).with_suffix(".lef")]
+            files = lef or [beside(path, ".lef")]
             record = lefdef.read_design(path, files, tile)
         elif suffix == ".cap":
-            record = ispd.read_contest(path, net or Path(path).with_suffix(".net"))
+            record = ispd.read_contest(path, net or beside(path, ".net"))
         else:
             record = ispd.read_problem(path)
         try:

@@ -7,13 +7,13 @@ import textwrap
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
+from marouting.files import suffix_of
 from marouting.kernels import compiled, wide
 from marouting.problem import ispd
 from marouting.problem.boxes import Boxes, boxes_of, edges_in_boxes
@@ -192,7 +192,7 @@ class Solution:
 
     @staticmethod
     def read(path: str | os.PathLike[str], problem: Problem) -> "Solution":
-        """Reads routes: ISPD solution text, a routing guide, or ISPD 2024's output.
+        """Reads routes: ISPD solution text, a guide, OpenROAD's segments or ISPD 2024's output.
 
         The file's first lines tell the format (:mod:`marouting.problem.ispd`). A net without a
         block is routed with no edges. An edge that a net lists several times counts once, with one
@@ -220,6 +220,8 @@ class Solution:
                 boxes = Boxes(record.net, record.boxes[:, :4], record.boxes[:, 4])
                 region = Solution.of_uses(problem, *edges_in_boxes(problem, boxes))
                 return Solution.of_uses(problem, *region.at_reached_pins().pruned().uses)
+            elif len(record.points):
+                segment, edge = _edges_of_points(problem, record)
             else:
                 segment, edge = _edges_of_gcells(problem, record.segments)
                 _warn_of_turned(problem, record)
@@ -256,8 +258,7 @@ class Solution:
         Raises:
             InputError: the format cannot hold the routes, or the file cannot be written.
         """
-        suffix = Path(path).suffix.lower()
-        format = format or _BY_SUFFIX.get(suffix, "ispd2008")
+        format = format or _BY_SUFFIX.get(suffix_of(path), "ispd2008")
         nets = self.problem.nets
         if format == "guide":
             layers = self.problem.chip_or_default.layers
@@ -323,6 +324,32 @@ def _edges_of_gcells(
     columns, rows, layers = problem.grid
     extent = f"a Gcell of the {columns}x{rows}x{layers} grid, counted from 0"
     return edges_between(problem, gcells, ends, extent)
+
+
+def _edges_of_points(
+    problem: Problem, record: ispd.RoutesRecord
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The edges of a file's segments in chip coordinates, as covered_edges does."""
+    chip = problem.chip_or_default
+    borders: list[NDArray[Any]] = [chip.x, chip.y]
+    if chip.contest is not None:
+        # A .cap file says how far Gcells are apart but not where they begin; those of the ISPD 2025
+        # contest are squares from (0, 0) on, as its evaluator takes them.
+        sides = np.unique(np.concatenate((chip.contest.x_length, chip.contest.y_length)))
+        if len(sides) != 1 or not sides[0] > 0:
+            raise InputError(
+                f"{record.file}: expected segments in columns and rows: in coordinates, Gcells "
+                "have to be squares of one size"
+            )
+        borders = [sides[0] * lines for lines in borders]
+    ends = record.points.copy()
+    for axis, lines in enumerate(borders):
+        ends[..., axis] = np.searchsorted(lines, ends[..., axis], "right") - 1
+    inside = ((ends >= 0) & (ends < np.array(problem.grid))).all(axis=2)
+    gcells = np.where(inside, ends @ problem.strides, OFF_GRID)
+    low, high = (tuple(int(lines[end]) for lines in borders) for end in (0, -1))
+    extent = f"a point of the chip, from {low} to {high}"
+    return edges_between(problem, gcells, record.points[..., :2], extent)
 
 
 def _warn_of_turned(problem: Problem, record: ispd.RoutesRecord) -> None:

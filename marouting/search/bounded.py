@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from marouting.batch.edges import has_room
 from marouting.batch.state import Dynamic, Static
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import MOVES, Grid
 from marouting.search.plain import (
     FULL_COST,
@@ -65,7 +65,7 @@ def search_buffers(grid: Grid) -> SearchBuffers:
     return SearchBuffers(plain_buffers(grid), walls, np.empty(g, np.int8))
 
 
-@compiled
+@inner
 def _look_around(
     static: Static, dynamic: Dynamic, s: SearchBuffers, m: int, n: int, source: int, budget: int
 ) -> int:
@@ -135,7 +135,7 @@ def _walls_ahead(s: SearchBuffers, cell: int, walls: int) -> int:
     return depth if 0 <= depth < walls else walls
 
 
-@compiled
+@inner
 def _bounded_astar(
     static: Static,
     dynamic: Dynamic,
@@ -175,7 +175,7 @@ def _bounded_astar(
     return cell, f, entries, opened
 
 
-@compiled
+@inner
 def path_to_goals(
     static: Static, dynamic: Dynamic, s: SearchBuffers, m: int, n: int, source: int
 ) -> int:

@@ -17,7 +17,7 @@ from marouting.batch.places import grid_of, position
 from marouting.batch.prices import MOST, UNIT, edge_cost, is_priced
 from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree, make_search
 from marouting.trees.lattice import CLOSED, Lattice, begin_lines, make_lattice, set_size, sum_lines
@@ -73,7 +73,7 @@ def make_trees(engine: Engine, pins: int) -> Trees:
     )
 
 
-@compiled
+@inner
 def _find_pins(static: Static, t: Trees, m: int, n: int, most: int) -> int:
     """Finds the different Gcells of a net's pins; returns how many, or NOBODY for too many."""
     pins = wide(0)
@@ -91,7 +91,7 @@ def _find_pins(static: Static, t: Trees, m: int, n: int, most: int) -> int:
     return pins
 
 
-@compiled
+@inner
 def _set_box(static: Static, t: Trees, pins: int, margin: int) -> int:
     """Lays the box around the pins; returns how many points it has."""
     size, points = t.lattice.size, wide(1)
@@ -129,7 +129,7 @@ def _edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int)
     return wide(MOST if room < demand else UNIT)
 
 
-@compiled
+@inner
 def _set_costs(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> None:
     """Gives the edges of the box their costs.
 
@@ -169,7 +169,7 @@ def _set_costs(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> No
     sum_lines(t.lattice)
 
 
-@compiled
+@inner
 def _find(static: Static, t: Trees, pins: int, random: int) -> None:
     """Finds a cheapest tree of the pins in the box, in ``lattice.tree``."""
     size, line, s = t.lattice.size, t.lattice.line, t.search

@@ -34,7 +34,7 @@ from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import holds, next_nearest
 from marouting.config import check
 from marouting.game import NOBODY
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.solution import Solution
 
@@ -259,7 +259,7 @@ def _begin(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, m
         lessons.attach[m, joined] = _FAR
 
 
-@compiled
+@inner
 def _regret(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, out: Any) -> None:
     """Fills ``out`` (6,) with the regrets of an agent's moves; see :meth:`Regrets.write`."""
     cell = place(dynamic.agents[m, n].cell)

@@ -12,7 +12,7 @@ from marouting.batch.engine import Engine
 from marouting.batch.state import Dynamic, Static
 from marouting.errors import InputError
 from marouting.game import NOBODY, Status
-from marouting.kernels import compiled, place, wide
+from marouting.kernels import compiled, inner, place, wide
 from marouting.problem.grid import MOVES
 from marouting.problem.solution import Solution
 from marouting.search.bounded import SearchBuffers, search_buffers, shortest_path
@@ -122,7 +122,7 @@ def _follow(
             out[i] = s.path[0]
 
 
-@compiled
+@inner
 def move_along(
     static: Static,
     dynamic: Dynamic,

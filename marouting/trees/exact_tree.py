@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, inner, wide
 from marouting.problem.grid import AXES, MOVES
 from marouting.trees.heap import exchange, pop, push
 from marouting.trees.lattice import CLOSED, Lattice
@@ -62,7 +62,7 @@ def make_search(points: int, labels: int, groups: int) -> Search:
     )
 
 
-@compiled
+@inner
 def _shift(groups: int) -> int:
     """How many low bits of a label hold the set; with one group there is one set, and none."""
     return groups if groups > 1 else 0
@@ -85,7 +85,7 @@ def _box(least: Any, most: Any, joined: int, lines: Any, x: int, y: int, z: int)
     )
 
 
-@compiled
+@inner
 def _key(f: int, ahead: int, label: int, bits: int) -> int:
     """The key in the heap of a label of ``bits`` bits; an f too large for it only loses order."""
     first = min(f, (1 << (62 - _TIE_BITS - bits)) - 1)
@@ -214,7 +214,7 @@ def exact_tree(lattice: Lattice, s: Search, starts: int, groups: int, random: in
     return CLOSED
 
 
-@compiled
+@inner
 def _trace(came: Any, heap: Any, strides: Any, tree: Any, label: int, shift: int) -> None:
     """Adds the edges of a label's tree to ``tree``; uses the heap as a stack of labels."""
     heap[0] = label

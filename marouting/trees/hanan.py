@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, inner, wide
 from marouting.problem.grid import AXES, MOVES
 from marouting.trees.exact_tree import Search, exact_tree
 from marouting.trees.heap import pop, push
@@ -78,7 +78,7 @@ def _settle(web: Web, pins: int, points: int) -> int:
     return points
 
 
-@compiled
+@inner
 def _gain(web: Web, points: int) -> int:
     """By how much one more point, at index ``points``, shortens the minimum spanning tree.
 
@@ -99,7 +99,7 @@ def _gain(web: Web, points: int) -> int:
     return gain - web.near[0]
 
 
-@compiled
+@inner
 def set_hanan_grid(lattice: Lattice, web: Web, pins: int) -> None:
     """Turns the lattice into the Hanan grid of the pins, with costs yet to be set."""
     for axis in range(AXES):
@@ -118,7 +118,7 @@ def set_hanan_grid(lattice: Lattice, web: Web, pins: int) -> None:
     set_size(lattice, web.near[0], web.near[1], web.near[2])
 
 
-@compiled
+@inner
 def exact_points(lattice: Lattice, s: Search, web: Web, pins: int) -> int:
     """Adds the points where a shortest tree branches; returns how many points there are then.
 
@@ -180,7 +180,7 @@ def exact_points(lattice: Lattice, s: Search, web: Web, pins: int) -> int:
     return _settle(web, pins, points)
 
 
-@compiled
+@inner
 def _saves(lattice: Lattice, web: Web, points: int, hanan: int) -> int:
     """By how much a point of the Hanan grid, put at index ``points``, would shorten the tree."""
     ny, nz = lattice.size[1], lattice.size[2]
@@ -190,7 +190,7 @@ def _saves(lattice: Lattice, web: Web, points: int, hanan: int) -> int:
     return _gain(web, points)
 
 
-@compiled
+@inner
 def iterated_points(lattice: Lattice, s: Search, web: Web, pins: int) -> int:
     """Adds Hanan points by iterated 1-Steiner; returns how many points there are then.
 

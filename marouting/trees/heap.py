@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, inner, wide
 
 
 @compiled
@@ -18,7 +18,7 @@ def push(heap: Any, size: int, key: int) -> None:
     heap[at] = key
 
 
-@compiled
+@inner
 def exchange(heap: Any, size: int, key: int) -> int:
     """Takes the smallest key out of the heap ``heap[:size]`` and puts another one in."""
     first = heap[0]

@@ -10,7 +10,7 @@ from typing import Any
 
 from marouting import InputError
 from marouting.config import build, check, override, plain, read_yaml
-from marouting.files import FILE_NAME, is_file_name
+from marouting.files import FILE_NAME, is_dir, is_file, is_file_name, stem_of, suffix_of
 from policies.engines import EngineName
 from policies.experiment.config import PUBLISHED, Entry
 from policies.routers.registry import has_seed, is_learner, router_piece
@@ -135,11 +135,11 @@ def from_text(text: str, name: str | None, budget: Budget | None) -> Contender:
     """
     raw: dict[str, Any]
     path = Path(text)
-    if path.is_dir():
+    if is_dir(path):
         raw, called = {"router": SOLUTIONS, "folder": text}, path.resolve().name
-    elif path.is_file() and path.suffix == ".csv":
-        raw, called = {"router": PUBLISHED, "file": text}, path.stem
-    elif path.is_file():
+    elif is_file(path) and suffix_of(path) == ".csv":
+        raw, called = {"router": PUBLISHED, "file": text}, stem_of(path)
+    elif is_file(path):
         raw, called = {"router": _learner_of(path), "checkpoint": text}, path.stem
     else:
         try:

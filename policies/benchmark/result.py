@@ -132,7 +132,7 @@ class Result:
     version: str
     machine: str
     command: str
-    date: Annotated[str, Field(pattern=r"^\d{4}-\d\d-\d\d$")]
+    date: Annotated[str, Field(pattern="^[0-9]{4}-[0-9]{2}-[0-9]{2}$")]
     seconds: Seconds | None
     training_seconds: Seconds | None
     tasks: tuple[Task, ...]

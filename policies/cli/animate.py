@@ -10,7 +10,7 @@ from marouting import InputError, Problem, Solution, evaluate
 from marouting.files import check_writable
 from marouting.game import TurnOrder
 from policies.cli.completion import routers
-from policies.cli.options import FILE, json_option, tell
+from policies.cli.options import FILE, NUMBER, WHOLE, allow_code_option, json_option, tell
 from policies.cli.source import ProblemFile, problem_argument
 from policies.results.run_folder import solution_name
 from policies.routers.registry import is_learner, make_router, router_label
@@ -43,10 +43,11 @@ if TYPE_CHECKING:
     help="Whether a net finishes before the next one starts.  "
     "[default: sequential, or as the policy was trained]",
 )
-@click.option("--frames", default=240, show_default=True, help="The most pictures.")
+@click.option("--frames", type=WHOLE, default=240, show_default=True, help="The most pictures.")
 @click.option(
-    "--fps", type=float, help="Pictures per second.  [default: 3 to 20, for about 12 seconds]"
+    "--fps", type=NUMBER, help="Pictures per second.  [default: 3 to 20, for about 12 seconds]"
 )
+@allow_code_option
 @json_option
 def animate(
     problem: ProblemFile,

@@ -9,7 +9,7 @@ import click
 
 from marouting import InputError
 from policies.cli.completion import keys_of, routers, scenario_names
-from policies.cli.options import FILE, json_option, overrides_argument
+from policies.cli.options import FILE, WHOLE, allow_code_option, json_option, overrides_argument
 
 BASELINES = Path("configs/benchmark/baselines.yaml")
 """What is scored unless a router is named."""
@@ -51,7 +51,9 @@ RESULTS = Path("docs/results/benchmark")
     help="What a router may spend on a problem: time such as 1s, or tries and episodes such "
     "as 16.  [default: as each router's options say]",
 )
-@click.option("--seeds", type=int, help="Seeds of routers that draw random numbers.  [default: 3]")
+@click.option(
+    "--seeds", type=WHOLE, help="Seeds of routers that draw random numbers.  [default: 3]"
+)
 @click.option(
     "--split",
     type=click.Choice(["test", "validation"]),
@@ -66,7 +68,7 @@ RESULTS = Path("docs/results/benchmark")
     show_default=True,
     help="Folder for the result files and the work behind them.",
 )
-@click.option("--jobs", type=int, help="Number of processes.  [default: one per core]")
+@click.option("--jobs", type=WHOLE, help="Number of processes.  [default: one per core]")
 @click.option("--leaderboard", is_flag=True, help="Write the leaderboard from result files.")
 @click.option(
     "--results",
@@ -82,6 +84,7 @@ RESULTS = Path("docs/results/benchmark")
     show_default=True,
     help="The leaderboard's page; its plots lie beside it, in pictures/leaderboard.",
 )
+@allow_code_option
 @json_option
 def benchmark(
     overrides: tuple[str, ...],

@@ -12,6 +12,7 @@ from click.shell_completion import CompletionItem
 
 from marouting import InputError
 from marouting.config import build, leaves, plain, read_yaml
+from marouting.files import is_dir
 
 Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
@@ -34,7 +35,7 @@ def keys_of(command: str) -> Complete:
         given = (ctx.params.get(name) for name in ("resume", "config", "show"))
         file = next((file for file in given if file), None)
         try:
-            path = Path(file) / "config.yaml" if file and Path(file).is_dir() else file
+            path = Path(file) / "config.yaml" if file and is_dir(file) else file
             raw = read_yaml(path) if path else {}
             schema = kinds()[kind_of(raw, command)]
             whole = plain(build(schema, raw))

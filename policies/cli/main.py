@@ -9,8 +9,11 @@ them.
 import contextlib
 import io
 import json
+import os
 import sys
+import threading
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -24,27 +27,36 @@ except ImportError:  # pragma: no cover - the command line needs the extra
 
 from marouting import InputError, Solution, __version__, evaluate, sequential_astar
 from marouting.config import override, read_yaml
-from marouting.files import check_writable, write_text
+from marouting.files import check_writable, exists, naming, write_text
 from marouting.generator import ReducedPer
 from marouting.problem.contest import contest_cost, with_pins_covered
 from marouting.problem.ispd import FORMATS, Format
 from marouting.problem.solution import ROUTE_FORMATS, RouteFormat
-from marouting.registry import names
+from marouting.registry import importing_from, names
 from policies.cli.animate import animate
 from policies.cli.benchmark import benchmark
 from policies.cli.completion import file_or_keys, keys_of, options_of_the_router, routers
-from policies.cli.options import FILE, as_text, json_option, overrides_argument, tell
+from policies.cli.options import (
+    FILE,
+    NUMBER,
+    WHOLE,
+    allow_code_option,
+    as_text,
+    json_option,
+    overrides_argument,
+    tell,
+)
 from policies.cli.report import guide, report
 from policies.cli.source import ProblemFile, problem_argument
 from policies.cli.view import view
 from policies.interrupts import interruptible
-from policies.routers.base import small_problem, solve, warm_up
+from policies.routers.base import LEFT_ALONE, small_problem, solve, warm_up
 from policies.routers.registry import has_seed, is_learner, make_router, router_names, unknown
 
 if TYPE_CHECKING:
     from policies.routers.base import Router
 
-GridShape = click.Tuple([int, int, int])
+GridShape = click.Tuple([WHOLE, WHOLE, WHOLE])
 
 
 class _Commands(click.Group):
@@ -70,7 +82,7 @@ def cli() -> None:
 
 
 @cli.command()
-@click.option("--count", default=1, show_default=True, help="Number of problems.")
+@click.option("--count", type=WHOLE, default=1, show_default=True, help="Number of problems.")
 @click.option(
     "--grid",
     type=GridShape,
@@ -78,18 +90,23 @@ def cli() -> None:
     show_default=True,
     help="Size of the grid: columns, rows and layers, in Gcells.",
 )
-@click.option("--nets", default=50, show_default=True, help="Nets per problem.")
-@click.option("--max-pins", default=2, show_default=True, help="Largest number of pins per net.")
-@click.option("--capacity", default=5, show_default=True, help="Capacity of an edge, in tracks.")
+@click.option("--nets", type=WHOLE, default=50, show_default=True, help="Nets per problem.")
+@click.option(
+    "--max-pins", type=WHOLE, default=2, show_default=True, help="Largest number of pins per net."
+)
+@click.option(
+    "--capacity", type=WHOLE, default=5, show_default=True, help="Capacity of an edge, in tracks."
+)
 @click.option(
     "--reduced-edges",
+    type=WHOLE,
     default=3,
     show_default=True,
     help="Number of busiest edges whose capacity is reduced.",
 )
 @click.option(
     "--reduced-capacity",
-    type=int,
+    type=WHOLE,
     help="Capacity of these edges, in tracks.  [default: two less than --capacity]",
 )
 @click.option(
@@ -101,22 +118,26 @@ def cli() -> None:
 )
 @click.option(
     "--rent",
-    type=float,
+    type=NUMBER,
     help="Rent's exponent, for nets as local as on chips: 0.6 to 0.75.  [default: pins anywhere]",
 )
 @click.option(
     "--macros",
+    type=WHOLE,
     default=0,
     show_default=True,
     help="Rectangles without capacity but in the two highest layers.",
 )
 @click.option(
     "--hot-spots",
+    type=WHOLE,
     default=0,
     show_default=True,
     help="Places around which half of the nets begin.",
 )
-@click.option("--seed", default=0, show_default=True, help="Seed of the random numbers.")
+@click.option(
+    "--seed", type=WHOLE, default=0, show_default=True, help="Seed of the random numbers."
+)
 @click.option("--out", type=FILE, required=True, help="Folder for the .gr files.")
 @json_option
 def generate(out: Path, as_json: bool, **options: Any) -> None:
@@ -131,7 +152,9 @@ def generate(out: Path, as_json: bool, **options: Any) -> None:
     from policies.results.folder import working_in
 
     checked = GeneratorOptions(**options)
-    for path in sorted(out.glob("*.gr")):
+    with naming(out, "cannot be read"):
+        held = sorted(out.glob("*.gr"))
+    for path in held:
         digits = path.stem.removeprefix("problem_")
         number = int(digits) if digits.isdecimal() else checked.count
         if number >= checked.count or generated_name(number) != path.stem:
@@ -161,10 +184,11 @@ def convert(
 ) -> None:
     """Write PROBLEM, or a solution of it, to OUT in another format.
 
-    PROBLEM is a LEF/DEF design (.def), a problem of the ISPD 2024 contest (.cap), or ISPD text,
-    whose header tells the format. Solutions are ISPD text (ispd2008), a routing guide (.guide) or
-    ISPD 2024's output (.PR_output). Reading OUT gives the same again; a format that cannot hold it
-    is refused.
+    PROBLEM is a LEF/DEF design (.def), a problem of the ISPD 2024 or 2025 contest (.cap), or ISPD
+    text, whose header tells the format. Solutions are ISPD text (ispd2008), a routing guide
+    (.guide) or ISPD 2024's output (.PR_output); OpenROAD's route segments are read as well. Any of
+    them may be compressed (.gz). Reading OUT gives the same again; a format that cannot hold it is
+    refused.
     """
     known: Sequence[str] = FORMATS if solution is None else ROUTE_FORMATS
     if format is not None and format not in known:
@@ -203,7 +227,7 @@ def convert(
 )
 @click.option(
     "--seed",
-    type=int,
+    type=WHOLE,
     help="Seed of a router's random numbers.  [default: 0, or as in --config]",
 )
 @click.option(
@@ -217,6 +241,7 @@ def convert(
     help="File for the solution; without it, none is written. In a long search, the best solution "
     "so far is written every five minutes.",
 )
+@allow_code_option
 @json_option
 def route(
     problem: ProblemFile,
@@ -363,6 +388,7 @@ def evaluate_command(problem: ProblemFile, solution: Path, as_json: bool) -> Non
     help="Print the JSON schema of this command's configurations, for editors; without it, give "
     "--show.",
 )
+@allow_code_option
 @json_option
 def config_command(
     overrides: tuple[str, ...], show: Path | None, schema: str | None, as_json: bool
@@ -396,6 +422,7 @@ def config_command(
     help="Run folder of a training to continue; CONFIG may be left out.  "
     "[default: a new training, in the folder `out`]",
 )
+@allow_code_option
 @json_option
 def train(
     config: Path | None, overrides: tuple[str, ...], resume: Path | None, as_json: bool
@@ -413,9 +440,9 @@ def train(
     from policies.learned.run import Run
     from policies.results.run_folder import CHECKPOINT
 
-    if config is not None and "=" in str(config) and not config.exists():
+    if config is not None and "=" in str(config) and not exists(config):
         config, overrides = None, (str(config), *overrides)
-    if resume is not None and not (resume / "config.yaml").exists():
+    if resume is not None and not exists(resume / "config.yaml"):
         raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
     if config is not None:
         check_kind(config, "train")
@@ -456,6 +483,7 @@ def train(
 @cli.command()
 @click.argument("config", type=FILE)
 @overrides_argument(keys_of("experiment"))
+@allow_code_option
 @json_option
 def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     """Compare routers on sets of problems, as CONFIG, a YAML file, describes.
@@ -511,9 +539,15 @@ cli.add_command(animate)
 
 @cli.command()
 @click.argument("sections", nargs=-1, metavar="[SECTION]...")
-@click.option("--repeats", default=7, show_default=True, help="Repeats of every measurement.")
 @click.option(
-    "--threads", default=2, show_default=True, help="Threads of the multi-threaded measurements."
+    "--repeats", type=WHOLE, default=7, show_default=True, help="Repeats of every measurement."
+)
+@click.option(
+    "--threads",
+    type=WHOLE,
+    default=2,
+    show_default=True,
+    help="Threads of the multi-threaded measurements.",
 )
 @click.option(
     "--against",
@@ -585,15 +619,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # question mark is as wide as what it stands for, so tables stay in order.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    sys.exit(status(arguments))
+    warnings.showwarning = _warn
+    code = status(arguments)
+    if any(thread.name == LEFT_ALONE for thread in threading.enumerate()):
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 def status(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line; returns the exit status."""
-    if str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))  # for module:Class, wherever the command itself lies
     try:
-        with interruptible():
+        # The command itself may lie anywhere, module:Class is of the folder where it is given.
+        with interruptible(), importing_from(Path.cwd()):
             cli.main(args=arguments, prog_name="marouting", standalone_mode=False)
     except InputError as error:
         return _complain(str(error))
@@ -611,6 +651,17 @@ def status(arguments: Sequence[str] | None = None) -> int:
         click.echo("marouting: interrupted", err=True)
         return 130
     return 0
+
+
+def _warn(message: Warning | str, category: type[Warning], *where: Any, **others: Any) -> None:
+    """A warning of ours as a line; those of libraries as Python shows them."""
+    if category is UserWarning:
+        click.echo(f"marouting: warning: {InputError(' '.join(str(message).split()))}", err=True)
+    else:
+        _show(message, category, *where, **others)
+
+
+_show = warnings.showwarning
 
 
 def _complain(message: str) -> int:

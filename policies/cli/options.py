@@ -1,20 +1,72 @@
 """Options and arguments that commands share."""
 
+import functools
 import json
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
+from marouting.registry import allowing_code
 from policies.cli.completion import Complete
 
-FILE = click.Path(path_type=Path)
+
+class _File(click.Path):
+    """A path, which holds no character NUL: no function of the operating system takes that."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path; a usage error if it cannot be one."""
+        if "\0" in str(value):
+            self.fail(f"{value!r} is no path.", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FILE = _File(path_type=Path)
 """The path of a file or folder, which shells complete."""
+
+
+class _Number(click.ParamType[Any]):
+    """A number in ASCII, as everywhere: Python's own functions take more, such as ``1_0``."""
+
+    def __init__(self, type: click.ParamType[Any], pattern: str) -> None:
+        self.name, self._type = type.name, type
+        self._matches = re.compile(pattern).fullmatch
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number; a usage error if it is none."""
+        if isinstance(value, str) and not self._matches(value):
+            self.fail(f"{value!r} is not a valid {self.name}.", param, ctx)
+        return self._type.convert(value, param, ctx)
+
+
+WHOLE = _Number(click.INT, "[+-]?[0-9]+")
+"""A whole number on the command line."""
+
+NUMBER = _Number(click.FLOAT, r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+"""A finite number on the command line."""
 
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object instead of text."
 )
+
+
+def allow_code_option(command: Callable[..., None]) -> Callable[..., None]:
+    """Gives a command that reads names of pieces from files the option ``--allow-code``."""
+
+    @click.option(
+        "--allow-code",
+        is_flag=True,
+        help="Let files name observations, rewards, routers, networks and learners as "
+        "module:Class, which is code that is imported.",
+    )
+    @functools.wraps(command)
+    def allowing(allow_code: bool, **rest: Any) -> None:
+        with allowing_code(allow_code):
+            command(**rest)
+
+    return allowing
 
 
 def overrides_argument(complete: Complete) -> Callable[[Any], Any]:

@@ -96,8 +96,8 @@ def waiting(
     """Shows that a router works, for how long, and how far it is if it tells.
 
     Where standard error is no terminal, a line says so after some seconds, and again every ten
-    seconds if the router tells how far it is. Ctrl-C asks such a router to end with the best
-    solution so far, and a second one ends everything.
+    seconds if the router tells how far it is. Once it has begun to, Ctrl-C asks it to end with the
+    best solution so far, and a second one ends everything.
 
     Args:
         name: what the router is called.
@@ -111,12 +111,13 @@ def waiting(
     with contextlib.ExitStack() as stack:
         show = stack.enter_context(_shown(text))
         if isinstance(router, Watched):
-            asked = stack.enter_context(_asked())
-
+            begun = threading.Event()
+            asked = stack.enter_context(_asked(begun))
             saved = time.monotonic()
 
             def watch(line: str) -> bool:
                 nonlocal saved
+                begun.set()
                 show(f"{name}: {line}")
                 if save is not None and time.monotonic() - saved >= SAVED_EVERY:
                     best = router.best() if isinstance(router, Keeper) else None
@@ -159,13 +160,19 @@ def _shown(text: str) -> Iterator[Callable[[str], None]]:
 
 
 @contextlib.contextmanager
-def _asked() -> Iterator[threading.Event]:
-    """Whether Ctrl-C has been pressed; pressed again it does what it did before."""
+def _asked(begun: threading.Event) -> Iterator[threading.Event]:
+    """Whether Ctrl-C has been pressed; pressed again it does what it did before.
+
+    Args:
+        begun: whether there is somebody to ask; until then it does so the first time, too.
+    """
     asked = threading.Event()
     before = signal.getsignal(signal.SIGINT)
 
     def ask(number: int, frame: FrameType | None) -> None:
-        del number, frame
+        if not begun.is_set() and callable(before):
+            before(number, frame)
+            return
         asked.set()
         signal.signal(signal.SIGINT, before)
         click.echo("stopping with the best solution so far; once more to give it up", err=True)

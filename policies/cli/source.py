@@ -9,7 +9,8 @@ from typing import Any
 import click
 
 from marouting import Problem
-from policies.cli.options import FILE
+from marouting.files import stem_of
+from policies.cli.options import FILE, WHOLE
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class ProblemFile:
     @property
     def stem(self) -> str:
         """The problem's name."""
-        return self.path.stem
+        return stem_of(self.path)
 
     def read(self) -> Problem:
         """The problem; raises InputError if it cannot be read."""
@@ -51,7 +52,7 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
     )
     @click.option(
         "--tile",
-        type=click.Tuple([int, int]),
+        type=click.Tuple([WHOLE, WHOLE]),
         help="Width and height of a Gcell of a .def file, in its units.  "
         "[default: its GCELLGRID, or 15 tracks]",
     )

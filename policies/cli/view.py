@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from marouting import InputError, Solution
-from marouting.files import check_writable, write_text
+from marouting.files import check_writable, is_dir, stem_of, suffix_of, write_text
 from policies.cli.options import FILE, json_option, tell
 from policies.cli.source import ProblemFile, problem_argument
 from policies.results.run_folder import solution_name
@@ -42,18 +42,16 @@ def view(problem: ProblemFile, solutions: tuple[Path, ...], out: Path, as_json: 
 
 def _files(path: Path, problem: Path) -> list[Path]:
     """The solution files that a path stands for; raises InputError if there are none."""
-    if not path.is_dir():
+    if not is_dir(path):
         return [path]
     inside = path / "solutions"
-    if inside.is_dir():  # a run folder, perhaps with other problems
-        files = [
-            file for file in inside.glob("*.solution") if file.name.startswith(f"{problem.stem}.")
-        ]
-        path = inside
-    else:
-        files = list(path.glob("*.solution"))
+    stem, run = stem_of(problem), inside.is_dir()
+    path = inside if run else path
+    files = [file for file in path.glob("*") if suffix_of(file) == ".solution"]
+    if run:  # perhaps with other problems
+        files = [file for file in files if file.name.startswith(f"{stem}.")]
     if not files:
-        raise InputError(f"{path}: expected files of solutions of {problem.stem}, named *.solution")
+        raise InputError(f"{path}: expected files of solutions of {stem}, named *.solution")
     return sorted(files, key=_natural)
 
 

@@ -18,7 +18,7 @@ import ray
 from ray.exceptions import GetTimeoutError, RayError, RayTaskError
 
 from marouting.errors import InputError
-from marouting.registry import register, registered
+from marouting.registry import allowing_code, code_allowed, register, registered
 from policies.engines.base import THREADS, Call, environment
 
 RETRIES = 3
@@ -125,7 +125,7 @@ class RayEngine:
             raise InputError("device: expected cpu: this Ray has no GPU")
         variables = {"env_vars": dict.fromkeys(THREADS, str(self._threads))}
         task = ray.remote(max_retries=RETRIES, num_cpus=self._threads, runtime_env=variables)(_run)
-        pieces = ray.put(registered())
+        pieces = ray.put((registered(), code_allowed()))
         self._running = {
             task.options(num_gpus=call.gpus).remote(call.function, pieces, *call.arguments): number
             for number, call in enumerate(calls)
@@ -213,11 +213,20 @@ def _nodes() -> list[dict[str, Any]]:
     return [node for node in nodes() if node["Alive"]]
 
 
-def _run(function: Any, pieces: Sequence[tuple[str, str, str]], *arguments: Any) -> Any:
-    """A task; it knows the same pieces by name as the process that asked for it."""
-    for piece in pieces:
+def _run(
+    function: Any,
+    pieces: tuple[Sequence[tuple[str, str, str]], bool | frozenset[str]],
+    *arguments: Any,
+) -> Any:
+    """A task; it knows the same pieces by name as the process that asked for it.
+
+    Files may name the same code.
+    """
+    known, allowed = pieces
+    for piece in known:
         register(*piece)
-    return function(*arguments)
+    with allowing_code(allowed):
+        return function(*arguments)
 
 
 def _result(task: Any) -> Any:

@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from marouting.errors import InputError
-from marouting.registry import register, registered
+from marouting.registry import allowing_code, code_allowed, register, registered
 from policies.engines.base import THREADS, Call, environment
 
 
@@ -34,7 +34,9 @@ class LocalEngine:
         # Nothing is ever sent: the processes wait for the only writing end to be closed.
         self._lifeline, self._mine = context.Pipe(duplex=False)
         self._threads = threads
-        self._pool = ProcessPoolExecutor(jobs, context, _begin, (self._lifeline, registered()))
+        self._pool = ProcessPoolExecutor(
+            jobs, context, _begin, (self._lifeline, registered(), code_allowed())
+        )
 
     def share(self, value: Any) -> Any:
         """The value itself: it goes with every call."""
@@ -77,8 +79,18 @@ def _starting(threads: int) -> Iterator[None]:
             mask(signal.SIG_SETMASK, allowed)
 
 
-def _begin(lifeline: Connection, pieces: Sequence[tuple[str, str, str]]) -> None:
-    """Prepares a process; it knows the same pieces by name as the one that started it."""
+_to_the_end = contextlib.ExitStack()
+"""What is in force as long as a process lives."""
+
+
+def _begin(
+    lifeline: Connection, pieces: Sequence[tuple[str, str, str]], allowed: bool | frozenset[str]
+) -> None:
+    """Prepares a process; it knows the same pieces by name as the one that started it.
+
+    Files may name the same code.
+    """
+    _to_the_end.enter_context(allowing_code(allowed))
     for piece in pieces:
         register(*piece)
     # Ctrl-C goes to all processes of a terminal; the one that started the others handles it.

@@ -9,10 +9,11 @@ from typing import Any
 
 from marouting import InputError, Problem
 from marouting.config import build, check, merged, override, plain, read_yaml
-from marouting.files import is_file_name
+from marouting.files import is_dir, is_file_name, naming
 from marouting.generator import GeneratorOptions
 from marouting.options import PLAYED
-from marouting.source import generated_name, load_problems
+from marouting.registry import allowing_code
+from marouting.source import generated_name, load_problems, problems_in
 from policies.engines import EngineName
 from policies.learned.config import Config, for_learner
 from policies.results.rows import read_published
@@ -297,19 +298,22 @@ _LABEL = 80
 
 
 def load_experiment(
-    path: str | os.PathLike[str], overrides: Sequence[str] = ()
+    path: str | os.PathLike[str], overrides: Sequence[str] = (), *, allow_code: bool = False
 ) -> ExperimentConfig:
     """Reads the configuration of an experiment and changes single keys of it.
 
     Args:
         path: a YAML file.
         overrides: ``key=value``, as :func:`marouting.config.override` takes them.
+        allow_code: whether the file, and configurations that it names, may name pieces as
+            ``module:Class``, which is code that is imported. Overrides always may.
 
     Raises:
         InputError: names the file or key, what was expected and what was found.
     """
-    raw = read_yaml(path)
-    config = build(ExperimentConfig, override(raw, overrides), os.fspath(path))
+    with allowing_code(allow_code):
+        raw = read_yaml(path)
+        config = build(ExperimentConfig, override(raw, overrides), os.fspath(path))
     sets = raw.get("problems")
     return _without_those_gone(config, sets) if isinstance(sets, Mapping) else config
 
@@ -352,8 +356,9 @@ def load_sets(problems: str | Mapping[str, Any]) -> dict[str, dict[str, Problem]
                 raise InputError(f"problems.{name}: {error}") from None
         return sets
     folder = Path(problems)
-    folders = [folder, *sorted(path for path in folder.glob("*") if path.is_dir())]
-    paths = {path.resolve().name: path for path in folders if any(path.glob("*.gr"))}
+    with naming(folder, "cannot be read"):
+        folders = [folder, *sorted(path for path in folder.glob("*") if is_dir(path))]
+        paths = {path.resolve().name: path for path in folders if problems_in(path)}
     if not paths:
         raise InputError(f"problems: {folder}: expected .gr files in this folder or those in it")
     for name in paths:

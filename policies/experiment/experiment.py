@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem, Solution
-from marouting.config import check, check_same, read_yaml, yaml_text
-from marouting.files import FILE_NAME, is_file_name, write_text
+from marouting.config import check, check_same, code_named, read_yaml, yaml_text
+from marouting.files import FILE_NAME, exists, is_file_name, naming, write_text
+from marouting.registry import allowing_code
 from marouting.source import load_problems
 from policies.engines import check_engine, cores
 from policies.experiment.config import (
@@ -70,12 +71,13 @@ class Experiment:
     def _before(self) -> ExperimentConfig | None:
         """The configuration of all that the folder holds; raises InputError if it does not fit."""
         kept = self.folder / CONFIG
-        if not kept.exists():
+        if not exists(kept):
             check_own(self.folder, ("problems", CONFIG))
             return None
-        if "routers" not in read_yaml(kept):
-            raise InputError(f"{self.folder}: holds a training: expected another out=")
-        before = load_experiment(kept)
+        with allowing_code(name for _, name in code_named(self.config.routers)):
+            if "routers" not in read_yaml(kept):
+                raise InputError(f"{self.folder}: holds a training: expected another out=")
+            before = load_experiment(kept)
         mine, theirs = (self._rows_depend_on(asked, before) for asked in (self.config, before))
         check_same(mine, theirs, kept)
         return before
@@ -142,7 +144,9 @@ class Experiment:
         if before is not None:
             held = self.sets if isinstance(before.problems, str) else before.problems
             new = {name: own for name, own in self.sets.items() if name not in held}
-        for path in sorted((self.folder / "problems").glob("*/*.gr")):
+        with naming(self.folder, "cannot be written"):
+            there = sorted((self.folder / "problems").glob("*/*.gr"))
+        for path in there:
             name = path.parent.name
             if (before is None or name in new) and path.stem not in self.sets.get(name, ()):
                 raise InputError(f"{path}: expected no problems but the experiment's")

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem, Solution
-from marouting.config import build
-from marouting.files import write_text
+from marouting.config import build, code_named
+from marouting.files import is_file, write_text
+from marouting.registry import allowing_code
 from policies.experiment.config import PARTS, PUBLISHED, Entry, Published
 from policies.learned.burn_in import read_solutions, solution_files
 from policies.learned.config import Config, load_config
@@ -80,7 +81,7 @@ class Part:
         found: dict[str, tuple[Path, ...]] = {
             text: (Path(text),)
             for text in _texts(self.entry.options)
-            if (Path(text).suffix or os.sep in text) and Path(text).is_file()
+            if (Path(text).suffix or os.sep in text) and is_file(text)
         }
         if self.entry.trains and "burn_in" in self.entry.options["learner"]:
             burn_in = self.entry.options["learner"]["burn_in"]
@@ -175,7 +176,8 @@ class Part:
 
         kept = self.run / run_folder.CONFIG
         if not (self.run / run_folder.POLICY).exists():
-            config = load_config(kept) if kept.exists() else self._training()
+            with allowing_code(name for _, name in code_named(self.entry)):
+                config = load_config(kept) if kept.exists() else self._training()
             # The folder may have been renamed since the training was started.
             config = replace(config, out=str(self.run))
             if not kept.exists():

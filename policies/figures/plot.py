@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
+from marouting.files import exists, is_dir, reading, stem_of, suffix_of
 from policies import figures
 from policies.results import experiment_folder, run_folder
 from policies.results.rows import Row
@@ -320,7 +321,7 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
     written: list[Path] = []
     groups: list[tuple[Path, list[Path]]] = []
     for path in map(Path, paths):
-        if path.is_dir():
+        if is_dir(path):
             if (path / experiment_folder.RESULTS).exists():
                 written += experiment_figures(path, out)
             elif (path / run_folder.CONFIG).exists():
@@ -330,11 +331,11 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
                     f"{path}: expected a run folder, with {run_folder.CONFIG} in it, or an "
                     f"experiment's, with {experiment_folder.RESULTS}"
                 )
-        elif not path.exists():
+        elif not exists(path):
             raise InputError(f"{path}: expected a folder or a file, found nothing")
-        elif path.suffix == ".jsonl":
+        elif suffix_of(path) == ".jsonl":
             written += reward_figures(path, out or path.parent / "figures")
-        elif path.suffix == ".json":
+        elif suffix_of(path) == ".json":
             written.append(scaling_figure(path, out or path.parent / "figures"))
         elif _is_problem(path):
             groups.append((path, []))
@@ -345,7 +346,7 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
     for path, files in groups:
         problem = Problem.read(path)
         solutions = {
-            run_folder.solution_name(file, path.stem): Solution.read(file, problem)
+            run_folder.solution_name(file, stem_of(path)): Solution.read(file, problem)
             for file in files
         }
         solutions = solutions or {"astar": AStarRouter().route(problem)}
@@ -356,17 +357,15 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
 
 def _is_problem(path: Path) -> bool:
     """Whether a file is a problem, by its name or because it begins with the size of the grid."""
-    if path.suffix in (".gr", ".def", ".cap"):
+    if suffix_of(path) in (".gr", ".def", ".cap"):
         return True
-    try:
-        with path.open("rb") as file:
-            return file.read(256).split()[:1] == [b"grid"]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    with reading(path) as file:
+        return file.read(256).split()[:1] == [b"grid"]
 
 
 def _of(folder: Path, problem: Path) -> Path:
     """The folder for the figures of a problem; raises InputError if none can be called after it."""
-    if problem.stem in (".", ".."):
+    stem = stem_of(problem)
+    if stem in (".", ".."):
         raise InputError(f"{problem}: expected another name: figures would leave their folder")
-    return folder / problem.stem
+    return folder / stem

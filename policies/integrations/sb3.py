@@ -33,6 +33,9 @@ class RoutingVecEnv(VecEnv):
     (rewards, moves), ``is_success`` (all tasks joined; of a whole game, also without overflow),
     ``terminal_observation`` and ``TimeLimit.truncated`` (a task failed).
 
+    SB3's ``success_rate`` is the mean of the last ``stats_window_size`` episodes, 100 unless given.
+    Of a game's nets those that are joined end first: give a learner several times ``num_envs``.
+
     Args:
         problems: see :class:`marouting.vector.BatchEnv`.
         everyone: whether all nets of a game have an environment of their own.

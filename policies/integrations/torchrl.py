@@ -1,6 +1,6 @@
 """TorchRL: an environment on :class:`marouting.vector.BatchEnv`, M games in a batch.
 
-TorchRL's ``PettingZooWrapper`` plays one game at a time and cannot read infos whose keys change::
+TorchRL's ``PettingZooWrapper`` plays one game at a time, and needs ``agents_persist``::
 
     from policies.integrations.torchrl import RoutingEnv
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from marouting import InputError, Problem, Solution
 from marouting.batch.engine import Engine
 from marouting.config import piece
+from marouting.files import exists, is_dir, stem_of, suffix_of
 from marouting.registry import names
 from marouting.search.astar import AStar
 from marouting.search.route_follower import RouteFollower
@@ -85,12 +86,12 @@ def solution_files(burn_in: str, wanted: Sequence[str]) -> list[Path]:
     if burn_in in (*GUIDES, *names("router")):
         return []
     path = Path(burn_in)
-    if not path.exists():
+    if not exists(path):
         raise InputError(
             f"burn_in: expected one of {', '.join(dict.fromkeys((*GUIDES, *names('router'))))}, "
             f"or a solution file or a folder of them, found {burn_in!r}"
         )
-    if path.is_dir():
+    if is_dir(path):
         return [_file(path, name) for name in wanted]
     if len(wanted) > 1:
         raise InputError(f"burn_in: {path}: expected a folder, with a solution for each problem")
@@ -99,7 +100,11 @@ def solution_files(burn_in: str, wanted: Sequence[str]) -> list[Path]:
 
 def _file(folder: Path, name: str) -> Path:
     """The one solution file of a problem in a folder."""
-    found = sorted({*folder.glob(f"{name}.solution"), *folder.glob(f"{name}.*.solution")})
+    found = [
+        file
+        for file in folder.glob("*")
+        if suffix_of(file) == ".solution" and f"{stem_of(file)}.".startswith(f"{name}.")
+    ]
     if len(found) != 1:
         raise InputError(
             f"burn_in: {folder}: expected one file {name}.solution or {name}.*.solution, "

@@ -6,6 +6,7 @@ form, :func:`checked` every tensor against the one that it is to replace.
 
 import math
 import os
+import warnings
 import zipfile
 from collections.abc import Mapping
 from typing import Any
@@ -15,6 +16,7 @@ import torch
 from torch import Tensor
 
 from marouting import InputError
+from marouting.config import check_code
 from marouting.files import unusable
 
 POLICY_FORMAT, TRAINING_FORMAT = "marouting-policy-1", "marouting-training-2"
@@ -40,7 +42,8 @@ def read_checkpoint(path: str | os.PathLike[str], *, training: bool) -> Mapping[
             may also be a file of trained networks.
 
     Raises:
-        InputError: the file is missing, damaged, or holds anything else.
+        InputError: the file is missing, damaged, or holds anything else, or names code that files
+            may not name here (:func:`marouting.config.check_code`).
     """
     try:
         # torch does not look at the archive's checksums.
@@ -51,7 +54,9 @@ def read_checkpoint(path: str | os.PathLike[str], *, training: bool) -> Mapping[
             damaged = archive.testzip()
         if damaged is not None:
             raise zipfile.BadZipFile(f"bad checksum of {damaged}")
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of kinds of tensors that are refused below
+            state = torch.load(path, map_location="cpu", weights_only=True)
         _count(state, _MOST_VALUES, _DEEPEST)
     except OSError as error:
         raise unusable(path, "cannot be read", error) from None
@@ -64,22 +69,34 @@ def read_checkpoint(path: str | os.PathLike[str], *, training: bool) -> Mapping[
     known = (TRAINING_FORMAT,) if training else (POLICY_FORMAT, TRAINING_FORMAT)
     if not isinstance(state, Mapping) or state.get("format") not in known:
         raise InputError(f"{os.fspath(path)}: expected a file of format {' or '.join(known)}")
+    check_code(state, os.fspath(path))
     return state
 
 
 def _count(value: Any, most: int, deep: int) -> int:
-    """How many values there are in a value; raises ValueError if there are too many.
+    """How many values there are in a value; raises ValueError for what no checkpoint holds.
 
-    The same list may stand in a list more than once, so a small file can stand for any number.
+    That is anything but plain data and plain tensors: torch reads without running code much else,
+    such as parameters, that is in no file of ours and that what follows is not made for. The same
+    list may stand in a list more than once, so a small file can stand for any number of values.
     """
     if deep == 0:
         raise ValueError(f"values are nested more than {_DEEPEST} deep")
-    count = 1
     inner: Any = ()
-    if isinstance(value, Mapping):
-        inner = [part for pair in value.items() for part in pair]
-    elif isinstance(value, list | tuple | set | frozenset):
+    if type(value) is dict:
+        if not all(type(key) is str for key in value):
+            raise ValueError("expected keys that are texts")
+        inner = value.values()
+    elif type(value) in (list, tuple):
         inner = value
+    elif type(value) is Tensor:
+        if value.layout != torch.strided or value.is_quantized or value.is_nested or value.is_meta:
+            raise ValueError("expected dense tensors")
+        if value.requires_grad:
+            raise ValueError("expected tensors without gradients")
+    elif type(value) not in (str, int, float, bool, type(None)):
+        raise ValueError(f"expected plain data and tensors, found {type(value).__name__}")
+    count = 1
     for part in inner:
         count += _count(part, most - count, deep - 1)
         if count > most:
@@ -116,5 +133,4 @@ def checked(kept: Any, now: Tensor, name: str, limits: tuple[float, float] = FIN
 def _form(value: Any) -> str:
     if not isinstance(value, Tensor):
         return type(value).__name__
-    dense = "" if value.layout == torch.strided else f"{value.layout} "
-    return f"{dense}{value.dtype} of shape {tuple(value.shape)}".removeprefix("torch.")
+    return f"{value.dtype} of shape {tuple(value.shape)}".removeprefix("torch.")

@@ -20,6 +20,7 @@ from marouting.config import (
     take_pieces,
 )
 from marouting.options import EnvOptions
+from marouting.registry import allowing_code
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +116,11 @@ class Config:
 
 
 def load_config(
-    path: str | os.PathLike[str] | None, overrides: Sequence[str] = (), learner: str | None = None
+    path: str | os.PathLike[str] | None,
+    overrides: Sequence[str] = (),
+    learner: str | None = None,
+    *,
+    allow_code: bool = False,
 ) -> Config:
     """Reads a configuration and changes single keys of it.
 
@@ -123,12 +128,15 @@ def load_config(
         path: a YAML file; None for the defaults.
         overrides: ``key=value`` with dots between the parts of a key, the value as in YAML.
         learner: the kind of learner that it must be for; None for any.
+        allow_code: whether the file may name pieces as ``module:Class``, which is code that is
+            imported. Overrides always may.
 
     Raises:
         InputError: names the file or key, what was expected and what was found.
     """
     where = "" if path is None else os.fspath(path)
-    raw = override({} if path is None else read_yaml(path), overrides)
+    with allowing_code(allow_code):
+        raw = override({} if path is None else read_yaml(path), overrides)
     return build(Config, raw if learner is None else for_learner(raw, learner, where), where)
 
 

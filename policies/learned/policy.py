@@ -20,6 +20,7 @@ from marouting.config import MOST, build, piece
 from marouting.observations import has_move_order, move_order_of
 from marouting.options import ORDERS
 from marouting.player import Player
+from marouting.registry import allowing_code
 from marouting.source import Draws
 from policies.learned.checkpoint import checked, read_checkpoint
 from policies.learned.compiled import greedy
@@ -94,18 +95,24 @@ class TrainedPolicy:
         self._observation = env.observation.make()
 
     @staticmethod
-    def load(path: str | os.PathLike[str], name: str | None = None) -> "TrainedPolicy":
+    def load(
+        path: str | os.PathLike[str], name: str | None = None, *, allow_code: bool = False
+    ) -> "TrainedPolicy":
         """The policy in a file of trained networks, or in the checkpoint of a training.
 
         Args:
             path: the file.
             name: the problem whose network to take, where the file holds several.
+            allow_code: whether the file may name its learner, network, observation and reward as
+                ``module:Class``, which is code that is imported.
 
         Raises:
-            InputError: the file cannot be used, or holds several networks and none of that name.
+            InputError: the file cannot be used, names code that it may not, or holds several
+                networks and none of that name.
         """
         where = os.fspath(path)
-        state = read_checkpoint(path, training=False)
+        with allowing_code(allow_code):
+            state = read_checkpoint(path, training=False)
         try:
             names, weights = list(state["names"]), list(state["weights"])
             episodes, obs_shape = list(state["episodes"]), tuple(state["obs_shape"])

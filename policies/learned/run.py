@@ -11,7 +11,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -19,9 +19,10 @@ from typing import Any
 import torch
 
 from marouting import InputError, Problem, Solution
-from marouting.config import check, check_same, plain, yaml_text
-from marouting.files import FILE_NAME, is_file_name, write_text, writing
+from marouting.config import check, check_same, code_named, plain, yaml_text
+from marouting.files import FILE_NAME, exists, is_file_name, naming, write_text, writing
 from marouting.generator import GeneratorOptions
+from marouting.registry import allowing_code
 from marouting.scenarios import get
 from marouting.source import Draws, Episodes, fixed_problems, load_problems
 from policies.interrupts import interrupt
@@ -58,10 +59,15 @@ def _yaml(config: Config) -> str:
     return yaml_text(plain(config))
 
 
+def _own_code(config: Config) -> list[str]:
+    """The code that a configuration names, which the files of its run may name too."""
+    return [name for _, name in code_named(config)]
+
+
 def _never_began(folder: Path) -> bool:
     """Whether a folder holds only what a run writes before its first episode."""
     config, metrics = folder / CONFIG, folder / METRICS
-    if (folder / CHECKPOINT).exists() or (metrics.exists() and metrics.stat().st_size > 0):
+    if exists(folder / CHECKPOINT) or (exists(metrics) and metrics.stat().st_size > 0):
         return False
     try:
         return config.read_text(encoding="utf-8") == _yaml(load_config(config))
@@ -174,7 +180,8 @@ class Run:
             self._load()
         else:
             _ = self.trainer.start, self.trainer.replayed  # errors now, not when there is a folder
-            others = {path.stem for path in (self.folder / "problems").glob("*.gr")}
+            with naming(self.folder, "cannot be written"):
+                others = {path.stem for path in (self.folder / "problems").glob("*.gr")}
             others -= self.problems.keys()
             if others:
                 raise InputError(
@@ -189,16 +196,20 @@ class Run:
 
     def _check_new(self) -> None:
         """A new run starts in a folder of its own, or in place of one without any episode."""
-        if not (self.folder / CONFIG).exists():
+        if not exists(self.folder / CONFIG):
             check_own(self.folder, ("problems", CONFIG))
-        elif not _never_began(self.folder):
+            return
+        with allowing_code(_own_code(self.config)):
+            began = not _never_began(self.folder)
+        if began:
             raise InputError(
                 f"{self.folder}: holds a run: expected another out=, or --resume {self.folder}"
             )
 
     def _check_same(self) -> None:
         """A resumed run has the configuration that it started with, or more episodes."""
-        kept = load_config(self.folder / CONFIG)
+        with allowing_code(_own_code(self.config)):
+            kept = load_config(self.folder / CONFIG)
         had, episodes = kept.train.episodes, self.config.train.episodes
         what = f"{had}, as in {self.folder / CONFIG}, or more, found {episodes}"
         check("train.episodes", episodes >= had, what)
@@ -209,9 +220,10 @@ class Run:
 
     def _load(self) -> None:
         path = self.folder / CHECKPOINT
-        if not path.exists():
+        if not exists(path):
             return  # killed before the first checkpoint: it starts again
-        state = read_checkpoint(path, training=True)
+        with allowing_code(_own_code(self.config)):
+            state = read_checkpoint(path, training=True)
         try:
             self.trainer.load_state(state, str(path))
             self._seconds, self._logged = state["seconds"], state["logged"]
@@ -240,7 +252,7 @@ class Run:
     def finished(self) -> list[Row] | None:
         """The rows of ``result.json`` if the run is finished, else None; raises InputError."""
         played, total = self.episodes
-        if played < total or not (self.folder / RESULT).exists():
+        if played < total or not exists(self.folder / RESULT):
             return None
         _ = self.best  # a folder whose files do not belong together is not taken for finished
         return read_result(self.folder)
@@ -292,17 +304,18 @@ class Run:
                 self._seconds = time.monotonic() - started
                 self._logged, self._evaluated = logs.flush()
                 _save(self._state(), self.folder / CHECKPOINT)
-                if signal.SIGTERM in interrupts:
+                if signal.SIGTERM in interrupts.held:
                     raise SystemExit(128 + signal.SIGTERM)
-                if interrupts:
+                if interrupts.held:
                     raise KeyboardInterrupt
 
             for episodes in trainer.run():
+                interrupts.begun = True
                 if episodes:
                     logs.write(episodes, trainer.walks)
                     if watch is not None:
                         watch(episodes)
-                if interrupts or time.monotonic() - saved >= config.train.checkpoint_seconds:
+                if interrupts.held or time.monotonic() - saved >= config.train.checkpoint_seconds:
                     keep()
                     saved = time.monotonic()
             keep()  # nothing is trained again if the results below are interrupted
@@ -345,23 +358,38 @@ class Run:
         return rows
 
 
+@dataclass
+class _Interrupts:
+    """Signals that are held back.
+
+    Attributes:
+        held: those that have come.
+        begun: whether the trainer has made a step. Until then nothing is lost by Ctrl-C, and much
+            may have to be compiled, so that it is not held back.
+    """
+
+    held: list[int] = field(default_factory=list)
+    begun: bool = False
+
+
 @contextlib.contextmanager
-def _holding_interrupts() -> Iterator[list[int]]:
+def _holding_interrupts() -> Iterator[_Interrupts]:
     """Holds Ctrl-C and SIGTERM back: within a step of the trainer there is no state to save.
 
     Yields:
-        A list of the signals that have come. A second one is not held back.
+        What has come of them. A second one is not held back.
     """
-    held: list[int] = []
+    interrupts = _Interrupts()
     usual: dict[int, tuple[Any, ...]] = {
         signal.SIGINT: (signal.default_int_handler, interrupt),
         signal.SIGTERM: (signal.SIG_DFL,),
     }
 
     def hold(number: int, frame: FrameType | None) -> None:
-        if held:
+        if interrupts.held or (number == signal.SIGINT and not interrupts.begun):
             interrupt(signal.SIGINT, frame)
-        held.append(number)
+        else:
+            interrupts.held.append(number)
 
     ours = threading.current_thread() is threading.main_thread()
     before = {number: signal.getsignal(number) for number in usual}
@@ -370,7 +398,7 @@ def _holding_interrupts() -> Iterator[list[int]]:
     for number in holding:
         signal.signal(number, hold)
     try:
-        yield held
+        yield interrupts
     finally:
         for number in holding:
             signal.signal(number, before[number])
@@ -378,7 +406,7 @@ def _holding_interrupts() -> Iterator[list[int]]:
 
 def clear(folder: Path) -> None:
     """Removes a run from its folder, and nothing else that lies there."""
-    if not (folder / CONFIG).exists():
+    if not exists(folder / CONFIG):
         return
     for name in _FILES:
         (folder / name).unlink(missing_ok=True)

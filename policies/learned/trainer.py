@@ -24,11 +24,12 @@ from marouting.batch.bits import chosen, with_problem
 from marouting.batch.engine import Metrics
 from marouting.batch.saved import checked_demand
 from marouting.batch.state import Dynamic
-from marouting.config import check, plain
+from marouting.config import check, code_named, plain
 from marouting.game import NOBODY
 from marouting.observations import state_space_of
 from marouting.options import PLAYED
 from marouting.player import Saved, StepBuffers
+from marouting.registry import allowing_code
 from marouting.source import Draws
 from policies.learned.burn_in import GUIDES, guide, read_solutions
 from policies.learned.checkpoint import ANY, FINITE, POLICY_FORMAT, TRAINING_FORMAT, checked
@@ -210,7 +211,8 @@ class Trainer:
         own = config.learner.cls.network(config.learner.options, setup.obs_shape, setup.actions)
         weights: list[Mapping[str, Tensor]] = []
         for name in setup.names:
-            policy = TrainedPolicy.load(path, name)
+            with allowing_code(code for _, code in code_named(config)):
+                policy = TrainedPolicy.load(path, name)
             expected, found = plain(config.env.observation), plain(policy.env.observation)
             what = f"networks that see {expected}, found {found} in {path}"
             check("train.start", found == expected, what)

@@ -9,7 +9,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from marouting import InputError
-from marouting.files import TEMPORARY, naming
+from marouting.files import TEMPORARY, is_dir, naming
 
 LOCK = ".lock"
 """The file that a process at work in a folder holds; it says which process it is."""
@@ -49,8 +49,10 @@ def working_in(folder: Path) -> Iterator[None]:
 
 def check_own(folder: Path, own: Collection[str]) -> None:
     """Raises InputError if a folder holds anything but these files, and what killed runs left."""
-    if not folder.is_dir():
+    if not is_dir(folder):
         return
-    for name in sorted(path.name for path in folder.iterdir()):
+    with naming(folder, "cannot be read"):
+        names = sorted(path.name for path in folder.iterdir())
+    for name in names:
         if name not in (*own, LOCK) and not name.endswith(TEMPORARY):
             raise InputError(f"{folder}: expected a new or an empty folder, found {name} in it")

@@ -226,7 +226,7 @@ def read_published(
         InputError: the file cannot be read or does not hold such rows; the message names the line.
     """
     columns = {"set": "set", "problem": "problem", "overflow": overflow, "wirelength": wirelength}
-    content = read_text(path, MOST_BYTES).removeprefix("\ufeff")  # as Excel writes it
+    content = read_text(path, MOST_BYTES)
     found: dict[tuple[str, str], tuple[int, int]] = {}
     try:
         with io.StringIO(content, newline="") as lines:

@@ -25,7 +25,7 @@ from pydantic import Field
 
 from marouting import InputError
 from marouting.config import build_json, check
-from marouting.files import read_text
+from marouting.files import plain_name, read_text, stem_of, suffix_of
 from policies.results.rows import MOST_BYTES, Count, Measure, Name, ResultRow, Row, read_rows
 
 CONFIG, METRICS, CHECKPOINT = "config.yaml", "metrics.jsonl", "checkpoint.pt"
@@ -44,8 +44,8 @@ def solution_file(folder: Path, problem: str, router: str) -> Path:
 
 def solution_name(file: Path, problem: str) -> str:
     """Whose solution of a problem a file holds: its name without the problem's and the suffix."""
-    name = file.name.removeprefix(problem).removesuffix(".solution").strip(".")
-    return name or file.stem
+    stem = stem_of(file) if suffix_of(file) == ".solution" else plain_name(file)
+    return stem.removeprefix(problem).strip(".") or stem_of(file)
 
 
 def read_result(folder: Path) -> list[Row]:

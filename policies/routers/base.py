@@ -4,9 +4,15 @@ import contextlib
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+
 from marouting import InputError, Problem, Solution, generate
 from marouting.batch.setup import is_hashed
 from marouting.problem.grid import Grid
+
+LEFT_ALONE = "left alone"
+"""The name of threads that may be at work in a library when the process ends; it must not wait for
+them, nor take apart what they use."""
 
 
 class Policy(Protocol):
@@ -120,6 +126,7 @@ def warm_up(router: Router, problem: Problem) -> None:
             stack.callback(setattr, router, "watch", router.watch)
             router.watch = None
         stack.enter_context(contextlib.suppress(InputError))
+        Solution(small, [np.zeros(0, np.int64)] * len(small.nets)).pruned()  # for ``--prune``
         getattr(router, "warm_up", router.route)(small)
 
 

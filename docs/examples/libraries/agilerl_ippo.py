@@ -3,18 +3,18 @@
 Needs ``pip install agilerl peft``: AgileRL 2.58.0 imports the second without asking for it.
 """
 
-import time
-
 import numpy as np
 import torch
 from agilerl.algorithms import IPPO
 from agilerl.training.train_multi_agent_on_policy import train_multi_agent_on_policy
+from curve import Curve
 
 from marouting import global_routing_v0, scenarios
 
 torch.set_num_threads(1)
-torch.manual_seed(0)
-np.random.seed(0)  # noqa: NPY002
+curve = Curve(steps=100_000)
+torch.manual_seed(curve.seed)
+np.random.seed(curve.seed)  # noqa: NPY002
 problem = scenarios.get("toy-4x4-v0").test[0]
 # AgileRL's IPPO takes masks for its moves but not for learning: they have a name unknown to it.
 options = {"reward": "normalised", "max_steps": 20, "agents_persist": True, "mask_key": "edges"}
@@ -50,10 +50,9 @@ def joined():
     return test.metrics()["joined"] / test.metrics()["tasks"]
 
 
-print("steps processor_seconds joined")
-for i in range(1, 200):
-    known = {"max_steps": 500 * i, "evo_steps": 500, "eval_steps": 1, "verbose": False}
-    train_multi_agent_on_policy(env, "routing", "IPPO", [learner], **known)
-    print(500 * len(agents) * i, round(time.process_time(), 1), share := joined(), flush=True)
-    if share >= 0.95:
-        break
+known, steps, going = {"evo_steps": 500, "eval_steps": 1, "verbose": False}, 0, True
+while going:
+    steps += 500
+    train_multi_agent_on_policy(env, "routing", "IPPO", [learner], max_steps=steps, **known)
+    going = curve.row(steps * len(agents), joined())
+curve.end()

@@ -1,15 +1,15 @@
 """PPO in one file on the batch, in the manner of CleanRL: all nets of all games share a policy."""
 
-import time
-
 import torch
+from curve import Curve
 from torch.distributions import Categorical
 
 from marouting import scenarios
 from marouting.vector import BatchEnv
 
 torch.set_num_threads(1)
-torch.manual_seed(0)
+curve = Curve(steps=200_000)
+torch.manual_seed(curve.seed)
 problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"reward": "normalised", "max_steps": 20}
 env, test = BatchEnv([problem] * 32, **options), BatchEnv([problem], **options)
@@ -31,9 +31,8 @@ def joined():
     return float(info["joined"][0] / test.num_agents)
 
 
-print("steps processor_seconds joined")
-(obs, info), steps, share, rows = env.reset(), 0, 0.0, []
-while share < 0.95:
+(obs, info), steps, going, rows = env.reset(), 0, True, []
+while going:
     seen, mask = torch.tensor(obs), torch.tensor(info["action_mask"])  # copies
     with torch.no_grad():
         choice, value = told(seen, mask)
@@ -57,4 +56,5 @@ while share < 0.95:
         adam.zero_grad()
         (loss - torch.min(ratio * g, ratio.clip(0.8, 1.2) * g).mean()).backward()
         adam.step()
-    print(steps, round(time.process_time(), 1), share := joined(), flush=True)
+    going = curve.row(steps, joined())
+curve.end()

@@ -1,29 +1,28 @@
 """BenchMARL on the environment as a task: ``pip install benchmarl``.
 
-Run it with ``ippo``, ``mappo``, ``iql``, ``vdn`` or ``qmix`` behind its name.
+Run it with ``ippo`` (the default), ``mappo``, ``iql``, ``vdn`` or ``qmix`` behind its name.
 """
 
-import sys
 import tempfile
-import time
 
 import torch
 from benchmarl.algorithms import algorithm_config_registry
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
+from curve import Curve
 from torch import nn
 
 from marouting import scenarios
 from policies.integrations.benchmarl import RoutingTask
 
 torch.set_num_threads(1)
-algorithm = sys.argv[1] if sys.argv[1:] else "ippo"
+curve = Curve("ippo", "mappo", "iql", "vdn", "qmix", steps=400_000)
 problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"problem": problem, "reward": "normalised", "max_steps": 20, "max_cycles": 20}
 task = RoutingTask.TOY_4X4.get_task(options)
 
 config = ExperimentConfig.get_from_yaml()
-config.max_n_frames = 60_000
+config.max_n_frames = curve.steps // len(problem.nets)
 config.gamma, config.lr = 0.95, 1e-3
 config.on_policy_collected_frames_per_batch = config.off_policy_collected_frames_per_batch = 2_000
 config.on_policy_n_envs_per_worker = config.off_policy_n_envs_per_worker = 20
@@ -35,26 +34,24 @@ config.loggers, config.create_json, config.render = ["csv"], False, False
 config.save_folder = tempfile.mkdtemp()
 
 
-class Curve(Callback):
+class Rows(Callback):
     """Prints what the policy joins without exploration."""
 
     def on_evaluation_end(self, rollouts):
         """The figure of the last step of the game."""
-        share = round(rollouts[0]["next", "info", "joined"][-1].item(), 3)
         steps = len(problem.nets) * self.experiment.total_frames
-        print(steps, round(time.process_time(), 1), share, flush=True)
-        if share >= 0.95:
-            raise SystemExit
+        if not curve.row(steps, rollouts[0]["next", "info", "joined"][-1].item()):
+            curve.end()
 
 
-print("steps processor_seconds joined")
 network = {"num_cells": [128, 128], "layer_class": nn.Linear, "activation_class": nn.ReLU}
 Experiment(
     task=task,
-    algorithm_config=algorithm_config_registry[algorithm].get_from_yaml(),
+    algorithm_config=algorithm_config_registry[curve.algorithm].get_from_yaml(),
     model_config=MlpConfig(**network),
     critic_model_config=MlpConfig(**network),
     config=config,
-    seed=0,
-    callbacks=[Curve()],
+    seed=curve.seed,
+    callbacks=[Rows()],
 ).run()
+curve.end()

@@ -1,10 +1,10 @@
-"""PPO written out on PufferLib's emulation and vector: ``pip install pufferlib-core``."""
+"""PPO written out on PufferLib's emulation and vector: ``pip install pufferlib-core==3.0.19``."""
 
-import time
 from functools import partial
 
 import numpy as np
 import torch
+from curve import Curve
 from pufferlib import emulation, vector
 from torch import nn
 from torch.distributions import Categorical
@@ -12,10 +12,10 @@ from torch.distributions import Categorical
 from marouting import global_routing_v0, scenarios
 
 torch.set_num_threads(1)
-torch.manual_seed(0)
-problem = scenarios.get("toy-4x4-v0").test[0]
+curve = Curve(steps=400_000)
+torch.manual_seed(curve.seed)
 options = {"reward": "normalised", "max_steps": 20, "agents_persist": True}
-make = partial(global_routing_v0.parallel_env, problem, **options)
+make = partial(global_routing_v0.parallel_env, scenarios.get("toy-4x4-v0").test[0], **options)
 emulated = partial(emulation.PettingZooPufferEnv, env_creator=make)
 env = vector.make(emulated, backend=vector.Serial, num_envs=8)
 test, hidden = make(), [nn.Linear(12, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU()]
@@ -32,9 +32,8 @@ def joined():
     return test.metrics()["joined"] / test.metrics()["tasks"]
 
 
-print("steps processor_seconds joined")
-(seen, _), steps, share, rows = env.reset(seed=0), 0, 0.0, []
-while share < 0.95:
+(seen, _), steps, going, rows = env.reset(seed=curve.seed), 0, True, []
+while going:
     before = torch.tensor(seen)
     with torch.no_grad():
         value, choice = (told := network(before))[:, 6], Categorical(logits=told[:, :6])
@@ -57,4 +56,5 @@ while share < 0.95:
         adam.zero_grad()
         (loss - torch.min(ratio * g, ratio.clip(0.8, 1.2) * g).mean()).backward()
         adam.step()
-    print(steps, round(time.process_time(), 1), share := joined(), flush=True)
+    going = curve.row(steps, joined())
+curve.end()

@@ -3,13 +3,11 @@
 Run it with ``masked`` behind its name for RLlib's action-masking module.
 """
 
-import sys
-import time
-
 import numpy as np
 import ray
 import torch
 import tree
+from curve import Curve
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.rl_module import MultiRLModuleSpec, RLModuleSpec
 from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
@@ -19,9 +17,10 @@ from ray.tune.registry import register_env
 from marouting import global_routing_v0, scenarios
 
 torch.set_num_threads(1)
+curve = Curve("plain", "masked", steps=100_000)
 problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"reward": "normalised", "max_steps": 20}
-if masked := "masked" in sys.argv:  # the module looks for these names
+if masked := curve.algorithm == "masked":  # the module looks for these names
     options |= {"mask_in_observation": True, "observation_key": "observations"}
 make = global_routing_v0.parallel_env
 register_env("routing", lambda _: ParallelPettingZooEnv(make(problem, **options)))
@@ -36,7 +35,7 @@ algorithm = (
     .rl_module(rl_module_spec=MultiRLModuleSpec(rl_module_specs={"nets": module}))
     .training(train_batch_size=1_000, minibatch_size=500, num_epochs=8, lr=1e-3)
     .training(gamma=0.95, lambda_=0.9, entropy_coeff=0.03, use_kl_loss=False)
-    .debugging(seed=0, log_level="ERROR")
+    .debugging(seed=curve.seed, log_level="ERROR")
 ).build_algo()
 test = make(problem, agents_persist=True, **options)
 
@@ -52,8 +51,8 @@ def joined():
     return test.metrics()["joined"] / test.metrics()["tasks"]
 
 
-print("steps processor_seconds joined")
-share = 0.0
-while share < 0.95:
+going = True
+while going:
     steps = algorithm.train()["env_runners"]["num_module_steps_sampled_lifetime"]["nets"]
-    print(int(steps), round(time.process_time(), 1), share := joined(), flush=True)
+    going = curve.row(steps, joined())
+curve.end()

@@ -4,39 +4,41 @@ One player moves all nets, one after the other. Needs ``pip install stable-basel
 ``ppo`` or ``dqn`` behind its name.
 """
 
-import sys
-import time
-
 import gymnasium
 import torch
+from curve import Curve
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecNormalize
 
 import marouting
 from marouting import scenarios
 
 torch.set_num_threads(1)
+curve = Curve("ppo", "dqn", steps=400_000)
 problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"problem": problem, "reward": "normalised", "max_steps": 20}
 test = gymnasium.make(marouting.ENVIRONMENT_ID, **options)
-env = make_vec_env(marouting.ENVIRONMENT_ID, 8, seed=0, env_kwargs=options)
+env = make_vec_env(marouting.ENVIRONMENT_ID, 8, seed=curve.seed, env_kwargs=options)
 network = {"net_arch": [128, 128], "activation_fn": torch.nn.ReLU}
 common = {"learning_rate": 1e-3, "gamma": 0.95, "policy_kwargs": network, "device": "cpu"}
-if "dqn" in sys.argv:
+if curve.algorithm == "dqn":
     often = {"train_freq": 1, "gradient_steps": 2, "target_update_interval": 2_000}
     chance = {"learning_starts": 2_000, "exploration_fraction": 0.1}
-    model = DQN("MlpPolicy", env, batch_size=128, seed=0, **often, **chance, **common)
+    model = DQN("MlpPolicy", env, batch_size=128, seed=curve.seed, **often, **chance, **common)
 else:
-    rollout = {"n_steps": 128, "batch_size": 256, "n_epochs": 6, "ent_coef": 0.02}
-    model = PPO("MlpPolicy", env, seed=0, **rollout, **common)
+    env = VecNormalize(env, norm_reward=False)  # what agents see, to the order of 1
+    rollout = {"n_steps": 128, "batch_size": 256, "n_epochs": 8, "ent_coef": 0.05}
+    model = PPO("MlpPolicy", env, seed=curve.seed, gae_lambda=0.9, **rollout, **common)
 
 
 def joined():
     """The share of the nets that the policy joins without exploration."""
     observation, info = test.reset()
-    over = False
+    over, scale = False, model.get_vec_normalize_env()
     while not over:
-        action, _ = model.predict(observation, deterministic=True)
+        seen = observation if scale is None else scale.normalize_obs(observation)
+        action, _ = model.predict(seen, deterministic=True)
         observation, _, terminated, truncated, info = test.step(int(action))
         over = terminated or truncated
     return info["joined"] / info["tasks"]
@@ -44,11 +46,9 @@ def joined():
 
 def report(known, _):
     """Prints how it stands after every 10 000 steps; the training ends when enough is joined."""
-    if known["self"].num_timesteps % 10_000:
-        return True
-    print(model.num_timesteps, round(time.process_time(), 1), share := joined(), flush=True)
-    return share < 0.95
+    steps = known["self"].num_timesteps
+    return bool(steps % 10_000) or curve.row(steps, joined())
 
 
-print("steps processor_seconds joined")
-model.learn(300_000, callback=report)
+model.learn(curve.steps, callback=report)
+curve.end()

@@ -4,10 +4,9 @@ Every net of every game is an environment, and all share one policy. Needs ``pip
 sb3-contrib``. MaskablePPO also takes ``gymnasium.make(marouting.ENVIRONMENT_ID, …)`` as it is.
 """
 
-import time
-
 import numpy as np
 import torch
+from curve import Curve
 from sb3_contrib import MaskablePPO
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -15,6 +14,7 @@ from marouting import scenarios
 from policies.integrations.sb3 import RoutingVecEnv
 
 torch.set_num_threads(1)
+curve = Curve(steps=500_000)
 problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"reward": "normalised", "max_steps": 20}
 env = VecNormalize(RoutingVecEnv([problem] * 32, **options), norm_reward=False)
@@ -30,8 +30,9 @@ model = MaskablePPO(
     gae_lambda=0.9,
     ent_coef=0.01,
     policy_kwargs={"net_arch": [128, 128], "activation_fn": torch.nn.ReLU},
+    stats_window_size=5 * env.num_envs,  # for success_rate; 100 is less than an episode of each
     device="cpu",
-    seed=0,
+    seed=curve.seed,
 )
 
 
@@ -50,11 +51,9 @@ def joined():
 
 def report(known, _):
     """Prints how it stands after every second rollout; the training ends when enough is joined."""
-    if known["self"].num_timesteps % (2 * model.n_steps * env.num_envs):
-        return True
-    print(model.num_timesteps, round(time.process_time(), 1), share := joined(), flush=True)
-    return share < 0.95
+    steps = known["self"].num_timesteps
+    return bool(steps % (2 * model.n_steps * env.num_envs)) or curve.row(steps, joined())
 
 
-print("steps processor_seconds joined")
-model.learn(500_000, callback=report)
+model.learn(curve.steps, callback=report)
+curve.end()

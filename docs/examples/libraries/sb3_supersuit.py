@@ -5,22 +5,22 @@ vectors: ``agents_persist``. Needs ``pip install stable-baselines3 supersuit``. 
 ``sb3_masked.py`` steps twenty times as quickly.
 """
 
-import time
-
 import supersuit
 import torch
+from curve import Curve
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import set_random_seed
 
 from marouting import global_routing_v0, scenarios
 
 torch.set_num_threads(1)
+curve = Curve(steps=200_000)
 problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"reward": "normalised", "max_steps": 20, "agents_persist": True}
 nets = supersuit.pettingzoo_env_to_vec_env_v1(global_routing_v0.parallel_env(problem, **options))
 env = supersuit.concat_vec_envs_v1(nets, 8, num_cpus=0, base_class="stable_baselines3")
 test = global_routing_v0.parallel_env(problem, **options)
-set_random_seed(0)  # in place of seed=: SuperSuit's vector has no method of that name
+set_random_seed(curve.seed)  # in place of seed=: SuperSuit's vector has no method of that name
 model = PPO("MlpPolicy", env, n_steps=64, learning_rate=1e-3, gamma=0.95, device="cpu")
 
 
@@ -36,9 +36,8 @@ def joined():
     return test.metrics()["joined"] / test.metrics()["tasks"]
 
 
-print("steps processor_seconds joined")
-share = 0.0
-while share < 0.95:
+going = True
+while going:
     model.learn(10_000, reset_num_timesteps=False)
-    share = joined()
-    print(model.num_timesteps, round(time.process_time(), 1), share, flush=True)
+    going = curve.row(model.num_timesteps, joined())
+curve.end()

@@ -1,8 +1,7 @@
 """Independent PPO in skrl, with networks of its own for each net: ``pip install skrl``."""
 
-import time
-
 import torch
+from curve import Curve
 from skrl.envs.wrappers.torch import wrap_env
 from skrl.memories.torch import RandomMemory
 from skrl.multi_agents.torch.ippo import IPPO
@@ -13,7 +12,8 @@ from skrl.utils.model_instantiators.torch import categorical_model, deterministi
 from marouting import global_routing_v0, scenarios
 
 torch.set_num_threads(1)
-set_seed(0)
+curve = Curve(steps=200_000)
+set_seed(curve.seed)
 problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"reward": "normalised", "max_steps": 20, "agents_persist": True}
 games = (global_routing_v0.parallel_env(problem, **options) for _ in range(2))
@@ -52,9 +52,9 @@ def joined():
     return test.metrics()["joined"] / test.metrics()["tasks"]
 
 
-print("steps processor_seconds joined")
-steps, share = 0, 0.0
-while share < 0.95:
+steps, going = 0, True
+while going:
     trainer.train()
     steps += 500 * len(agents)
-    print(steps, round(time.process_time(), 1), share := joined(), flush=True)
+    going = curve.row(steps, joined())
+curve.end()

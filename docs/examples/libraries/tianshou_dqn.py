@@ -1,10 +1,9 @@
 """Tianshou's DQN with masks, one player for all nets: ``pip install tianshou``."""
 
-import time
-
 import gymnasium
 import numpy as np
 import torch
+from curve import Curve
 from tianshou.algorithm import DQN
 from tianshou.algorithm.modelfree.dqn import DiscreteQLearningPolicy
 from tianshou.algorithm.optim import AdamOptimizerFactory
@@ -17,8 +16,9 @@ import marouting
 from marouting import scenarios
 
 torch.set_num_threads(1)
-torch.manual_seed(0)
-np.random.seed(0)  # noqa: NPY002
+curve = Curve(steps=100_000)
+torch.manual_seed(curve.seed)
+np.random.seed(curve.seed)  # noqa: NPY002
 problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"problem": problem, "reward": "normalised", "max_steps": 20}
 names = {"mask_in_observation": True, "observation_key": "obs", "mask_key": "mask"}
@@ -43,15 +43,13 @@ def joined():
 def report(_, step):
     """Prints how it stands after every 2000 steps; the training ends when enough is joined."""
     policy.set_eps_training(max(0.05, 1 - step / 10_000))
-    if step and step % 2_000 == 0:
-        print(step, round(time.process_time(), 1), share := joined(), flush=True)
-        if share >= 0.95:
-            raise SystemExit
+    if step and step % 2_000 == 0 and not curve.row(step, joined()):
+        curve.end()
 
 
-print("steps processor_seconds joined")
 collector = Collector(learner, envs, VectorReplayBuffer(50_000, 8), exploration_noise=True)
-run = {"max_epochs": 1, "epoch_num_steps": 100_000, "collection_step_num_env_steps": 80}
+run = {"max_epochs": 1, "epoch_num_steps": curve.steps, "collection_step_num_env_steps": 80}
 often = {"update_step_num_gradient_steps_per_sample": 0.25, "batch_size": 128}
 shown = {"training_fn": report, "show_progress": False}
 learner.run_training(OffPolicyTrainerParams(training_collector=collector, **run, **often, **shown))
+curve.end()

@@ -1,9 +1,7 @@
 """PPO with masks in TorchRL: ``pip install torchrl``; ``mappo``: the critic sees all nets."""
 
-import sys
-import time
-
 import torch
+from curve import Curve
 from tensordict.nn import TensorDictModule, set_composite_lp_aggregate
 from torchrl.collectors import SyncDataCollector
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -14,7 +12,8 @@ from marouting import scenarios
 from policies.integrations.torchrl import RoutingEnv
 
 torch.set_num_threads(1)
-torch.manual_seed(0)
+curve = Curve("ippo", "mappo", steps=200_000)
+torch.manual_seed(curve.seed)
 set_composite_lp_aggregate(False).set()
 problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"reward": "normalised", "max_steps": 20}
@@ -29,16 +28,17 @@ policy = ProbabilisticActor(
     distribution_class=MaskedCategorical,
     **{"return_log_prob": True, "log_prob_key": ("nets", "log_prob")},
 )
-values = MultiAgentMLP(n_agent_outputs=1, centralized="mappo" in sys.argv, **network)
+values = MultiAgentMLP(n_agent_outputs=1, centralized=curve.algorithm == "mappo", **network)
 critic = TensorDictModule(values, [SEEN], [("nets", "value")])
 loss = ClipPPOLoss(policy, critic, entropy_coeff=0.01)
 keys = {key: ("nets", key) for key in ("reward", "action", "value", "done", "terminated")}
 loss.set_keys(sample_log_prob=("nets", "log_prob"), **keys)
 loss.make_value_estimator(ValueEstimators.GAE, gamma=0.95, lmbda=0.9)
 optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
-collector = SyncDataCollector(env, policy, frames_per_batch=2_000, total_frames=100_000)
+collector = SyncDataCollector(
+    env, policy, frames_per_batch=2_000, total_frames=curve.steps // len(problem.nets)
+)
 
-print("steps processor_seconds joined")
 for i, data in enumerate(collector):
     shape = data["next", "nets", "reward"].shape  # the end of a game is that of all its nets
     for key in ("done", "terminated"):
@@ -53,6 +53,6 @@ for i, data in enumerate(collector):
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         share = test.rollout(20, policy)["next", "info", "joined"][0, -1].item()
     steps = 2_000 * len(problem.nets) * (i + 1)
-    print(steps, round(time.process_time(), 1), round(share, 3), flush=True)
-    if share >= 0.95:
+    if not curve.row(steps, share):
         break
+curve.end()

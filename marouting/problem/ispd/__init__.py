@@ -33,16 +33,19 @@ capacities 24 and 28 are the twelve and fourteen tracks of the flat file.
 BoxRouter publish them: one layer with both capacities, in tracks. The values that the file lacks
 are those that NTHU-Route 2.0 (Chang et al., 2008) assumes. A grid of two numbers identifies it.
 
-:mod:`~marouting.problem.ispd.ispd2024` reads the problems of the ISPD 2024 contest;
+:mod:`~marouting.problem.ispd.ispd2024` reads the problems of the ISPD 2024 and 2025 contests;
 :mod:`marouting.problem.lefdef` those of the ISPD 2018 and 2019 contests, LEF/DEF designs. Solutions
-are ISPD solution text (:mod:`~marouting.problem.ispd.solution_text`), routing guides, or ISPD
-2024's output (:mod:`~marouting.problem.ispd.routes_text`).
+are ISPD solution text (:mod:`~marouting.problem.ispd.solution_text`), routing guides, OpenROAD's
+route segments, which are ISPD 2025's output, or ISPD 2024's output
+(:mod:`~marouting.problem.ispd.routes_text`). Any file may be compressed and have a byte order mark
+(:func:`marouting.files.reading`).
 
 Readers return plain records and know neither Problem nor Solution, which read and write through
 this package. Files are read line by line and nothing is allocated for what a header merely
-promises. Tokens are separated by any white space, blank lines are ignored, and keywords may be in
-any case. Anything wrong raises :class:`~marouting.errors.InputError` with one line that names the
-file and the line. Written files have one form only, so equal objects give equal bytes.
+promises. Numbers have ASCII digits, tokens are separated by ASCII blanks, blank lines are ignored,
+and keywords may be in any case. Anything wrong raises :class:`~marouting.errors.InputError` with
+one line that names the file and the line. Written files have one form only, so equal objects give
+equal bytes.
 """
 
 from marouting.problem.ispd.ispd2024 import read_contest

@@ -1,4 +1,4 @@
-"""Problems of the ISPD 2024 contest: routing resources (``.cap``) and nets (``.net``).
+"""Problems of the ISPD 2024 and 2025 contests: routing resources (``.cap``), nets (``.net``).
 
 A ``.cap`` file holds the number of layers, columns and rows; the costs of a unit of wire, of a via
 and, for each layer, of overflow; the distances between columns, X - 1 numbers, and between rows,
@@ -12,6 +12,11 @@ X distances between columns, as its toy cases do, the last one is that of the fi
 
 A ``.net`` file holds for each net its name, a line ``(``, a line ``[(layer, x, y), …]`` for each
 pin with the Gcells by which it can be reached, and a line ``)``; all are counted from 0.
+
+In the ISPD 2025 contest, the pin's name and slack precede the list: ``name, slack, [(layer, x, y),
+…]``, as the contest's own OpenROAD writes them. The last edition of its ``.cap`` files has four
+weights of timing, power and overflow in its second line, the first two of which are negative.
+Neither is of use here.
 """
 
 import os
@@ -27,12 +32,20 @@ from marouting.errors import InputError
 from marouting.problem.capacities import as_adjustments
 from marouting.problem.chip import Chip, Contest, Places
 from marouting.problem.grid import MAX_GCELLS
-from marouting.problem.ispd.lines import Lines, Record, is_number, reading, unexpected
+from marouting.problem.ispd.lines import (
+    Lines,
+    Record,
+    is_decimal,
+    is_number,
+    reading,
+    unexpected,
+)
 from marouting.problem.ispd.problem_text import ProblemRecord
 from marouting.problem.net import MAX_NUMBER, Net, Pin
 
 _PLACE = r"\([0-9]{1,9},[0-9]{1,9},[0-9]{1,9}\)"
-_pin = re.compile(rf"\[{_PLACE}(,{_PLACE})*\]").fullmatch
+_SLACK = r"[+-]?([0-9.]+(e[+-]?[0-9]+)?|inf|nan)"
+_pin = re.compile(rf"([^(]+,{_SLACK},)?(?P<places>\[{_PLACE}(,{_PLACE})*\])").fullmatch
 _places = re.compile(r"\(([0-9]+),([0-9]+),([0-9]+)\)").findall
 
 
@@ -147,6 +160,7 @@ def _read_resources(path: str | os.PathLike[str]) -> _Resources:
                 "expected numbers of layers, columns and rows from 1, "
                 f"at most {MAX_GCELLS} Gcells in all, found {layers} {columns} {rows}"
             )
+        numbers.skip_weights()
         wire_cost, via_cost = numbers.take("the costs of wire and via", 2)
         overflow_cost = numbers.take("the cost of overflow in each layer", layers)
         x_length = numbers.take("the distances between columns", columns - 1)
@@ -209,6 +223,21 @@ class _Numbers:
             self._tokens = self._tokens[need:]
         return _floats(what, found)
 
+    def skip_weights(self) -> None:
+        """Passes over ISPD 2025's weights in the next line, which are told by their signs."""
+        self._tokens = self._lines.next()
+        signs = "".join("-" if token.startswith("-") else "+" for token in self._tokens)
+        if "-" in signs:
+            at = signs.find("--++")
+            if signs.count("-") != 2 or at < 0:
+                raise unexpected(
+                    "costs from 0, or with them the four weights of ISPD 2025, of which the first "
+                    "two are negative",
+                    self._tokens,
+                )
+            _floats("weights", [token.removeprefix("-") for token in self._tokens[at : at + 4]])
+            del self._tokens[at : at + 4]
+
     def whole(self, what: str, count: int) -> list[int]:
         """The next ``count`` whole numbers."""
         tokens = self._lines.next()
@@ -219,10 +248,7 @@ class _Numbers:
 
 def _floats(what: str, tokens: list[str]) -> NDArray[np.float64]:
     """Numbers from 0 to MAX_NUMBER; raises InputError for anything else."""
-    try:
-        numbers = np.array(tokens, np.float64)
-    except ValueError:
-        raise unexpected(f"{what}: numbers", tokens) from None
+    numbers = np.array(tokens if all(map(is_decimal, tokens)) else ["nan"], np.float64)
     if not ((numbers >= 0) & (numbers <= MAX_NUMBER)).all():
         raise unexpected(f"{what}: numbers from 0 to {MAX_NUMBER}", tokens)
     return numbers
@@ -243,10 +269,13 @@ def _read_nets(path: str | os.PathLike[str]) -> _Nets:
             while (tokens := lines.next()) != [")"]:
                 if not tokens:
                     raise InputError(f"file ends inside net {name}, expected ')'")
-                text = "".join(tokens)
-                if not _pin(text):
-                    raise unexpected(f"a pin '[(layer, x, y), …]' of net {name}, or ')'", tokens)
-                for place in _places(text):
+                if not (pin := _pin("".join(tokens))):
+                    raise unexpected(
+                        "a pin '[(layer, x, y), …]' or 'name, slack, [(layer, x, y), …]' "
+                        f"of net {name}, or ')'",
+                        tokens,
+                    )
+                for place in _places(pin["places"]):
                     access.extend(map(int, place))
                 first_access.append(len(access) // 3)
                 where["pins"].append(lines.number)

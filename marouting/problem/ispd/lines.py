@@ -16,16 +16,25 @@ NUMBER = "[+-]?[0-9]{1,18}"
 
 is_number = re.compile(NUMBER).fullmatch
 
+is_decimal = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?").fullmatch
+"""Whether a text is a decimal number. Python's float() takes more, such as ``1_0`` and digits of
+other scripts."""
+
 
 class Lines:
     """The lines of a text file as tokens.
+
+    Args:
+        file: the file.
+        errors: what becomes of bytes that are not UTF-8, as for ``bytes.decode``.
 
     Attributes:
         number: the line last read, from 1.
     """
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: BinaryIO, errors: str = "strict") -> None:
         self.number = 0
+        self._errors = errors
         self._readline = file.readline
 
     def next(self) -> list[str]:
@@ -36,7 +45,8 @@ class Lines:
             if len(line) > files.LONGEST_LINE:
                 raise InputError(f"expected lines of at most {files.LONGEST_LINE} bytes")
             try:
-                tokens = line.decode().split()
+                # Of bytes, so that only ASCII blanks part them, as in the contests' own programs.
+                tokens = [token.decode(errors=self._errors) for token in line.split()]
             except UnicodeDecodeError:
                 raise InputError("expected UTF-8 text") from None
             if tokens:
@@ -62,8 +72,12 @@ class Record:
 
 
 @contextlib.contextmanager
-def reading(path: str | os.PathLike[str]) -> Iterator[Lines]:
+def reading(path: str | os.PathLike[str], errors: str = "strict") -> Iterator[Lines]:
     """Opens a file for reading.
+
+    Args:
+        path: the file.
+        errors: what becomes of bytes that are not UTF-8, as for ``bytes.decode``.
 
     Yields:
         Its lines.
@@ -73,7 +87,7 @@ def reading(path: str | os.PathLike[str]) -> Iterator[Lines]:
             and the current line are added.
     """
     with files.reading(path) as file:
-        lines = Lines(file)
+        lines = Lines(file, errors)
         try:
             yield lines
         except InputError as error:

@@ -1,22 +1,25 @@
-"""Routes as text, a net's lines between parentheses: routing guides and ISPD 2024's output.
+"""Routes as text, a net's lines between parentheses: guides, segments, and ISPD 2024's output.
 
 ::
 
-    net1                                net1
-    (                                   (
-    330000 51300 336000 57000 Metal1    2 2 3 3 2 3
-    )                                   )
+    net1                              net1                                 net1
+    (                                 (                                    (
+    330000 51300 336000 57000 met1    3600 205200 met3 9900 205200 met3    2 2 3 3 2 3
+    )                                 )                                    )
 
 The left one is the routing guide of the ISPD 2018 and 2019 contests: boxes ``xlo ylo xhi yhi`` in
-chip coordinates and the name of their layer. The right one is the output of the ISPD 2024 contest:
-segments ``x y layer x y layer`` in Gcells, counted from 0. Its first form was that of guides, with
-columns and rows in place of coordinates.
+chip coordinates and the name of their layer. The middle one is what OpenROAD's
+``write_global_route_segments`` writes, which is also the output of the ISPD 2025 contest: segments
+``x y layer x y layer`` in chip coordinates, anywhere inside their Gcells, with names of layers. The
+right one is the output of the ISPD 2024 contest: the same in Gcells, counted from 0, with numbers
+of layers. Its first form was that of guides, with columns and rows in place of coordinates.
 """
 
 import os
 from array import array
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,19 +31,20 @@ from marouting.problem.ispd.lines import Lines, Record, is_number, unexpected
 
 @dataclass(frozen=True)
 class RoutesRecord(Record):
-    """The lines of such a file, either boxes or segments.
+    """The lines of such a file, of one form; the other two arrays are empty.
 
     Attributes:
         net: (n,) int64, the index of the net of each line.
-        boxes: (n, 5) int64, lower left and upper right corner and the layer, from 0; none in a
-            file of segments.
-        segments: (n, 2, 3) int64, the ends of each segment: column, row, layer; none in a file of
-            boxes.
+        boxes: (n, 5) int64, lower left and upper right corner and the layer, from 0.
+        points: (n, 2, 3) int64, the ends of each of OpenROAD's segments: x and y in chip
+            coordinates, layer from 0.
+        segments: (n, 2, 3) int64, the ends of each of ISPD 2024's segments: column, row, layer.
         lines: for ``"segments"`` the line of each box or segment.
     """
 
     net: NDArray[np.int64]
     boxes: NDArray[np.int64]
+    points: NDArray[np.int64]
     segments: NDArray[np.int64]
 
 
@@ -64,9 +68,9 @@ def read_routes(
         InputError: the file is not of this form, has a net twice, or names an unknown net or layer.
     """
     known = {name: index for index, name in enumerate(nets)}
-    level = {name: index for index, name in enumerate(layers)}
+    level = {name: str(index) for index, name in enumerate(layers)}
     net, numbers, values = array("q"), array("q"), array("q")
-    width = 0  # of all lines between parentheses, once the first is read
+    form: _Form | None = None  # of all lines between parentheses, once the first is read
     while header:
         if len(header) != 1 or header[0] not in known:
             raise unexpected("a net of the problem that no earlier block is of", header)
@@ -77,38 +81,64 @@ def read_routes(
         while (tokens := lines.next()) != [")"]:
             if not tokens:
                 raise InputError(f"file ends inside net {name}, expected ')'")
-            width = width or len(tokens)
-            box = width == 5
-            if width not in (5, 6) or len(tokens) != width:
-                raise unexpected(_EXPECTED[width if width in (5, 6) else 0], tokens)
-            if not all(map(is_number, tokens[: width - box])):
-                raise unexpected(_EXPECTED[width], tokens)
-            values.extend(map(int, tokens[: width - box]))
-            if box:
-                if tokens[4] not in level:
+            form = form or next((form for form in _FORMS if form.fits(tokens)), None)
+            if form is None:
+                raise unexpected(f"{', '.join(map(str, _FORMS))} or ')'", tokens)
+            if not form.fits(tokens):
+                raise unexpected(f"{form} or ')'", tokens)
+            for place in form.names:
+                if (layer := tokens[place]) not in level:
                     raise InputError(
-                        f"layer {tokens[4]}: {nearest(tokens[4], level)}expected a layer of the "
+                        f"layer {layer}: {nearest(layer, level)}expected a layer of the "
                         f"problem: {', '.join(layers)}"
                     )
-                values.append(level[tokens[4]])
+                tokens[place] = level[layer]
+            values.extend(map(int, tokens))
             net.append(index)
             numbers.append(lines.number)
         header = lines.next()
     table = np.frombuffer(values, np.int64)
+    boxes, points, segments = (
+        table if form is own else table[:0] for own in (_BOX, _NAMED, _NUMBERED)
+    )
     return RoutesRecord(
         file,
         {"segments": numbers},
         np.frombuffer(net, np.int64),
-        table[: len(table) * (width == 5)].reshape(-1, 5),
-        table[: len(table) * (width != 5)].reshape(-1, 2, 3),
+        boxes.reshape(-1, 5),
+        points.reshape(-1, 2, 3),
+        segments.reshape(-1, 2, 3),
     )
 
 
-_EXPECTED = {
-    0: "a box 'x y x y layer', a segment 'x y layer x y layer' or ')'",
-    5: "a box 'x y x y layer' or ')'",
-    6: "a segment 'x y layer x y layer' or ')'",
-}
+class _Form(NamedTuple):
+    """What the lines between parentheses hold.
+
+    Attributes:
+        what: in words.
+        numbers: which tokens of a line are numbers.
+        names: which are names of layers.
+    """
+
+    what: str
+    numbers: tuple[int, ...]
+    names: tuple[int, ...] = ()
+
+    def __str__(self) -> str:
+        return self.what
+
+    def fits(self, tokens: list[str]) -> bool:
+        """Whether a line is of this form."""
+        return len(tokens) == len(self.numbers) + len(self.names) and all(
+            map(is_number, [tokens[place] for place in self.numbers])
+        )
+
+
+_BOX = _Form("a box 'x y x y layer'", (0, 1, 2, 3), (4,))
+_NUMBERED = _Form("a segment 'x y layer x y layer'", (0, 1, 2, 3, 4, 5))
+_NAMED = _Form("a segment 'x y layer x y layer' with names of layers", (0, 1, 3, 4), (2, 5))
+_FORMS = (_BOX, _NUMBERED, _NAMED)
+"""The forms; a line is of the first that it fits, since a layer may be called by a number."""
 
 
 def write_routes(

@@ -2,6 +2,7 @@
 
 import os
 import re
+import warnings
 from array import array
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -42,6 +43,12 @@ def read_solution(
     :mod:`~marouting.problem.ispd.routes_text` begin; all others are ISPD solution text. A net
     without a block has no segments.
 
+    As in the contest's evaluator, nets are told by their names. An id that is not the problem's
+    (NTHU-Route numbers the nets anew) and a number of segments that is not that of the block are
+    no errors: some routers do not count, and the solutions that Liao et al. published have wrong
+    numbers in most of their blocks. But a number can show that a line is lost, so there is one
+    ``UserWarning`` for all wrong ids of a file and one for all wrong numbers.
+
     Args:
         path: the file.
         nets: name and id of each of the problem's nets; names are unique.
@@ -51,8 +58,8 @@ def read_solution(
         The segments or boxes in file order.
 
     Raises:
-        InputError: the file cannot be read, is not of this format, or names a net twice, an
-            unknown net, or a net with another id.
+        InputError: the file cannot be read, is not of this format, or names a net twice or an
+            unknown net.
     """
     ids: list[int] = []
     known: dict[str, int] = {}
@@ -60,6 +67,7 @@ def read_solution(
         known[name] = index
         ids.append(id_)
     net, numbers, points = array("q"), array("q"), array("q")
+    other_ids, other_counts = _Differences(path), _Differences(path)
     with reading(path) as lines:
         header = lines.next()
         if len(header) == 1:
@@ -67,12 +75,13 @@ def read_solution(
         while header:
             if len(header) not in (2, 3) or not all(map(is_number, header[1:])):
                 raise unexpected("a net's name, id and (optional) number of segments", header)
-            name, found = header[0], int(header[1])
+            name, (found, *count), at = header[0], map(int, header[1:]), lines.number
             if name not in known:
                 raise unexpected("a net of the problem that no earlier block is of", header)
             index = known.pop(name)
             if found != ids[index]:
-                raise InputError(f"net {name}: expected id {ids[index]}, found {found}")
+                other_ids.add(at, f"net {name}: expected id {ids[index]}, found {found}")
+            before = len(net)
             while (tokens := lines.next()) != ["!"]:
                 if not tokens:
                     raise InputError(f"file ends inside net {name}, expected '!'")
@@ -82,13 +91,41 @@ def read_solution(
                 net.append(index)
                 numbers.append(lines.number)
                 points.extend(map(int, match.groups()))
+            listed = len(net) - before
+            if count and count[0] != listed:
+                what = f"expected {count[0]} segments, as this line says, found {listed}"
+                other_counts.add(at, f"net {name}: {what}")
             header = lines.next()
+    other_ids.warn("nets are told by their names")
+    other_counts.warn("what is listed counts; lines may be lost")
     return SolutionRecord(
         os.fspath(path),
         {"segments": numbers},
         np.frombuffer(net, np.int64),
         np.frombuffer(points, np.int64).reshape(-1, 2, 3),
     )
+
+
+class _Differences:
+    """What a file says that is not so, of which one warning tells.
+
+    Args:
+        path: the file.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path, self._first, self._count = os.fspath(path), "", 0
+
+    def add(self, line: int, what: str) -> None:
+        """Notes a difference in a line."""
+        self._first = self._first or f"{self._path}:{line}: {what}"
+        self._count += 1
+
+    def warn(self, outcome: str) -> None:
+        """Warns of all of them, if there are any: of the first one, and how many there are."""
+        if self._count:
+            more = f" ({self._count} such nets in this file)" if self._count > 1 else ""
+            warnings.warn(f"{self._first}{more}: {outcome}", stacklevel=4)
 
 
 def write_solution(

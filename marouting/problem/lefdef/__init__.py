@@ -1,7 +1,7 @@
 """LEF/DEF designs, as of the ISPD 2018 and 2019 contests, as global routing problems.
 
 A DEF file places the macros that LEF files describe, and says which of their pins each net joins.
-What can be routed follows from tracks and from what lies in their way:
+Capacity comes from the tracks, less those that shapes block:
 
 * A **Gcell** is a field of the DEF's GCELLGRID, or of a tile that is given, or of 15 tracks; with
   tiles, the last Gcell of a row takes what is left. Fields may differ in size; the problem has them
@@ -16,8 +16,9 @@ What can be routed follows from tracks and from what lies in their way:
 Where to look:
 
 * :mod:`~marouting.problem.lefdef.statements`: files as statements, with their lines.
-* :mod:`~marouting.problem.lefdef.texts`: layers' rules, nets, tracks and Gcells, which no library
-  at hand gives.
+* :mod:`~marouting.problem.lefdef.lef_text`: layers' rules, and the names of vias, macros and pins.
+* :mod:`~marouting.problem.lefdef.def_text`: tracks, Gcells, components, pins and nets, which
+  klayout does not provide.
 * :mod:`~marouting.problem.lefdef.shapes`: shapes of macros, pins, wires and blockages, read by
   klayout (the extra ``lefdef``).
 * :mod:`~marouting.problem.lefdef.tracks`: tracks and their capacity.

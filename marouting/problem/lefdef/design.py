@@ -2,22 +2,27 @@
 
 import math
 import os
+import tempfile
 from array import array
 from collections import defaultdict
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting import files
 from marouting.errors import InputError
 from marouting.memory import NET, PIN, check_memory
 from marouting.problem.capacities import as_adjustments
 from marouting.problem.chip import Chip, Places
 from marouting.problem.grid import MAX_GCELLS
 from marouting.problem.ispd.problem_text import ProblemRecord
+from marouting.problem.lefdef.def_text import Design, Tracks, read_def
+from marouting.problem.lefdef.lef_text import Layer, Library, read_library
 from marouting.problem.lefdef.shapes import Shapes, moved_pins, read_shapes
-from marouting.problem.lefdef.texts import Design, Layer, Library, Tracks, read_def, read_library
+from marouting.problem.lefdef.statements import copying
 from marouting.problem.lefdef.tracks import capacity_of_layer, places
 from marouting.problem.net import MAX_NUMBER, Net, Pin
 
@@ -45,29 +50,39 @@ def read_design(
             not installed.
     """
     library = Library()
-    for file in lef:
-        read_library(file, library)
-    if not library.layers:
-        names = ", ".join(os.fspath(file) for file in lef)
-        raise InputError(f"{names}: expected at least one routing layer")
-    design = read_def(path, library)
-    x, y = _lines(design, library.layers, tile)
-    layers = library.layers
-    columns, rows = len(x) - 1, len(y) - 1
-    grid = (columns, rows, len(layers))
-    if math.prod(grid) > MAX_GCELLS:
-        raise InputError(
-            f"{design.file}: expected at most {MAX_GCELLS} Gcells in all, "
-            f"found {columns}x{rows}x{len(layers)}"
-        )
-    check_memory(NET * len(design.nets) + PIN * len(design.connections), "{}", design.file)
-    shapes = read_shapes(path, lef, design.units, [layer.name for layer in layers])
+    with (
+        files.naming(tempfile.gettempdir(), "cannot be written"),
+        tempfile.TemporaryDirectory(prefix="marouting-") as folder,
+    ):
+        # klayout gets copies: its reader is stricter than others with blanks, takes names of files
+        # as formulas and relative to one another, and reads statements that mean nothing here.
+        copies = [Path(folder) / f"{number}.lef" for number in range(len(lef))]
+        for file, name in zip(lef, copies, strict=True):
+            with copying(name) as copy:
+                read_library(file, library, copy)
+        library.check()
+        layers = library.layers
+        if not layers:
+            raise InputError(f"{', '.join(library.files)}: expected at least one routing layer")
+        with copying(Path(folder) / "chip.def") as copy:
+            design = read_def(path, library, copy)
+        x, y = _lines(design, layers, tile)
+        grid = (len(x) - 1, len(y) - 1, len(layers))
+        if math.prod(grid) > MAX_GCELLS:
+            raise InputError(
+                f"{design.file}: expected at most {MAX_GCELLS} Gcells in all, "
+                f"found {'x'.join(map(str, grid))}"
+            )
+        check_memory(NET * len(design.nets) + PIN * len(design.connections), "{}", design.file)
+        shapes = read_shapes(Path(folder) / "chip.def", copies, design, library)
     capacity = np.zeros(grid, np.int64)
     for z, layer in enumerate(layers):
-        capacity[..., z] = _capacity(design, layer, shapes.all[shapes.all[:, 0] == z], x, y)
+        boxes = shapes.all[shapes.all[:, 0] == z, 1:]
+        capacity[..., z] = _capacity(design, layer, boxes, shapes.outside, x, y)
     axis = np.array([layer.axis for layer in layers])
     fields = as_adjustments(capacity, axis, np.ones(len(layers), np.bool_))
-    pins = _pin_gcells(design, shapes, x, y, len(layers))
+    owner, pin_boxes = _located_pins(design, shapes)
+    pins = _pin_gcells(design, owner, pin_boxes, x, y, len(layers))
     origin = (int(x[0]), int(y[0]))
     side = (_usual(np.diff(x)), _usual(np.diff(y)))
     at = np.array(origin) + pins.gcell[:, :2] * np.array(side) + np.array(side) // 2
@@ -118,10 +133,9 @@ def _lines(
     design: Design, layers: Sequence[Layer], tile: tuple[int, int] | None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The lines between Gcells along x and along y, with the borders of the die."""
-    assert design.die is not None
     found = []
     for axis in (0, 1):
-        low, high = design.die[axis], design.die[axis + 2]
+        low, high = design.box[axis], design.box[axis + 2]
         own = [line for line in design.gcells if line.axis == axis]
         if tile is None and own:
             inner = places(own, low, high, design.file)
@@ -156,14 +170,27 @@ def _capacity(
     design: Design,
     layer: Layer,
     boxes: NDArray[np.int64],
+    outside: NDArray[np.int64],
     x: NDArray[np.int64],
     y: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """(X, Y) the capacity of a layer's edges; ``boxes`` (k, 5) are all shapes in it."""
-    assert design.die is not None
+    """(X, Y) the capacity of a layer's edges.
+
+    Args:
+        design: the design.
+        layer: the layer.
+        boxes: (k, 4) the sides of all shapes in the layer, from which wires keep their distance.
+        outside: (m, 4) the sides of what is no chip: a wire may run along its border.
+        x: (X + 1,) the lines between columns.
+        y: (Y + 1,) the lines between rows.
+    """
     across = 1 - layer.axis  # the axis along which tracks have their places
-    low, high = design.die[across], design.die[across + 2]
-    own = [t for t in design.tracks if t.axis == across and (layer.name in t.layers)]
+    low, high = design.box[across], design.box[across + 2]
+    own = [
+        t
+        for t in design.tracks  # those that name no layer are of all layers
+        if t.axis == across and (layer.name in t.layers or not t.layers)
+    ]
     if not own:
         pitch = _pitch(design, layer, across)
         offset = layer.offset[across] * design.units if layer.offset else pitch / 2
@@ -172,10 +199,12 @@ def _capacity(
     spacing = layer.spacing
     if spacing is None:
         spacing = max(0.0, layer.pitch[across] - layer.width)
-    halo = round((layer.width + 2 * spacing) * design.units)
+    distance = round((layer.width + 2 * spacing) * design.units)
+    halo = np.repeat(np.array([distance, 0]), (len(boxes), len(outside)))
+    left, lowest, right, highest = np.concatenate((boxes, outside)).T
     if layer.axis == 0:
-        return capacity_of_layer(tracks, x, y, boxes[:, [1, 3, 2, 4]], halo)
-    return capacity_of_layer(tracks, y, x, boxes[:, [2, 4, 1, 3]], halo).T
+        return capacity_of_layer(tracks, x, y, np.stack((left, right, lowest, highest), 1), halo)
+    return capacity_of_layer(tracks, y, x, np.stack((lowest, highest, left, right), 1), halo).T
 
 
 class _Pins(NamedTuple):
@@ -183,11 +212,49 @@ class _Pins(NamedTuple):
     places: Places
 
 
-def _pin_gcells(
-    design: Design, shapes: Shapes, x: NDArray[np.int64], y: NDArray[np.int64], layers: int
-) -> _Pins:
-    """The Gcell of every connection, and all that the pin lies in."""
+def _located_pins(design: Design, shapes: Shapes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The boxes of all connections, cut to the die.
+
+    Nets with one pin that is nowhere on the die leave the design: there is nothing to route.
+
+    Returns:
+        (boxes,) the connection that each box belongs to; (boxes, 5) layers and sides.
+
+    Raises:
+        InputError: a pin of another net is nowhere on the die.
+    """
     owner, boxes = _pin_boxes(design, shapes)
+    left, low, right, high = design.box
+    on_die = (boxes[:, 1] < right) & (boxes[:, 3] > left)
+    on_die &= (boxes[:, 2] < high) & (boxes[:, 4] > low)
+    for sides in shapes.outside:  # of a die that is no rectangle
+        on_die &= (boxes[:, 1:3] < sides[:2]).any(axis=1) | (boxes[:, 3:] > sides[2:]).any(axis=1)
+    missing = np.setdiff1d(np.arange(len(design.connections)), owner[on_die])
+    if not len(missing):
+        return owner[on_die], boxes[on_die]
+    nets = np.searchsorted(design.first, missing, "right") - 1
+    several = np.flatnonzero(np.diff(design.first)[nets] > 1)
+    if len(several):
+        net, connection = nets[several[0]], missing[several[0]]
+        component, name = design.connections[connection]
+        lacks = "lies outside the die" if connection in owner else "has no shape in a routing layer"
+        raise InputError(
+            f"{design.file}:{design.lines[net]}: net {design.nets[net]}: "
+            f"pin {name} of {component} {lacks}"
+        )
+    design.leave_out(set(nets.tolist()))
+    return _located_pins(design, shapes)
+
+
+def _pin_gcells(
+    design: Design,
+    owner: NDArray[np.int64],
+    boxes: NDArray[np.int64],
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    layers: int,
+) -> _Pins:
+    """The Gcell of every connection, and all that the pin lies in; ``boxes`` as located."""
     first = [np.searchsorted(at, boxes[:, 1 + i], "right") - 1 for i, at in enumerate((x, y))]
     last = [np.searchsorted(at, boxes[:, 3 + i], "left") - 1 for i, at in enumerate((x, y))]
     first = [column.clip(0) for column in first]
@@ -195,10 +262,7 @@ def _pin_gcells(
         np.minimum(np.maximum(b, a), len(at) - 2)
         for a, b, at in zip(first, last, (x, y), strict=True)
     ]
-    on_die = (boxes[:, 1] < x[-1]) & (boxes[:, 3] > x[0])
-    on_die &= (boxes[:, 2] < y[-1]) & (boxes[:, 4] > y[0])
-    wide = np.where(on_die, last[0] - first[0] + 1, 0)
-    high = np.where(on_die, last[1] - first[1] + 1, 0)
+    wide, high = last[0] - first[0] + 1, last[1] - first[1] + 1
     sizes = wide * high
     index = np.repeat(np.arange(len(boxes)), sizes)
     check_memory(PIN * len(index), "pins in {} Gcells", len(index))
@@ -216,13 +280,6 @@ def _pin_gcells(
     np.add.at(total, same, area)
     pin, gcell = np.divmod(keys, size)
     connections = np.arange(len(design.connections))
-    if len(missing := np.setdiff1d(connections, pin)):
-        net = int(np.searchsorted(design.first, missing[0], "right")) - 1
-        component, name = design.connections[missing[0]]
-        raise InputError(
-            f"{design.file}:{design.lines[net]}: net {design.nets[net]}: expected pin {name} of "
-            f"{component} to have a shape in a routing layer, on the die"
-        )
     order = np.lexsort((gcell, -total, pin))  # of equal areas the lowest Gcell counts
     best = order[np.searchsorted(pin[order], connections)]
     position = np.stack((gcell // layers // rows, gcell // layers % rows, gcell % layers), axis=1)
@@ -233,9 +290,7 @@ def _pin_gcells(
 def _pin_boxes(design: Design, shapes: Shapes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(boxes,) the connection that each box belongs to, and (boxes, 5) the boxes on the chip."""
     alike: dict[tuple[int, int, str], list[tuple[int, int, int]]] = defaultdict(list)
-    for number, names in enumerate(design.connections):
-        # klayout's names are without the backslashes that keep brackets from being a bus.
-        component, pin = (name.replace("\\", "") for name in names)
+    for number, (component, pin) in enumerate(design.connections):
         if component == "PIN":
             alike[shapes.top, 0, pin].append((number, 0, 0))
         elif component in shapes.places:

@@ -1,8 +1,10 @@
 """Shapes of macros, pins, wires and blockages, read by klayout."""
 
 import os
+import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +12,8 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.memory import check_memory
+from marouting.problem.lefdef.def_text import Design
+from marouting.problem.lefdef.lef_text import Library
 
 Boxes = NDArray[np.int64]
 """(n, 5) rows of a layer, from 0, and a box's left, lower, right and upper side."""
@@ -34,13 +38,15 @@ class Shapes(NamedTuple):
             Those of the design's own pins are where they are in the design.
         places: for each component its place.
         top: the number of the design's own cell.
-        all: every box on the chip that a wire has to avoid.
+        all: every box on the chip that a wire has to keep away from.
+        outside: (n, 4) the sides of boxes in no layer, in which there is no chip.
     """
 
     pins: Mapping[int, Mapping[str, Boxes]]
     places: Mapping[str, Place]
     top: int
     all: Boxes
+    outside: NDArray[np.int64]
 
 
 def turned(boxes: Boxes, turn: int) -> Boxes:
@@ -59,85 +65,145 @@ def turned(boxes: Boxes, turn: int) -> Boxes:
 def read_shapes(
     path: str | os.PathLike[str],
     lef: Sequence[str | os.PathLike[str]],
-    units: int,
-    layers: Sequence[str],
+    design: Design,
+    library: Library,
 ) -> Shapes:
     """Reads the shapes in the routing layers.
 
     Args:
-        path: the DEF file.
-        lef: the LEF files.
-        units: how many make a micrometre.
-        layers: the names of the routing layers, lowest first.
+        path: the DEF file's copy.
+        lef: the LEF files' copies, beside it.
+        design: what the DEF file says in words.
+        library: what the LEF files say in words.
 
     Raises:
-        InputError: klayout is not installed or cannot read a file.
+        InputError: klayout is not installed, cannot read a file, or finds a shape in a layer that
+            the LEF files do not define.
     """
     try:
         import klayout.db as db
     except ImportError:
         raise InputError(
-            f"{os.fspath(path)}: designs need more packages: pip install 'marouting[lefdef]'"
+            f"{design.file}: designs need more packages: pip install 'marouting[lefdef]'"
         ) from None
     options = db.LoadLayoutOptions()
     options.warn_level = 0
     config = options.lefdef_config
-    config.lef_files = [os.fspath(file) for file in lef]
-    config.dbu = 1 / units
+    # klayout takes names as relative to the DEF file's folder, and a $ in them for a formula.
+    config.lef_files = [Path(file).name for file in lef]
+    config.dbu = 1 / design.units
     config.read_lef_with_def = False
+    config.skip_duplicate_macros = True
     config.macro_resolution_mode = 1  # the shapes of LEF, not those of a GDS file
     config.pin_property_name, config.instance_property_name = "pin", "instance"
-    suffixes = {
-        "lef_pins_suffix": ".LEFPIN",
-        "pins_suffix": ".PIN",
-        "obstructions_suffix": ".OBS",
-        "blockages_suffix": ".BLK",
-        "special_routing_suffix": ".NET",
-        "via_geometry_suffix": ".VIA",
-    }
-    for name, suffix in suffixes.items():
-        setattr(config, name, suffix)
+    config.via_cellname_prefix = _VIA
+    for number, kind in enumerate(_KINDS):
+        setattr(config, f"{kind}_suffix", f".{kind}")
+        # Kinds with one datatype would share a layer, whose name joins theirs.
+        setattr(config, f"{kind}_datatype", number)
     for name in ("labels", "lef_labels", "cell_outlines", "regions", "placement_blockages"):
         setattr(config, f"produce_{name}", False)
     config.produce_fills = config.produce_routing = False
     config.produce_lef_pins = config.produce_obstructions = True
-    kinds = {
-        f"{name}{suffix}": (z, suffix in (".LEFPIN", ".PIN"))
-        for z, name in enumerate(layers)
-        for suffix in suffixes.values()
-    }
+    row = {name: z for z, name in enumerate(library.routing)}
     layout = db.Layout()
     pins: dict[int, dict[str, Boxes]] = {}
     solid: dict[int, Boxes] = {}
     try:
         layout.read(os.fspath(path), options)
         top = layout.top_cell()
-        known = [
-            (index, *kinds[info.name])
-            for index, info in zip(layout.layer_indexes(), layout.layer_infos(), strict=True)
-            if info.name in kinds
-        ]
-        for cell in layout.each_cell():
-            pins[cell.cell_index()], solid[cell.cell_index()] = _boxes_of(db, cell, known)
-    except RuntimeError as error:  # klayout's only one; it names the file and the line
-        raise InputError(f"{os.fspath(path)}: klayout: {error}") from None
+        known = []
+        for index, info in zip(layout.layer_indexes(), layout.layer_infos(), strict=True):
+            name, _, kind = info.name.rpartition(".")
+            if name in row and kind in _KINDS:
+                known.append((index, row[name], kind in ("lef_pins", "pins")))
+            elif name not in library.others or kind not in _KINDS:
+                cells = [c.name for c in layout.each_cell() if not c.shapes(index).is_empty()]
+                raise InputError(
+                    f"{design.file}: layer {name or info} of {_KINDS.get(kind, 'a shape')}, "
+                    f"in {cells[0] if cells else top.name}: expected a layer of the LEF files"
+                )
+        for index in layout.each_cell_bottom_up():
+            pins[index], own = _boxes_of(db, layout.cell(index), known)
+            solid[index] = _with_instances(layout.cell(index), own, solid)
+    except RuntimeError as error:  # klayout's only one
+        raise InputError(_located(str(error), path, lef, design, library)) from None
+    placed_vias = [(top, *via) for via in design.pin_vias]
+    for macro, pin, via, x, y in library.pin_vias:
+        if (cell := layout.cell(macro)) is not None:  # the design has such a component
+            at = (round(x * design.units), round(y * design.units))
+            placed_vias.append((cell, pin, via, 0, *at))
+    for cell, pin, via, turn, x, y in placed_vias:
+        boxes = turned(solid[layout.cell(f"{_VIA}{via}").cell_index()], turn)
+        of_pin = pins[cell.cell_index()].get(pin, NO_BOXES)
+        moved = _moved(boxes, np.array([[x, y]]))[0]
+        pins[cell.cell_index()][pin] = np.concatenate((of_pin, moved))
     places: dict[str, Place] = {}
-    alike: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
     for instance in top.each_inst():
+        if (name := instance.property("instance")) is not None:
+            trans = instance.trans
+            places[str(name)] = Place(
+                int(instance.cell_index), trans.rot, trans.disp.x, trans.disp.y
+            )
+    index = top.cell_index()
+    return Shapes(pins, places, index, solid[index], _outside(db, design))
+
+
+def _with_instances(cell: Any, own: Boxes, solid: Mapping[int, Boxes]) -> Boxes:
+    """A cell's own boxes and those of the cells placed in it, whose boxes are known."""
+    alike: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
+    for instance in cell.each_inst():
         at, number, turn = instance.trans.disp, int(instance.cell_index), instance.trans.rot
         alike[number, turn] += [
             (at.x + instance.a.x * i + instance.b.x * j, at.y + instance.a.y * i + instance.b.y * j)
             for i in range(max(1, instance.na))
             for j in range(max(1, instance.nb))
         ]
-        if (name := instance.property("instance")) is not None:
-            places[str(name)] = Place(number, turn, at.x, at.y)
-    parts = [solid[top.cell_index()]]
     count = sum(len(solid[number]) * len(moves) for (number, _), moves in alike.items())
     check_memory(_BOX * count, "{} shapes", count)
+    parts = [own]
     for (number, turn), moves in alike.items():
         parts.append(_moved(turned(solid[number], turn), np.array(moves)).reshape(-1, 5))
-    return Shapes(pins, places, top.cell_index(), np.concatenate(parts))
+    return np.concatenate(parts)
+
+
+_KINDS = {
+    "lef_pins": "a macro's pin",
+    "pins": "a pin",
+    "obstructions": "a macro's obstruction",
+    "blockages": "a blockage",
+    "special_routing": "a special net",
+    "via_geometry": "a via",
+}
+"""klayout's kinds of shapes and what they are; klayout's name of a layer ends with ``.kind``."""
+
+_VIA = "via "
+"""How klayout's cells of vias begin; no macro's name has a blank."""
+
+
+def _located(
+    message: str,
+    path: str | os.PathLike[str],
+    lef: Sequence[str | os.PathLike[str]],
+    design: Design,
+    library: Library,
+) -> str:
+    """Klayout's message about a copy as one about the file, in whose lines the copy is."""
+    names = {Path(path).name: design.file}
+    names |= {Path(copy).name: file for copy, file in zip(lef, library.files, strict=True)}
+    match = re.fullmatch(r"(.*) \(line=([0-9]+), cell=.*, file=(.*?)\).*", message, re.DOTALL)
+    if match is None or (file := names.get(Path(match[3]).name)) is None:
+        return f"{design.file}: klayout: {message}"
+    return f"{file}:{match[2]}: klayout: {match[1]}"
+
+
+def _outside(db: Any, design: Design) -> NDArray[np.int64]:
+    """(n, 4) boxes that cover what is not die of the box around the die."""
+    corners = db.Region(db.Polygon([db.Point(x, y) for x, y in design.die]))
+    outside = db.Region(db.Box(*design.box)) - corners
+    boxes = [part.bbox() for part in outside.decompose_trapezoids_to_region().each()]
+    sides = [(box.left, box.bottom, box.right, box.top) for box in boxes]
+    return np.array(sides, np.int64).reshape(-1, 4)
 
 
 _BOX = 160

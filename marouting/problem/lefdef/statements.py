@@ -1,18 +1,61 @@
 """LEF and DEF files as words and statements."""
 
+import contextlib
+import os
+import re
+from collections.abc import Iterator, Sequence
+from typing import TextIO
+
 from marouting.errors import InputError
 from marouting.problem.ispd.lines import Lines, unexpected
 
+ENCODING_ERRORS = "surrogateescape"
+"""For reading: comments may hold any bytes."""
+
+
+class Copy:
+    """A copy of statements for klayout, each in the line in which it begins in the file.
+
+    So the lines in klayout's messages are those of the file.
+
+    Args:
+        file: is written to.
+    """
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self._line = 1
+
+    def write(self, line: int, words: Sequence[str]) -> None:
+        """Writes words in a line, or after what was written last if that stands further down."""
+        try:
+            self._file.write("\n" * (line - self._line) + " ".join(words) + " ")
+        except UnicodeEncodeError:
+            raise InputError("expected UTF-8 text outside of comments") from None
+        self._line = max(line, self._line)
+
+
+@contextlib.contextmanager
+def copying(path: str | os.PathLike[str]) -> Iterator[Copy]:
+    """Opens a file for a copy."""
+    with open(path, "w", encoding="utf-8") as file:  # noqa: PTH123
+        yield Copy(file)
+
 
 class Statements:
-    """The words of a file, without comments; a text in quotes is one word.
+    """The words of a file, without comments.
+
+    A text in quotes is one word. A semicolon or a parenthesis is a word of its own, also where no
+    blank separates it from its neighbour.
 
     Args:
         lines: the file.
+        copy: gets every word that is read; None for no copy.
     """
 
-    def __init__(self, lines: Lines) -> None:
+    def __init__(self, lines: Lines, copy: Copy | None = None) -> None:
         self._lines = lines
+        self._copy = copy
         self._words: list[str] = []
 
     @property
@@ -25,6 +68,10 @@ class Statements:
         if not self._words:
             self._fill()
         return self._words.pop() if self._words else ""
+
+    def keyword(self) -> str:
+        """The next word in capitals: keywords may be in any case."""
+        return self.word().upper()
 
     def peek(self) -> str:
         """The next word, which stays the next one."""
@@ -49,7 +96,7 @@ class Statements:
             raise unexpected(f"'{what}'", [word] if word else [])
 
     def skip_to(self, *end: str) -> None:
-        """Passes over everything up to and with these words in a row."""
+        """Passes over everything up to and with these words in a row, the first a keyword."""
         begun = self.line
         matched = 0
         while matched < len(end):
@@ -58,47 +105,95 @@ class Statements:
                 raise InputError(
                     f"file ends, expected '{' '.join(end)}' for what begins in line {begun}"
                 )
-            matched = matched + 1 if word == end[matched] else int(word == end[0])
+            if word == end[matched] or (word.upper() == end[matched] and word.isalpha()):
+                matched += 1
+            else:
+                matched = int(word.upper() == end[0])
 
     def _fill(self) -> None:
         """Takes the words of the next line that has any, last word first."""
         while tokens := self._lines.next():
+            begun = self.line
             words: list[str] = []
             at = 0
+            tokens[0] = tokens[0].removeprefix(_BOM)  # of a file that was joined to others
             while at < len(tokens):
                 token = tokens[at]
                 at += 1
-                if token.startswith("#"):
+                if not token:
+                    continue
+                if token[0] == "#":
                     break
-                if token.startswith('"') and (len(token) == 1 or not token.endswith('"')):
-                    tokens, at = self._quoted(tokens[at:]), 0
-                words.append(token)
+                if token[0] == '"':
+                    text, tokens = self._quoted(tokens[at - 1 :])
+                    at = 0
+                    words.append(text)
+                elif len(token) > 1 and (";" in token or "(" in token or ")" in token):
+                    parts = _parts(token)
+                    glued = next((i for i, part in enumerate(parts) if part[0] == "#"), None)
+                    words += parts[:glued]
+                    if glued is not None:
+                        break
+                else:
+                    words.append(token)
             if words:
+                if self._copy is not None:
+                    self._copy.write(begun, words)
                 words.reverse()
                 self._words = words
                 return
 
-    def _quoted(self, tokens: list[str]) -> list[str]:
-        """Passes over the rest of a text in quotes; returns what follows in its last line."""
+    def _quoted(self, tokens: list[str]) -> tuple[str, list[str]]:
+        """A text in quotes, with blanks for line ends, and the tokens that follow it in its line.
+
+        Args:
+            tokens: of the line in which it begins, from there on.
+        """
         begun = self.line
-        while True:
+        text: list[str] = []
+        skipped = 1  # the quote at the beginning
+        while tokens:
             for at, token in enumerate(tokens):
-                if token.endswith('"'):
-                    return tokens[at + 1 :]
+                end = token.find('"', skipped)
+                skipped = 0
+                if end >= 0:
+                    glued = [token[end + 1 :]] if token[end + 1 :] else []
+                    return " ".join([*text, token[: end + 1]]), glued + tokens[at + 1 :]
+                text.append(token)
             tokens = self._lines.next()
-            if not tokens:
-                raise InputError(f"file ends inside a text in quotes, which begins in line {begun}")
+        raise InputError(f"file ends inside a text in quotes, which begins in line {begun}")
 
 
+_BOM = "\ufeff"
 _MOST_WORDS = 2**22
+
+MOST_CUTS = 10**6
+"""The most cuts of a via made by rule, and vias of an array: each becomes a shape."""
+
+
+def _parts(token: str) -> list[str]:
+    """The words of a token with semicolons or parentheses in it.
+
+    Parentheses may be part of a name, such as that of a bus's bit: ``a(3)``.
+    """
+    words: list[str] = []
+    for word in token.replace(";", " ; ").replace(")(", ") (").replace(")+", ") + ").split():
+        name = word.lstrip("(")
+        closing = min(len(name) - len(name.rstrip(")")), max(0, name.count(")") - name.count("(")))
+        words += "(" * (len(word) - len(name))
+        words += [name[: len(name) - closing]] if len(name) > closing else []
+        words += ")" * closing
+    return words
+
+
+_number = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,9})?").fullmatch
 
 
 def number(word: str, what: str) -> float:
     """A word as a number; raises InputError for another word."""
-    try:
-        value = float(word)
-    except ValueError:
-        raise unexpected(f"{what}, a number", [word]) from None
+    if not _number(word):
+        raise unexpected(f"{what}, a number", [word])
+    value = float(word)
     if not abs(value) <= LARGEST:
         raise unexpected(f"{what}, a number from -{LARGEST:g} to {LARGEST:g}", [word])
     return value

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.memory import check_memory
-from marouting.problem.lefdef.texts import Tracks
+from marouting.problem.lefdef.def_text import Tracks
 
 _MOST = 2**20
 """The most tracks of a layer, and lines between Gcells."""
@@ -41,7 +41,7 @@ def capacity_of_layer(
     along: NDArray[np.int64],
     across: NDArray[np.int64],
     boxes: NDArray[np.int64],
-    halo: int,
+    halo: NDArray[np.int64],
 ) -> NDArray[np.int64]:
     """The capacity of every edge of a layer: the tracks that are free from middle to middle.
 
@@ -50,7 +50,8 @@ def capacity_of_layer(
         along: (n + 1,) the lines between Gcells that wires cross.
         across: (m + 1,) the other lines.
         boxes: (k, 4) what wires must avoid: the low and high sides along the wires, then across.
-        halo: twice the distance from boxes that a wire's middle must keep; so far is far enough.
+        halo: (k,) twice the distance from each box that a wire's middle must keep; so far is far
+            enough.
 
     Returns:
         (n, m) of the edge from each Gcell to the next one along the wires; 0 for the last.
@@ -61,7 +62,7 @@ def capacity_of_layer(
         return capacity
     # Twice all places, so that the middles of Gcells and wires are whole numbers.
     middle = along[:-1] + along[1:]
-    low, high = (2 * boxes[:, [0, 2]] - halo).T, (2 * boxes[:, [1, 3]] + halo).T
+    low, high = 2 * boxes[:, [0, 2]].T - halo, 2 * boxes[:, [1, 3]].T + halo
     check_memory(_CELL * (columns - 1) * len(tracks), "{} tracks", len(tracks))
     # Every box raises a rectangle of edges and tracks; these are the corners of its steps.
     steps = np.zeros((columns, len(tracks) + 1), np.int32)

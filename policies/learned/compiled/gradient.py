@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import allocating, compiled
+from marouting.kernels import allocating, inner
 from policies.learned.compiled.small_gemm import small_gemm, sparse_row
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
 from policies.learned.streams import uniform
@@ -62,7 +62,7 @@ class GradientBuffers(NamedTuple):
     wanted: NDArray[np.float32]  # (B,) what the network should have expected
 
 
-@compiled
+@inner
 def units_of(sizes: Any) -> int:
     """Units of all layers but the inputs."""
     units = 0
@@ -89,7 +89,7 @@ def gradient_buffers(nets: Networks, batch: int) -> GradientBuffers:
     )
 
 
-@compiled
+@inner
 def forward(sizes: Any, weights: Any, x: Any, batch: int, activations: Any) -> int:
     """The network for a batch of inputs.
 
@@ -118,7 +118,7 @@ def forward(sizes: Any, weights: Any, x: Any, batch: int, activations: Any) -> i
     return place
 
 
-@compiled
+@inner
 def forward_one(sizes: Any, weights: Any, x: Any, activations: Any, places: Any) -> int:
     """:func:`forward` for a single row (F,), of which and of whose activations many are zero.
 
@@ -138,7 +138,7 @@ def forward_one(sizes: Any, weights: Any, x: Any, activations: Any, places: Any)
     return place
 
 
-@compiled
+@inner
 def _backward(sizes: Any, weights: Any, batch: int, b: GradientBuffers) -> None:
     """The derivatives of a loss by the weights of a network.
 
@@ -180,7 +180,7 @@ def _backward(sizes: Any, weights: Any, batch: int, b: GradientBuffers) -> None:
                 onward[j] = onward[j] if below[j] > 0 else np.float32(0)
 
 
-@compiled
+@inner
 def _adam(weights: Any, gradient: Any, mean: Any, square: Any, step: int, rule: StepRule) -> None:
     second = np.sqrt(1 - rule.beta2**step)
     rate = np.float32(rule.learning_rate * second / (1 - rule.beta1**step))
@@ -194,7 +194,7 @@ def _adam(weights: Any, gradient: Any, mean: Any, square: Any, step: int, rule: 
         weights[p] -= rate * mean[p] / (np.sqrt(square[p]) + eps)
 
 
-@compiled
+@inner
 def gradient_step(n: int, nets: Networks, rule: StepRule, b: GradientBuffers) -> None:
     """A gradient step of network n on a sample of its memory.
 
@@ -251,7 +251,7 @@ def learn(nets: Networks, due: Any, rule: StepRule) -> None:
             gradient_step(n, nets, rule, buffers)
 
 
-@compiled
+@inner
 def q_values(sizes: Any, weights: Any, obs: Any, activations: Any, out: Any) -> None:
     """Fills ``out`` (…, moves) with the Q values of ``obs`` (…, F) by one network's weights."""
     batch = obs.size // sizes[0]

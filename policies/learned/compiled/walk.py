@@ -47,7 +47,7 @@ from marouting.batch.rules import GIVE_WAY, free_moves, move_player, pass_turn, 
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_on
 from marouting.game import NOBODY, Status
-from marouting.kernels import allocating, bound, compiled, inlined, place, wide
+from marouting.kernels import allocating, bound, compiled, inlined, inner, place, wide
 from marouting.problem.grid import MOVES, VIA_AXIS
 from marouting.search.cheapest_tree import (
     Trees,
@@ -324,7 +324,7 @@ def _walk(
     return False, wide(0)
 
 
-@compiled
+@inner
 def _go_on(static: Static, dynamic: Dynamic, given: Walk) -> None:
     """Begins the next rip-up in games that have stopped."""
     for m in range(len(given.playing)):
@@ -417,7 +417,7 @@ def _length(dynamic: Dynamic, m: int, n: int) -> int:
     return edges
 
 
-@compiled
+@inner
 def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net uses an edge with overflow."""
     for at in range(places(dynamic.used, m, n)):
@@ -428,7 +428,7 @@ def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
     return False
 
 
-@compiled
+@inner
 def _gives_way(static: Static, dynamic: Dynamic, given: Walk, m: int, n: int) -> bool:
     """The answer of an agent that is asked; see the module's docstring."""
     game = dynamic.games[m]

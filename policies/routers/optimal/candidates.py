@@ -1,6 +1,6 @@
 """The trees to choose from, and the best solution so far."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,9 +87,17 @@ class Candidates:
         if score < self.best:
             self.best, self.routes = score, list(routes)
 
-    def add_solution(self, solution: Solution) -> None:
-        """Adds another router's solution, with every route pruned to its shortest tree."""
-        self.add_routes([self.prune(net, solution.edges[n]) for net, n in enumerate(self.nets)])
+    def add_solution(self, solution: Solution, pruned: Iterable[int] | None = None) -> None:
+        """Adds another router's solution.
+
+        Args:
+            solution: the solution.
+            pruned: the nets whose routes are pruned to their shortest trees; None: all.
+        """
+        routes = [solution.edges[n] for n in self.nets]
+        for net in range(len(routes)) if pruned is None else pruned:
+            routes[net] = self.prune(net, routes[net])
+        self.add_routes(routes)
 
     def prune(self, net: int, edges: NDArray[np.int64]) -> NDArray[np.int64]:
         """The shortest tree of a net among ``edges``; all of them if not all its pins count."""
@@ -100,6 +108,11 @@ class Candidates:
         price.reshape(-1)[edges] = 1
         window = Window.around(grid, np.concatenate(self.problem.topology.ends(edges)), 0)
         return window.outside(cheapest_priced_tree(window.cut(price), window.inside(pins))[1])
+
+    def half_perimeters(self) -> NDArray[np.int64]:
+        """(N,) int64, a length that no tree of a net is below: that of half the box of its pins."""
+        sizes = [np.ptp(np.unravel_index(pins, self.problem.grid), axis=1) for pins in self.pins]
+        return np.array(sizes, np.int64).reshape(-1, 3).sum(axis=1)
 
     def flat(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """All T trees as arrays.

@@ -1,6 +1,7 @@
 """Step 2: an integer program chooses one of the trees found for each net."""
 
 import operator
+from typing import Any
 
 import numpy as np
 
@@ -19,13 +20,17 @@ def choose(candidates: Candidates, objective: Objective, deadline: Deadline) -> 
         objective: what is minimised.
         deadline: when to stop.
     """
-    columns = tree_columns(candidates)
-    longest = np.zeros(len(candidates.nets))
-    np.maximum.at(longest, [net for net, _ in candidates.trees], columns.length)
-    excess = 1 + longest.sum()
-    program = Program(columns, candidates.capacity, objective, excess)
-    result = program.solve_whole(deadline, node_limit=1)
-    if result.x is not None:
+
+    def solved() -> Any:
+        columns = tree_columns(candidates)
+        longest = np.zeros(len(candidates.nets))
+        np.maximum.at(longest, [net for net, _ in candidates.trees], columns.length)
+        excess = 1 + longest.sum()
+        program = Program(columns, candidates.capacity, objective, excess)
+        return program.solve_whole(deadline, node_limit=1)
+
+    result = deadline.bounded(solved)
+    if result is not None and result.x is not None:
         trees = candidates.trees
         chosen = (trees[i] for i in np.flatnonzero(result.x[: len(trees)] > 0.5))
         candidates.add_routes([tree for _, tree in sorted(chosen, key=operator.itemgetter(0))])

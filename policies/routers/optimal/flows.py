@@ -7,7 +7,7 @@ Programming 28, 1984.
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,8 +71,10 @@ class Flows:
         target = min(bound + self._reach[objective], most)
         self._reach[objective] = 2 * self._reach[objective] + 1
         edges = self._useful_edges(objective, target, bound)
-        choose(candidates, objective, self._deadline)
         if self._deadline.passed:
+            return lower, "time limit"
+        choose(candidates, objective, self._deadline)
+        if self._deadline.left <= 0:
             return lower, "time limit"
         if candidates.best[figure] == bound:
             return lower, None
@@ -81,8 +83,14 @@ class Flows:
         if sum(size) > MAX_COLUMNS:
             return lower, "solver limit"
         excess = None if objective.wirelength else 1
-        program = Program(self._arc_columns(edges), candidates.capacity, objective, excess)
-        result = program.solve_whole(self._deadline)
+
+        def solved() -> Any:
+            program = Program(self._arc_columns(edges), candidates.capacity, objective, excess)
+            return program.solve_whole(self._deadline)
+
+        result = self._deadline.bounded(solved)
+        if result is None:
+            return lower, "time limit"
         if result.x is not None:
             first = np.cumsum(size) - size
             arcs = [result.x[a : a + 2 * len(own)] for a, own in zip(first, edges, strict=True)]
@@ -120,7 +128,7 @@ class Flows:
             low = np.flatnonzero(across.cost // unit <= most)
             edges.append(window.outside(low))
             if target == bound:
-                for edge in low:
+                for edge in self._deadline.while_left(low):
                     tree = window.outside(across.tree(int(edge)))
                     candidates.add(i, candidates.prune(i, tree))
         return edges

@@ -5,6 +5,7 @@ Dantzig and Wolfe, "Decomposition principle for linear programs", Operations Res
 """
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -62,9 +63,7 @@ class Prices:
             and self._bound(objective) < self._found(objective)
             and not self._deadline.passed
         ):
-            columns, capacity = tree_columns(self._candidates), self._candidates.capacity
-            excess = EXCESS if objective.wirelength else 1
-            relaxed = Program(columns, capacity, objective, excess).solve_relaxed(self._deadline)
+            relaxed = self._deadline.bounded(partial(self._relaxed, objective))
             # The value of the linear program proves nothing. It only tells when to stop.
             if (
                 relaxed is None
@@ -75,6 +74,12 @@ class Prices:
             ):
                 self._settled.add(objective)
         return self._bound(objective)
+
+    def _relaxed(self, objective: Objective) -> tuple[float, NDArray[np.float64]] | None:
+        """The linear program over all trees; see :meth:`Program.solve_relaxed`."""
+        columns, capacity = tree_columns(self._candidates), self._candidates.capacity
+        excess = EXCESS if objective.wirelength else 1
+        return Program(columns, capacity, objective, excess).solve_relaxed(self._deadline)
 
     def edge_prices(
         self, objective: Objective, dual: NDArray[np.int64]
@@ -125,7 +130,8 @@ class Prices:
     def _shortest_in_boxes(self, objective: Objective) -> list[int]:
         """For each net the length in UNITs of its shortest tree in the box around its pins.
 
-        A move is open everywhere in a layer if it is open anywhere in that layer.
+        A move is open everywhere in a layer if it is open anywhere in that layer. When the time is
+        up, the last nets get a length that is no more than that.
         """
         candidates = self._candidates
         grid = candidates.problem.grid
@@ -133,14 +139,18 @@ class Prices:
         price = np.where((price < NEVER).any(axis=(1, 2), keepdims=True), UNIT, NEVER)
         exists = candidates.problem.topology.exists.reshape(*grid, AXES)
         price = np.where(exists, price, NEVER)
-        boxes = [Window.around(grid, pins, 0) for pins in candidates.pins]
-        return [
-            cheapest_priced_tree(box.cut(price[kind]), box.inside(pins))[0]
-            for box, kind, pins in zip(boxes, candidates.kind, candidates.pins, strict=True)
-        ]
+        least: list[int] = []
+        pairs = zip(candidates.kind, candidates.pins, strict=True)
+        for kind, pins in self._deadline.while_left(pairs):
+            box = Window.around(grid, pins, 0)
+            least.append(cheapest_priced_tree(box.cut(price[kind]), box.inside(pins))[0])
+        return least + (UNIT * candidates.half_perimeters()[len(least) :]).tolist()
 
     def _price_trees(self, objective: Objective, dual: NDArray[np.int64]) -> bool:
         """Finds each net's cheapest tree at some prices, and the bound that they prove.
+
+        When the time is up, the last nets of the first proof count with their half perimeters, and
+        there is no other proof.
 
         Returns:
             Whether any tree is new.
@@ -156,7 +166,7 @@ class Prices:
         np.minimum.at(most, net, np.add.reduceat(known.astype(float), starts) / unit)
         bound = -int(dual @ candidates.capacity) - objective.overflow * int(dual.max(initial=0))
         least, new = [], False
-        for i, pins in enumerate(candidates.pins):
+        for i, pins in self._deadline.while_left(enumerate(candidates.pins)):
             window = self.window(objective, i, most[i])
             own = window.cut(price[candidates.kind[i]])
             cost, tree = cheapest_priced_tree(own, window.inside(pins))
@@ -166,6 +176,11 @@ class Prices:
             least.append(cost // unit)
             if candidates.complete(i):
                 new |= candidates.add(i, window.outside(tree))
+        if len(least) < len(candidates.pins):
+            if objective in self.proofs:
+                return False
+            length = UNIT * candidates.half_perimeters() * objective.wirelength
+            least += length[len(least) :].tolist()
         bound += sum(least)
         if objective not in self.proofs or bound > self.proofs[objective].bound:
             self.proofs[objective] = Proof(bound, dual, least)

@@ -1,8 +1,11 @@
 """Linear and integer programs over candidate columns, as scipy's HiGHS takes them."""
 
 import math
+import queue
+import threading
 import time
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +14,17 @@ from scipy.optimize import Bounds, LinearConstraint
 from scipy.sparse import coo_array, csr_array, eye_array, vstack
 
 from marouting.problem.grid import AXES, VIA_AXIS
+from policies.routers.base import LEFT_ALONE
 from policies.routers.optimal.candidates import Candidates
 
 # scipy's stubs accept less than these functions do.
 hstack: Any = sparse.hstack
 linprog: Any = optimize.linprog
 milp: Any = optimize.milp
+
+
+Item = TypeVar("Item")
+Found = TypeVar("Found")
 
 
 class Deadline:
@@ -39,10 +47,49 @@ class Deadline:
         """Whether the time is up."""
         return self.left <= 0
 
+    def while_left(self, items: Iterable[Item]) -> Iterator[Item]:
+        """The items until the time is up; it is looked at once for every _FEW of them."""
+        for number, item in enumerate(items, 1):
+            yield item
+            if number % _FEW == 0 and self.passed:
+                return
+
+    def bounded(self, call: Callable[[], Found]) -> Found | None:
+        """What a call returns, or None if the time is up before it does.
+
+        HiGHS looks at the clock, but not in all that it does, and large programs take long to be
+        built. So the call is made in a thread, which is left alone when the time is up. While it
+        is under way, Ctrl-C is answered.
+        """
+        answers: queue.SimpleQueue[Found | BaseException] = queue.SimpleQueue()
+
+        def work() -> None:
+            try:
+                answers.put(call())
+            except BaseException as error:
+                answers.put(error)
+
+        threading.Thread(target=work, name=LEFT_ALONE, daemon=True).start()
+        try:
+            left = None if self.left == math.inf else max(self.left, 0.0) + _PATIENCE
+            answer = answers.get(timeout=left)
+        except queue.Empty:
+            return None
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+
     @property
     def solver_options(self) -> dict[str, float]:
         """The time left, as an option for scipy's solvers."""
         return {} if self.left == math.inf else {"time_limit": max(self.left, 0.0)}
+
+
+_FEW = 64
+"""Items between two looks at the clock; so many never take long."""
+
+_PATIENCE = 0.2
+"""Seconds that a solver gets to return what it has when the time is up."""
 
 
 class Objective(NamedTuple):

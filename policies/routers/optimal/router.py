@@ -82,8 +82,8 @@ class OptimalRouter:
     Attributes:
         time_limit: seconds after which the best solution so far is returned; None for no limit.
             With 0 this is the solution of sequential A*, and the bound is the sum of the nets'
-            shortest trees. The limit interrupts negotiated congestion (after a tenth of the time)
-            and the solver; other steps run to their end.
+            shortest trees. Negotiated congestion may take a tenth of the time. The limit holds for
+            all steps but A*; the sum has half the box of a net's pins for the nets that are left.
         bound: ``optimum`` to prove the optimum; ``relaxation`` to stop at the bound that prices
             prove, with the best choice of the trees found, for problems too large for a full
             proof. The relaxation counts at most MOST_PINS pins per net, spread far apart.
@@ -147,13 +147,18 @@ class _Search:
         self._prices = Prices(self.candidates, deadline)
         self._flows = Flows(self.candidates, self._prices, deadline)
         self._chosen: set[Objective] = set()  # objectives for which step 2 is done
-        self.candidates.add_solution(sequential_astar(problem))
+        self._add(sequential_astar(problem))
         if not deadline.passed:
             options = PathfinderOptions()
             seconds = HEAD_START * deadline.left
             if options.seconds is None or seconds < options.seconds:
                 options = replace(options, seconds=max(seconds, 0.0))
-            self.candidates.add_solution(PathfinderRouter(options).route(problem))
+            self._add(PathfinderRouter(options).route(problem))
+
+    def _add(self, solution: Solution) -> None:
+        """Adds a solution, pruned as far as there is time."""
+        nets = range(len(self.candidates.nets))
+        self.candidates.add_solution(solution, self._deadline.while_left(nets))
 
     def run(self) -> Status:
         """Searches until the bound and the best solution agree or something prevents progress."""

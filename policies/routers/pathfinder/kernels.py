@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, inner, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree
 from marouting.trees.lattice import CLOSED, Lattice, begin_lines, set_cost, set_size, sum_lines
@@ -82,7 +82,7 @@ def edge_cost(
     return wide(min(cost, FULL - 1.0)) + (FULL if blocked else 0)
 
 
-@compiled
+@inner
 def tree_cost(
     problem: ProblemArrays,
     routing: Routing,
@@ -129,7 +129,7 @@ def tree_cost(
     return cost
 
 
-@compiled
+@inner
 def set_box(
     problem: ProblemArrays, routing: Routing, net: int, margin: int, low: Any, size: Any
 ) -> int:
@@ -168,7 +168,7 @@ def set_box(
     return points
 
 
-@compiled
+@inner
 def point_of(position: Any, low: Any, size: Any, gcell: int) -> int:
     """The point of a box that a Gcell is.
 
@@ -182,7 +182,7 @@ def point_of(position: Any, low: Any, size: Any, gcell: int) -> int:
     return (x * size[1] + y) * size[2] + position[gcell, 2] - low[2]
 
 
-@compiled
+@inner
 def set_costs(
     problem: ProblemArrays,
     routing: Routing,
@@ -264,7 +264,7 @@ def set_costs(
     sum_lines(lattice)
 
 
-@compiled
+@inner
 def _extend_bounds(lattice: Lattice, search: Search, group: int, point: int, size: int) -> None:
     """Extends the bounding box of a group (or of the goal) of ``size`` points by one point."""
     ny, nz = lattice.size[1], lattice.size[2]
@@ -279,7 +279,7 @@ def _extend_bounds(lattice: Lattice, search: Search, group: int, point: int, siz
             search.high[group, axis] = line
 
 
-@compiled
+@inner
 def join_all(
     problem: ProblemArrays, progress: Any, lattice: Lattice, search: Search, low: Any, net: int
 ) -> int:
@@ -307,7 +307,7 @@ def join_all(
     return cost
 
 
-@compiled
+@inner
 def grow(
     problem: ProblemArrays,
     progress: Any,
@@ -378,7 +378,7 @@ def grow(
     return total if cost != CLOSED else wide(CLOSED)
 
 
-@compiled
+@inner
 def _degree(moves: int) -> int:
     """The number of tree edges at a point, from the bits of ``lattice.tree``."""
     degree = 0
@@ -387,7 +387,7 @@ def _degree(moves: int) -> int:
     return degree
 
 
-@compiled
+@inner
 def _list_part(
     lattice: Lattice, search: Search, buffers: NetBuffers, point: int, first: int
 ) -> int:
@@ -416,7 +416,7 @@ def _list_part(
     return size
 
 
-@compiled
+@inner
 def _other_end(
     problem: ProblemArrays,
     remaining: Any,
@@ -463,7 +463,7 @@ def _other_end(
             move += 1
 
 
-@compiled
+@inner
 def load_tree(
     problem: ProblemArrays, routing: Routing, lattice: Lattice, low: Any, net: int
 ) -> bool:
@@ -486,7 +486,7 @@ def load_tree(
     return is_open
 
 
-@compiled
+@inner
 def _is_listed(points: Any, end: int, point: int) -> bool:
     """Whether a point is among the first ``end`` of a list."""
     listed = False
@@ -495,7 +495,7 @@ def _is_listed(points: Any, end: int, point: int) -> bool:
     return listed
 
 
-@compiled
+@inner
 def mend(
     problem: ProblemArrays,
     routing: Routing,

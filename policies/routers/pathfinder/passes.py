@@ -6,7 +6,7 @@ follows another.
 
 import numpy as np
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, inner, wide
 from marouting.trees.exact_tree import Search
 from marouting.trees.lattice import Lattice
 from policies.routers.pathfinder.kernels import draw
@@ -38,7 +38,7 @@ from policies.routers.pathfinder.trees import (
 )
 
 
-@compiled
+@inner
 def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing) -> bool:
     """Ends a pass: records it, updates prices, and chooses the kind of the next pass.
 

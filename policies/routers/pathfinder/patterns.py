@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, inner, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.lattice import Lattice, set_size
 from policies.routers.pathfinder.kernels import edge_cost, point_of, set_box
@@ -77,7 +77,7 @@ def _straight(
         cost[z] = total
 
 
-@compiled
+@inner
 def _best_layers(along: Any, across: Any, first: int, last: int, via: int) -> tuple[int, int, int]:
     """The cheapest pair of layers of an L, with the vias from one layer to another.
 
@@ -101,7 +101,7 @@ def _best_layers(along: Any, across: Any, first: int, last: int, via: int) -> tu
     return least, one, two
 
 
-@compiled
+@inner
 def _draw_line(
     lattice: Lattice, buffers: NetBuffers, point: int, axis: int, steps: int, size: int
 ) -> tuple[int, int]:
@@ -155,7 +155,7 @@ def _nearest(
     return nearest, least
 
 
-@compiled
+@inner
 def route_pattern(
     problem: ProblemArrays,
     parameters: Parameters,

@@ -7,7 +7,7 @@ problems", Discrete Applied Mathematics 65, 1996). Nets keep their new trees unl
 worse.
 """
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, inner, wide
 from marouting.trees.exact_tree import Search
 from marouting.trees.lattice import Lattice
 from policies.routers.pathfinder.kernels import draw
@@ -32,7 +32,7 @@ _PRESENT, _GROWTH = 0.5, 1.3
 grows from one net to the next."""
 
 
-@compiled
+@inner
 def repairable(parameters: Parameters, routing: Routing) -> int:
     """How many nets overflow or take a detour; at least one."""
     count = 0
@@ -58,7 +58,7 @@ def _choose(parameters: Parameters, routing: Routing) -> int:
     return routing.order[begin]
 
 
-@compiled
+@inner
 def _displaced(routing: Routing, together: int, last: int) -> int:
     """Another net than the last one on an overflowed edge of those in ``routing.together``.
 
@@ -92,7 +92,7 @@ def _displaced(routing: Routing, together: int, last: int) -> int:
     return chosen
 
 
-@compiled
+@inner
 def repair(
     problem: ProblemArrays,
     parameters: Parameters,

@@ -107,6 +107,8 @@ class PathfinderRouter:
         """Compiles what routing needs, by a problem to which ``start`` is no solution."""
         passes = min(self.options.passes, _WARM)
         type(self)(replace(self.options, start=None, passes=passes)).route(problem)
+        # A search calls this one from Python only if its time ends in the middle of a pass.
+        keep_best(make_arrays(problem, self.options_for(problem))[1])
 
     def best(self) -> Solution | None:
         """The best solution so far, for who watches; None if there is none yet."""

@@ -144,7 +144,7 @@ class RegionsRouter:
 
     def warm_up(self, problem: Problem) -> None:
         """Gets ready what is done in this process."""
-        PathfinderRouter().route(problem)
+        PathfinderRouter().warm_up(problem)
 
     def route(self, problem: Problem) -> Solution:
         """Routes a problem: a solution in which every net is joined."""
