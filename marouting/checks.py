@@ -2,7 +2,7 @@
 
 import functools
 from types import UnionType
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from marouting.errors import InputError
 
@@ -21,7 +21,7 @@ def check_fields(options: Any, **bounds: tuple[float, float]) -> None:
     cls: Any = type(options)
     for name, hint in _hints(cls).items():
         value = getattr(options, name)
-        parts = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+        parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
         kind = parts[0]
         if value is None and type(None) in parts:
             continue
