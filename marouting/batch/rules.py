@@ -201,7 +201,7 @@ def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
     if game.active == 0 and static.extended is not None and is_on(static, Option.ROUNDS):
         walk_again(static, dynamic, m)
     if game.active == 0:
-        game.agent = NOBODY
+        game.agent, game.turn = NOBODY, 0
         return
     agents = static.order.shape[1]
     turn = game.turn if static.sequential else (game.turn + 1) % agents

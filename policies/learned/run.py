@@ -11,7 +11,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -19,7 +19,7 @@ from typing import Any
 import torch
 
 from marouting import InputError, Problem, Solution
-from marouting.config import check, check_same, code_named, plain, yaml_text
+from marouting.config import check, check_same, code_named, plain, read_yaml, yaml_text
 from marouting.files import FILE_NAME, exists, is_file_name, naming, write_text, writing
 from marouting.generator import GeneratorOptions
 from marouting.registry import allowing_code
@@ -70,9 +70,13 @@ def _never_began(folder: Path) -> bool:
     if exists(folder / CHECKPOINT) or (exists(metrics) and metrics.stat().st_size > 0):
         return False
     try:
-        return config.read_text(encoding="utf-8") == _yaml(load_config(config))
+        text = config.read_text(encoding="utf-8")
+        with allowing_code():  # nothing is made of what is read
+            raw = read_yaml(config)
     except (InputError, OSError, UnicodeDecodeError):
         return False  # not written by a run
+    # A run writes every key, and in this form.
+    return set(raw) == {f.name for f in fields(Config)} and text == yaml_text(raw)
 
 
 def _save(state: Mapping[str, Any], path: Path) -> None:
@@ -199,9 +203,7 @@ class Run:
         if not exists(self.folder / CONFIG):
             check_own(self.folder, ("problems", CONFIG))
             return
-        with allowing_code(_own_code(self.config)):
-            began = not _never_began(self.folder)
-        if began:
+        if not _never_began(self.folder):
             raise InputError(
                 f"{self.folder}: holds a run: expected another out=, or --resume {self.folder}"
             )
