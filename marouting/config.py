@@ -455,7 +455,7 @@ class _UnsureError(Exception):
 def _filled(schema: Any, raw: Mapping[str, Any]) -> Any:
     """A dataclass filled from plain data that plainly fits; raises _UnsureError for any other."""
     hints = _hints(schema)
-    if not all(name in hints for name in raw):
+    if not isinstance(raw, Mapping) or not all(name in hints for name in raw):
         raise _UnsureError
     values = {name: _taken(value, hints[name]) for name, value in raw.items()}
     try:
@@ -488,7 +488,11 @@ def _taken(value: Any, hint: Any) -> Any:
         return value
     elif is_dataclass(hint) and isinstance(value, Mapping):
         return _filled(hint, value)
-    elif hint in (bool, int, str, NoneType) and type(value) is hint:
+    elif hint is str and isinstance(value, str):
+        with contextlib.suppress(UnicodeEncodeError):
+            value.encode()  # half a character is no text
+            return value
+    elif hint in (bool, int, NoneType) and type(value) is hint:
         return value
     raise _UnsureError
 

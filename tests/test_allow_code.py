@@ -25,7 +25,7 @@ from pathlib import Path
 Path("ran").touch()
 """
 PIECES = """
-from marouting.batch.reward import PaperReward as Team
+from marouting.rewards import PaperReward as Team
 from policies.routers.astar import AStarRouter as Mine
 """
 QUIET = "train: {episodes: 1, figures: false, tensorboard: false}\n"

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from marouting.batch.team_rewards import MixedReward
 
 from marouting import (
     Engine,
@@ -22,6 +21,7 @@ from marouting import (
 )
 from marouting.generator import GeneratorOptions, Least
 from marouting.problem.net import Adjustment
+from marouting.rewards import MixedReward
 from marouting.vector import BatchEnv
 
 PROBLEM = generate(1, grid=(4, 4, 2), nets=3, reduced_edges=0)[0]

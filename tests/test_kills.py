@@ -184,7 +184,8 @@ def check_killed(name: str, kills: int, tmp_path: Path) -> None:
                 process.join(rng.uniform(0, 0.8 * seconds))
                 if process.exitcode is None:
                     sent = rng.choice(SIGNALS)
-                    os.kill(process.pid, sent)
+                    with contextlib.suppress(ProcessLookupError):  # it ended meanwhile
+                        os.kill(process.pid, sent)
                     ends |= ENDS[sent]
                     done += 1
             code = ended(process)

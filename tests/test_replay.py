@@ -95,20 +95,6 @@ def test_a_full_edge_is_walked_around() -> None:
     assert by_astar == sequential_astar(easy)
 
 
-def test_through_the_face_of_pettingzoo() -> None:
-    (problem,) = generate(1, nets=20, seed=8)
-    solution = PathfinderRouter(PathfinderOptions()).route(problem)
-    env = global_routing_v0.env(problem, max_steps=200)
-    env.reset(seed=0)
-    engine = env.unwrapped.engine
-    guide = RouteFollower(engine, [solution])
-    for agent in env.agent_iter():
-        _, _, terminated, truncated, _ = env.last()
-        number = np.array([env.possible_agents.index(agent)])  # no net is left out here
-        env.step(None if terminated or truncated else int(guide.moves(np.array([0]), number)[0]))
-    assert engine.solution() == solution
-
-
 def test_what_cannot_be_replayed() -> None:
     (problem,), (other,) = generate(1, nets=5, seed=1), generate(1, nets=5, seed=2)
     engine, solution = Engine([problem]), sequential_astar(other)
@@ -123,21 +109,22 @@ def test_what_cannot_be_replayed() -> None:
 def test_ibm01_as_a_game() -> None:
     """11 507 nets, of which 9 128 have something to route; solutions replayed move by move."""
     problem = Problem.read(IBM01)
-    env = global_routing_v0.parallel_env(problem, max_steps=2000, overflow="allowed")
-    env.reset(seed=0)
     assert len(problem.nets) == 11_507
-    assert env.agents == env.possible_agents
-    assert len(env.agents) == sum(len(pins) > 1 for pins in problem.pin_gcells) == 9128
 
     negotiated = PathfinderRouter(PathfinderOptions(seconds=30)).route(problem)
+    env = global_routing_v0.parallel_env(problem, max_steps=2000, overflow="allowed")
+    engine = Engine([problem], max_steps=2000, overflow="allowed", turn_order="round_robin")
     for solution in (sequential_astar(problem), negotiated):
         env.reset(seed=0)
-        guide = RouteFollower(env.engine, [solution])
+        engine.reset()
+        assert env.agents == env.possible_agents
+        assert len(env.agents) == sum(len(pins) > 1 for pins in problem.pin_gcells) == 9128
+        guide = RouteFollower(engine, [solution])
         number = {agent: n for n, agent in enumerate(env.agents)}
         while env.agents:
-            agents = np.array([number[agent] for agent in env.agents])
-            moves = guide.moves(np.zeros_like(agents), agents)
-            env.step(dict(zip(env.agents, moves.tolist(), strict=True)))
+            moves = guide.moves(*engine.pairs(everyone=True))
+            engine.step(moves[None])
+            env.step({agent: moves[number[agent]] for agent in env.agents})
         figures, metrics = evaluate(problem, solution), env.metrics()
         assert metrics["joined"] == metrics["tasks"] == figures.tasks
         if solution is negotiated:
