@@ -30,7 +30,7 @@ from marouting import EnvOptions, InputError, Problem, Solution, evaluate, gener
 from marouting.config import override, plain, read_yaml
 from policies.benchmark.contenders import load_contenders
 from policies.cli.main import cli, status
-from policies.cli.tables import show, show_experiment, show_speed
+from policies.cli.tables import show, show_experiment
 from policies.experiment import ExperimentConfig, load_experiment
 from policies.learned.algorithms.dqn import DQNOptions
 from policies.learned.config import Config, TrainOptions, load_config
@@ -657,7 +657,7 @@ def test_tables_of_experiments_fit(
     assert text.count(" astar ") == (4 if width == 80 else 1)
 
 
-def test_tables_of_trainings_and_speeds_fit(
+def test_tables_of_trainings_fit(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
@@ -669,14 +669,6 @@ def test_tables_of_trainings_and_speeds_fit(
     assert {"123456789", "1234567890", "123456/234567", "1234567.89"} <= set(text.split())
     assert text.count("p") >= 50
     assert text.count("[r") >= 18  # names wrap, and are whole
-    words = "a name of many words, longer than a line of the terminal that it is printed to, it is"
-    speed = {"name": words, "value": 23456789.0, "best": 34567890.0, "unit": "agent-steps/s"}
-    more = {"threads": 2, "comparator": words, "against": 12.3, "ratio": 1.5, "target": words}
-    show_speed({"machine": {"processor": words}, "rows": [{**speed, **more}]})
-    text = capsys.readouterr().out
-    assert max(map(len, text.splitlines())) <= 80
-    assert "23\N{NO-BREAK SPACE}500\N{NO-BREAK SPACE}000 agent-steps/s" in text
-    assert text.count("longer") == 4
 
 
 # --- bad input ------------------------------------------------------------------------------------

@@ -90,7 +90,7 @@ def test_one_mechanism_for_every_configuration(capsys: pytest.CaptureFixture[str
     write(
         {
             "table.yaml": "include: configs/paper/size16.yaml\n"
-            "problems: {capacity3: {count: 2}}\nrouters: {dqn: null}\nstudies: {solutions: null}\n",
+            "problems: {capacity3: {count: 2}}\nrouters: {dqn: null}\n",
             "scores.yaml": "include: configs/benchmark/baselines.yaml\nseeds: 1\n",
             "game.yaml": "include: [configs/paper/default.yaml]\nenv: {agents: multi}\n",
             "router.yaml": "include: sub/astar.yaml\nnet_order: file\n",

@@ -72,8 +72,8 @@ ROOMS = {
         ("learned",),
         ("experiment",),
         ("benchmark",),
-        ("bench",),
         ("cli",),
+        ("bench",),
         ("",),
     ),
 }

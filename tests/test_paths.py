@@ -113,7 +113,6 @@ WRITTEN: dict[str, tuple[str, ...]] = {
     "plot": ("plot", "p.gr", "--out", "PATH"),
     "benchmark": ("benchmark", "--scenario", "toy-4x4-v0", "--router", "astar", "--out", "PATH"),
     "leaderboard": ("benchmark", "--leaderboard", "--results", "PATH"),
-    "bench": ("bench", "start", "--out", "PATH"),
     "quickstart": ("quickstart", "--out", "PATH"),
 }
 

@@ -1,4 +1,4 @@
-"""Jumanji's Connector, to compare speeds with: ``marouting bench --against jumanji``.
+"""Jumanji's Connector, to compare speeds with: ``python -m policies.bench --against jumanji``.
 
 Connector-v3 (Bonnet et al., *Jumanji: a Diverse Suite of Scalable Reinforcement Learning
 Environments in JAX*, 2024) is the nearest relative in a compiled library: ten agents on a 10×10

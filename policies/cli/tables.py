@@ -231,29 +231,6 @@ def _bin(start: int, end: int | None) -> str:
     return str(start) if start == end else f"{start} to < {end}"
 
 
-def show_speed(report: Mapping[str, Any]) -> None:
-    """Prints what :func:`policies.bench.run` measured, a few lines for each figure."""
-    machine = report["machine"].items()
-    click.echo(_wrapped(", ".join(f"{key} {value}" for key, value in machine if value)))
-    for row in report["rows"]:
-        threads = f", {row['threads']} threads" if row["threads"] > 1 else ""
-        target = f"; target {row['target']}" if row["target"] else ""
-        click.echo(_wrapped(f"\n{row['name']}{threads}"))
-        figures = f"{number(row['value'])} {row['unit']}, best {number(row['best'])}{target}"
-        click.echo(_wrapped(figures, "    "))
-        if row["ratio"] is not None:
-            against = f"{row['ratio']:.3g} × {row['comparator']} ({number(row['against'])})"
-            click.echo(_wrapped(against, "    "))
-
-
-def number(value: float) -> str:
-    """A figure with three significant digits, thousands apart by a space that does not break."""
-    if value >= 1000:
-        digits = 3 - len(f"{value:.0f}")
-        return f"{round(value, digits):,.0f}".replace(",", "\N{NO-BREAK SPACE}")
-    return f"{value:.3g}"
-
-
 def _print(title: str, columns: Mapping[str, Sequence[str]], names: Sequence[str]) -> None:
     """Prints columns by heading; those of names, on the left, stand in every piece."""
     console = Console(markup=False, emoji=False, highlight=False)

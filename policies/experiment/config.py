@@ -1,24 +1,22 @@
-"""The configuration of an experiment: sets of problems, routers, seeds, figures."""
+"""The configuration of an experiment: sets of problems, routers, seeds."""
 
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem
 from marouting.config import build, check, merged, override, plain, read_yaml
 from marouting.files import is_dir, is_file_name, naming
-from marouting.generator import GeneratorOptions
 from marouting.options import PLAYED
 from marouting.registry import allowing_code
-from marouting.source import generated_name, load_problems, problems_in
+from marouting.source import load_problems, problems_in
 from policies.engines import EngineName
 from policies.learned.config import Config, for_learner
 from policies.results.rows import read_published
 from policies.results.statistics import ALL
-from policies.results.study import Study, StudyColumn
 from policies.routers.registry import (
     has_seed,
     is_learner,
@@ -57,9 +55,6 @@ class ExperimentConfig:
             ``routers.NAME=null`` does on the command line.
         train: keys of the run of every training, such as ``episodes``, in place of those of the
             entries. They become the entries' own.
-        studies: composed figures by name, besides the figures of every set; None leaves one out.
-            Columns of routers that are left out or not finished are left out, and so are those of
-            problems that a smaller ``count`` on the command line leaves out.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
@@ -72,17 +67,8 @@ class ExperimentConfig:
     problems: Any = None
     routers: dict[str, dict[str, Any] | None] = field(default_factory=dict)
     train: dict[str, Any] = field(default_factory=dict)
-    studies: dict[str, Study | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, study in self.drawn.items():
-            _check_name(f"studies.{name}", name)
-            for title, column in study.columns.items():
-                key = f"studies.{name}.columns.{title}"
-                for part, routers in (("router", (column.router,)), ("beside", column.beside)):
-                    for router in routers:
-                        if router not in self.routers:
-                            raise unknown(f"{key}.{part}", router, tuple(self.routers))
         kept = {name: raw for name, raw in self.routers.items() if raw is not None}
         object.__setattr__(self, "routers", kept)
         check("seeds", len(self.seeds) > 0, "at least one")
@@ -106,23 +92,8 @@ class ExperimentConfig:
             kept = {name: merged(r, told) if name in trained else r for name, r in kept.items()}
             object.__setattr__(self, "routers", kept)
             object.__setattr__(self, "train", {})
-        studies = {}
-        for name, study in self.drawn.items():
-            columns = {
-                title: replace(column, beside=tuple(r for r in column.beside if r in kept))
-                for title, column in study.columns.items()
-                if column.router in kept
-            }
-            if columns:
-                studies[name] = replace(study, columns=columns)
-        object.__setattr__(self, "studies", studies)
         plain = {entry.name: entry.plain for entry in self.entries}
         object.__setattr__(self, "routers", plain)
-
-    @property
-    def drawn(self) -> dict[str, Study]:
-        """The composed figures that are not left out."""
-        return {name: study for name, study in self.studies.items() if study is not None}
 
     @property
     def entries(self) -> tuple["Entry", ...]:
@@ -137,7 +108,7 @@ def _check_name(key: str, name: str, also: str = "") -> None:
 
 
 _SUFFIX = 48 * "."
-"""As long as what follows a set, a router or a study in names of files, at most."""
+"""As long as what follows a set, or a router in names of files, at most."""
 
 
 def _check_set(name: str) -> None:
@@ -312,37 +283,7 @@ def load_experiment(
         InputError: names the file or key, what was expected and what was found.
     """
     with allowing_code(allow_code):
-        raw = read_yaml(path)
-        config = build(ExperimentConfig, override(raw, overrides), os.fspath(path))
-    sets = raw.get("problems")
-    return _without_those_gone(config, sets) if isinstance(sets, Mapping) else config
-
-
-def _without_those_gone(config: ExperimentConfig, sets: Mapping[str, Any]) -> ExperimentConfig:
-    """A configuration without columns of problems that sets had before they were made smaller."""
-    problems = config.problems if isinstance(config.problems, Mapping) else {}
-    gone: dict[str, range] = {}
-    for name in problems.keys() & sets.keys():
-        now, before = (
-            source.get("count", GeneratorOptions().count) if isinstance(source, Mapping) else None
-            for source in (problems[name], sets[name])
-        )
-        if isinstance(now, int) and isinstance(before, int):
-            gone[name] = range(now, before)
-    entries = {entry.name: entry for entry in config.entries}
-
-    def stays(column: StudyColumn) -> bool:
-        only = entries[column.router].only
-        own = [name for name in problems if only is None or name in only]
-        of = column.set or (own[0] if len(own) == 1 else "")
-        return column.problem not in [generated_name(number) for number in gone.get(of, ())]
-
-    studies: dict[str, Study | None] = {}
-    for name, study in config.drawn.items():
-        columns = {title: column for title, column in study.columns.items() if stays(column)}
-        if columns:
-            studies[name] = replace(study, columns=columns)
-    return replace(config, studies=studies)
+        return build(ExperimentConfig, override(read_yaml(path), overrides), os.fspath(path))
 
 
 def load_sets(problems: str | Mapping[str, Any]) -> dict[str, dict[str, Problem]]:

@@ -1,7 +1,6 @@
 """A whole experiment: its parts are distributed to processes, its results are collected."""
 
 import json
-import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -29,7 +28,6 @@ from policies.results.folder import check_own, working_in
 from policies.results.rows import Row, read_rows, to_csv
 from policies.results.run_folder import METRICS
 from policies.results.statistics import ALL, add_gaps, baseline, by_set, summarise
-from policies.results.study import Study, StudyColumn
 from policies.results.utilisation import problem_type
 from policies.routers.registry import unknown
 
@@ -60,12 +58,6 @@ class Experiment:
             for name in entry.only or ():
                 if name not in self.sets:
                     raise unknown(f"routers.{entry.name}.only", name, tuple(self.sets))
-        # What can be checked before there are results.
-        for name, study in config.drawn.items():
-            taken = re.fullmatch(r"(.+)_(wirelength|overflow|decrease)", name)
-            check(f"studies.{name}", not (taken and taken[1] in {*self.sets, ALL}), "another name")
-            for title, column in study.columns.items():
-                self._check_column(f"studies.{name}.columns.{title}", study, column)
         self._keep(before)
 
     def _before(self) -> ExperimentConfig | None:
@@ -96,27 +88,6 @@ class Experiment:
             both = self.config.problems.keys() & before.problems.keys()
             problems = {name: problems[name] for name in problems if name in both}
         return {"problems": problems, "routers": routers}
-
-    def _check_column(self, key: str, study: Study, column: StudyColumn) -> None:
-        entry = next(entry for entry in self.entries if entry.name == column.router)
-        sets = tuple(name for name in self.sets if entry.only is None or name in entry.only)
-        if column.set is None:
-            check(f"{key}.set", len(sets) == 1, f"one of {', '.join(sets)}")
-        elif column.set not in sets:
-            raise unknown(f"{key}.set", column.set, sets)
-        of = column.set or sets[0]
-        if column.problem is not None and column.problem not in self.sets[of]:
-            raise unknown(f"{key}.problem", column.problem, tuple(self.sets[of]))
-        check(f"{key}.router", entry.router != PUBLISHED, "one that routes here")
-        against = [
-            e for e in self.entries if e.router == "astar" and (e.only is None or of in e.only)
-        ]
-        check(key, against, f"a router of the kind astar that is for {of}")
-        learns = {"reward", "mean_reward"} & set(study.panels)
-        check(f"{key}.router", entry.trains or not learns, "one that is trained")
-        for other in (e for e in self.entries if e.name in column.beside):
-            known = other.trains and (other.only is None or of in other.only)
-            check(f"{key}.beside", known, f"routers that are trained on {of}")
 
     def _load(self, before: ExperimentConfig | None) -> dict[str, dict[str, Problem]]:
         """The sets, in the order of the configuration; what the folder holds is read from it."""
