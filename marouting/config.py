@@ -455,7 +455,7 @@ class _UnsureError(Exception):
 def _filled(schema: Any, raw: Mapping[str, Any]) -> Any:
     """A dataclass filled from plain data that plainly fits; raises _UnsureError for any other."""
     hints = _hints(schema)
-    if not isinstance(raw, Mapping) or not all(name in hints for name in raw):
+    if not hints or not isinstance(raw, Mapping) or not all(name in hints for name in raw):
         raise _UnsureError
     values = {name: _taken(value, hints[name]) for name, value in raw.items()}
     try:

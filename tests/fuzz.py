@@ -49,9 +49,9 @@ from marouting.config import build, override, plain, read_yaml
 from marouting.problem.contest import contest_cost
 from marouting.problem.ispd import Format
 from policies import figures
-from policies.benchmark.leaderboard import read_groups
-from policies.benchmark.statistics import summarise
 from policies.experiment import Experiment, ExperimentConfig, experiment, load_experiment
+from policies.experiment.leaderboard import read_groups
+from policies.experiment.result import summarise
 from policies.figures.plot import plot
 from policies.learned.config import Config, load_config
 from policies.learned.policy import TrainedPolicy

@@ -28,10 +28,10 @@ from test_bad_files import GR
 import marouting
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
 from marouting.config import override, plain, read_yaml
-from policies.benchmark.contenders import load_contenders
 from policies.cli.main import cli, status
 from policies.cli.tables import show, show_experiment
 from policies.experiment import ExperimentConfig, load_experiment
+from policies.experiment.benchmark import load_entries
 from policies.learned.algorithms.dqn import DQNOptions
 from policies.learned.config import Config, TrainOptions, load_config
 from policies.learned.policy import TrainedPolicy
@@ -1227,8 +1227,8 @@ def test_shipped_configurations_are_valid() -> None:
         if path.parent.name == "benchmarl":
             continue  # of a library; tests/test_integrations.py reads it
         if path.parent.name == "benchmark":
-            contenders, _ = load_contenders(path, [], None)
-            assert contenders
+            entries, _ = load_entries(path, [], None)
+            assert entries
         elif "routers" in raw:
             assert isinstance(load_experiment(path), ExperimentConfig)
         elif path.stem in router_names():

@@ -103,8 +103,8 @@ class Entries:
 class Scored:
     """In the place of a benchmark: takes what the command names."""
 
-    def __init__(self, chosen: list[str], contenders: list[Any], *_: Any, **__: Any) -> None:
-        assert contenders
+    def __init__(self, chosen: list[str], entries: list[Any], *_: Any, **__: Any) -> None:
+        assert entries
         assert all(marouting.scenarios.get(name) for name in chosen)
         raise WorkBegins
 
@@ -118,7 +118,7 @@ def drawn(paths: tuple[Path, ...], _: Path | None) -> None:
 def stop_before_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("policies.learned.run.Run", begins)
     monkeypatch.setattr("policies.experiment.Experiment", Entries)
-    monkeypatch.setattr("policies.benchmark.run.Benchmark", Scored)
+    monkeypatch.setattr("policies.experiment.benchmark.Benchmark", Scored)
     monkeypatch.setattr("policies.bench.__main__.run", begins)
     monkeypatch.setattr("policies.cli.main.warm_up", begins)
     monkeypatch.setattr("policies.figures.plot.plot", drawn)

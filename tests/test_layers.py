@@ -71,7 +71,6 @@ ROOMS = {
         ("learned.logs", "learned.router", "learned.run"),
         ("learned",),
         ("experiment",),
-        ("benchmark",),
         ("cli",),
         ("bench",),
         ("",),

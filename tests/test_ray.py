@@ -20,7 +20,6 @@ import yaml
 
 from marouting import InputError
 from policies import figures
-from policies.benchmark import run
 from policies.cli.main import status
 from policies.engines import Call, opened
 from policies.experiment import Experiment, experiment, load_experiment
@@ -91,20 +90,6 @@ def test_calls_return_what_they_return() -> None:
     assert found == {i: 40 + i for i in range(20)}
 
 
-def test_notes_outlive_the_process_that_wrote_them() -> None:
-    with opened("ray", 2, 1) as engine:
-        assert engine.notes is not None
-        found, news = {}, {}
-        for done in engine.run([Call(tasks.with_notes, (engine.notes, "k"))]):
-            found |= done
-            news |= engine.notes.news()
-        until = time.monotonic() + 10
-        while not news and time.monotonic() < until:
-            news |= engine.notes.news()
-    assert found == {0: ("written", True)}
-    assert news == {"k": "written"}
-
-
 def test_what_no_machine_has_is_refused() -> None:
     with opened("ray", 1, 1) as engine, pytest.raises(InputError, match="no GPU"):
         next(engine.run([Call(tasks.total, (), 1)]))
@@ -140,7 +125,7 @@ def test_an_experiment_is_the_same_as_here(tmp_path: Path, monkeypatch: pytest.M
 def test_a_benchmark_is_the_same_as_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     command = ["benchmark", "--scenario", "toy-4x4-v0", "--seeds", "1", "--router", "random"]
     assert status([*command, "--router", "astar", "--out", "there", "engine=ray"]) == 0
-    monkeypatch.setattr(run, "work_on", at_once)
+    monkeypatch.setattr(experiment, "work_on", at_once)
     assert status([*command, "--router", "astar", "--out", "here"]) == 0
     for name in ("random", "astar"):
         file = f"toy-4x4-v0.{name}.json"
@@ -162,7 +147,7 @@ def test_the_benchmarks_engine_can_stand_in_its_file(
         asked.append(how[-1])
         return at_once(parts)
 
-    monkeypatch.setattr(run, "work_on", work)
+    monkeypatch.setattr(experiment, "work_on", work)
     Path("b.yaml").write_text(
         yaml.safe_dump({"engine": "ray", "routers": {"a": {"router": "astar"}}})
     )

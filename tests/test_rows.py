@@ -26,7 +26,7 @@ def row(problem: str, router: str, seed: int | None, **figures: Any) -> dict[str
     """A row of an experiment."""
     known = {"overflow": 1, "max_overflow": 1, "wirelength": 20, "vias": 4, "connected": True}
     known |= {"pruned_overflow": 0, "pruned_wirelength": 18}
-    known |= {"joined": 3, "tasks": 3, "seconds": 0.5}
+    known |= {"open_nets": 0, "joined": 3, "tasks": 3, "seconds": 0.5}
     about = {"set": "s", "problem": problem, "router": router, "kind": router, "seed": seed}
     return {**dict.fromkeys(COLUMNS), **about, **known, **figures}
 

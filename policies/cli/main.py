@@ -340,6 +340,7 @@ def _report(
     from policies.results.rows import solution_row
 
     fields = {"router": router, **solution_row(solution, seconds), **report}
+    del fields["open_nets"]  # their names follow
     disconnected = evaluate(solution.problem, solution).disconnected
     chip = solution.problem.chip
     if chip is not None and chip.contest is not None:

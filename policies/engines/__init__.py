@@ -16,7 +16,6 @@ from policies.engines.base import (
     Call,
     Engine,
     EngineName,
-    Notes,
     cores,
     processor,
 )
@@ -27,7 +26,6 @@ __all__ = [
     "Call",
     "Engine",
     "EngineName",
-    "Notes",
     "check_engine",
     "cores",
     "opened",

@@ -3,7 +3,7 @@
 import contextlib
 import os
 import platform
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol, get_args
@@ -33,29 +33,8 @@ class Call:
     gpus: int = 0
 
 
-class Notes(Protocol):
-    """What calls that are under way write down; it outlives the process that wrote it."""
-
-    def write(self, key: str, value: Any) -> None:
-        """Keeps a value; from a process that makes a call."""
-        ...
-
-    def read(self, key: str) -> Any:
-        """The last value written, or None; from a process that makes a call."""
-        ...
-
-    def news(self) -> Mapping[str, Any]:
-        """The last values by key that were written since this was last asked."""
-        ...
-
-
 class Engine(Protocol):
     """Runs calls."""
-
-    @property
-    def notes(self) -> Notes | None:
-        """What calls write down where they do not see our files; None where they do."""
-        ...
 
     def share(self, value: Any) -> Any:
         """An argument for many calls, which goes to every machine once where that is possible."""

@@ -18,8 +18,8 @@ from marouting.config import read_yaml
 from marouting.files import exists, is_dir, reading, stem_of, suffix_of
 from marouting.registry import allowing_code
 from policies import figures
-from policies.results import experiment_folder, run_folder
-from policies.results.rows import Row
+from policies.results import run_folder
+from policies.results.rows import RESULTS, Row, read_rows
 from policies.results.run_folder import read_rewards
 from policies.results.statistics import (
     baseline,
@@ -146,8 +146,8 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
         figures.save(figure, folder / f"{name}.png")
         written.append(folder / f"{name}.png")
 
-    results = experiment_folder.read_results(experiment)
-    called = read_labels(experiment / experiment_folder.CONFIG)
+    results = read_rows(experiment / RESULTS)
+    called = read_labels(experiment / run_folder.CONFIG)
     for name, rows in by_set(results).items():
         astar = baseline(rows)
         # A* first: this gives it the paper's colour.
@@ -248,14 +248,14 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
     groups: list[tuple[Path, list[Path]]] = []
     for path in map(Path, paths):
         if is_dir(path):
-            if (path / experiment_folder.RESULTS).exists():
+            if (path / RESULTS).exists():
                 written += experiment_figures(path, out)
             elif (path / run_folder.CONFIG).exists():
                 written += run_figures(path, out)
             else:
                 raise InputError(
                     f"{path}: expected a run folder, with {run_folder.CONFIG} in it, or an "
-                    f"experiment's, with {experiment_folder.RESULTS}"
+                    f"experiment's, with {RESULTS}"
                 )
         elif not exists(path):
             raise InputError(f"{path}: expected a folder or a file, found nothing")
