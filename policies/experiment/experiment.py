@@ -86,7 +86,8 @@ class Experiment:
             check_code(own, str(kept))
             raw = {**raw, "routers": own, "reference": None}
             before = build(ExperimentConfig, raw, str(kept))
-        check_same(*(self._rows_depend_on(asked, before) for asked in (self.config, before)), kept)
+        theirs = self._rows_depend_on(before, before)
+        check_same(self._rows_depend_on(self.config, before), theirs, kept)
         return before
 
     def _rows_depend_on(
