@@ -13,7 +13,7 @@ from reference import Game, contested, edge_number, gcell_of, random_moves
 from marouting import Adjustment, Engine, InputError, Move, Net, Pin, Problem, evaluate, generate
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.problem.problem import UNLIMITED
-from marouting.search.astar import AStar
+from marouting.search.guides import AStar
 
 E, W, N, S, U, D = Move
 

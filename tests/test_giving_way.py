@@ -13,7 +13,7 @@ from marouting import Engine, InputError, Move, Net, Pin, Problem, evaluate, gen
 from marouting import global_routing_v0 as game
 from marouting.env.single import GlobalRoutingSingle
 from marouting.game import NOBODY, RipUp
-from marouting.search.astar import AStar
+from marouting.search.guides import AStar
 from marouting.vector import BatchEnv
 
 E, W, N, S, U, D = Move
