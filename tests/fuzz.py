@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 import torch
 import yaml
+from conftest import in_this_process
 from matplotlib.figure import Figure
 from mutations import MODEST, NASTY, in_archive, in_data, in_state, in_text, saved
 from reference import plain_evaluation
@@ -541,13 +542,6 @@ def possible(row: Row) -> bool:
     return 0 <= (row["joined"] or 0) <= (row["tasks"] or 0) and row["wirelength"] >= 0
 
 
-def at_once(parts: Sequence[Any], *_: Any) -> Iterator[list[Any]]:
-    """In place of the processes, which take seconds to start."""
-    for part in parts:
-        part.work()
-        yield [part]
-
-
 # --- all of them ----------------------------------------------------------------------------------
 
 
@@ -670,7 +664,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     os.environ.setdefault("MAROUTING_MAX_GIB", "1")
     torch.set_num_threads(1)
-    experiment.work_on = at_once  # type: ignore[attr-defined]
+    experiment.work_on = in_this_process  # type: ignore[attr-defined]
     folder = given.folder or Path(tempfile.mkdtemp())
     failed = 0
     print(f"{'inputs':>8}{'accepted':>10}{'refused':>9}{'failed':>8}{'seconds':>9}  kind")

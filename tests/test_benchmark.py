@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from conftest import in_this_process
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import stats
@@ -399,13 +399,6 @@ def command(*more: str) -> list[str]:
     return ["benchmark", "--scenario", SCENARIO, *split, *routers, *more]
 
 
-def at_once(parts: Sequence[Any], *_: Any) -> Iterator[list[Any]]:
-    """In place of the processes, which take seconds to start."""
-    for part in parts:
-        part.work()
-        yield [part]
-
-
 @pytest.fixture(scope="module")
 def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which a benchmark of every form of entry has run."""
@@ -426,7 +419,7 @@ def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.syspath_prepend(folder)
-        patch.setattr(experiment, "work_on", at_once)
+        patch.setattr(experiment, "work_on", in_this_process)
         assert status(command()) == 0
     return folder
 

@@ -1446,6 +1446,7 @@ NOTHING = GR.partition("num net")[0] + "num net 1\nA 1 2 1\n5 5 1\n6 6 1\n"
 """A problem whose only net lies in one Gcell."""
 
 
+@pytest.mark.usefixtures("at_once")
 def test_a_problem_with_nothing_to_route(
     here: Path, capsys: pytest.CaptureFixture[str], refused: Callable[..., str]
 ) -> None:

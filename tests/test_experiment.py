@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from conftest import in_this_process
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
@@ -306,7 +307,7 @@ def test_results_are_there_of_the_routers_that_are_done(
     config = load_experiment(everything(tmp_path, jobs=1))
 
     def without_trainings(parts: Sequence[Any], *how: Any) -> Iterator[list[Any]]:
-        for done in work_on(parts, *how):
+        for done in in_this_process(parts, *how):
             if any(part.entry.trains for part in done):
                 raise KeyboardInterrupt
             yield done
@@ -320,16 +321,16 @@ def test_results_are_there_of_the_routers_that_are_done(
     assert [row["router"] for row in summary["sets"]["all"]] == ["random", "astar", "best"]
 
 
-@pytest.mark.usefixtures("_undrawn")
+@pytest.mark.usefixtures("_undrawn", "at_once")
 def test_one_process_finds_the_same_as_two(finished: Path, tmp_path: Path) -> None:
-    config = load_experiment(everything(tmp_path), ["jobs=1"])
+    config = load_experiment(everything(tmp_path))
     summary = Experiment(config).execute()
     assert outcome(tmp_path / "out") == outcome(finished)
     kept = json.loads((finished / "summary.json").read_text())
     assert untimed(json.loads(json.dumps(summary["sets"]))) == untimed(kept["sets"])
 
 
-@pytest.mark.usefixtures("_undrawn")
+@pytest.mark.usefixtures("_undrawn", "at_once")
 def test_a_trained_policy_can_take_part(finished: Path, tmp_path: Path) -> None:
     """Of several networks in a file each problem is walked by its own; nothing is trained."""
     trained = finished / "runs" / "small" / "dqn.seed0" / "problem_000"
@@ -369,7 +370,7 @@ def test_what_is_wrong_is_said_before_there_is_a_folder(
 # --- going on -------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("_undrawn")
+@pytest.mark.usefixtures("_undrawn", "at_once")
 def test_nothing_is_done_twice(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -627,7 +628,7 @@ def names_and_seeds(folder: Path) -> set[tuple[Any, ...]]:
     return {(row["set"], row["router"], row["seed"]) for row in rows}
 
 
-@pytest.mark.usefixtures("_undrawn")
+@pytest.mark.usefixtures("_undrawn", "at_once")
 def test_routers_seeds_and_sets_come_and_go(here: Path, refused: Callable[..., str]) -> None:
     routers = {"a": {"router": "astar"}, "r": {"router": "random", "max_steps": 9}}
     config = write_config(here / "c.yaml", routers=routers, seeds=[3])
@@ -814,7 +815,7 @@ def test_figures_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, 
         assert lower in axes.get_title() or np.isnan(decrease).all()
 
 
-@pytest.mark.usefixtures("_undrawn")
+@pytest.mark.usefixtures("_undrawn", "at_once")
 def test_solutions_are_pruned_where_an_entry_says_so(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

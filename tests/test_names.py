@@ -38,6 +38,9 @@ def problem() -> Problem:
     return generate(1, grid=(4, 4, 2), nets=3, capacity=2, seed=1)[0]
 
 
+pytestmark = pytest.mark.usefixtures("at_once")
+
+
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working folder with configurations of a training and of an experiment."""

@@ -17,6 +17,7 @@ import ray_tasks as tasks
 import test_experiment
 import test_regions
 import yaml
+from conftest import in_this_process
 
 from marouting import InputError
 from policies import figures
@@ -40,13 +41,6 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ray's processes do not find by its name what lies in the folder of a test."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(figures, "save", lambda _figure, _path: None)
-
-
-def at_once(parts: Sequence[Any], *_: Any) -> Iterator[list[Any]]:
-    """In place of local processes, which take seconds to start."""
-    for part in parts:
-        part.work()
-        yield [part]
 
 
 def compared(folder: Path, **routers: Any) -> Path:
@@ -116,7 +110,7 @@ def test_an_experiment_is_the_same_as_here(tmp_path: Path, monkeypatch: pytest.M
     assert all(path.exists() for path in lost)
 
     there, names = test_experiment.outcome(out), files(out)
-    monkeypatch.setattr(experiment, "work_on", at_once)
+    monkeypatch.setattr(experiment, "work_on", in_this_process)
     assert execute(config, "out=here") == whole
     assert test_experiment.outcome(tmp_path / "here") == there
     assert files(tmp_path / "here") == names
@@ -125,7 +119,7 @@ def test_an_experiment_is_the_same_as_here(tmp_path: Path, monkeypatch: pytest.M
 def test_a_benchmark_is_the_same_as_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     command = ["benchmark", "--scenario", "toy-4x4-v0", "--seeds", "1", "--router", "random"]
     assert status([*command, "--router", "astar", "--out", "there", "engine=ray"]) == 0
-    monkeypatch.setattr(experiment, "work_on", at_once)
+    monkeypatch.setattr(experiment, "work_on", in_this_process)
     assert status([*command, "--router", "astar", "--out", "here"]) == 0
     for name in ("random", "astar"):
         file = f"toy-4x4-v0.{name}.json"
@@ -145,7 +139,7 @@ def test_the_benchmarks_engine_can_stand_in_its_file(
 
     def work(parts: Sequence[Any], *how: Any) -> Iterator[list[Any]]:
         asked.append(how[-1])
-        return at_once(parts)
+        return in_this_process(parts)
 
     monkeypatch.setattr(experiment, "work_on", work)
     Path("b.yaml").write_text(
@@ -222,7 +216,7 @@ def test_a_training_goes_on_from_its_last_checkpoint(
     execute(config, "engine=ray", *ONE)
     assert mark.read_text() != str(os.getpid())
     again = int(tally.read_text())
-    monkeypatch.setattr(experiment, "work_on", at_once)
+    monkeypatch.setattr(experiment, "work_on", in_this_process)
     execute(config, "out=here", *ONE)
     assert test_experiment.outcome(tmp_path / "here") == test_experiment.outcome(tmp_path / "out")
     assert files(tmp_path / "here") == files(tmp_path / "out")
@@ -296,7 +290,7 @@ def test_a_killed_experiment_goes_on_where_it_was(
     assert not list((tmp_path / "out" / "rows").rglob("dqn*/*.json"))
 
     execute(config, "engine=ray", *ONE)
-    monkeypatch.setattr(experiment, "work_on", at_once)
+    monkeypatch.setattr(experiment, "work_on", in_this_process)
     execute(config, "out=here", *ONE)
     assert test_experiment.outcome(tmp_path / "here") == test_experiment.outcome(tmp_path / "out")
 

@@ -6,12 +6,10 @@ import platform
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, Protocol
 
 EngineName = Literal["local", "ray"]
 """Where work is done: in processes of this machine, or as tasks of Ray."""
-
-ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 
 THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """The variables that numba, torch and the linear algebra libraries read when imported."""
@@ -41,12 +39,7 @@ class Engine(Protocol):
         ...
 
     def run(self, calls: Sequence[Call]) -> Iterator[dict[int, Any]]:
-        """Makes calls, in the given order as far as there is room.
-
-        Calls that are left when the iteration ends early end with the engine.
-
-        Args:
-            calls: what to call.
+        """Makes calls, in order as far as there is room; they end with the engine.
 
         Yields:
             About every second what was returned since, by the call's number.
