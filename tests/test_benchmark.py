@@ -538,13 +538,22 @@ def test_wrong_input_is_one_line(
     assert re.search(message, error), error
 
 
-def test_other_options_need_another_name(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    del here
+@pytest.mark.usefixtures("at_once")
+def test_other_options_need_another_name(
+    here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(here, tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
     words = ["benchmark", "--scenario", SCENARIO, "--split", "validation", "--out", "out"]
     assert status([*words, "--router", "astar target=tree", "--name", "astar"]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "target" in error
+    assert "routers.astar.target: expected 'pin', as in out/config.yaml, found 'tree'" in error
+    monkeypatch.setattr("policies.experiment.benchmark.__version__", "9")
+    assert status([*words, "--router", "astar"]) == 2
+    assert "routers.astar.version: expected " in capsys.readouterr().err
+    # Of routers that are not asked for nothing is read, code that they name neither.
+    assert status([*words, "--router", "astar target=tree", "--name", "tree"]) == 0
 
 
 def test_problems_of_another_version_are_not_mixed(

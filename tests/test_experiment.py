@@ -27,6 +27,7 @@ from marouting import (
     evaluate,
     generate,
     register,
+    scenarios,
     sequential_astar,
 )
 from policies import figures
@@ -495,6 +496,23 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"routers": {"d": {"router": "dqn", "checkpoint": "c.pt", "learner": {"gamma": 1.0}}}},
         "checkpoint: expected nothing to train",
     ),
+    "no such scenario": (
+        {"problems": {"s": {"scenario": "toy-4x4-v9"}}},
+        "problems.s: scenario: did you mean toy-4x4-v0? expected one of toy-4x4-v0",
+    ),
+    "the training problems of a scenario": (
+        {"problems": {"s": {"scenario": "toy-4x4-v0", "split": "train"}}},
+        "problems.s: split: expected 'test' or 'validation', found 'train'",
+    ),
+    "no budget": ({"routers": {"a": {"router": "astar", "budget": "x"}}}, "budget: expected"),
+    "no solutions": (
+        {"routers": {"a": {"router": "solutions", "folder": "."}}},
+        ".: expected one solution problem_000.*, found none",
+    ),
+    "training without a number": (
+        {"routers": {"a": {"router": "astar", "training_seconds": "1"}}},
+        "routers.a: training_seconds: expected a number from 0",
+    ),
     "only nothing": (
         {"routers": {"a": {"router": "astar", "only": []}}},
         "only: expected a list of sets, found []",
@@ -813,6 +831,31 @@ def test_figures_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, 
         )
         lower = f"lower on {np.count_nonzero(decrease > 0)} of"
         assert lower in axes.get_title() or np.isnan(decrease).all()
+
+
+@pytest.mark.usefixtures("_undrawn", "at_once")
+def test_scenarios_budgets_and_solutions_from_elsewhere(here: Path) -> None:
+    problems = scenarios.get("toy-4x4-v0").problems("validation")
+    for name, problem in problems.items():
+        sequential_astar(problem, "file").write(here / "made" / f"{name}.solution")
+    routers = {
+        **ASTAR,
+        "tries": {"router": "astar", "budget": 3},
+        "made": {"router": "solutions", "folder": "made"},
+    }
+    sets = {"toys": {"scenario": "toy-4x4-v0", "split": "validation"}}
+    config = load_experiment(write_config(here / "c.yaml", problems=sets, routers=routers))
+    assert config.routers["tries"]["best_of"] == 3
+    for _ in range(2):  # the second time the folder is read again
+        Experiment(config).execute()
+        rows = json.loads((here / "out" / "results.json").read_text())
+        found = {(row["router"], row["problem"]): row for row in rows}
+        assert [name for router, name in found if router == "made"] == sorted(problems)
+        for name, problem in problems.items():
+            row, judged = found["made", name], evaluate(problem, sequential_astar(problem, "file"))
+            assert (row["wirelength"], row["seconds"]) == (judged.wirelength, None)
+            assert row["open_nets"] == len(judged.disconnected)
+            assert found["tries", name]["wirelength"] <= found["a", name]["wirelength"]
 
 
 @pytest.mark.usefixtures("_undrawn", "at_once")
