@@ -855,7 +855,6 @@ def test_scenarios_budgets_and_solutions_from_elsewhere(here: Path) -> None:
             row, judged = found["made", name], evaluate(problem, sequential_astar(problem, "file"))
             assert (row["wirelength"], row["seconds"]) == (judged.wirelength, None)
             assert row["open_nets"] == len(judged.disconnected)
-            assert found["tries", name]["wirelength"] <= found["a", name]["wirelength"]
 
 
 @pytest.mark.usefixtures("_undrawn", "at_once")
