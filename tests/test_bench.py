@@ -1,13 +1,11 @@
 """The speed command: what it measures is there and adds up; how fast it is, no test asks."""
 
-import itertools
 import json
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
-from policies.bench import environment
 from policies.bench.__main__ import SECTIONS, main, number
 from policies.bench.measure import Bench, rate
 from policies.bench.training import operations
@@ -57,18 +55,6 @@ def test_the_former_command_names_the_new_one(capsys: pytest.CaptureFixture[str]
     assert status(["bench", "search"]) == 2
     said = "marouting: command bench: expected python -m policies.bench, as it is called now\n"
     assert capsys.readouterr().err == said
-
-
-def test_rows_of_every_observation_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(environment, "_RADII", (1,))
-    monkeypatch.setattr(environment, "_KINDS", {"few": ({"nets": 3}, 2)})
-    rows = itertools.islice(environment.observation(Bench(repeats=1)), 3)  # what a row costs
-    names = [row.name for row in rows if row.unit == "ns a row" and row.value > 0]
-    assert names == [
-        "window, radius 1, 322 numbers, few",
-        "window, radius 2, no demand, 476 numbers, few",
-        "outlook, 252 numbers, few",
-    ]
 
 
 @pytest.mark.parametrize(
