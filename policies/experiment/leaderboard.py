@@ -23,14 +23,7 @@ _Group = tuple[str, str]
 
 
 def write_leaderboard(results: Path, page: Path) -> list[Path]:
-    """Writes the page and its plots.
-
-    Args:
-        results: the folder of the result files.
-        page: the page, in Markdown.
-
-    Returns:
-        All that was written, the page first.
+    """Writes the page and its plots from the result files in a folder; returns all files.
 
     Raises:
         InputError: there are no result files, one is damaged, or two do not fit together.
@@ -65,11 +58,8 @@ def _aligned(found: Mapping[Path, Result]) -> list[Result]:
     tasks: dict[str, Task] = dict(found[first].by_name)
     names: dict[str, Path] = {}
     for file, result in found.items():
-        check(
-            f"{file}: name",
-            result.name not in names,
-            f"another than {result.name}, as in {names.get(result.name)}",
-        )
+        twice = f"another than {result.name}, as in {names.get(result.name)}"
+        check(f"{file}: name", result.name not in names, twice)
         names[result.name] = file
         check(f"{file}: tasks", result.by_name.keys() == tasks.keys(), f"those of {first}")
         for task in result.tasks:

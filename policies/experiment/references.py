@@ -43,17 +43,7 @@ class Effort(NamedTuple):
 
 
 def solve(problem: Problem, name: str, effort: Effort, known: Record | None = None) -> Record:
-    """Finds out about a problem's best solution.
-
-    Args:
-        problem: the problem.
-        name: its name.
-        effort: what to spend.
-        known: what is known already.
-
-    Returns:
-        The better solution and the better bound of what is known and what was found.
-    """
+    """The better solution and the better bound of what is known and what is found in addition."""
     began = time.monotonic()
     found = OptimalRouter(time_limit=effort.seconds).solve(problem)
     score, solver = (found.overflow, found.wirelength), "optimal"
@@ -93,18 +83,9 @@ def _better(known: Record, new: Record) -> Record:
 
 
 def solve_scenario(name: str, effort: Effort, *, again: bool = False) -> Iterator[Record]:
-    """Computes the references of a scenario and writes them to the package's file.
+    """Computes the references of a scenario and writes them to the package's file, one by one.
 
-    Args:
-        name: the scenario.
-        effort: what to spend on a problem.
-        again: whether to spend it also on problems whose reference is known but not proven.
-
-    Yields:
-        Each new reference, once it is written.
-
-    Raises:
-        InputError: there is no such scenario, or its file cannot be read or written.
+    With ``again`` effort is also spent on problems whose reference is known but not proven.
     """
     scenario = scenarios.get(name)
     path = path_of(name)

@@ -49,20 +49,11 @@ def reward_figures(metrics: Path, folder: Path) -> list[Path]:
 def problem_figures(
     problem: Problem, solutions: Mapping[str, Solution], folder: str | os.PathLike[str]
 ) -> list[Path]:
-    """Writes the figures of a problem and its solutions as PNG.
+    """Writes the figures of a problem's solutions, by the router's name, as PNG; returns the files.
 
-    Args:
-        problem: the problem.
-        solutions: its solutions by the router's name.
-        folder: the folder for the figures; it is made if it does not exist.
-
-    Returns:
-        The files: for each router ``ROUTER_heat_maps.png``, ``ROUTER_histogram.png``,
-        ``ROUTER_edges.png``, ``ROUTER_solution_2d.png`` and ``ROUTER_solution_3d.png``; for two
-        routers or more ``comparison.png``.
-
-    Raises:
-        InputError: the folder cannot be written to, or a solution belongs to another problem.
+    For each router ``ROUTER_heat_maps.png``, ``ROUTER_histogram.png``, ``ROUTER_edges.png``,
+    ``ROUTER_solution_2d.png`` and ``ROUTER_solution_3d.png``; for two routers or more
+    ``comparison.png``.
     """
     draw = {
         "heat_maps": figures.heat_maps,
@@ -94,18 +85,9 @@ def problem_figures(
 def run_figures(
     run: Path, folder: Path | None = None, rows: Sequence[Row] | None = None
 ) -> list[Path]:
-    """Writes all figures of a run folder.
+    """Writes all figures of a run folder, by default into its ``figures``; returns the files.
 
-    Args:
-        run: the run folder; of a training that is not finished, only the rewards are drawn.
-        folder: the folder for the figures; None stands for ``figures`` in the run folder.
-        rows: those of ``result.json``; None to read them there.
-
-    Returns:
-        The pictures written.
-
-    Raises:
-        InputError: a file cannot be used, or the folder cannot be written to.
+    Of a training that is not finished only the rewards are drawn.
     """
     folder = run / "figures" if folder is None else folder
     written = reward_figures(run / run_folder.METRICS, folder)
@@ -125,19 +107,11 @@ def run_figures(
 
 
 def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Path]:
-    """Writes the figures of an experiment.
+    """Writes the figures of an experiment, by default into its ``figures``; returns the files.
 
-    Args:
-        experiment: the experiment's folder.
-        folder: the folder for the figures; None stands for ``figures`` in the experiment's.
-
-    Returns:
-        The pictures written. For each set, and for ``all`` if there are several:
-        ``SET_wirelength.png`` and ``SET_overflow.png``, problem by problem, and, where A* is one of
-        several routers, ``SET_decrease.png``.
-
-    Raises:
-        InputError: there are no results, or the folder cannot be written to.
+    For each set, and for ``all`` if there are several, ``SET_wirelength.png`` and
+    ``SET_overflow.png``, problem by problem, and, where A* is one of several routers,
+    ``SET_decrease.png``.
     """
     folder = experiment / "figures" if folder is None else folder
     written: list[Path] = []
