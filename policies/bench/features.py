@@ -22,6 +22,7 @@ from marouting import Problem, evaluate
 from marouting.batch.outlook import OutlookObservation
 from marouting.columns import Games
 from marouting.config import check, config_file
+from marouting.game import RipUp
 from policies.bench.negotiation import write_rows
 from policies.learned.config import load_config
 from policies.learned.policy import TrainedPolicy
@@ -90,7 +91,7 @@ def judged(
         ``wirelength`` on the problems that negotiation routes without overflow, with ``fails``, how
         many of them are left with overflow; and ``overflow`` on the others.
     """
-    env = replace(policy.env, rip_up_rounds=rounds, rip_up_prices=rounds > 0)
+    env = replace(policy.env, rip_up=RipUp(rounds=rounds), rip_up_prices=rounds > 0)
     player = TrainedPolicy(policy.module, policy.masking, policy.obs_shape, env)
     found = {name: evaluate(p, player.solve(p).solution) for name, p in problems.items()}
     fits = [name for name in problems if known[name].overflow == 0]
@@ -117,7 +118,7 @@ def compared(seeds: int, episodes: int, count: int, folder: Path) -> Iterator[di
         for seed in range(seeds if name == "nothing" else 1):
             policy = trained(name, seed, episodes, count, folder)
             row: dict[str, Any] = {"without": name, "seed": seed, "episodes": episodes}
-            for game, rounds in (("shot", 0), ("rounds", config.env.rip_up_rounds)):
+            for game, rounds in (("shot", 0), ("rounds", (config.env.rip_up or RipUp()).rounds)):
                 for what, value in judged(policy, problems, known, rounds).items():
                     row[f"{game}_{what}"] = round(value, 3)
             yield row

@@ -284,7 +284,7 @@ def route(
             solver = make_router(router, options, where)
             save = None if out is None else lambda best: _finished(best, prune).write(out)
             stack.enter_context(waiting(router, solver, save))
-        warm_up(solver, loaded)
+        warm_up(solver)
         started = time.perf_counter()
         solution, report = solve(solver, loaded)
         solution = _finished(solution, prune)
