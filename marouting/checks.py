@@ -1,14 +1,12 @@
-"""What the fields of options may be: told by their types, and for numbers by bounds."""
+"""Options that check themselves, also when they are made without a configuration."""
 
-import functools
-from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any
 
-from marouting.errors import InputError
+from marouting.config import check, hints_of, of_key
 
 
 def check_fields(options: Any, **bounds: tuple[float, float]) -> None:
-    """Checks the fields of a dataclass whose types are Literal, bool, int or float, or None too.
+    """Checks the fields of a dataclass by their types, and makes nested ones of mappings.
 
     Args:
         options: an object of the dataclass.
@@ -18,29 +16,9 @@ def check_fields(options: Any, **bounds: tuple[float, float]) -> None:
         InputError: a value is none of its field's; the message names the field, what was expected
             and what was found.
     """
-    cls: Any = type(options)
-    for name, hint in _hints(cls).items():
-        value = getattr(options, name)
-        parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-        kind = parts[0]
-        if value is None and type(None) in parts:
-            continue
-        if get_origin(kind) is Literal:
-            if value not in get_args(kind):
-                expected = f"one of {', '.join(get_args(kind))}"
-                raise InputError(f"{name}: expected {expected}, found {value}")
-        elif kind is bool:
-            if not isinstance(value, bool):
-                raise InputError(f"{name}: expected true or false, found {value!r}")
-        elif name in bounds:
+    for name, hint in hints_of(type(options)).items():
+        value = of_key(name, getattr(options, name), hint)
+        object.__setattr__(options, name, value)
+        if name in bounds and value is not None:
             least, most = bounds[name]
-            number = (
-                isinstance(value, int | float) if kind is float else hasattr(value, "__index__")
-            )
-            if not (number and not isinstance(value, bool) and least <= value <= most):
-                raise InputError(f"{name}: expected {least:g} to {most:.7g}, found {value!r}")
-
-
-@functools.cache
-def _hints(cls: Any) -> dict[str, Any]:
-    return get_type_hints(cls)
+            check(name, least <= value <= most, f"{least:g} to {most:.7g}, found {value!r}")

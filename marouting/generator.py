@@ -55,8 +55,6 @@ class Least:
         capacity: tracks of an edge.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     grid: tuple[int, int, int] = (4, 4, 1)
     nets: int = 1
     max_pins: int = 2
@@ -76,10 +74,11 @@ class GeneratorOptions:
         nets: nets per problem.
         max_pins: pins per net, drawn uniformly from 2…max_pins.
         capacity: capacity, in tracks, of an edge along its layer's direction.
-        reduced_edges: how many of the most used edges get a reduced capacity.
+        reduced_edges: how many edges get a reduced capacity: those that sequential A* uses most.
         reduced_capacity: that capacity; None: two less than ``capacity`` but at least 0.
         reduced_per: ``problem``: each problem has its own edges reduced; ``set``: all problems have
-            the same edges reduced, those most used in all of them together.
+            the same edges reduced, those most used in all of them together, as in the authors'
+            published sets.
         seed: seed of the random numbers, from 0; None: different ones every time, in an environment
             a new problem at every reset.
         least: None: all problems are of the size above. Otherwise every problem has a size of its
@@ -101,8 +100,6 @@ class GeneratorOptions:
     Raises:
         InputError: a value is out of range.
     """
-
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     count: int = 1
     grid: tuple[int, int, int] = (8, 8, 2)
@@ -168,12 +165,7 @@ def generate(
     capacity: int = 5,
     reduced_edges: int = 3,
     seed: int | None = 0,
-    *,
-    reduced_capacity: int | None = None,
-    reduced_per: ReducedPer = "problem",
-    rent: float | None = None,
-    macros: int = 0,
-    hot_spots: int = 0,
+    **options: Any,
 ) -> list[Problem]:
     """Generates problems; the same arguments give the same problems.
 
@@ -188,14 +180,7 @@ def generate(
         reduced_edges: how many edges get a reduced capacity: those that sequential A* uses most
             before the reduction (ties: lowest edge number).
         seed: seed of the random numbers, from 0; None: a different set every time.
-        reduced_capacity: capacity of the reduced edges; None: two less than ``capacity`` but at
-            least 0.
-        reduced_per: ``problem``: the edges that the problem's own solution uses most; ``set``: the
-            edges that the solutions of all problems together use most, the same in every problem,
-            as in the authors' published sets (so they depend on ``count``).
-        rent: Rent's exponent, for local nets; None: pins anywhere. See :class:`GeneratorOptions`.
-        macros: rectangles without capacity but in the two highest layers.
-        hot_spots: places around which half of the nets begin.
+        **options: the other attributes of :class:`GeneratorOptions`.
 
     Returns:
         The problems, ``count`` of them.
@@ -203,22 +188,9 @@ def generate(
     Raises:
         InputError: a value is out of range, or the problems take too much memory.
     """
-    return generate_from(
-        GeneratorOptions(
-            count=count,
-            grid=grid,
-            nets=nets,
-            max_pins=max_pins,
-            capacity=capacity,
-            reduced_edges=reduced_edges,
-            reduced_capacity=reduced_capacity,
-            reduced_per=reduced_per,
-            seed=seed,
-            rent=rent,
-            macros=macros,
-            hot_spots=hot_spots,
-        )
-    )
+    names = "count", "grid", "nets", "max_pins", "capacity", "reduced_edges", "seed"
+    given = count, grid, nets, max_pins, capacity, reduced_edges, seed
+    return generate_from(GeneratorOptions(**dict(zip(names, given, strict=True)), **options))
 
 
 def generate_from(options: GeneratorOptions) -> list[Problem]:

@@ -2,16 +2,18 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any
-
-from pydantic import TypeAdapter
-from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin
 
 from marouting.config import (
     INCLUDE,
     Keys,
+    Piece,
+    attributes,
     build,
+    hints_of,
     leaves,
     origins_of,
     override,
@@ -91,24 +93,46 @@ def resolve(
 
 
 def schema_of(command: str) -> dict[str, Any]:
-    """The JSON schema of a command's configurations."""
-    schema = TypeAdapter(kinds()[command]).json_schema(schema_generator=_Schema)
-    file = {"type": "string"}
-    schema["properties"][INCLUDE] = {
-        "anyOf": [file, {"type": "array", "items": file}],
-        "description": "Files to begin from, relative to this one.",
-    }
+    """The JSON schema of a command's configurations, with what docstrings say of the keys."""
+    schema = _schema(kinds()[command])
+    files = {"anyOf": [_schema(str), _schema(list[str])]}
+    schema["properties"][INCLUDE] = {**files, "description": "Files to begin from."}
     return schema
 
 
-class _Schema(GenerateJsonSchema):
-    """Of a piece, editors get to know that it is a name, or a mapping with the name as ``kind``."""
+def _schema(hint: Any) -> dict[str, Any]:
+    """The JSON schema of the values that :func:`marouting.config.taken` takes for a type."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return {"anyOf": [_schema(one) for one in inner]}
+    if origin is Literal:
+        return {"enum": list(inner)}
+    if origin is tuple and inner[-1] is not ...:
+        return {"type": "array", "prefixItems": [_schema(one) for one in inner], "items": False}
+    if origin in (tuple, list):
+        return {"type": "array", "items": _schema(inner[0])}
+    if origin is dict:
+        return {"type": "object", "additionalProperties": _schema(inner[1])}
+    if hint is Piece:  # its name, or a mapping with the name as kind
+        kind = {"type": "object", "properties": {"kind": _schema(str)}}
+        return {"anyOf": [_schema(str), kind]}
+    if not is_dataclass(hint):
+        return {"type": _TYPES[hint]} if hint in _TYPES else {}
+    about: dict[str, str] = {}
+    for base in hint.__mro__:
+        about |= attributes(base)
+    properties: dict[str, Any] = {}
+    for field in fields(hint):
+        if field.init:
+            own = properties[field.name] = _schema(hints_of(hint)[field.name])
+            if field.name in about:
+                own["description"] = about[field.name]
+            if isinstance(field.default, bool | int | float | str):
+                own["default"] = field.default
+    return {"type": "object", "properties": properties, "additionalProperties": False}
 
-    def function_plain_schema(self, schema: Any) -> JsonSchemaValue:
-        """The schema of a piece."""
-        del schema
-        kind = {"type": "object", "properties": {"kind": {"type": "string"}}}
-        return {"anyOf": [{"type": "string"}, kind]}
+
+_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", NoneType: "null"}
 
 
 def _origin(keys: tuple[str, ...], given: Origins) -> str:

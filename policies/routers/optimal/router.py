@@ -92,8 +92,6 @@ class OptimalRouter:
         InputError: ``time_limit`` is negative or not a number.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     time_limit: float | None = None
     bound: Bound = "optimum"
 

@@ -56,8 +56,6 @@ class RegionsOptions:
         InputError: an option is out of range; the message names it and the range.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     regions: int = 2
     seconds: float | None = 50.0
     seed: int = 0
