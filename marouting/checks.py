@@ -1,5 +1,6 @@
 """Options that check themselves, also when they are made without a configuration."""
 
+import math
 from typing import Any
 
 from marouting.config import check, hints_of, of_key
@@ -16,9 +17,11 @@ def check_fields(options: Any, **bounds: tuple[float, float]) -> None:
         InputError: a value is none of its field's; the message names the field, what was expected
             and what was found.
     """
-    for name, hint in hints_of(type(options)).items():
+    kind: Any = type(options)
+    for name, hint in hints_of(kind).items():
         value = of_key(name, getattr(options, name), hint)
         object.__setattr__(options, name, value)
         if name in bounds and value is not None:
             least, most = bounds[name]
-            check(name, least <= value <= most, f"{least:g} to {most:.7g}, found {value!r}")
+            text = f"{least:g} to {most:.10g}" if most < math.inf else f"a number from {least:g}"
+            check(name, least <= value <= most, f"{text}, found {value!r}")

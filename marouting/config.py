@@ -749,10 +749,14 @@ def _options_of(kind: str, cls: type[Any]) -> tuple[type[Any], bool]:
             declared.append((parameter.name, hint))
         else:
             # A factory, because a default may be a list.
-            default = field(default_factory=lambda value=parameter.default: value)
+            default = field(default_factory=functools.partial(_same, parameter.default))
             declared.append((parameter.name, hint, default))
     varied = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
     return dataclasses.make_dataclass(_KEYWORDS, declared, kw_only=True), varied
+
+
+def _same(value: Any) -> Any:
+    return value
 
 
 def plain(value: Any) -> Any:

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.checks import check_fields
 from marouting.errors import InputError
 from marouting.memory import ADJUSTMENT, NET, PIN, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
@@ -21,9 +22,6 @@ from marouting.problem.net import (
     Adjustment,
     Net,
     Pin,
-    check_numbers,
-    is_whole,
-    whole_numbers,
 )
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_grid
 from marouting.search.astar import sequential_astar
@@ -61,7 +59,7 @@ class Least:
     capacity: int = 1
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "grid", whole_numbers("least.grid", self.grid, 3))
+        check_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,24 +114,15 @@ class GeneratorOptions:
     hot_spots: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "grid", whole_numbers("grid", self.grid, 3))
+        counted = dict.fromkeys(("count", "nets"), (1, MAX_NUMBER))
+        many = ("capacity", "reduced_edges", "reduced_capacity", "macros", "hot_spots")
+        counted |= dict.fromkeys(many, (0, MAX_NUMBER))
+        check_fields(self, max_pins=(2, MAX_NUMBER), seed=(0, math.inf), rent=(0, 1), **counted)
         check_grid(self.grid)
         if self.grid[0] * self.grid[1] < 2:
             raise InputError(
                 f"grid {self.grid}: expected at least two Gcells in layer 1, for a net to span"
             )
-        for name, least in (("count", 1), ("nets", 1), ("max_pins", 2)):
-            if getattr(self, name) < least:
-                raise InputError(f"{name}: expected at least {least}, found {getattr(self, name)}")
-            check_numbers(name, [getattr(self, name)])
-        for name in ("capacity", "reduced_edges", "macros", "hot_spots"):
-            check_numbers(name, (getattr(self, name),))
-        check_numbers("reduced_capacity", [n for n in (self.reduced_capacity,) if n is not None])
-        check_choice("reduced_per", self.reduced_per, ReducedPer)
-        if self.seed is not None and not (is_whole(self.seed) and self.seed >= 0):
-            raise InputError(f"seed: expected a whole number from 0, found {self.seed!r}")
-        if self.rent is not None and not 0 <= self.rent <= 1:
-            raise InputError(f"rent: expected a number from 0 to 1, found {self.rent!r}")
         if self.macros and (min(self.grid[:2]) < _MACRO or self.grid[2] < _FREE_LAYERS + 1):
             raise InputError(
                 f"macros: expected 0 on a grid of {self.grid}: they need {_MACRO} columns and rows "
@@ -188,9 +177,18 @@ def generate(
     Raises:
         InputError: a value is out of range, or the problems take too much memory.
     """
-    names = "count", "grid", "nets", "max_pins", "capacity", "reduced_edges", "seed"
-    given = count, grid, nets, max_pins, capacity, reduced_edges, seed
-    return generate_from(GeneratorOptions(**dict(zip(names, given, strict=True)), **options))
+    return generate_from(
+        GeneratorOptions(
+            count=count,
+            grid=grid,
+            nets=nets,
+            max_pins=max_pins,
+            capacity=capacity,
+            reduced_edges=reduced_edges,
+            seed=seed,
+            **options,
+        )
+    )
 
 
 def generate_from(options: GeneratorOptions) -> list[Problem]:
@@ -315,13 +313,7 @@ def _unreduced(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
 
 
 def _without(problem: Problem, closed: NDArray[np.bool_], layers: int) -> Problem:
-    """A problem without capacity at some Gcells in its lowest layers.
-
-    Args:
-        problem: the problem.
-        closed: (X, Y) which Gcells; edges are closed at either end.
-        layers: how many layers.
-    """
+    """A problem without capacity at some Gcells in its lowest layers."""
     none = np.zeros((*problem.grid, AXES), np.bool_)
     for axis in range(VIA_AXIS):
         none[:, :, :layers, axis] = (closed | np.roll(closed, -1, axis))[..., None]

@@ -386,9 +386,9 @@ def _nets(scene: Scene, sheet: "Sheet", state: NDArray[np.int8]) -> list[list[Sh
 
 def _bars(scene: Scene, sheet: "Sheet", state: NDArray[np.int8]) -> list[list[Shape]]:
     """Every edge in use as a bar, the darker the fuller; overflowed ones are red and wide."""
-    used, over = (
-        np.flatnonzero(state >= EdgeState.USED),
+    over, used = (
         np.flatnonzero(state == EdgeState.OVERFLOWED),
+        np.flatnonzero(state >= EdgeState.USED),
     )
     capacity = np.maximum(scene.capacity[used], 1)
     share = (capacity - scene.remaining[used]) / capacity
@@ -461,17 +461,15 @@ class Sheet:
             *self.bars(free, self.start, end, [_FREE]),
             *(self.around(gcell, self.square // 2, _GCELL) for gcell in range(grid.gcells)),
         ]
-        for z in range(layers):
-            corner = self.around(grid.number(0, height - 1, z), pitch // 2, _INK)
-            name = f"layer {z + 1}"
-            name = (
-                name if _ADVANCE * self.scale * len(name) <= width * pitch + margin else name[::6]
-            )
+        fits = 8 * _ADVANCE * self.scale <= width * pitch + margin
+        for layer in range(layers):
+            corner = self.around(grid.number(0, height - 1, layer), pitch // 2, _INK)
+            name = f"{'layer ' if fits else 'l'}{layer + 1}"
             self.shapes.append(Words(corner.left, corner.top - line, name, self.scale))
         bottom = self.lines * line + rows * panel
-        legend = list(self._legend(layers > 1, bottom, across - margin))
-        self.shapes += legend
-        bottom = _up_to(legend[-1].y + line + margin // 2, 2 * self.shrink)
+        self.shapes += self._legend(layers > 1, bottom, across - margin)
+        last = max(shape.y for shape in self.shapes if isinstance(shape, Words))
+        bottom = _up_to(last + line + margin // 2, 2 * self.shrink)
         self.canvas = np.full((bottom, across, 3), _BACKGROUND, np.uint8)
         _paint(self.canvas, self.shapes)
         self.canvas.setflags(write=False)
@@ -483,7 +481,7 @@ class Sheet:
 
     def bars(
         self, edges: NDArray[np.integer], low: Any, high: Any, inks: Sequence[Ink]
-    ) -> list[Box]:
+    ) -> list[Shape]:
         """Bars on edges inside layers.
 
         Args:
@@ -497,9 +495,8 @@ class Sheet:
         x, y = self._x[near], self._y[near]
         along_x = np.stack((x + half, y + low, self._x[far] - half, y + high), axis=1)
         along_y = np.stack((x + low, self._y[far] + half, x + high, y - half), axis=1)
-        sides = np.where((edges % AXES == 0)[:, None], along_x, along_y).tolist()
-        colours = inks * len(sides) if len(inks) == 1 else inks
-        return [Box(*own, ink) for own, ink in zip(sides, colours, strict=True)]
+        sides: list[Any] = np.where((edges % AXES == 0)[:, None], along_x, along_y).tolist()
+        return [Box(*own, inks[n % len(inks)]) for n, own in enumerate(sides)]
 
     def around(self, gcell: int, reach: int, ink: Ink) -> Box:
         """A square around the middle of a Gcell."""
@@ -515,7 +512,7 @@ class Sheet:
         return Words(self.margin, self.margin // 2 + row * _LINE * self.scale, text, self.scale)
 
     def _legend(self, vias: bool, top: int, right: int) -> Iterator[Shape]:
-        """What the marks and colours mean; the last shape is a line of text."""
+        """What the marks and colours mean."""
         unit = self.scale
         side, net = 8 * unit, [colour_of(n) for n in range(3)]
         lines = [Box(0, (1 + 2 * n) * unit, side, (3 + 2 * n) * unit, net[n]) for n in range(3)]

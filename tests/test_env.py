@@ -890,7 +890,7 @@ def test_make_from_a_file(tmp_path: Path) -> None:
         ({"mask_key": "metrics"}, "mask_key: expected a name of its own"),
         ({"mask_key": 1}, "mask_key: expected a text, found 1"),
         ({"render_mode": "svg"}, "render_mode: expected one of ansi, rgb_array, human or null"),
-        ({"problem": {"nets": 0}}, "nets: expected at least 1, found 0"),
+        ({"problem": {"nets": 0}}, "nets: expected 1 to 1000000000, found 0"),
         ({"problem": {"count": 2, "seed": None}}, "problem.count: expected 1 without a seed"),
         ({"problem": "missing.gr"}, "missing.gr: cannot be read"),
         ({"problem": 5}, "problem: "),

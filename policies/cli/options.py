@@ -51,13 +51,8 @@ NUMBER = _Number(click.FLOAT, r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)
 """A finite number on the command line."""
 
 
-def options_of(schema: type[Any], but: Collection[str] = ()) -> Callable[[Any], Any]:
-    """Gives a command an option for every field of a dataclass, as the dataclass describes it.
-
-    Args:
-        schema: the dataclass.
-        but: the fields left out.
-    """
+def options_of(schema: Any, but: Collection[str] = ()) -> Callable[[Any], Any]:
+    """Gives a command an option for every field of a dataclass, as the dataclass describes it."""
     about, hints = attributes(schema), hints_of(schema)
 
     def add(command: Any) -> Any:

@@ -72,9 +72,6 @@ def resolve(
     Returns:
         All its values as plain data, and where they are from: ``FILE:LINE``, with files named from
         the folder of the first, ``command line`` or ``default``.
-
-    Raises:
-        InputError: names the file or key, what was expected and what was found.
     """
     raw, name = read_yaml(path), os.fspath(path)
     whole = plain(build(kinds()[kind_of(raw)], override(raw, overrides), name))
@@ -116,20 +113,23 @@ def _schema(hint: Any) -> dict[str, Any]:
     if hint is Piece:  # its name, or a mapping with the name as kind
         kind = {"type": "object", "properties": {"kind": _schema(str)}}
         return {"anyOf": [_schema(str), kind]}
-    if not is_dataclass(hint):
+    if not isinstance(hint, type) or not is_dataclass(hint):
         return {"type": _TYPES[hint]} if hint in _TYPES else {}
+    return {"type": "object", "properties": _properties(hint), "additionalProperties": False}
+
+
+def _properties(kind: Any) -> dict[str, Any]:
+    """The schemas of the fields of a dataclass."""
     about: dict[str, str] = {}
-    for base in hint.__mro__:
+    for base in kind.__mro__:
         about |= attributes(base)
-    properties: dict[str, Any] = {}
-    for field in fields(hint):
-        if field.init:
-            own = properties[field.name] = _schema(hints_of(hint)[field.name])
-            if field.name in about:
-                own["description"] = about[field.name]
-            if isinstance(field.default, bool | int | float | str):
-                own["default"] = field.default
-    return {"type": "object", "properties": properties, "additionalProperties": False}
+    found = {name: _schema(hint) for name, hint in hints_of(kind).items()}
+    for field in fields(kind):
+        if field.name in found and field.name in about:
+            found[field.name]["description"] = about[field.name]
+        if field.name in found and isinstance(field.default, bool | int | float | str):
+            found[field.name]["default"] = field.default
+    return found
 
 
 _TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", NoneType: "null"}

@@ -16,7 +16,7 @@ from policies.results.run_folder import solution_name
 from policies.routers.registry import is_learner, labelled, make_router, router_label
 
 if TYPE_CHECKING:
-    from policies.figures.animation import Scene
+    from marouting.render import Scene
 
 PAGE, MOVING = ".html", (".svg", ".gif")
 

@@ -40,9 +40,6 @@ def replay(
 
     Yields:
         The same engine at the beginning and after every step.
-
-    Raises:
-        InputError: the solution belongs to another problem, or there is nothing to route.
     """
     engine = Engine([problem], turn_order=turn_order, overflow="allowed", max_steps=MOST_STEPS)
     guide = RouteFollower(engine, [solution])
@@ -60,9 +57,6 @@ def record(states: Iterable[Engine], most: int = 240) -> list[Scene]:
     Args:
         states: the engine of one game, again and again, as it goes on; any game, with rip-ups too.
         most: at least 2.
-
-    Raises:
-        InputError: ``most`` is less, or there is no state.
     """
     if most < 2:
         raise InputError(f"frames: expected at least 2, found {most}")
@@ -96,10 +90,6 @@ def save_animation(
         path: the file; its suffix tells the format, ``.svg`` or ``.gif``.
         title: what the SVG is called.
         fps: pictures per second; None: 3 to 20, for an animation of about 12 seconds.
-
-    Raises:
-        InputError: the suffix is another, ``fps`` is out of range, there is too much for SVG, or
-            the file cannot be written.
     """
     kind = animation_format(path)
     if fps is None:
@@ -120,12 +110,7 @@ def animation_format(path: str | os.PathLike[str]) -> str:
 
 
 def gif(scenes: Sequence[Scene], fps: float) -> bytes:
-    """The pictures of :func:`marouting.render.rgb_array` as an animated GIF that repeats forever.
-
-    Args:
-        scenes: the moments; at least one.
-        fps: pictures per second; GIF counts in hundredths of a second.
-    """
+    """The pictures of :func:`marouting.render.rgb_array` as a GIF that repeats forever."""
     last = len(scenes) - 1
     first, *others = (Image.fromarray(rgb_array(scene)) for scene in scenes)
     durations = [round(1000 / fps) + (n == last) * round(1000 * HOLD) for n in range(last + 1)]
@@ -139,16 +124,8 @@ def svg(scenes: Sequence[Scene], title: str, fps: float) -> str:
 
     Where nothing moves, as on paper, the last moment is shown.
 
-    Args:
-        scenes: the moments; at least one.
-        title: its title.
-        fps: moments per second.
-
     Returns:
         The text; the same for the same input.
-
-    Raises:
-        InputError: there are more than MOST_PARTS shapes that come and go.
     """
     sheet, count = Sheet.of(scenes[0]), len(scenes)
     moments: defaultdict[tuple[int, Shape], list[int]] = defaultdict(list)

@@ -208,12 +208,7 @@ class RegionsRouter:
         seed: int,
         best: str,
     ) -> tuple[State, Step, bool | None]:
-        """A step.
-
-        Returns:
-            What there is after it, what it took, and whether every region found nothing better any
-            more; None if somebody asked to stop.
-        """
+        """What comes of a step, and whether no region found better; None if asked to stop."""
         problem = state.solution.problem
         pieces = [
             cut(state.solution, state.prices, division, region)
