@@ -502,6 +502,10 @@ _PLAIN: dict[Any, _Form] = {
 }
 
 
+_FEW = 5
+"""With fewer keys than so many, a message names all keys of a mapping."""
+
+
 @functools.cache
 def _forms(hint: Any) -> tuple[_Form, ...]:
     """What a type, or each part of a union, takes."""
@@ -525,8 +529,9 @@ def _form(kind: Any) -> _Form:
         take = functools.partial(_mapping, inner[1])
         return _Form("a mapping", lambda v: isinstance(v, Mapping), take)
     if is_dataclass(kind) or hasattr(kind, "__required_keys__"):  # or a TypedDict
-        take = functools.partial(_record, kind)
-        return _Form("a mapping", lambda v: isinstance(v, Mapping) or is_dataclass(type(v)), take)
+        take, known = functools.partial(_record, kind), list(hints_of(kind))
+        words = f"a mapping of {', '.join(known)}" if len(known) < _FEW else "a mapping"
+        return _Form(words, lambda v: isinstance(v, Mapping) or is_dataclass(type(v)), take)
     return _PLAIN.get(kind, _Form("a value", lambda _: True, lambda v: v))
 
 
@@ -846,8 +851,20 @@ _LISTED = 280
 """The most characters of a list of known keys."""
 
 
+RENAMED = {
+    "give_back": "release_failed",
+    "next_task": "next_pin",
+    "rip_up_rounds": "rip_up: {rounds: …}",
+    "rip_up_neighbours": "rip_up: {neighbours: …}",
+}
+"""Names that keys had before version 0.3, and what they are called now."""
+
+
 def unknown_key(key: str, known: Sequence[str]) -> str:
     """The message about a key that is not one of those known."""
+    new = RENAMED.get(key.rpartition(".")[2])
+    if new:
+        return f"{key}: unknown key; it is now {new}"
     close = difflib.get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
     # What follows must not lie in the middle of a long message, which is left out.
     listed = textwrap.shorten(", ".join(known), _LISTED, placeholder=" …")

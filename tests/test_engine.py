@@ -13,7 +13,7 @@ from reference import Game, contested, edge_number, gcell_of, random_moves
 from marouting import Adjustment, Engine, InputError, Move, Net, Pin, Problem, evaluate, generate
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.problem.problem import UNLIMITED
-from marouting.search.astar import AStar
+from marouting.search.guides import AStar
 
 E, W, N, S, U, D = Move
 
@@ -29,12 +29,17 @@ options = st.fixed_dictionaries(
 extensions = st.fixed_dictionaries(
     {
         "target": st.sampled_from(["pin", "tree"]),
-        "next_task": st.sampled_from(["listed", "nearest"]),
+        "next_pin": st.sampled_from(["listed", "nearest"]),
         "mask_visited": st.booleans(),
-        "give_back": st.booleans(),
-        "rip_up_rounds": st.sampled_from([0, 1, 2, 3]),
-        "rip_up": st.sampled_from(["all", "conflicts", "price", "agents"]),
-        "rip_up_neighbours": st.sampled_from([0, 1, 2]),
+        "release_failed": st.booleans(),
+        "rip_up": st.none()
+        | st.fixed_dictionaries(
+            {
+                "rounds": st.sampled_from([1, 2, 3]),
+                "choose": st.sampled_from(["all", "conflicts", "history", "agents"]),
+                "neighbours": st.sampled_from([0, 1, 2]),
+            }
+        ),
         "rip_up_patience": st.sampled_from([0, 1]),
         "rip_up_prices": st.booleans(),
         "rip_up_present": st.sampled_from([0.1, 0.6, 2]),
@@ -117,7 +122,7 @@ forms = st.sampled_from(["turn", "all", "mixed"])
 def test_engine_plays_by_the_options(
     problem: Problem, chosen: dict[str, Any], more: dict[str, Any], seed: int, form: str
 ) -> None:
-    if more["next_task"] == "nearest":
+    if more["next_pin"] == "nearest":
         chosen = {**chosen, "decomposition": "mst"}
     if more["rip_up_prices"]:
         chosen = {**chosen, "overflow": "allowed"}
@@ -133,7 +138,7 @@ def test_nets_negotiate_again_and_again(calm: float) -> None:
         rules: dict[str, Any] = {
             "turn_order": "sequential",
             "overflow": "allowed",
-            "rip_up_rounds": 60,
+            "rip_up": {"rounds": 60},
             "rip_up_prices": True,
             "rip_up_calm": calm,
             "max_steps": 8,

@@ -213,7 +213,7 @@ def test_no_import_is_overlooked() -> None:
     assert found == {"p.a", "p.b.c", "p.b", "p.b.d", "p"}
     assert imported_modules("from . import d", "p.b.__init__", known) == {"p.b.d"}
     graph = import_graph("marouting")
-    assert "marouting.search.plain" in graph["marouting.search.bounded"]
+    assert "marouting.search.astar" in graph["marouting.search.guides"]
     assert "marouting.vector" in graph["marouting"]
 
 
@@ -277,7 +277,7 @@ def test_the_plain_environments_need_no_compiler() -> None:
         env.step(4)
         spent = time.process_time()
         problem = {"nets": 5, "max_pins": 3, "seed": 1, "reduced_edges": 0}
-        options = {"rip_up_rounds": 1, "target": "tree", "overflow": "allowed", "max_steps": 9}
+        options = {"rip_up": {"rounds": 1}, "target": "tree", "overflow": "allowed", "max_steps": 9}
         env = game.parallel_env(problem, reward={"kind": "team", "open": 2}, **options)
         env.reset()
         while env.agents:

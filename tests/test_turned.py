@@ -15,12 +15,12 @@ from marouting.batch.window import mirrored, move_order
 from marouting.game import NOBODY, Ending
 from marouting.options import game_options
 from marouting.player import Player
-from marouting.search.astar import AStar
+from marouting.search.guides import AStar
 from policies.learned.networks.mlp import MLP
 from policies.learned.policy import TrainedPolicy, player_of
 
 PROBLEMS = generate(3, (5, 4, 2), 5, max_pins=4, capacity=2, seed=3)
-ASKED = {"rip_up_rounds": 1, "rip_up": "agents"}
+ASKED = {"rip_up": {"choose": "agents"}}
 WINDOW = {"kind": "window", "radius": 1}
 
 

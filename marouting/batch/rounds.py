@@ -54,7 +54,7 @@ from marouting.batch.bits import byte_at, byte_of, empty, places, put, set_byte,
 from marouting.batch.edges import use_edges
 from marouting.batch.places import grid_of
 from marouting.batch.prices import choose_kind, is_priced, net_cost
-from marouting.batch.state import Dynamic, Option, RipUp, Static
+from marouting.batch.state import Choice, Dynamic, Option, Static
 from marouting.batch.tasks import (
     begin_net,
     begin_task,
@@ -140,7 +140,7 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     line, size = dynamic.numbers[m, first : first + static.order.shape[1]], wide(0)
     while size < len(line) and static.order[m, size] != NOBODY:
         price = wide(0)
-        if static.options[Option.RIP_UP] == RipUp.PRICE:
+        if static.options[Option.RIP_UP] == Choice.HISTORY:
             price = _price(static, dynamic, m, wide(static.order[m, size]), False)
         elif is_priced(static, dynamic, m):
             price = lot(wide(game.round), wide(static.order[m, size]), wide(NOBODY))
@@ -156,8 +156,8 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
 def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net walks again now that it is considered."""
     rip_up = static.options[Option.RIP_UP]
-    if rip_up == RipUp.CONFLICTS or rip_up == RipUp.PRICE:
-        return _price(static, dynamic, m, n, rip_up == RipUp.CONFLICTS) > 0
+    if rip_up == Choice.CONFLICTS or rip_up == Choice.HISTORY:
+        return _price(static, dynamic, m, n, rip_up == Choice.CONFLICTS) > 0
     return True
 
 
@@ -341,7 +341,7 @@ def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
         if not _walks_again(static, dynamic, m, n):
             continue
         game.turn = turn
-        if static.options[Option.RIP_UP] == RipUp.AGENTS:
+        if static.options[Option.RIP_UP] == Choice.AGENTS:
             game.asked = game.active = 1
             dynamic.agents[m, n].status = Status.ACTIVE
             begin_task(static, dynamic, m, n, wide(static.first[m, n]))

@@ -18,7 +18,7 @@ from marouting.game import MOST_STEPS, NOBODY, TurnOrder
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Box, Disc, Ink, Scene, Shape, Sheet, Words, rgb_array, scene_of, shapes
-from marouting.search.route_follower import RouteFollower
+from marouting.search.guides import RouteFollower
 
 HOLD = 2.0
 """Seconds that the last picture stays before the animation starts again."""

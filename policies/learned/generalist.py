@@ -29,7 +29,7 @@ from marouting.batch.engine import Engine
 from marouting.batch.options import MOST_PRESENT, RuleOptions
 from marouting.batch.outlook import DETOURS, OutlookObservation
 from marouting.config import check
-from marouting.game import MOST_NEIGHBOURS, MOST_ROUNDS
+from marouting.game import MOST_NEIGHBOURS, MOST_ROUNDS, RipUp
 from marouting.problem.grid import MOVES
 from marouting.search.cheapest_tree import MOST_PINS
 from policies.learned.compiled.walk import MOST_STEPS, Walker, take_best
@@ -46,8 +46,7 @@ millisecond on small grids."""
 
 _STEINER: dict[str, Any] = {
     "decomposition": "steiner",
-    "next_task": "listed",
-    "rip_up_neighbours": 0,
+    "next_pin": "listed",
 }
 """What is different in the game in which nets walk along Steiner trees."""
 
@@ -153,7 +152,7 @@ class GeneralistRouter:
         self.options = options = GeneralistOptions() if options is None else options
         self.watch: Callable[[str], bool] | None = None
         self._observation = OutlookObservation()
-        env = EnvOptions(overflow="allowed", target="tree", next_task="nearest", mask_visited=True)
+        env = EnvOptions(overflow="allowed", target="tree", next_pin="nearest", mask_visited=True)
         self._sizes: tuple[int, ...] = (self._observation.size, MOVES)
         self._weights = np.zeros((self._sizes[0] + 1) * MOVES, np.float32)
         if options.mind == "ways":
@@ -165,14 +164,11 @@ class GeneralistRouter:
             self._observation, self._sizes, self._weights = _read(policy, weights)
             env = policy.env
         self._keys = keys(options.seed, [str(copy) for copy in range(options.copies)], "walk")
-        neighbours = options.neighbours if options.rounds else 0
         rules = {field.name: getattr(env, field.name) for field in fields(RuleOptions)}
         self._rules = replace(
             RuleOptions(**rules),
             turn_order="sequential",
-            rip_up="agents",
-            rip_up_rounds=options.rounds,
-            rip_up_neighbours=neighbours,
+            rip_up=_rounds(options.rounds, options.neighbours),
             rip_up_patience=options.patience,
             rip_up_prices=options.prices and options.rounds > 0 and env.overflow == "allowed",
             rip_up_calm=_CALM,
@@ -181,7 +177,9 @@ class GeneralistRouter:
     def warm_up(self, problem: Problem) -> None:
         """Compiles what routing needs, in a round at most."""
         options = replace(self.options, rounds=min(1, self.options.rounds), seconds=None)
-        rules = replace(self._rules_for(problem), rip_up_rounds=options.rounds)
+        rules = replace(
+            self._rules_for(problem), rip_up=_rounds(options.rounds, options.neighbours)
+        )
         GeneralistRouter(options)._play(problem, rules, time.thread_time())
 
     def route(self, problem: Problem) -> Solution:
@@ -212,7 +210,7 @@ class GeneralistRouter:
         walker.walk_out(stops=True)
         share = _TIGHT if any(_cost(engine, 0)[:-1]) else _ROOM
         if seconds >= max(_LEAST, share * (time.thread_time() - began)):
-            guide = Engine([problem], replace(rules, **_STEINER))
+            guide = Engine([problem], replace(rules, **_STEINER, rip_up=_rounds(o.rounds, 0)))
             best_moves = np.zeros(1, np.float32)
             alone = Walker(guide, *seen, best_moves, self._keys[:1], exact_pins=o.exact_pins)
             alone.walk_out(stops=True)
@@ -318,6 +316,11 @@ def _orders(engine: Engine, seed: int) -> NDArray[np.int32]:
         agents = int((order >= 0).sum())
         order[:agents] = rng.permutation(order[:agents])
     return orders
+
+
+def _rounds(rounds: int, neighbours: int) -> RipUp | None:
+    """Rip-up rounds in which agents are asked, if there are any."""
+    return RipUp(rounds=rounds, choose="agents", neighbours=neighbours) if rounds else None
 
 
 def _ranking(engine: Engine) -> NDArray[np.int64]:

@@ -5,7 +5,7 @@ demand of the others and the cheapest ways stay as they are, so they are found o
 what makes it many times as fast as the same policy through the player.
 
 An agent may be guided: then it walks along given routes of its net, as far as they lead to its
-target (:mod:`marouting.search.route_follower`). So the routes of another game become moves of this
+target (:mod:`marouting.search.guides`). So the routes of another game become moves of this
 one. In games with prices an agent whose net has few pins walks along a cheapest tree in the same
 way (:mod:`marouting.search.cheapest_tree`).
 
@@ -56,7 +56,7 @@ from marouting.search.cheapest_tree import (
     move_on_tree,
     plan_tree,
 )
-from marouting.search.route_follower import move_along
+from marouting.search.guides import move_along
 from policies.learned.compiled.gradient import forward, forward_one
 from policies.learned.streams import uniform
 
