@@ -182,8 +182,6 @@ class OutlookObservation:
         margin: Gcells by which ways may leave the box around the open pins, from 1.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     radius: int = 2
     margin: int = 3
 

@@ -137,8 +137,6 @@ class WindowObservation:
             ``pins`` and ``heads``.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     radius: int = 2
     layers: int = 1
     channels: tuple[Channel, ...] = ("capacity", "demand", "own", "pins", "heads")

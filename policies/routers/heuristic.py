@@ -34,8 +34,6 @@ class HeuristicRouter:
             :class:`marouting.Engine`.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     net_order: NetOrder = "half_perimeter"
     decomposition: Decomposition = "mst"
     max_steps: int | None = None
