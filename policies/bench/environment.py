@@ -232,15 +232,15 @@ def interfaces(bench: Bench) -> Iterator[Measurement]:
 
 def jumanji(bench: Bench) -> Iterator[Measurement]:
     """The batched environment against Jumanji's Connector, both on one core."""
-    from policies.bench.jumanji import Connector, one_core
+    from policies.bench.jumanji import connector, one_core
 
-    with one_core(), Connector(1024) as connector:
+    with one_core():
         yield bench.versus(
             "BatchEnv, 1024 problems of 50 nets, on one core",
             "agent-steps/s",
             _batched(1),
             "Jumanji's Connector-v3, 1024 games of 10 agents",
-            connector,
+            connector(1024),
             target="3 times the comparator",
         )
 
