@@ -1,7 +1,6 @@
 """The options of the rules in the batch: those of the game, and those of nets that negotiate."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 from marouting.checks import check_fields
 from marouting.config import check
@@ -39,8 +38,6 @@ class RuleOptions(Rules):
     Raises:
         InputError: an option is out of range.
     """
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
 
     rip_up_patience: int = 0
     rip_up_prices: bool = False

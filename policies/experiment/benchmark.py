@@ -62,8 +62,6 @@ class BenchmarkConfig:
         engine: where the work is done, as in an experiment.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     routers: dict[str, dict[str, Any] | None] = field(default_factory=dict)
     budget: str | None = None
     seeds: int | None = None

@@ -68,8 +68,6 @@ class ExperimentConfig:
             entries. They become the entries' own.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     out: str = "runs/experiment"
     seeds: tuple[int, ...] = (0,)
     engine: EngineName = "local"
@@ -200,8 +198,6 @@ class Training:
             may then be given.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     config: str | None = None
     stack: int = 1
     env: dict[str, Any] = field(default_factory=dict)
@@ -243,8 +239,6 @@ class Published:
         optimal: whether these are proven optima, from which gaps are measured.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     file: str
     overflow: str = "overflow"
     wirelength: str = "wirelength"
@@ -262,8 +256,6 @@ class ExternalSolutions:
     Attributes:
         folder: holds a solution for each problem, in a file called ``PROBLEM.…``.
     """
-
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     folder: str
 
@@ -392,8 +384,6 @@ def load_experiment(
 @dataclass(frozen=True, kw_only=True)
 class ScenarioSet:
     """A set that is the split of a scenario."""
-
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     scenario: str
     split: Split = "test"
