@@ -14,7 +14,6 @@ from dataclasses import fields
 from docstrings import ROOT, markdown
 
 from marouting import global_routing_v0
-from marouting.batch.options import RuleOptions
 from marouting.game import Rules
 from marouting.options import GameOptions
 
@@ -41,7 +40,7 @@ def page() -> str:
 def _arguments() -> Iterator[str]:
     """A row for every option: what its docstring says of it, and its default."""
     defaults = {field.name: field for field in fields(GameOptions)}
-    for cls in (GameOptions, Rules, RuleOptions):
+    for cls in (GameOptions, Rules):
         for name, about in _attributes(cls).items():
             field = defaults[name]
             default = field.metadata.get("name", field.default)  # of a piece, or another value

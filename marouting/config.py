@@ -801,8 +801,21 @@ _LISTED = 280
 """The most characters of a list of known keys."""
 
 
+_PRICES = "train.negotiation of a training: only the generalist negotiates by prices"
+
+RENAMED = {
+    "rip_up_calm": _PRICES,
+    "rip_up_patience": _PRICES,
+    "rip_up_present": _PRICES,
+    "rip_up_prices": _PRICES,
+}
+"""Keys that there were, and what to write in their place."""
+
+
 def unknown_key(key: str, known: Sequence[str]) -> str:
     """The message about a key that is not one of those known."""
+    if new := RENAMED.get(key.rpartition(".")[2]):
+        return f"{key}: unknown key; expected {new}"
     close = difflib.get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
     # What follows must not lie in the middle of a long message, which is left out.
     listed = textwrap.shorten(", ".join(known), _LISTED, placeholder=" …")

@@ -13,12 +13,12 @@ import pytest
 import torch
 
 from marouting import Engine, InputError, generate
-from marouting.batch.outlook import OutlookObservation
 from policies.bench import SECTIONS, Bench, environment, evolution, negotiation, oracle, predicted
 from policies.bench.features import Blind
 from policies.bench.measure import rate
 from policies.bench.training import operations
 from policies.cli import main as cli
+from policies.generalist.outlook import OutlookObservation
 from policies.routers.pathfinder import PathfinderOptions
 
 

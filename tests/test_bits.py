@@ -15,12 +15,12 @@ from reference import contested, random_moves
 import marouting
 from marouting import Engine, Net, Pin, Problem, global_routing_v0
 from marouting.batch import bits, setup
-from marouting.batch.outlook import OutlookObservation
 from marouting.config import build
 from marouting.game import NOBODY
 from marouting.kernels import compiled, wide
 from marouting.vector import BatchEnv
-from policies.learned.compiled.walk import Walker
+from policies.generalist.outlook import OutlookObservation
+from policies.generalist.walk import Walker
 from policies.learned.config import Config
 from policies.learned.trainer import Trainer
 from policies.routers.heuristic import HeuristicRouter

@@ -10,10 +10,11 @@ from reference import contested, edge_number
 from seeing import cheapest_tree, edge_costs, gcell, is_priced
 
 from marouting import Engine, Problem, evaluate, generate
+from marouting.batch.prices import Negotiation
 from marouting.config import InputError, build
 from marouting.game import NOBODY
-from marouting.search.cheapest_tree import make_trees, move_on_tree, plan_tree
-from policies.learned.generalist import GeneralistOptions, GeneralistRouter
+from policies.generalist.cheapest_tree import make_trees, move_on_tree, plan_tree
+from policies.generalist.router import GeneralistOptions, GeneralistRouter
 
 RULES: dict[str, Any] = {
     "turn_order": "sequential",
@@ -21,7 +22,7 @@ RULES: dict[str, Any] = {
     "mask_visited": True,
     "overflow": "allowed",
     "rip_up_rounds": 6,
-    "rip_up_prices": True,
+    "negotiation": Negotiation(),
     "rip_up": "conflicts",
     "max_steps": 1000,
 }

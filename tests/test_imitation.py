@@ -12,10 +12,11 @@ import torch
 
 from marouting import InputError, evaluate, generate
 from marouting.config import build
-from policies.learned.algorithms.imitation import imitation_loss
+from policies.generalist import SHIPPED
+from policies.generalist.imitation import imitation_loss
+from policies.generalist.router import GeneralistOptions, GeneralistRouter
 from policies.learned.config import Config
-from policies.learned.generalist import GeneralistOptions, GeneralistRouter
-from policies.learned.policy import SHIPPED, TrainedPolicy
+from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run, problems_of
 from policies.learned.trainer import Trainer
 from policies.results.run_folder import POLICY
@@ -68,14 +69,17 @@ def finish(training: Trainer) -> list[Any]:
     return [episode for episodes in training.run() for episode in episodes]
 
 
-PRICED: dict[str, Any] = {"rip_up_prices": True, "rip_up_rounds": 3, "rip_up": "conflicts"}
+PRICED: dict[str, Any] = {
+    "env": {"rip_up_rounds": 3, "rip_up": "conflicts"},
+    "train": {"negotiation": {}},
+}
 
 
-@pytest.mark.parametrize("env", [{}, PRICED])
-def test_it_goes_on_from_a_state(env: dict[str, Any]) -> None:
-    whole = trainer(config(env=env))
+@pytest.mark.parametrize("more", [{}, PRICED])
+def test_it_goes_on_from_a_state(more: dict[str, Any]) -> None:
+    whole = trainer(config(**more))
     expected = finish(whole)
-    first, found = trainer(config(env=env)), []
+    first, found = trainer(config(**more)), []
     for episodes in first.run():
         found += episodes
         if len(found) >= 17:
@@ -83,7 +87,7 @@ def test_it_goes_on_from_a_state(env: dict[str, Any]) -> None:
     state = first.state()
     for part in ("training", "trainer"):
         state[part] = {name: tensor.clone() for name, tensor in state[part].items()}
-    second = trainer(config(env=env))
+    second = trainer(config(**more))
     second.load_state(state, "memory")
     assert found + finish(second) == expected
     assert torch.equal(second.learner.networks.flat, whole.learner.networks.flat)
@@ -112,8 +116,8 @@ def test_what_it_learns_routes_larger_problems(tmp_path: Path) -> None:
 @pytest.mark.parametrize("plain", [0.0, 0.5, 1.0])
 def test_a_share_of_the_episodes_begins_plain(plain: float) -> None:
     """The others begin at prices."""
-    train = {"games": 64, "episodes": 64}
-    training = trainer(config(env=PRICED, learner={"plain": plain}, train=train))
+    train = {"games": 64, "episodes": 64, **PRICED["train"]}
+    training = trainer(config(env=PRICED["env"], learner={"plain": plain}, train=train))
     next(training.run())
     games = training.player.engine.games
     first = (games["round"] == 0) & (games["steps"] > 0)
@@ -230,6 +234,6 @@ def test_the_shipped_weights_route_what_they_never_saw() -> None:
 
 def test_the_card_of_the_shipped_weights_is_theirs() -> None:
     assert SHIPPED.stat().st_size < 2_000_000
-    card = SHIPPED.with_suffix(".md").read_text(encoding="utf-8")
+    card = SHIPPED.with_name("README.md").read_text(encoding="utf-8")
     assert hashlib.sha256(SHIPPED.read_bytes()).hexdigest() in card
     assert TrainedPolicy.load(SHIPPED).origin.split()[2] in card  # after so many episodes

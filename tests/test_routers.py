@@ -31,8 +31,8 @@ from marouting import (
 from marouting.config import build
 from marouting.env.single import GlobalRoutingSingle
 from marouting.search.astar import AStar
+from policies.generalist.router import GeneralistOptions, GeneralistRouter
 from policies.learned.config import Config
-from policies.learned.generalist import GeneralistOptions, GeneralistRouter
 from policies.learned.networks.mlp import MLP
 from policies.learned.policy import TrainedPolicy
 from policies.learned.router import LearnedRouter

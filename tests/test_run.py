@@ -26,13 +26,14 @@ from marouting.config import build, plain
 from marouting.player import Player
 from marouting.source import load_problems
 from policies.cli.main import status
+from policies.generalist import SHIPPED
 from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.algorithms.fused_dqn import FusedDQN
 from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT
 from policies.learned.config import Config, TrainOptions, load_config
 from policies.learned.learner import Setup
 from policies.learned.logs import Logs
-from policies.learned.policy import SHIPPED, TrainedPolicy
+from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run, clear
 from policies.learned.trainer import Episode, Trainer
 from policies.results.rows import COLUMNS

@@ -15,7 +15,6 @@ from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 
 from marouting.columns import Columns
-from marouting.config import check
 from marouting.errors import InputError
 from marouting.game import ACTIVE, NOBODY, WAITING, Game, Rules, TurnOrder
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
@@ -81,8 +80,6 @@ class BaseGame:
         kind: type[Game] = Game,
     ) -> None:
         checked = game_options(options)
-        for name in ("rip_up_prices", "rip_up_patience"):
-            check(name, not getattr(checked, name), "none here: only marouting.vector.BatchEnv has")
         rules = {field.name: getattr(checked, field.name) for field in fields(Rules)}
         self._rules = Rules(**{**rules, "turn_order": checked.turn_order or turn_order})
         self._kind = kind

@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from marouting.batch.bits import set_byte
 from marouting.batch.engine import Engine
-from marouting.batch.options import RuleOptions
 from marouting.batch.rules import move_agent
 from marouting.batch.setup import dynamic_state, static_state
 from marouting.batch.state import Dynamic, Static
 from marouting.batch.tasks import begin_task
-from marouting.game import NOBODY, Crossing, NetOrder, Status, Target
+from marouting.game import NOBODY, Crossing, NetOrder, Rules, Status, Target
 from marouting.kernels import compiled, wide
 from marouting.memory import PLAYED, SEARCH, TABLES, check_memory
 from marouting.problem.problem import Problem, check_choice, check_problem
@@ -158,7 +157,7 @@ def sequential_astar(
 
     Args:
         problem: the problem to route.
-        net_order: which nets come first, see :class:`marouting.batch.options.RuleOptions`; or
+        net_order: which nets come first, see :class:`marouting.game.Rules`; or
             (nets,) integers, smallest first.
         target: where a task's path ends: ``pin``, at the task's other pin (the paper); ``tree``, at
             the nearest Gcell of the net's route so far.
@@ -180,7 +179,7 @@ def sequential_astar(
     tasks = len(gcells) - len(problem.nets)
     uses, size, turn = np.empty(_EDGES_PER_TASK * tasks + grid.edges, np.int64), 0, 0
     if tasks:
-        rules = RuleOptions(
+        rules = Rules(
             net_order=net_order if isinstance(net_order, str) else "file",
             overflow="allowed",
             decomposition=decomposition,

@@ -20,10 +20,10 @@ from marouting import (
     generate,
     global_routing_v0,
 )
-from marouting.batch.outlook import OutlookObservation
 from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.bench.measure import Bench, Measurement, Work
+from policies.generalist.outlook import OutlookObservation
 
 
 def _problem(nets: int = 50, seed: int = 0) -> Problem:

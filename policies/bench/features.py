@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import Problem, evaluate
-from marouting.batch.outlook import OutlookObservation
 from marouting.columns import Games
 from marouting.config import check, config_file
 from policies.bench.negotiation import write_rows
+from policies.generalist.outlook import OutlookObservation
 from policies.learned.config import load_config
 from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run, problems_of
@@ -90,8 +90,10 @@ def judged(
         ``wirelength`` on the problems that negotiation routes without overflow, with ``fails``, how
         many of them are left with overflow; and ``overflow`` on the others.
     """
-    env = replace(policy.env, rip_up_rounds=rounds, rip_up_prices=rounds > 0)
-    player = TrainedPolicy(policy.module, policy.masking, policy.obs_shape, env)
+    env, negotiation = replace(policy.env, rip_up_rounds=rounds), policy.negotiation
+    player = TrainedPolicy(
+        policy.module, policy.masking, policy.obs_shape, env, negotiation=negotiation
+    )
     found = {name: evaluate(p, player.solve(p).solution) for name, p in problems.items()}
     fits = [name for name in problems if known[name].overflow == 0]
     over = [name for name in problems if known[name].overflow > 0]

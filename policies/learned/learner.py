@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from marouting.game import NOBODY
 from marouting.player import Player
 from marouting.problem.grid import MOVES
-from policies.learned.compiled import greedy
+from policies.learned import greedy
 from policies.learned.memory.before import Before
 from policies.learned.networks.stack import Stack
 from policies.learned.rows import COUNT, Rows

@@ -31,6 +31,7 @@ from marouting.options import PLAYED
 from marouting.player import Saved, StepBuffers
 from marouting.registry import allowing_code
 from marouting.source import Draws
+from policies.generalist import SHIPPED
 from policies.learned.burn_in import GUIDES, guide, read_solutions
 from policies.learned.checkpoint import ANY, FINITE, POLICY_FORMAT, TRAINING_FORMAT, checked
 from policies.learned.config import Config
@@ -38,7 +39,6 @@ from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
 from policies.learned.memory.before import Before
 from policies.learned.policy import (
-    SHIPPED,
     TrainedPolicy,
     check_weights,
     player_of,
@@ -99,15 +99,15 @@ class Trainer:
             )
         drawn = draws is not None
         check("train.games", drawn or train.games is None, "null: this training's problems stay")
-        self._whole = player_of(config.env, list(problems.values()))
+        self._whole = player_of(config.env, list(problems.values()), config.train.negotiation)
         engine, count = self._whole.engine, 1 if drawn else len(self.names)
         if draws is not None:
             self._copies = len(draws.counts)
-            self.player = player_of(config.env, draws)
+            self.player = player_of(config.env, draws, config.train.negotiation)
         else:
             self._copies = int(getattr(learner.options, "copies", 1))
             each = [problem for problem in problems.values() for _ in range(self._copies)]
-            self.player = player_of(config.env, each)
+            self.player = player_of(config.env, each, config.train.negotiation)
         b = self.player.buffers
         shapes = [p.buffers.obs.shape[2:] for p in (self._whole, self.player)]
         what = f"the same shape for all problems, found {shapes[0]} and {shapes[1]}"
@@ -372,7 +372,10 @@ class Trainer:
         module.load_state_dict(self._state_dict(self._policies[row]))
         masking = learner.cls.masks(learner.options)
         origin = policy_origin(int(self.policy_episode[row]))
-        return TrainedPolicy(module, masking, setup.obs_shape, self.config.env, origin)
+        config = self.config
+        return TrainedPolicy(
+            module, masking, setup.obs_shape, config.env, origin, config.train.negotiation
+        )
 
     def origin(self, problem: str) -> str:
         """Which episode a problem's solution is from."""
@@ -444,6 +447,7 @@ class Trainer:
             "learner": plain(self.config.learner),
             "obs_shape": list(self.learner.setup.obs_shape),
             "env": env,
+            "negotiation": plain(self.config.train.negotiation),
             "weights": [self._state_dict(row) for row in self._policies],
         }
 

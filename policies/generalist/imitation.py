@@ -2,8 +2,8 @@
 
 The teacher knows a solution of every problem, from negotiated congestion, and the **regret** of
 every move: by how much the cheapest routing that begins with it is dearer than the cheapest of all
-(:mod:`marouting.search.regrets`). It answers for any state, also where the pupil has gone wrong, so
-the pupil learns in states that it gets into by itself (Ross, Gordon, Bagnell, "A reduction of
+(:mod:`policies.generalist.regrets`). It answers for any state, also where the pupil has gone wrong,
+so the pupil learns in states that it gets into by itself (Ross, Gordon, Bagnell, "A reduction of
 imitation learning and structured prediction to no-regret online learning", AISTATS 2011).
 
 For a state with the regrets r the network's chances p of the moves have the loss
@@ -13,8 +13,9 @@ For a state with the regrets r the network's chances p of the moves have the los
 All best moves are as good as each other: which of them it prefers, the network is not told. Moves
 that are dearer by a small part of an edge, as there are at prices, are nearly as good.
 
-Games with ``rip_up_prices`` teach both kinds of rounds: a share of the episodes (``plain``) begins
-with a first walk that is not priced, and leaves the nets to come the room that they need.
+Games with prices (``train.negotiation``) teach both kinds of rounds: a share of the episodes
+(``plain``) begins with a first walk that is not priced, and leaves the nets to come the room that
+they need.
 
 The network is meant to be shared by nets and problems: ``train.shared: true``, and ``train.games``
 to draw a new problem for every episode. The games: ``agents: single``, ``target: tree``.
@@ -36,7 +37,7 @@ from marouting.kernels import compiled
 from marouting.observations import has_move_order, move_order_of
 from marouting.player import Player
 from marouting.problem.grid import MOVES
-from marouting.search.regrets import MASKED, Regrets
+from policies.generalist.regrets import MASKED, Regrets
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
 from policies.learned.memory.before import Before
@@ -83,7 +84,7 @@ class ImitationOptions:
         drawn: share of the episodes in which the pupil draws its moves by their chances. In the
             rest it makes those with the highest.
         helped: share of the moves in its own episodes that the teacher makes for it.
-        plain: share of the episodes that begin with plain rounds. Without ``rip_up_prices`` all do.
+        plain: share of the episodes that begin with plain rounds. Without prices all do.
         passes: of negotiated congestion over the nets of a problem, for the teacher's solution.
         masking: whether only moves that cross an edge are chosen.
     """
@@ -218,7 +219,7 @@ class Imitation(Learner):
         """
         engine, last = player.engine, self.last[0]
         games, learns = engine.games, player.buffers.active[:, 0].copy()
-        priced, begins = engine.rules.rip_up_prices, games["steps"] == 0
+        priced, begins = engine.priced, games["steps"] == 0
         if begins.any():
             self.begun[0] += begins
             self.regrets.lessons.coming[begins] = 0

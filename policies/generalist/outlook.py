@@ -150,7 +150,7 @@ def ways_of(engine: Engine) -> Ways:
             high=np.zeros((m, 2), np.int32),
             found=np.full((m, 4), NOBODY, np.int32),
             room=np.zeros((m, cells, VIA_AXIS), np.int32),
-            price=np.zeros((m, cells * engine.rules.rip_up_prices, VIA_AXIS), np.int32),
+            price=np.zeros((m, cells * engine.priced, VIA_AXIS), np.int32),
             load=np.zeros((m, cells, VIA_AXIS), np.int64),
             kinds=np.zeros(m, np.int32),
             front=np.zeros((m, 2, 3), np.int64),
@@ -175,7 +175,7 @@ def ways_of(engine: Engine) -> Ways:
 
 @dataclass(frozen=True)
 class OutlookObservation:
-    """What a learned router looks at; see :mod:`marouting.batch.outlook`.
+    """What a learned router looks at; see :mod:`policies.generalist.outlook`.
 
     Attributes:
         radius: Gcells that are seen in each direction of x and y, 0 to 32.

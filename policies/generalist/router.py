@@ -13,7 +13,7 @@ all but the first with drawn moves and the nets in an order of their own, and th
 through the rounds. The result is the best copy when the time is over.
 
 The moves are ordinary moves of the environment and the rounds ordinary rounds; all that is special
-is that they are compiled (:mod:`policies.learned.compiled.walk`).
+is that they are compiled (:mod:`policies.generalist.walk`).
 """
 
 import time
@@ -26,15 +26,16 @@ from numpy.typing import NDArray
 
 from marouting import EnvOptions, Problem, Solution
 from marouting.batch.engine import Engine
-from marouting.batch.options import MOST_PRESENT, RuleOptions
-from marouting.batch.outlook import DETOURS, OutlookObservation
+from marouting.batch.prices import MOST_PRESENT, Negotiation
 from marouting.config import check
-from marouting.game import MOST_NEIGHBOURS, MOST_ROUNDS
+from marouting.game import MOST_NEIGHBOURS, MOST_ROUNDS, Rules
 from marouting.problem.grid import MOVES
-from marouting.search.cheapest_tree import MOST_PINS
-from policies.learned.compiled.walk import MOST_STEPS, Walker, take_best
+from policies.generalist import SHIPPED
+from policies.generalist.cheapest_tree import MOST_PINS
+from policies.generalist.outlook import DETOURS, OutlookObservation
+from policies.generalist.walk import MOST_STEPS, Walker, take_best
 from policies.learned.networks.mlp import MLP
-from policies.learned.policy import SHIPPED, Routed, TrainedPolicy
+from policies.learned.policy import Routed, TrainedPolicy
 from policies.learned.streams import keys
 
 _SURE = 8.0
@@ -62,11 +63,11 @@ by the network and along trees; and how much of such a walk a round is."""
 
 _FEW, _PRESENT, _POWER = 2.0, 2.8, 1.5
 """With time and rounds for fewer walks than the first number nets do not negotiate. Otherwise
-``rip_up_present`` is the second one, divided by their number, to the power of the third: with
+``present`` is the second one, divided by their number, to the power of the third: with
 little time nets share less, and have parted sooner."""
 
 _CALM = 0.3
-"""``rip_up_calm``: there are rounds enough for prices to come to rest."""
+"""``calm``: there are rounds enough for prices to come to rest."""
 
 _OFTEN = 0.1
 """Seconds between two lines to who watches."""
@@ -81,7 +82,7 @@ class GeneralistOptions:
     Attributes:
         weights: a file of a trained policy with the observation ``outlook``, such as
             ``configs/generalist.yaml`` trains; None: the one that is shipped with the package, see
-            ``generalist.md`` beside it.
+            ``README.md`` beside it.
         seconds: limit of processor time, without loading and compiling. It may be exceeded until
             the copies have routed for the first time. None: no limit.
         rounds: the most rip-up rounds; 0 for a single shot.
@@ -94,8 +95,8 @@ class GeneralistOptions:
         prices: whether nets negotiate (:mod:`marouting.batch.prices`), if there is time for it and
             there are rounds. Without ``overflow: allowed``, of which the weights tell, they cannot.
         exact_pins: where nets negotiate, those with at most so many pins walk along a cheapest tree
-            that is computed (:mod:`marouting.search.cheapest_tree`), and do not ask the network; 0:
-            none.
+            that is computed (:mod:`policies.generalist.cheapest_tree`), and do not ask the network;
+            0: none.
         seed: seed of the random numbers.
         mind: who chooses the moves: ``network``; or, to see what the search does without learning,
             ``ways``, whose moves lead along the cheapest way, or ``chance``.
@@ -168,23 +169,21 @@ class GeneralistRouter:
             env = policy.env
         self._keys = keys(options.seed, [str(copy) for copy in range(options.copies)], "walk")
         neighbours = options.neighbours if options.rounds else 0
-        rules = {field.name: getattr(env, field.name) for field in fields(RuleOptions)}
+        rules = {field.name: getattr(env, field.name) for field in fields(Rules)}
         self._rules = replace(
-            RuleOptions(**rules),
+            Rules(**rules),
             turn_order="sequential",
             rip_up="agents",
             rip_up_rounds=options.rounds,
             rip_up_neighbours=neighbours,
-            rip_up_patience=options.patience,
-            rip_up_prices=options.prices and options.rounds > 0 and env.overflow == "allowed",
-            rip_up_calm=_CALM,
         )
+        prices = options.prices and options.rounds > 0 and env.overflow == "allowed"
+        self._negotiation = Negotiation(prices=prices, patience=options.patience, calm=_CALM)
 
     def warm_up(self, problem: Problem) -> None:
         """Compiles what routing needs, in a round at most."""
         options = replace(self.options, rounds=min(1, self.options.rounds), seconds=None)
-        rules = replace(self._rules_for(problem), rip_up_rounds=options.rounds)
-        GeneralistRouter(options)._play(problem, rules, time.thread_time())
+        GeneralistRouter(options)._play(problem, self._negotiation_for(problem), time.thread_time())
 
     def route(self, problem: Problem) -> Solution:
         """Routes a problem; in the solution every net is joined whose pins any way joins."""
@@ -197,12 +196,12 @@ class GeneralistRouter:
         rip-up rounds that a copy has been through.
         """
         began = time.thread_time()
-        return self._play(problem, self._rules_for(problem), began)
+        return self._play(problem, self._negotiation_for(problem), began)
 
-    def _play(self, problem: Problem, rules: RuleOptions, began: float) -> Routed:
-        """:meth:`solve` by these rules; it began at that processor time."""
-        o = self.options
-        engine = Engine([problem] * o.copies, rules)
+    def _play(self, problem: Problem, negotiation: Negotiation, began: float) -> Routed:
+        """:meth:`solve`, which began at that processor time."""
+        o, rules = self.options, self._rules
+        engine = Engine([problem] * o.copies, rules, negotiation=negotiation)
         if o.copies > 1:
             engine.set_order(_orders(engine, o.seed))
         warmth = np.full(o.copies, o.warmth, np.float32)
@@ -214,7 +213,7 @@ class GeneralistRouter:
         walker.walk_out(stops=True)
         share = _TIGHT if any(_cost(engine, 0)[:-1]) else _ROOM
         if seconds >= max(_LEAST, share * (time.thread_time() - began)):
-            guide = Engine([problem], replace(rules, **_STEINER))
+            guide = Engine([problem], replace(rules, **_STEINER), negotiation=negotiation)
             best_moves = np.zeros(1, np.float32)
             alone = Walker(guide, *seen, best_moves, self._keys[:1], exact_pins=o.exact_pins)
             alone.walk_out(stops=True)
@@ -234,19 +233,19 @@ class GeneralistRouter:
             engine, best = guide, 0
         return Routed(engine.solution(best), report)
 
-    def _rules_for(self, problem: Problem) -> RuleOptions:
-        """The rules of the game: whether nets negotiate, and how cheaply they share at first."""
+    def _negotiation_for(self, problem: Problem) -> Negotiation:
+        """Whether nets negotiate, and how cheaply they share edges at first."""
         o, walks = self.options, 1 + _ROUND * self.options.rounds
         if o.seconds is not None:
             low, high = problem.pin_boxes()
             on_trees = np.diff(problem.flat_pin_gcells[0]) <= o.exact_pins
             times = np.where(on_trees, _TREE_MOVE, _MOVE) * (high - low).sum(axis=1)
             walks = min(walks, o.seconds / max(float(times.sum()), 1e-9))
-        if not self._rules.rip_up_prices or walks < _FEW:
-            return replace(self._rules, rip_up_prices=False)
-        usual = self._rules.rip_up_present
+        if walks < _FEW:
+            return replace(self._negotiation, prices=False)
+        usual = self._negotiation.present
         present = min(max(usual, (_PRESENT / walks) ** _POWER), MOST_PRESENT)
-        return replace(self._rules, rip_up_present=present)
+        return replace(self._negotiation, present=present)
 
     def _rip_up(self, engine: Engine, walker: Walker, began: float) -> None:
         """Rip-up rounds of the best copies, until the time is over."""
@@ -258,7 +257,7 @@ class GeneralistRouter:
             if self.watch is not None and time.perf_counter() - said >= _OFTEN:
                 said = time.perf_counter()
                 game = engine.games[_ranking(engine)[0]]
-                which = "best" if engine.rules.rip_up_prices else "kept"
+                which = "best" if engine.priced else "kept"
                 overflow, wirelength = (game[f"{which}_{n}"] for n in ("overflow", "wirelength"))
                 line = f"round {game['round']}; overflow {overflow}, wirelength {wirelength}"
                 if self.watch(line):
@@ -279,7 +278,7 @@ class GeneralistRouter:
             while not over and in_time():
                 over = walker.walk(steps())
             walker.walk_out(stops=True)
-            if engine.rules.rip_up_prices:
+            if engine.priced:
                 take_best(engine)
 
 
@@ -307,7 +306,7 @@ def _cost(engine: Engine, m: int) -> tuple[int, int, int]:
 def _walked(engine: Engine) -> tuple[int, ...]:
     """What the first walk of the first game is judged by; at prices overflow can still go away."""
     still_open, overflow, wirelength = _cost(engine, 0)
-    if engine.rules.rip_up_prices:
+    if engine.priced:
         return still_open, overflow + wirelength
     return still_open, overflow, wirelength
 

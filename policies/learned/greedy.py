@@ -1,7 +1,7 @@
 """Games played to their end by the best moves of small networks, in compiled loops.
 
 One loop plays games with the paper's observation and reward. Games in turn order with the
-observation ``outlook`` are played by that of :mod:`policies.learned.compiled.walk` if they have
+observation ``outlook`` are played by that of :mod:`policies.generalist.walk` if they have
 many rip-up rounds: through the player, a move of one game takes a hundred times as long.
 """
 
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from torch import nn
 
 from marouting.batch.growth import lacks_room
-from marouting.batch.outlook import OutlookObservation
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.kernels import allocating, wide
 from marouting.player import Known, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
+from policies.generalist.outlook import OutlookObservation
+from policies.generalist.walk import Walker
 from policies.learned.compiled.gradient import q_values, units_of
-from policies.learned.compiled.walk import Walker
 from policies.learned.exploration import choose
 from policies.learned.networks.mlp import MLP
 

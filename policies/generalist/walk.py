@@ -7,7 +7,7 @@ what makes it many times as fast as the same policy through the player.
 An agent may be guided: then it walks along given routes of its net, as far as they lead to its
 target (:mod:`marouting.search.route_follower`). So the routes of another game become moves of this
 one. In games with prices an agent whose net has few pins walks along a cheapest tree in the same
-way (:mod:`marouting.search.cheapest_tree`).
+way (:mod:`policies.generalist.cheapest_tree`).
 
 An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way, unless
 the network alone is to walk.
@@ -31,7 +31,22 @@ from marouting.batch.bits import byte_at, places
 from marouting.batch.engine import Engine
 from marouting.batch.expected import Maps, maps_of, recount, refresh, sum_up
 from marouting.batch.growth import lacks_room
-from marouting.batch.outlook import (
+from marouting.batch.prices import UNIT, first_present, is_priced, net_cost
+from marouting.batch.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
+from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.tasks import is_on
+from marouting.game import NOBODY, Status
+from marouting.kernels import allocating, bound, compiled, inlined, inner, place, wide
+from marouting.problem.grid import MOVES, VIA_AXIS
+from marouting.search.route_follower import move_along
+from policies.generalist.cheapest_tree import (
+    Trees,
+    is_planned,
+    make_trees,
+    move_on_tree,
+    plan_tree,
+)
+from policies.generalist.outlook import (
     DETOURS,
     OutlookObservation,
     Ways,
@@ -42,21 +57,6 @@ from marouting.batch.outlook import (
     widened,
     write_outlook,
 )
-from marouting.batch.prices import UNIT, first_present, is_priced, net_cost
-from marouting.batch.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
-from marouting.batch.state import Dynamic, Option, Static
-from marouting.batch.tasks import is_on
-from marouting.game import NOBODY, Status
-from marouting.kernels import allocating, bound, compiled, inlined, inner, place, wide
-from marouting.problem.grid import MOVES, VIA_AXIS
-from marouting.search.cheapest_tree import (
-    Trees,
-    is_planned,
-    make_trees,
-    move_on_tree,
-    plan_tree,
-)
-from marouting.search.route_follower import move_along
 from policies.learned.compiled.gradient import forward, forward_one
 from policies.learned.streams import uniform
 
