@@ -14,7 +14,7 @@ from dataclasses import fields
 from docstrings import ROOT, markdown
 
 from marouting import global_routing_v0
-from marouting.game import Rules
+from marouting.game import RipUp, Rules
 from marouting.options import GameOptions
 
 PAGE = ROOT / "docs" / "environment.md"
@@ -39,12 +39,12 @@ def page() -> str:
 
 def _arguments() -> Iterator[str]:
     """A row for every option: what its docstring says of it, and its default."""
-    defaults = {field.name: field for field in fields(GameOptions)}
-    for cls in (GameOptions, Rules):
+    for cls, prefix in ((GameOptions, ""), (Rules, ""), (RipUp, "rip_up.")):
+        defaults = {field.name: field for field in fields(cls if prefix else GameOptions)}
         for name, about in _attributes(cls).items():
             field = defaults[name]
             default = field.metadata.get("name", field.default)  # of a piece, or another value
-            yield f"| `{name}` | `{default!r}` | {about} |"
+            yield f"| `{prefix}{name}` | `{default!r}` | {about} |"
 
 
 def _attributes(cls: type) -> dict[str, str]:

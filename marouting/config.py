@@ -808,14 +808,19 @@ RENAMED = {
     "rip_up_patience": _PRICES,
     "rip_up_present": _PRICES,
     "rip_up_prices": _PRICES,
+    "give_back": "release_failed",
+    "next_task": "next_pin",
+    "rip_up_rounds": "rip_up: {rounds: …}",
+    "rip_up_neighbours": "rip_up: {neighbours: …}",
 }
-"""Keys that there were, and what to write in their place."""
+"""Names that keys had before version 0.3, and what they are called now."""
 
 
 def unknown_key(key: str, known: Sequence[str]) -> str:
     """The message about a key that is not one of those known."""
-    if new := RENAMED.get(key.rpartition(".")[2]):
-        return f"{key}: unknown key; expected {new}"
+    new = RENAMED.get(key.rpartition(".")[2])
+    if new:
+        return f"{key}: unknown key; it is now {new}"
     close = difflib.get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
     # What follows must not lie in the middle of a long message, which is left out.
     listed = textwrap.shorten(", ".join(known), _LISTED, placeholder=" …")
@@ -849,6 +854,8 @@ def _explain(schema: type, error: "ValidationError") -> str:
         same = [e for e in errors if e["type"] == first["type"] and path_of(e["loc"]) == path]
         known = [name for e in same for name in re.split(", | or ", e["ctx"]["expected"])]
         message = f"expected {', '.join(known[:-1])} or {known[-1]}" if known[1:] else message
+    elif first["type"] == "dataclass_type" and (known := _keys(schema, path)):
+        message = f"expected a mapping of {', '.join(known)}"
     elif first["loc"][-1:] == ("file",) and path[-1:] == ["problem"]:
         message = "expected a file, a folder, a list of them, or a generator's options"
     said = first["type"] in ("value_error", "json_invalid", "missing", "missing_argument")

@@ -43,12 +43,10 @@ from marouting.problem.solution import Solution
 from marouting.trees.decomposition import Decomposition, two_pin_tasks
 
 RIP_UP = MOVES
-"""Action 6, with ``rip_up="agents"``: the net is ripped up and routed again."""
+"""Action 6, where agents are asked: the net is ripped up and routed again."""
 
-NOBODY = -1
-"""Stands for no agent, such as after the end of the game."""
-
-NO_TASK = -1
+NOBODY = NO_TASK = -1
+"""Stand for no agent, such as after the end of the game, and for no task."""
 
 
 class Status(IntEnum):
@@ -86,14 +84,31 @@ ANSWERED = Crossing.ANSWERED.value
 GOES_ON, JOINED, FAILED = Ending.NONE.value, Ending.JOINED.value, Ending.FAILED.value
 
 MOST_STEPS, MOST_ROUNDS, MOST_NEIGHBOURS = 1_000_000, 100_000, 100
-"""The largest ``max_steps``, ``rip_up_rounds`` and ``rip_up_neighbours``."""
+"""The largest ``max_steps``, ``rip_up.rounds`` and ``rip_up.neighbours``."""
 
 TurnOrder = Literal["sequential", "round_robin"]
 NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
-Overflow = Literal["forbidden", "allowed"]
 Target = Literal["pin", "tree"]
-NextTask = Literal["listed", "nearest"]
-RipUpChoice = Literal["all", "conflicts", "price", "agents"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RipUp:
+    """Rip-up and reroute: after all nets have routed, some are routed again around the others.
+
+    Attributes:
+        rounds: how often. Agents stay until the last round is over.
+        choose: which nets, and in which order: ``all``; ``conflicts``, those with open tasks or on
+            full edges; ``history``, those on edges that were full in this or earlier rounds, the
+            most often first; or ``agents``, whose agent takes a seventh action when it is asked.
+        neighbours: how many nets that stand in its way are ripped up together with a net.
+    """
+
+    rounds: int = 1
+    choose: Literal["all", "conflicts", "history", "agents"] = "all"
+    neighbours: int = 0
+
+    def __post_init__(self) -> None:
+        check_fields(self, rounds=(0, MOST_ROUNDS), neighbours=(0, MOST_NEIGHBOURS))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,48 +129,39 @@ class Rules:
             spanning tree (the paper), or ``steiner``, a rectilinear Steiner tree.
         target: what ends a task: ``pin``, the task's target pin (the paper), or ``tree``: the agent
             starts at the new pin, and any Gcell that the net's edges join to its first pin will do.
-        next_task: ``listed``, tasks in the order of the decomposition (the paper), or ``nearest``,
+        next_pin: ``listed``, tasks in the order of the decomposition (the paper), or ``nearest``,
             the open pin nearest to the net's tree is next. For ``decomposition: mst`` only.
-        mask_visited: whether masks leave out moves to Gcells that the agent has visited in its
-            task, as long as other moves are left.
-        give_back: whether a failed task releases the edges that it took.
-        rip_up_rounds: how many rounds of rip-up and reroute follow after all nets have routed.
-            Agents then stay until the last round is over.
-        rip_up: which nets are ripped up in a round, and in which order: ``all``; ``conflicts``,
-            those with open tasks or on full edges; ``price``, those on edges that were full in this
-            or earlier rounds, the costliest first; or ``agents``, those whose agents say so when
-            they are asked, by a seventh action.
-        rip_up_neighbours: how many nets that stand in its way are ripped up together with a net.
+        mask_visited: whether masks leave out Gcells visited in the task, while others are left.
+        release_failed: whether a failed task releases the edges that it took.
+        rip_up: rip-up and reroute, a :class:`RipUp` or a mapping of its fields; None: off.
     """
 
     turn_order: TurnOrder | None = None
     net_order: NetOrder = "half_perimeter"
     max_steps: int | None = None
-    overflow: Overflow = "forbidden"
+    overflow: Literal["forbidden", "allowed"] = "forbidden"
     decomposition: Decomposition = "mst"
     target: Target = "pin"
-    next_task: NextTask = "listed"
+    next_pin: Literal["listed", "nearest"] = "listed"
     mask_visited: bool = False
-    give_back: bool = False
-    rip_up_rounds: int = 0
-    rip_up: RipUpChoice = "all"
-    rip_up_neighbours: int = 0
+    release_failed: bool = False
+    rip_up: RipUp | None = None
 
     def __post_init__(self) -> None:
-        most = {"rip_up_rounds": (0, MOST_ROUNDS), "rip_up_neighbours": (0, MOST_NEIGHBOURS)}
-        check_fields(self, max_steps=(1, MOST_STEPS), **most)
-        if self.next_task == "nearest" and self.decomposition != "mst":
-            raise InputError("next_task: expected listed, for a decomposition other than mst")
+        check_fields(self, max_steps=(1, MOST_STEPS))
+        if self.next_pin == "nearest" and self.decomposition != "mst":
+            raise InputError("next_pin: expected listed, for a decomposition other than mst")
 
     @property
     def actions(self) -> int:
-        """How many actions an agent has: six moves and, with ``rip_up: agents``, ripping up."""
+        """How many actions an agent has: six moves and, when asked, ripping up."""
         return MOVES + self.asks
 
     @property
     def asks(self) -> bool:
         """Whether agents are asked whether to rip up their nets."""
-        return self.rip_up_rounds > 0 and self.rip_up == "agents"
+        rip_up = self.rip_up or RipUp(rounds=0)
+        return rip_up.rounds > 0 and rip_up.choose == "agents"
 
     def steps_per_task(self, grid: tuple[int, int, int]) -> int:
         """Steps after which a task fails on a grid of X×Y×Z Gcells."""
@@ -217,8 +223,9 @@ class Game:
         self.order: list[int] = np.argsort(sign * half_perimeter, kind="stable").tolist()
         self.max_steps = self.rules.steps_per_task(problem.grid)
         self.sequential = self.rules.turn_order != "round_robin"
+        self.rip_up = self.rules.rip_up or RipUp(rounds=0)
         self.to_tree = self.rules.target == "tree"
-        self.keeps_tree = self.to_tree or self.rules.next_task == "nearest"
+        self.keeps_tree = self.to_tree or self.rules.next_pin == "nearest"
         columns = [array("i", bytes(4 * len(self.nets))) for _ in self.COLUMNS]
         self.cell, self.target, self.task, self.steps, self.joined = columns[:5]
         self.status, self.crossing, self.ending, self.added_overflow = columns[5:]
@@ -238,7 +245,6 @@ class Game:
         self.active, self._at = list(self.order), 0  # whose turn it is: active[_at]
         self.queue: list[int] = []  # nets that may still be ripped up in this round, last one first
         self.ripped: dict[int, tuple[set[int], int]] = {}  # nets rerouted now: what each had before
-        self.score_before = self._score()
         self.round, self.asked, self.reroutes = 0, False, 0  # reroutes: in the present round
         self.history: Counter[int] = Counter()  # in how many rounds an edge was full at the start
         for n in self.order:
@@ -282,7 +288,7 @@ class Game:
             self.used[n].add(edge)
             self.wirelength += 1
             self.added_overflow[n] = self._take(n, edge)
-            if self.rules.give_back:
+            if self.rules.release_failed:
                 self.taken[n].add(edge)
         else:
             self.crossing[n] = BLOCKED
@@ -300,12 +306,11 @@ class Game:
         if not self.ending[n] or self.status[n] != ACTIVE:
             return
         # After the first routing nets only move to be rerouted, and until that is judged.
-        is_done = self.round and not self.ripped
-        task = NO_TASK if is_done else self._next_task(n)
+        task = NO_TASK if self.round and not self.ripped else self._next_task(n)
         if task != NO_TASK:
             self._begin_task(n, task)
         else:
-            self.status[n] = WAITING if self.rules.rip_up_rounds else self._final_status(n)
+            self.status[n] = WAITING if self.rip_up.rounds else self._final_status(n)
 
     def pass_turn(self, n: int) -> None:
         """After agent n's move the next one's turn comes; in sequential order when n is done."""
@@ -337,8 +342,7 @@ class Game:
             if edge in used or remaining[edge] >= needed:  # as in move
                 free |= bit
         if self.rules.mask_visited:
-            visited = self.visited[n]
-            new = sum(bit for bit, _, ahead in exits if ahead not in visited)
+            new = sum(bit for bit, _, ahead in exits if ahead not in self.visited[n])
             free = free & new or free
         return free
 
@@ -373,7 +377,7 @@ class Game:
     # its edges join to its first pin. It grows when a task ends; then all tasks whose pins are in
     # it are joined, and are not begun any more. With ``target="tree"`` agents walk from the new
     # pin; what they see as their target is the Gcell of the tree that was nearest at the beginning.
-    # With ``next_task="nearest"`` and ``target="pin"`` they start at the Gcell nearest to the pin.
+    # With ``next_pin="nearest"`` and ``target="pin"`` they start at the Gcell nearest to the pin.
     # Ties go to the task listed first, and to the Gcell with the lowest number.
 
     def _begin_net(self, n: int) -> None:
@@ -397,7 +401,7 @@ class Game:
     def _next_task(self, n: int) -> int:
         """The task that an agent begins after its present one, or NO_TASK."""
         tasks, tree = self.tasks[n], self.tree[n]
-        if self.rules.next_task == "listed":
+        if self.rules.next_pin == "listed":
             later = (t for t in range(self.task[n] + 1, len(tasks)) if tasks[t][1] not in tree)
             return next(later, NO_TASK)
         later = (t for t in range(len(tasks)) if t not in self.begun[n] and tasks[t][1] not in tree)
@@ -408,7 +412,7 @@ class Game:
         self.ending[n] = ending
         if ending == JOINED:
             self._add_joined(n, 1)
-        elif self.rules.give_back:
+        elif self.rules.release_failed:
             self._set_route(n, self.used[n] - self.taken[n])
         self._grow_tree(n)
         # Judged as a part of the last move, which is then paid for what becomes of it.
@@ -446,12 +450,11 @@ class Game:
         return Status.TRUNCATED.value if self.open_tasks(n) else Status.TERMINATED.value
 
     # --- Rip-up and reroute -----------------------------------------------------------------------
-    # After all nets have routed there are ``rip_up_rounds`` rounds. In a round one net after the
-    # other, as ``rip_up`` says, is ripped up and rerouted with all the others in place, and with it
-    # up to ``rip_up_neighbours`` nets that stand in its way. When all of them have ended their last
-    # tasks they are judged: if the problem now has fewer tasks joined, more overflow or more
-    # wirelength than before (in this order), they get their old routes back. A round in which no
-    # net is ripped up is the last one.
+    # After all nets have routed there are rounds. In a round one net after the other, as ``choose``
+    # says, is ripped up and rerouted with all the others in place, and with it up to ``neighbours``
+    # nets that stand in its way. When all of them have ended their last tasks they are judged: if
+    # the problem now has fewer tasks joined, more overflow or more wirelength (in this order), they
+    # get their old routes back. A round in which no net is ripped up is the last one.
 
     def _rip_up_next(self) -> None:
         """When no agent is active: the next net is ripped up or asked, or the game is over."""
@@ -469,12 +472,12 @@ class Game:
 
     def _begin_round(self) -> bool:
         """Lines up the nets for the next round; returns whether there is one."""
-        if self.round == self.rules.rip_up_rounds or (self.round and not self.reroutes):
+        if self.round == self.rip_up.rounds or (self.round and not self.reroutes):
             return False
         self.round, self.reroutes = self.round + 1, 0
         self.history.update(np.flatnonzero(self._full_edges()).tolist())
         self.queue = list(self.order)
-        if self.rules.rip_up == "price":
+        if self.rip_up.choose == "history":
             self.queue.sort(key=self._price, reverse=True)  # equal ones stay in turn order
         self.queue.reverse()
         return True
@@ -485,9 +488,9 @@ class Game:
 
     def _is_chosen(self, n: int) -> bool:
         """Whether a net is ripped up now that it is its turn in a round."""
-        if self.rules.rip_up == "conflicts":
+        if self.rip_up.choose == "conflicts":
             return self.open_tasks(n) > 0 or any(map(self.is_full, self.used[n]))
-        return self.rules.rip_up == "all" or any(self._price(n))
+        return self.rip_up.choose == "all" or any(self._price(n))
 
     def _ask(self, n: int) -> None:
         """Asks an agent: RIP_UP, or any move to keep the route? It stands at its first pin."""
@@ -518,17 +521,15 @@ class Game:
         self.active, self._at = members, members.index(n) if self.sequential else 0
 
     def _in_the_way(self, n: int) -> list[int]:
-        """The nets that stand most in a net's way, at most ``rip_up_neighbours``.
+        """The nets that stand most in a net's way, at most ``neighbours``.
 
-        What counts is how many full edges they use: of those that the net uses too, and of those
-        around its pins. It is multiplied by a lot, so that a net meets other ones in every round.
+        What counts is how many full edges they use: of those that the net uses, and of those around
+        its pins; times a lot, so that a net meets other ones in every round.
         """
-        if not self.rules.rip_up_neighbours:
-            return []
         edges = set(filter(self.is_full, self.used[n])) | self._full_around(n)
         others = [o for o, used in enumerate(self.used) if o != n and not edges.isdisjoint(used)]
         weight = {o: len(edges & self.used[o]) * lot(self.round, n, o) for o in others}
-        return sorted(others, key=lambda o: (-weight[o], o))[: self.rules.rip_up_neighbours]
+        return sorted(others, key=lambda o: (-weight[o], o))[: self.rip_up.neighbours]
 
     def _is_rerouted(self, n: int) -> bool:
         """Whether an agent has ended its last task, settled or not."""
@@ -551,8 +552,7 @@ class Game:
     def _full_edges(self) -> NDArray[np.bool_]:
         """(X, Y, 3 Z) :meth:`is_full` of all edges."""
         remaining, capacity = (np.frombuffer(a, np.int32) for a in (self.remaining, self.capacity))
-        columns, rows, layers = self.grid.shape
-        return ((remaining <= 0) & (capacity > 0)).reshape(columns, rows, AXES * layers)
+        return ((remaining <= 0) & (capacity > 0)).reshape(*self.grid.shape[:2], -1)
 
     def _full_around(self, n: int) -> set[int]:
         """The full edges in the box around a net's pins, and one Gcell beyond if a task is open."""

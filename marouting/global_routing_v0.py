@@ -13,7 +13,7 @@ from the edges that they cross, so the nets have to share it.
 | Manual control | No |
 | Agents | `net_0`, `net_1`, …: every net |
 | Action shape | () |
-| Action values | 0 to 5; with `rip_up="agents"` 0 to 6 |
+| Action values | 0 to 5; 0 to 6 where agents choose rip-up |
 | Observation shape | (12,), float32; another one with another `observation` |
 | Observation values | see the table below |
 | State shape | (X, Y, 5 Z), float32, on a grid of X×Y×Z Gcells |
@@ -60,7 +60,7 @@ together; from the first step on, `info["active"]` says whether an agent still p
 | 3 | SOUTH, −y |
 | 4 | UP, +z: a via to the layer above |
 | 5 | DOWN, −z: a via to the layer below |
-| 6 | give way, if asked; only with `rip_up="agents"` |
+| 6 | rip up the own net, if asked; only with `rip_up={"choose": "agents"}` |
 
 A move across an edge without enough remaining capacity, or off the grid, is **blocked**: the agent
 stays, and the step counts. An edge that the net already uses is free to cross again. Vias have
@@ -115,9 +115,9 @@ failed), and as `task_obs` and `task_mask` what the agent saw where it arrived; 
 that of its next task. In the AEC environment it comes with the agent's next turn. To bootstrap,
 use `task_obs` after a failed task, which only ran out of steps, and nothing after a joined one.
 
-With `rip_up_rounds` nets are ripped up after all have routed, and rerouted around the others.
-Agents stay then, as with `agents_persist`; from the first step on `info["active"]` tells who still
-moves. The infos of `reset` hold masks only.
+With `rip_up={"rounds": 2}` nets are ripped up after all have been routed, and rerouted around the
+others. Agents stay then, as with `agents_persist`; from the first step on `info["active"]` tells
+who still moves. The infos of `reset` hold masks only.
 
 ## Problems
 

@@ -80,7 +80,7 @@ class GameOptions(Rules):
     @property
     def persists(self) -> bool:
         """Whether agents stay until all are done: by choice, or to walk again in rounds."""
-        return self.agents_persist or self.rip_up_rounds > 0
+        return self.agents_persist or bool(self.rip_up and self.rip_up.rounds)
 
     def __post_init__(self) -> None:
         super().__post_init__()

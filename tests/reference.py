@@ -159,14 +159,15 @@ class Game:
     overflow: str = "forbidden"
     decomposition: Any = "mst"
     target: str = "pin"
-    next_task: str = "listed"
+    next_pin: str = "listed"
     mask_visited: bool = False
-    give_back: bool = False
-    rip_up_rounds: int = 0
-    rip_up: str = "all"
-    rip_up_neighbours: int = 0
+    release_failed: bool = False
+    rip_up: dict[str, Any] | None = None
     negotiation: Negotiation = field(default_factory=lambda: Negotiation(prices=False))
     agents: list[Agent] = field(init=False)
+    rounds: int = field(init=False)
+    choose: str = field(init=False)
+    neighbours: int = field(init=False)
     order: list[int] = field(init=False)
     users: dict[Edge, set[int]] = field(init=False)
     capacity: dict[Edge, int | None] = field(init=False)
@@ -192,7 +193,9 @@ class Game:
     )
 
     def __post_init__(self) -> None:
-        problem = self.problem
+        problem, rip_up = self.problem, {"rounds": 0, "choose": "all", **(self.rip_up or {})}
+        self.rounds, self.choose = rip_up["rounds"], rip_up["choose"]
+        self.neighbours = rip_up.get("neighbours", 0)
         tasks: dict[int, list[tuple[Gcell, Gcell]]] = {}
         for net, start, target in two_pin_tasks(problem, self.decomposition).tolist():
             ends = gcell_of(problem, start), gcell_of(problem, target)
@@ -213,7 +216,7 @@ class Game:
 
     def keeps_tree(self) -> bool:
         """Whether the options know the net's tree."""
-        return self.target == "tree" or self.next_task == "nearest"
+        return self.target == "tree" or self.next_pin == "nearest"
 
     def tree(self, n: int) -> set[Gcell]:
         """The Gcells that an agent's edges join to its first pin."""
@@ -237,7 +240,7 @@ class Game:
             return agent.task + 1 if agent.task + 1 < len(agent.tasks) else None
         tree = self.tree(n)
         rest = [t for t, (_, pin) in enumerate(agent.tasks) if pin not in tree]
-        if self.next_task == "listed":
+        if self.next_pin == "listed":
             return next((t for t in rest if t > agent.task), None)
         rest = [t for t in rest if t not in agent.begun]
         near = {t: min(distance(cell, agent.tasks[t][1]) for cell in tree) for t in rest}
@@ -291,7 +294,7 @@ class Game:
         }
         counts = {o: len(edges & self.edges_of(o)) for o in range(len(self.agents)) if o != n}
         weights = {o: count * lot(self.round, n, o) for o, count in counts.items() if count}
-        most = self.rip_up_neighbours
+        most = self.neighbours
         if self.negotiation.patience:
             most = min(most, (self.plain - 1) // self.negotiation.patience)
         if self.priced():
@@ -335,7 +338,7 @@ class Game:
 
     def priced(self) -> bool:
         """Whether edges have prices in the present round."""
-        return self.negotiation.prices and self.rip_up_rounds > 0 and self.plain == 0
+        return self.negotiation.prices and self.rounds > 0 and self.plain == 0
 
     def first_present(self) -> int:
         """What one net too many adds to the cost of an edge at first, in 1024ths."""
@@ -424,7 +427,7 @@ class Game:
         """Who walks again, or is asked, when nobody is active; None: the end."""
         while True:
             if not self.line:
-                if self.round == self.rip_up_rounds or (self.round and not self.picked):
+                if self.round == self.rounds or (self.round and not self.picked):
                     if self.negotiation.prices:
                         self.put_best()
                     for agent in self.agents:
@@ -438,20 +441,20 @@ class Game:
                     self.line.sort(key=lambda n: -lot(self.round, n, -1))
                 for edge in filter(self.full, self.capacity):
                     self.history[edge] = self.history.get(edge, 0) + 1
-                if self.rip_up == "price":
+                if self.choose == "history":
                     self.line = list(self.order)
                     self.line.sort(key=lambda n: self.price(n), reverse=True)
             n = self.line.pop(0)
-            if self.rip_up == "agents":
+            if self.choose == "agents":
                 agent = self.agents[n]
                 agent.status, self.asked = "ACTIVE", True
                 agent.task, agent.steps = 0, 0
                 agent.at, agent.target = agent.tasks[0]
                 return n
             full = any(map(self.full, self.edges_of(n)))
-            if self.rip_up == "conflicts" and not (self.is_open(n) or full):
+            if self.choose == "conflicts" and not (self.is_open(n) or full):
                 continue
-            if self.rip_up == "price" and not any(self.price(n)):
+            if self.choose == "history" and not any(self.price(n)):
                 continue
             self.release(n)
             return n
@@ -506,7 +509,7 @@ class Game:
             fresh = [int(m and a not in visited) for m, a in zip(mask, ahead, strict=True)]
             mask = fresh if any(fresh) else mask
         mask = mask if any(mask) else [1] * 6
-        if self.rip_up_rounds and self.rip_up == "agents":
+        if self.rounds and self.choose == "agents":
             mask = [1, 0, 0, 0, 0, 0, 1] if self.asked else [*mask, 0]
         return mask
 
@@ -554,7 +557,7 @@ class Game:
             agent.ending = "FAILED"
         if agent.ending == "NONE":
             return
-        if agent.ending == "FAILED" and self.give_back:
+        if agent.ending == "FAILED" and self.release_failed:
             for taken in agent.taken:
                 self.users[taken].remove(n)
         if self.keeps_tree():
@@ -563,7 +566,7 @@ class Game:
         following = self.following(n)
         if following is not None:
             self.begin(n, following)
-        elif self.rip_up_rounds:
+        elif self.rounds:
             agent.status = "WAITING"
             if self.again and not any(self.agents[o].status == "ACTIVE" for o in self.again):
                 self.judge()
@@ -588,7 +591,7 @@ class Game:
 
     def first(self) -> int | None:
         """The first active agent in turn order; if there is none, nets walk again."""
-        if self.active() or not self.rip_up_rounds:
+        if self.active() or not self.rounds:
             return next(iter(self.active()), None)
         walker = self.next_walk()
         return walker if self.turn_order == "sequential" else next(iter(self.active()), None)

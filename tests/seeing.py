@@ -33,10 +33,10 @@ def open_tasks(engine: Engine, m: int, n: int) -> list[tuple[Gcell, Gcell]]:
         return []
     first, end = engine.static.first[m, n : n + 2].tolist()
     rows = [row for row in range(first, end) if row > agent["task"]]
-    if engine.rules.next_task == "nearest":
+    if engine.rules.next_pin == "nearest":
         tried = np.unpackbits(engine.more.tried[m, n], bitorder="little")
         rows = [row for row in range(first, end) if not tried[row - first]]
-    if engine.rules.next_task == "nearest" or engine.rules.target == "tree":
+    if engine.rules.next_pin == "nearest" or engine.rules.target == "tree":
         # The tree as it was when the present task began: test_engine holds it against the model.
         tree = np.unpackbits(engine.more.tree[m, n], bitorder="little")
         rows = [row for row in rows if not tree[engine.static.tasks[row, 1]]]

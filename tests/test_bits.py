@@ -147,12 +147,10 @@ def hashing() -> Iterator[None]:
 
 MOST: dict[str, Any] = {
     "target": "tree",
-    "next_task": "nearest",
+    "next_pin": "nearest",
     "mask_visited": True,
-    "give_back": True,
-    "rip_up_rounds": 2,
-    "rip_up": "price",
-    "rip_up_neighbours": 2,
+    "release_failed": True,
+    "rip_up": {"rounds": 2, "choose": "history", "neighbours": 2},
     "overflow": "allowed",
     "max_steps": 12,
     "turn_order": "round_robin",
@@ -234,7 +232,8 @@ def test_whatever_plays_does_so_with_hashed_rows() -> None:
 
     def loop() -> tuple[Engine, ...]:
         seen = OutlookObservation(radius=1)
-        engine = Engine(problems, **{**MOST, "turn_order": "sequential", "rip_up": "agents"})
+        asked = {**MOST["rip_up"], "choose": "agents"}
+        engine = Engine(problems, **{**MOST, "turn_order": "sequential", "rip_up": asked})
         sizes = (seen.size, 16, 6)
         weights = np.random.default_rng(0).normal(size=17 * 6 + (seen.size + 1) * 16)
         cold, keys = np.zeros(2, np.float32), np.zeros(2, np.uint64)

@@ -21,17 +21,16 @@ RULES: dict[str, Any] = {
     "target": "tree",
     "mask_visited": True,
     "overflow": "allowed",
-    "rip_up_rounds": 6,
+    "rip_up": {"rounds": 6, "choose": "conflicts"},
     "negotiation": Negotiation(),
-    "rip_up": "conflicts",
     "max_steps": 1000,
 }
 
 
 @settings(deadline=None, max_examples=30)
 @given(contested(max_nets=4), st.sampled_from(["listed", "nearest"]), st.integers(0, 2**30))
-def test_agents_walk_along_cheapest_trees(problem: Problem, next_task: str, seed: int) -> None:
-    engine = Engine([problem], next_task=next_task, **RULES)
+def test_agents_walk_along_cheapest_trees(problem: Problem, next_pin: str, seed: int) -> None:
+    engine = Engine([problem], next_pin=next_pin, **RULES)
     trees, rng, walked = make_trees(engine, 5), np.random.default_rng(seed), 0
     while (n := int(engine.games["agent"][0])) != NOBODY:
         number, again = (engine.games[name][0] for name in ("round", "picked"))

@@ -30,12 +30,17 @@ options = st.fixed_dictionaries(
 extensions = st.fixed_dictionaries(
     {
         "target": st.sampled_from(["pin", "tree"]),
-        "next_task": st.sampled_from(["listed", "nearest"]),
+        "next_pin": st.sampled_from(["listed", "nearest"]),
         "mask_visited": st.booleans(),
-        "give_back": st.booleans(),
-        "rip_up_rounds": st.sampled_from([0, 1, 2, 3]),
-        "rip_up": st.sampled_from(["all", "conflicts", "price", "agents"]),
-        "rip_up_neighbours": st.sampled_from([0, 1, 2]),
+        "release_failed": st.booleans(),
+        "rip_up": st.none()
+        | st.fixed_dictionaries(
+            {
+                "rounds": st.sampled_from([1, 2, 3]),
+                "choose": st.sampled_from(["all", "conflicts", "history", "agents"]),
+                "neighbours": st.sampled_from([0, 1, 2]),
+            }
+        ),
         "negotiation": st.builds(
             Negotiation,
             prices=st.booleans(),
@@ -121,7 +126,7 @@ forms = st.sampled_from(["turn", "all", "mixed"])
 def test_engine_plays_by_the_options(
     problem: Problem, chosen: dict[str, Any], more: dict[str, Any], seed: int, form: str
 ) -> None:
-    if more["next_task"] == "nearest":
+    if more["next_pin"] == "nearest":
         chosen = {**chosen, "decomposition": "mst"}
     if more["negotiation"].prices:
         chosen = {**chosen, "overflow": "allowed"}
@@ -137,7 +142,7 @@ def test_nets_negotiate_again_and_again(calm: float) -> None:
         rules: dict[str, Any] = {
             "turn_order": "sequential",
             "overflow": "allowed",
-            "rip_up_rounds": 60,
+            "rip_up": {"rounds": 60},
             "negotiation": Negotiation(calm=calm),
             "max_steps": 8,
         }

@@ -15,7 +15,7 @@ import pytest
 
 from marouting import Adjustment, Engine, Net, Pin, Problem
 from marouting import game as source
-from marouting.game import NOBODY, Game, Rules, Status
+from marouting.game import NOBODY, Game, RipUp, Rules, Status
 
 SEEDS = range(40)
 MANY = range(40, 1500)
@@ -85,14 +85,14 @@ def random_rules(rng: np.random.Generator) -> dict[str, Any]:
         "decomposition": one_of("mst", "mst", "steiner"),
         "target": one_of("pin", "tree"),
         "mask_visited": one_of(False, True),
-        "give_back": one_of(False, True),
+        "release_failed": one_of(False, True),
     }
     if rules["decomposition"] == "mst":
-        rules["next_task"] = one_of("listed", "nearest")
+        rules["next_pin"] = one_of("listed", "nearest")
     if rng.random() < 0.6:
-        rules["rip_up_rounds"] = int(rng.integers(1, 4))
-        rules["rip_up"] = one_of("all", "conflicts", "price", "agents")
-        rules["rip_up_neighbours"] = int(rng.integers(4))
+        rounds = int(rng.integers(1, 4))
+        choose = one_of("all", "conflicts", "history", "agents")
+        rules["rip_up"] = RipUp(rounds=rounds, choose=choose, neighbours=int(rng.integers(4)))
     return rules
 
 

@@ -46,7 +46,7 @@ def walk(engine: Engine, *moves: int) -> None:
 
 def test_a_net_that_blocks_another_gives_way() -> None:
     """Net 1 walks along both rows at once; net 2 has no way; net 1 walks again, straight."""
-    engine = Engine([replace(CROSSING, nets=CROSSING.nets[:2])], max_steps=6, rip_up_rounds=1)
+    engine = Engine([replace(CROSSING, nets=CROSSING.nets[:2])], max_steps=6, rip_up={})
     # It crosses (0,0)-(1,0), turns up, and takes (1,1)-(2,1) as well.
     walk(engine, E, N, E, S)
     assert engine.metrics().joined == 1
@@ -67,7 +67,7 @@ def test_a_net_that_blocks_another_gives_way() -> None:
 
 
 def test_a_round_that_is_worse_is_undone() -> None:
-    engine = Engine([replace(CROSSING, nets=CROSSING.nets[:1])], max_steps=4, rip_up_rounds=1)
+    engine = Engine([replace(CROSSING, nets=CROSSING.nets[:1])], max_steps=4, rip_up={})
     walk(engine, E, E)
     assert engine.metrics().wirelength == 0
     walk(engine, N, E, S, E)  # a detour: joined, but longer
@@ -82,16 +82,17 @@ def test_a_round_that_is_worse_is_undone() -> None:
 
 def test_a_failed_task_gives_its_edges_back() -> None:
     problem = replace(CROSSING, nets=(net("1", (0, 0), (1, 0), (2, 1)),))
-    for give_back, wirelength in ((False, 3), (True, 1)):
-        engine = Engine([problem], max_steps=3, give_back=give_back)
+    for release_failed, wirelength in ((False, 3), (True, 1)):
+        engine = Engine([problem], max_steps=3, release_failed=release_failed)
         walk(engine, E)  # joined
         walk(engine, W, N, N)  # over the own edge and up, then off the grid: failed
         assert engine.metrics().joined == 1
-        assert engine.metrics().wirelength == wirelength - (not give_back)
+        assert engine.metrics().wirelength == wirelength - (not release_failed)
 
 
 def test_agents_are_asked() -> None:
-    engine = Engine([CROSSING], net_order="file", rip_up_rounds=2, rip_up="agents", max_steps=5)
+    asked = {"rounds": 2, "choose": "agents"}
+    engine = Engine([CROSSING], net_order="file", rip_up=asked, max_steps=5)
     walk(engine, E, E, N, E, E, S, N, N, N, N, N)
     before = engine.solution()
     assert engine.games[0]["asked"]
@@ -114,13 +115,9 @@ def test_agents_are_asked() -> None:
 
 def test_neighbours_come_by_and_by() -> None:
     problem = generate(1, grid=(4, 4, 2), nets=12, max_pins=3, capacity=1, seed=3)[0]
-    engine = Engine(
-        [problem],
-        rip_up_rounds=8,
-        rip_up_neighbours=3,
-        max_steps=9,
-        negotiation=Negotiation(prices=False, patience=2),
-    )
+    rip_up = {"rounds": 8, "neighbours": 3}
+    patient = Negotiation(prices=False, patience=2)
+    engine = Engine([problem], rip_up=rip_up, negotiation=patient, max_steps=9)
     rng = np.random.default_rng(0)
     most = np.zeros(9, int)
     while engine.games[0]["agent"] != NOBODY:
@@ -131,15 +128,17 @@ def test_neighbours_come_by_and_by() -> None:
     assert most.tolist()[1:] == [1, 1, 2, 2, 3, 3, 4, 4]
 
 
+CHOICES = st.sampled_from(["all", "conflicts", "history", "agents"])
 rounds = st.fixed_dictionaries(
     {
-        "rip_up": st.sampled_from(["all", "conflicts", "price", "agents"]),
-        "rip_up_neighbours": st.sampled_from([0, 2]),
+        "rip_up": st.fixed_dictionaries(
+            {"rounds": st.just(3), "choose": CHOICES, "neighbours": st.sampled_from([0, 2])}
+        ),
         "negotiation": st.sampled_from([None, Negotiation(prices=False, patience=1)]),
         "turn_order": st.sampled_from(["sequential", "round_robin"]),
         "overflow": st.sampled_from(["forbidden", "allowed"]),
         "target": st.sampled_from(["pin", "tree"]),
-        "give_back": st.booleans(),
+        "release_failed": st.booleans(),
     }
 )
 
@@ -148,7 +147,7 @@ rounds = st.fixed_dictionaries(
 @given(rounds, st.integers(0, 999))
 def test_no_round_makes_anything_worse(options: dict[str, Any], seed: int) -> None:
     problem = generate(1, grid=(5, 5, 2), nets=8, max_pins=3, capacity=1, seed=seed)
-    engine = Engine(problem, max_steps=12, rip_up_rounds=3, **options)
+    engine = Engine(problem, max_steps=12, **options)
     guide, rng = AStar(engine), np.random.default_rng(seed)
     best = None
     while engine.games[0]["agent"] != NOBODY:
@@ -178,13 +177,13 @@ def test_no_round_makes_anything_worse(options: dict[str, Any], seed: int) -> No
 
 @settings(deadline=None, max_examples=25)
 @given(
-    st.sampled_from(["all", "conflicts", "price", "agents"]),
+    CHOICES,
     st.sampled_from(["sequential", "round_robin"]),
     st.sampled_from(["pin", "tree"]),
     st.integers(0, 999),
 )
 def test_nets_negotiate_and_end_with_the_best_routes(
-    rip_up: Any, turn_order: Any, target: Any, seed: int
+    choose: Any, turn_order: Any, target: Any, seed: int
 ) -> None:
     """Prices rise where there is overflow; a state can be saved at any time and goes on alike."""
     problem = generate(1, grid=(5, 5, 2), nets=9, max_pins=3, capacity=1, seed=seed)
@@ -194,9 +193,7 @@ def test_nets_negotiate_and_end_with_the_best_routes(
         target=target,
         max_steps=14,
         overflow="allowed",
-        rip_up=rip_up,
-        rip_up_rounds=12,
-        rip_up_neighbours=1,
+        rip_up={"rounds": 12, "choose": choose, "neighbours": 1},
         negotiation=Negotiation(),
     )
     guide, rng = AStar(engine), np.random.default_rng(seed)
@@ -230,7 +227,7 @@ def test_prices_part_two_nets() -> None:
     """Two nets on one track: the one that finds the free way nearly as short leaves, by itself."""
     wide_ = replace(CROSSING, nets=CROSSING.nets[:2])
     engine = Engine(
-        [wide_], rip_up_rounds=40, negotiation=Negotiation(), overflow="allowed", max_steps=6
+        [wide_], rip_up={"rounds": 40}, negotiation=Negotiation(), overflow="allowed", max_steps=6
     )
     walk(engine, E, E, E, E)
     assert engine.games[0]["began_overflow"] == 2
@@ -254,10 +251,11 @@ def test_how_cheaply_nets_share_at_first(present: float, overflow: int) -> None:
     2 (1 + 3/16) (1 + 1.25 present), which is 4 at 0.55.
     """
     problem = replace(CROSSING, nets=CROSSING.nets[:2])
-    negotiation = Negotiation(present=present)
-    engine = Engine(
-        [problem], rip_up_rounds=2, max_steps=6, overflow="allowed", negotiation=negotiation
-    )
+    options: dict[str, Any] = {
+        "negotiation": Negotiation(present=present),
+        "overflow": "allowed",
+    }
+    engine = Engine([problem], rip_up={"rounds": 2}, max_steps=6, **options)
     walk(engine, E, E, E, E)
     assert engine.games[0]["began_overflow"] == 2
     walk(engine, N, E, E, S)  # net 1 tries the other way
@@ -273,7 +271,7 @@ def test_agents_that_are_not_there_have_no_routes() -> None:
     engine = Engine(
         [few, many, few],
         target="tree",
-        rip_up_rounds=5,
+        rip_up={"rounds": 5},
         negotiation=Negotiation(),
         overflow="allowed",
         max_steps=6,
@@ -299,18 +297,17 @@ def judged(engine: Engine, best: Any) -> Any:
 OPTIONS: dict[str, Any] = {
     "max_steps": 9,
     "target": "tree",
-    "next_task": "nearest",
+    "next_pin": "nearest",
     "mask_visited": True,
-    "give_back": True,
-    "rip_up_rounds": 2,
-    "rip_up_neighbours": 1,
+    "release_failed": True,
+    "rip_up": {"rounds": 2, "neighbours": 1},
 }
 PROBLEM = generate(1, grid=(4, 4, 2), nets=4, max_pins=3, capacity=1, seed=3)[0]
 
 
-@pytest.mark.parametrize("rip_up", ["all", "conflicts", "price", "agents"])
-def test_every_interface_plays_the_same_rounds(rip_up: str) -> None:
-    options = {**OPTIONS, "rip_up": rip_up}
+@pytest.mark.parametrize("choose", ["all", "conflicts", "history", "agents"])
+def test_every_interface_plays_the_same_rounds(choose: str) -> None:
+    options = {**OPTIONS, "rip_up": {**OPTIONS["rip_up"], "choose": choose}}
     aec = game.env(PROBLEM, **options, turn_order="sequential")
     parallel = game.parallel_env(PROBLEM, **options, turn_order="sequential")
     single = GlobalRoutingSingle(PROBLEM, **options)
@@ -352,10 +349,10 @@ def test_every_interface_plays_the_same_rounds(rip_up: str) -> None:
     assert aec.solution() == single.solution()
 
 
-@pytest.mark.parametrize("rip_up", ["all", "agents"])
+@pytest.mark.parametrize("choose", ["all", "agents"])
 @pytest.mark.parametrize("more", [{}, {"mask_in_observation": True, "reward": "team"}])
-def test_pettingzoo_accepts_rounds(rip_up: str, more: dict[str, Any]) -> None:
-    options = {**OPTIONS, "rip_up": rip_up, **more}
+def test_pettingzoo_accepts_rounds(choose: str, more: dict[str, Any]) -> None:
+    options = {**OPTIONS, "rip_up": {**OPTIONS["rip_up"], "choose": choose}, **more}
     parallel_api_test(game.parallel_env(PROBLEM, **options), 300)
     api_test(game.env(PROBLEM, **options), 300)
 
@@ -377,13 +374,18 @@ def test_only_the_generalist_negotiates() -> None:
     ("bad", "expected"),
     [
         ({"target": "net"}, "target: expected one of pin, tree"),
-        ({"next_task": "best"}, "next_task: expected one of listed, nearest"),
-        ({"next_task": "nearest", "decomposition": "steiner"}, "next_task: expected listed"),
-        ({"rip_up": "some"}, "rip_up: expected one of"),
-        ({"rip_up_rounds": -1}, "rip_up_rounds: expected 0 to"),
-        ({"rip_up_neighbours": 1000}, "rip_up_neighbours: expected 0 to"),
+        ({"next_pin": "best"}, "next_pin: expected one of listed, nearest"),
+        ({"next_pin": "nearest", "decomposition": "steiner"}, "next_pin: expected listed"),
+        (
+            {"rip_up": "all"},
+            "rip_up: expected a mapping of rounds, choose, neighbours, found 'all'",
+        ),
+        ({"rip_up": {"choose": "price"}}, "rip_up.choose: expected one of all, conflicts, history"),
+        ({"rip_up": {"round": 1}}, "rip_up.round: unknown key; did you mean rounds"),
+        ({"rip_up": {"rounds": -1}}, "rip_up.rounds: expected 0 to"),
+        ({"rip_up": {"neighbours": 1000}}, "rip_up.neighbours: expected 0 to"),
         ({"negotiation": Negotiation()}, "prices: expected false, unless overflow is allowed"),
-        ({"give_back": 2}, "give_back: expected true or false"),
+        ({"release_failed": 2}, "release_failed: expected true or false"),
         ({"mask_visited": "no"}, "mask_visited: expected true or false"),
     ],
 )

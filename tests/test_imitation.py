@@ -27,9 +27,9 @@ ENV: dict[str, Any] = {
     "observation": {"kind": "outlook", "radius": 1},
     "overflow": "allowed",
     "target": "tree",
-    "next_task": "nearest",
+    "next_pin": "nearest",
     "mask_visited": True,
-    "rip_up_rounds": 1,
+    "rip_up": {"rounds": 1},
 }
 SOURCE: dict[str, Any] = {
     "grid": [6, 6, 2],
@@ -70,7 +70,7 @@ def finish(training: Trainer) -> list[Any]:
 
 
 PRICED: dict[str, Any] = {
-    "env": {"rip_up_rounds": 3, "rip_up": "conflicts"},
+    "env": {"rip_up": {"rounds": 3, "choose": "conflicts"}},
     "train": {"negotiation": {}},
 }
 
@@ -137,7 +137,7 @@ def test_a_share_of_the_episodes_begins_plain(plain: float) -> None:
         ),
         ({"env": {"agents": "multi"}}, "single"),
         ({"env": {"target": "pin"}}, "target"),
-        ({"env": {"rip_up": "agents"}}, "rip_up"),
+        ({"env": {"rip_up": {"choose": "agents"}}}, "rip_up.choose"),
         ({"learner": {"masking": False}}, "masking"),
         ({"learner": {"batch": 10_000}}, "batch"),
         ({"learner": {"taught": 2}}, "taught"),

@@ -319,8 +319,12 @@ def test_sb3_learners_take_it(everyone: bool) -> None:
     [
         (global_routing_v0.parallel_env, {"agents_persist": True}, {}),
         (global_routing_v0.parallel_env, {"agents_persist": True}, {"return_state": True}),
-        (global_routing_v0.parallel_env, {"rip_up_rounds": 1, "rip_up": "agents"}, {}),
-        (global_routing_v0.parallel_env, {"mask_in_observation": True, "rip_up_rounds": 1}, {}),
+        (global_routing_v0.parallel_env, {"rip_up": {"choose": "agents"}}, {}),
+        (
+            global_routing_v0.parallel_env,
+            {"mask_in_observation": True, "rip_up": {"rounds": 1}},
+            {},
+        ),
         (global_routing_v0.parallel_env, {"problem": SET, "agents_persist": True}, {}),
         (global_routing_v0.parallel_env, {}, {"use_mask": True}),
         (global_routing_v0.env, {"agents_persist": True}, {"use_mask": True}),
@@ -338,7 +342,7 @@ def test_torchrl_wraps_the_pettingzoo_environments(
     inner = make(**{"problem": PROBLEM, "max_steps": 6, **options})
     env = PettingZooWrapper(inner, **wrapped)
     check_env_specs(env)
-    stays = "agents_persist" in options or "rip_up_rounds" in options
+    stays = "agents_persist" in options or "rip_up" in options
     for _ in range(4):
         td = env.rollout(500)
         assert td["next", "done"].squeeze(-1).tolist() == [False] * (len(td) - 1) + [True]

@@ -282,7 +282,7 @@ def test_the_plain_environments_need_neither_a_compiler_nor_pydantic() -> None:
         env.step(4)
         spent = time.process_time()
         problem = {"nets": 5, "max_pins": 3, "seed": 1, "reduced_edges": 0}
-        options = {"rip_up_rounds": 1, "target": "tree", "overflow": "allowed", "max_steps": 9}
+        options = {"rip_up": {"rounds": 1}, "target": "tree", "overflow": "allowed", "max_steps": 9}
         env = game.parallel_env(problem, reward={"kind": "team", "open": 2}, **options)
         env.reset()
         while env.agents:

@@ -60,15 +60,17 @@ def rules(draw: st.DrawFn) -> dict[str, Any]:
         "decomposition": draw(st.sampled_from(["mst", "steiner"])),
         "target": draw(st.sampled_from(["pin", "tree"])),
         "mask_visited": draw(st.booleans()),
-        "give_back": draw(st.booleans()),
+        "release_failed": draw(st.booleans()),
         "max_steps": draw(st.sampled_from([2, 5, 10])),
     }
     if options["decomposition"] == "mst":
-        options["next_task"] = draw(st.sampled_from(["listed", "nearest"]))
+        options["next_pin"] = draw(st.sampled_from(["listed", "nearest"]))
     if draw(st.integers(0, 3)):
-        options["rip_up_rounds"] = draw(st.integers(1, 4))
-        options["rip_up"] = draw(st.sampled_from(["all", "conflicts", "price", "agents"]))
-        options["rip_up_neighbours"] = draw(st.integers(0, 3))
+        options["rip_up"] = {
+            "rounds": draw(st.integers(1, 4)),
+            "choose": draw(st.sampled_from(["all", "conflicts", "history", "agents"])),
+            "neighbours": draw(st.integers(0, 3)),
+        }
     return options
 
 
@@ -268,7 +270,7 @@ def test_nets_that_walk_again_together_take_turns_in_net_order() -> None:
     nets = Net("a", 0, (Pin(0, 0, 1), Pin(1, 0, 1))), Net("b", 1, (Pin(1, 0, 1), Pin(0, 0, 1)))
     problem = Problem((2, 1, 1), (1,), (1,), nets, (1,), (0,), (0,))
     env = global_routing_v0.env(
-        problem, rip_up_rounds=1, rip_up_neighbours=1, turn_order="round_robin", max_steps=2
+        problem, rip_up={"neighbours": 1}, turn_order="round_robin", max_steps=2
     )
     env.reset()
     moved = []

@@ -18,7 +18,7 @@ from marouting import Engine, EnvOptions, InputError, Problem, evaluate
 from marouting.batch.prices import Negotiation
 from marouting.batch.rules import GIVE_WAY
 from marouting.batch.window import mirrored
-from marouting.game import NOBODY, Status
+from marouting.game import NOBODY, RipUp, Status
 from policies.generalist import SHIPPED
 from policies.generalist.outlook import OutlookObservation
 from policies.generalist.walk import Walker
@@ -179,8 +179,8 @@ rules = st.fixed_dictionaries(
     {
         "overflow": st.sampled_from(["forbidden", "allowed"]),
         "target": st.sampled_from(["pin", "tree"]),
-        "next_task": st.sampled_from(["listed", "nearest"]),
-        "rip_up_rounds": st.sampled_from([0, 4]),
+        "next_pin": st.sampled_from(["listed", "nearest"]),
+        "rip_up": st.sampled_from([None, {"rounds": 4}]),
         "negotiation": st.sampled_from([None, Negotiation()]),
         "mask_visited": st.booleans(),
     }
@@ -233,14 +233,9 @@ def test_rows_do_not_depend_on_what_was_seen_before(
     rng = np.random.default_rng(seed)
     problems = marouting.generate(2, grid=(5, 5, 2), nets=5, max_pins=3, capacity=2, seed=seed)
     order: Any = "sequential" if own else "round_robin"
-    engine = Engine(
-        problems,
-        turn_order=order,
-        overflow="allowed",
-        target=target,
-        rip_up_rounds=4,
-        negotiation=Negotiation(prices=prices),
-    )
+    negotiation = Negotiation(prices=prices)
+    rounds: dict[str, Any] = {"rip_up": {"rounds": 4}, "negotiation": negotiation}
+    engine = Engine(problems, turn_order=order, overflow="allowed", target=target, **rounds)
     seen = [OutlookObservation(margin=1), OutlookObservation(margin=2)]
     saved = engine.save()
     for _ in range(40):
@@ -296,15 +291,15 @@ GAME: dict[str, Any] = {
     "turn_order": "sequential",
     "overflow": "allowed",
     "target": "tree",
-    "next_task": "nearest",
+    "next_pin": "nearest",
     "mask_visited": True,
 }
 
 
-@pytest.mark.parametrize(("rip_up", "rounds"), [("all", 2), ("agents", 2), ("agents", 25)])
-def test_the_loop_walks_as_the_network_does(rip_up: str, rounds: int) -> None:
+@pytest.mark.parametrize(("choose", "rounds"), [("all", 2), ("agents", 2), ("agents", 25)])
+def test_the_loop_walks_as_the_network_does(choose: str, rounds: int) -> None:
     """The same moves as by the observation, a product of matrices and the engine's steps."""
-    more: dict[str, Any] = {"rip_up": rip_up, "rip_up_rounds": rounds, "rip_up_neighbours": 1}
+    more: dict[str, Any] = {"rip_up": {"rounds": rounds, "choose": choose, "neighbours": 1}}
     more["negotiation"] = Negotiation(prices=rounds > 2)
     problems = marouting.generate(2, nets=15, max_pins=4, capacity=4, seed=3)
     seen = OutlookObservation(radius=1)
@@ -372,7 +367,7 @@ def test_the_loop_walks_as_the_network_does(rip_up: str, rounds: int) -> None:
             if agent["status"] != Status.ACTIVE and agent["joined"] == engine.tasks[m, n]:
                 shortest[m, n] = min(shortest.get((m, n), length(m, n)), length(m, n))
     assert steps > 50
-    assert answers == ({True, False} if rip_up == "agents" else set())
+    assert answers == ({True, False} if choose == "agents" else set())
     assert rounds == 2 or {(True, True), (True, False), (False, False)} <= kinds
     for m in range(2):
         assert engine.metrics(m) == loop.metrics(m)
@@ -383,7 +378,7 @@ def test_the_loop_walks_as_the_network_does(rip_up: str, rounds: int) -> None:
 def test_games_with_many_rounds_are_played_out_as_step_by_step(prices: bool) -> None:
     """Two networks, two games each: the moves are those of the plain player."""
     problems = marouting.generate(4, nets=12, max_pins=4, capacity=2, seed=1)
-    rounds = {"rip_up_rounds": 6, "rip_up_neighbours": 1}
+    rounds: dict[str, Any] = {"rip_up": RipUp(rounds=6, neighbours=1)}
     negotiation = Negotiation(prices=prices)
     # So few steps that agents are slow, and some tasks fail.
     few: dict[str, Any] = {"max_steps": 14, "agents": "single", "observation": {"kind": "outlook"}}
@@ -416,7 +411,7 @@ def test_games_with_many_rounds_are_played_out_as_step_by_step(prices: bool) -> 
 
 def test_the_loop_stops_when_nets_have_walked_and_goes_on() -> None:
     problem = marouting.generate(1, nets=10, max_pins=3)[0]
-    engine = Engine([problem] * 2, rip_up_rounds=3, **GAME)
+    engine = Engine([problem] * 2, rip_up={"rounds": 3}, **GAME)
     seen = OutlookObservation()
     weights = np.zeros((seen.size + 1) * 6, np.float32)
     warmth, keys = np.ones(2, np.float32), np.arange(2).astype(np.uint64)
@@ -442,7 +437,7 @@ def test_the_loop_stops_when_nets_have_walked_and_goes_on() -> None:
 def test_nets_follow_the_routes_of_another_game(seed: int, nets: int, max_pins: int) -> None:
     """By ordinary moves; what does not lead from pin to pin is left out."""
     problem = marouting.generate(1, (6, 5, 2), nets=nets, max_pins=max_pins, seed=seed)[0]
-    other: dict[str, Any] = {"decomposition": "steiner", "next_task": "listed"}
+    other: dict[str, Any] = {"decomposition": "steiner", "next_pin": "listed"}
     guide, engine = Engine([problem], **GAME | other), Engine([problem] * 2, **GAME)
     seen = OutlookObservation()
     # Along the cheapest ways.

@@ -18,7 +18,7 @@ from policies.routers.optimal import OptimalRouter
 RULES: dict[str, Any] = {
     "turn_order": "sequential",
     "target": "tree",
-    "next_task": "nearest",
+    "next_pin": "nearest",
     "mask_visited": True,
 }
 
@@ -72,9 +72,8 @@ def test_moves_without_regret_are_as_good_as_the_optimum(
 @settings(deadline=None, max_examples=15)
 @given(contested(max_nets=4), st.integers(0, 1000))
 def test_in_priced_rounds_a_net_gets_its_cheapest_tree(problem: Problem, seed: int) -> None:
-    rules = RULES | {"rip_up_rounds": 6, "rip_up": "conflicts"}
-    negotiation = Negotiation()
-    engine = Engine([problem], overflow="allowed", max_steps=1000, negotiation=negotiation, **rules)
+    rules = RULES | {"rip_up": {"rounds": 6, "choose": "conflicts"}, "negotiation": Negotiation()}
+    engine = Engine([problem], overflow="allowed", max_steps=1000, **rules)
     regrets, out = Regrets(engine, margin=100), np.zeros((1, 6), np.int32)
     rng, priced = np.random.default_rng(seed), 0
     while (n := int(engine.games["agent"][0])) != NOBODY:
@@ -115,7 +114,7 @@ def test_a_net_alone_gets_its_cheapest_tree(pins: list[tuple[int, int, int]], se
 def test_a_small_example_by_hand() -> None:
     """Two ways round a corner; on one of them the third pin is met."""
     problem = one_net((3, 3, 1), (0, 0, 1), (2, 0, 1), (2, 2, 1))
-    engine = Engine([problem], **RULES | {"next_task": "listed"})
+    engine = Engine([problem], **RULES | {"next_pin": "listed"})
     regrets, out = Regrets(engine), np.zeros((1, 6), np.int32)
     regrets.write(np.array([0]), np.array([0]), out)
     # From (2, 0) to (0, 0): straight it takes 2 edges and 2 for the third pin. By (2, 1) it takes 4

@@ -126,7 +126,7 @@ def test_pages_show_what_they_should(site: Path) -> None:
     assert "All rules of the game, compiled." in texts["source/marouting/batch/rules.py.html"]
     assert "Judges a solution by the rules" in texts["reference/problems.html"]
     assert "--budget" in texts["reference/cli.html"]
-    assert "rip_up_neighbours" in texts["environment.html"]
+    assert "rip_up.neighbours" in texts["environment.html"]
     for name, text in texts.items():
         assert "&lt;!-- include" not in text
         assert name.startswith("source/") or not re.search(

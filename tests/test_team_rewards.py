@@ -23,10 +23,15 @@ games = st.fixed_dictionaries(
     {
         **plain,
         "target": st.sampled_from(["pin", "tree"]),
-        "give_back": st.booleans(),
-        "rip_up_rounds": st.sampled_from([0, 2]),
-        "rip_up": st.sampled_from(["all", "conflicts", "price", "agents"]),
-        "rip_up_neighbours": st.sampled_from([0, 2]),
+        "release_failed": st.booleans(),
+        "rip_up": st.none()
+        | st.fixed_dictionaries(
+            {
+                "rounds": st.sampled_from([2]),
+                "choose": st.sampled_from(["all", "conflicts", "history", "agents"]),
+                "neighbours": st.sampled_from([0, 2]),
+            }
+        ),
     }
 )
 prices = st.fixed_dictionaries(

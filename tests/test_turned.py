@@ -20,7 +20,7 @@ from policies.learned.networks.mlp import MLP
 from policies.learned.policy import TrainedPolicy, player_of
 
 PROBLEMS = generate(3, (5, 4, 2), 5, max_pins=4, capacity=2, seed=3)
-ASKED = {"rip_up_rounds": 1, "rip_up": "agents"}
+ASKED = {"rip_up": {"choose": "agents"}}
 WINDOW = {"kind": "window", "radius": 1}
 
 

@@ -177,9 +177,9 @@ def test_injected_pieces_are_as_good_as_the_compiled_ones() -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        {"target": "tree", "next_task": "nearest", "mask_visited": True, "give_back": True},
-        {"rip_up_rounds": 2, "rip_up_neighbours": 2, "mask_visited": True},
-        {"rip_up_rounds": 2, "rip_up": "price", "target": "tree", "give_back": True},
+        {"target": "tree", "next_pin": "nearest", "mask_visited": True, "release_failed": True},
+        {"rip_up": {"rounds": 2, "neighbours": 2}, "mask_visited": True},
+        {"rip_up": {"rounds": 2, "choose": "history"}, "target": "tree", "release_failed": True},
     ],
 )
 def test_games_with_options_are_the_same_compiled_and_not(

@@ -159,9 +159,8 @@ rules = st.fixed_dictionaries(
     {
         "overflow": st.sampled_from(["forbidden", "allowed"]),
         "target": st.sampled_from(["pin", "tree"]),
-        "next_task": st.sampled_from(["listed", "nearest"]),
-        "rip_up_rounds": st.sampled_from([0, 0, 2]),
-        "rip_up": st.sampled_from(["all", "agents"]),
+        "next_pin": st.sampled_from(["listed", "nearest"]),
+        "rip_up": st.sampled_from([None, {"rounds": 2}, {"rounds": 2, "choose": "agents"}]),
         "mask_visited": st.booleans(),
     }
 )
@@ -180,7 +179,7 @@ def test_every_number_is_as_the_oracle_says(
 ) -> None:
     engine = Engine([problem, problem], turn_order="round_robin", max_steps=7, **rules)
     rng = np.random.default_rng(seed)
-    if history and rules["rip_up_rounds"]:
+    if history and rules["rip_up"]:
         engine.more.history[...] = rng.integers(0, 9, engine.more.history.shape)
     space = window.space([problem], rules["overflow"] == "allowed")
     for _ in range(3):
@@ -588,7 +587,7 @@ def test_compiled_moves_and_moves_by_turns_are_the_same(
             np.testing.assert_array_equal(*(player.engine.agents[name] for player in players))
         np.testing.assert_array_equal(*(player.engine.games for player in players))
         np.testing.assert_array_equal(*(player.engine.dynamic.used for player in players))
-    if step > 40 and everyone and order == "round_robin" and not rules["rip_up_rounds"]:
+    if step > 40 and everyone and order == "round_robin" and not rules["rip_up"]:
         assert overs
 
 

@@ -15,21 +15,21 @@ from marouting.search.astar import AStar
 OPTIONS: dict[str, dict[str, Any]] = {
     "the paper's game": {},
     "target: tree": {"target": "tree"},
-    "and next_task: nearest": {"target": "tree", "next_task": "nearest"},
-    "and 3 rounds": {"rip_up_rounds": 3},
-    "and 2 neighbours": {"rip_up_rounds": 3, "rip_up_neighbours": 2},
+    "and next_pin: nearest": {"target": "tree", "next_pin": "nearest"},
+    "and 3 rounds": {"rip_up": {"rounds": 3}},
+    "and 2 neighbours": {"rip_up": {"rounds": 3, "neighbours": 2}},
     "and 10 rounds of conflicts": {
-        "rip_up_rounds": 10, "rip_up": "conflicts", "rip_up_neighbours": 2,
+        "rip_up": {"rounds": 10, "choose": "conflicts", "neighbours": 2},
     },
-    "and 10 rounds by price": {"rip_up_rounds": 10, "rip_up": "price", "rip_up_neighbours": 2},
+    "and 10 rounds by history": {"rip_up": {"rounds": 10, "choose": "history", "neighbours": 2}},
 }  # fmt: skip
-NET_AWARE = {"target": "tree", "next_task": "nearest", "give_back": True}
+NET_AWARE = {"target": "tree", "next_pin": "nearest", "release_failed": True}
 
 scenario = scenarios.get("multi-pin-8x8-v0")
 problems = scenario.test[:10]
 print(f"{'options':28} {'open tasks':>10} {'joined problems':>15} {'above optimum':>13} {'s':>6}")
 for name, options in OPTIONS.items():
-    engine = Engine(problems, **(NET_AWARE if "rip_up_rounds" in options else {}), **options)
+    engine = Engine(problems, **(NET_AWARE if "rip_up" in options else {}), **options)
     guide, start = AStar(engine), time.process_time()
     while (engine.games["agent"] >= 0).any():
         engine.step(guide.moves(*engine.pairs(everyone=False)))

@@ -75,7 +75,7 @@ def take_routes(static: Static, dynamic: Dynamic, m: int, n: int, row: int, join
             changed |= byte_of(dynamic.used, m, n, byte) != bits
             use_edges(static, dynamic, m, n, byte, bits)
     dynamic.agents[m, n].joined = joined
-    if is_on(static, Option.GIVE_BACK):
+    if is_on(static, Option.RELEASE_FAILED):
         clear(static, dynamic, m, Option.TAKEN, n)
     if changed and keeps_tree(static):
         grow_tree(static, dynamic, m, n)

@@ -186,7 +186,8 @@ class Engine:
         prices = negotiation is not None and negotiation.prices
         allowed = not prices or self.rules.overflow == "allowed"
         check("negotiation.prices", allowed, "false, unless overflow is allowed")
-        self.priced = prices and self.rules.rip_up_rounds > 0
+        rip_up = self.rules.rip_up
+        self.priced = prices and rip_up is not None and rip_up.rounds > 0
         self.static, self.nets = static_state(
             problems, self.rules, room=room, negotiation=negotiation
         )

@@ -22,7 +22,7 @@ These are the paper's rules. Options extend them: trees as targets and the choic
 
 * ``mask_visited``: masks leave out moves to Gcells that the agent has visited in its task, as long
   as others are left;
-* ``give_back``: a task that fails gives the edges back that the net did not use before.
+* ``release_failed``: a task that fails gives the edges back that the net did not use before.
 
 A step has two halves, move and settle, so that a learner can see where a move arrived before the
 next task puts the agent on another pin.
@@ -133,7 +133,7 @@ def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -
     step = min(move, MOVES - 1)
     edge = place(static.edge[place(agent.cell), step])
     new = cross_edge(static, dynamic, m, n, step, wide(move != GIVE_WAY))
-    if is_on(static, Option.GIVE_BACK) and new:
+    if is_on(static, Option.RELEASE_FAILED) and new:
         insert(static, dynamic, m, Option.TAKEN, n, edge)
     if is_on(static, Option.MASK_VISITED):
         insert(static, dynamic, m, Option.VISITED, n, wide(agent.cell))
@@ -149,7 +149,7 @@ def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -
 def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """What the options do when a task has ended: edges go back, trees grow, nets are judged."""
     agent = dynamic.agents[m, n]
-    if is_on(static, Option.GIVE_BACK) and agent.ending == Ending.FAILED:
+    if is_on(static, Option.RELEASE_FAILED) and agent.ending == Ending.FAILED:
         row = place(static.options[Option.TAKEN] + n)
         for at in range(places(dynamic.sets, m, row)):
             byte, taken = byte_at(dynamic.sets, m, row, at)

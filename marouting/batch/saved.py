@@ -13,7 +13,7 @@ from marouting.batch.bits import are_within, byte_at, copy_rows, longer, places
 from marouting.batch.edges import demand_of
 from marouting.batch.prices import LARGEST, MOST_RISE
 from marouting.batch.setup import more_of
-from marouting.batch.state import Dynamic, Option, RipUp, Static
+from marouting.batch.state import Choice, Dynamic, Option, Static
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES
@@ -75,7 +75,7 @@ def _check_extended(static: Static, saved: Dynamic) -> None:
     more, rounds = more_of(static, saved), int(static.options[Option.ROUNDS])
     for m in range(len(games)):
         # Sets of Gcells are only looked things up in; edges are given back.
-        if static.options[Option.GIVE_BACK]:
+        if static.options[Option.RELEASE_FAILED]:
             taken, count = int(static.options[Option.TAKEN]), agents.shape[1]
             inside = are_within(saved.sets, taken, saved.used, m, count)
             _expect("edges of a task", inside)
@@ -96,7 +96,7 @@ def _check_extended(static: Static, saved: Dynamic) -> None:
         _expect("nets that walk again", _within(members, 0, agents.shape[1] - 1))
         _expect("nets that walk again", len(set(members.tolist())) == len(members))
         _expect("answer", _within(np.array([game["ripped"], game["asked"]]), 0, 1))
-        _expect("answer", not game["asked"] or static.options[Option.RIP_UP] == RipUp.AGENTS)
+        _expect("answer", not game["asked"] or static.options[Option.RIP_UP] == Choice.AGENTS)
         _expect("answer", not game["asked"] or (game["active"] == 1 and not len(members)))
         joined = agents["joined"][m] * (agents["status"][m] != Status.ABSENT)
         joined[members] = more.kept_joined[m, : len(members)]

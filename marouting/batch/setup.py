@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from marouting.batch.bits import make_rows
 from marouting.batch.growth import lengthened, needed_room
 from marouting.batch.prices import WHOLE, Negotiation
-from marouting.batch.state import AGENT, GAME, Dynamic, Option, RipUp, Static
+from marouting.batch.state import AGENT, GAME, Choice, Dynamic, Option, Static
 from marouting.errors import InputError
-from marouting.game import NOBODY, NetOrder, Rules
+from marouting.game import NOBODY, NetOrder, RipUp, Rules
 from marouting.kernels import compiled, wide
 from marouting.memory import HASHED, PLAYED, TABLES, check_memory
 from marouting.problem.grid import VIA_AXIS, Grid
@@ -90,8 +90,8 @@ def static_state(
     first = np.zeros((shape[0], shape[1] + 1), np.int32)
     demand = np.zeros((*shape, grid.shape[2]), np.int32)
     size = np.empty(shape[1], np.int32)
-    extended = rules.target == "tree" or rules.next_task == "nearest" or rules.mask_visited
-    extended |= rules.give_back or rules.rip_up_rounds > 0
+    extended = rules.target == "tree" or rules.next_pin == "nearest" or rules.mask_visited
+    extended |= rules.release_failed or bool(rules.rip_up and rules.rip_up.rounds)
     tasks = [two_pin_tasks(problem, rules.decomposition) for problem in problems]
     begins = np.cumsum([0, *map(len, tasks)]) if room is None else room.tasks * np.arange(shape[0])
     table = np.zeros((int(begins[-1]) + (room.tasks if room else 0), 2), np.int32)
@@ -186,19 +186,20 @@ def _options(
 ) -> NDArray[np.int64]:
     """(len(Option),) int64, what the options say, for N agents, G Gcells and E edges."""
     agents, gcells, edges = shape
-    rounds = rules.rip_up_rounds > 0
+    rip_up = rules.rip_up or RipUp(rounds=0)
+    rounds = rip_up.rounds > 0
     negotiation = negotiation or Negotiation(prices=False)
     prices = rounds and negotiation.prices
-    nearest = rules.next_task == "nearest"
+    nearest = rules.next_pin == "nearest"
     tree = rules.target == "tree" or nearest
-    again = (1 + rules.rip_up_neighbours) * rounds
+    again = (1 + rip_up.neighbours) * rounds
     options = np.full(len(Option), -1, np.int64)
     options[Option.TREE_TARGET] = rules.target == "tree"
     options[Option.NEAREST_NEXT] = nearest
     options[Option.MASK_VISITED] = rules.mask_visited
-    options[Option.GIVE_BACK] = rules.give_back
-    options[Option.ROUNDS] = rules.rip_up_rounds
-    options[Option.RIP_UP] = RipUp[rules.rip_up.upper()]
+    options[Option.RELEASE_FAILED] = rules.release_failed
+    options[Option.ROUNDS] = rip_up.rounds
+    options[Option.RIP_UP] = Choice[rip_up.choose.upper()]
     options[Option.AGAIN_MOST] = again
     options[Option.PATIENCE] = negotiation.patience
     options[Option.PRESENT] = round(negotiation.present * WHOLE)
@@ -206,7 +207,7 @@ def _options(
     rows = {
         Option.TREE: agents * tree,
         Option.VISITED: agents * rules.mask_visited,
-        Option.TAKEN: agents * rules.give_back,
+        Option.TAKEN: agents * rules.release_failed,
         Option.KEPT: again,
         Option.TRIED: agents * nearest,
         Option.BEST: agents * prices,

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from marouting.problem.grid import MOVES
 
 
-class RipUp(enum.IntEnum):
+class Choice(enum.IntEnum):
     """Which nets walk again in a rip-up round; see :mod:`marouting.batch.rounds`."""
 
     ALL = 0  #: all, in turn order
     CONFLICTS = 1  #: those with open tasks or on full edges, in turn order
-    PRICE = 2  #: those on edges that were full in this or earlier rounds, the costliest first
+    HISTORY = 2  #: those on edges that were full in this or earlier rounds, the most often first
     AGENTS = 3  #: those whose agents answer so when they are asked, in turn order
 
 
@@ -90,9 +90,9 @@ class Option(enum.IntEnum):
     TREE_TARGET = 0  #: whether any Gcell of the net's tree ends a task
     NEAREST_NEXT = 1  #: whether the open pin nearest to the tree is the next task
     MASK_VISITED = 2  #: whether masks leave out Gcells visited in the task
-    GIVE_BACK = 3  #: whether a failed task gives its edges back
+    RELEASE_FAILED = 3  #: whether a failed task gives its edges back
     ROUNDS = 4  #: rip-up rounds
-    RIP_UP = 5  #: RipUp
+    RIP_UP = 5  #: Choice
     AGAIN_MOST = 6  #: P, the most nets that walk again at a time
     PATIENCE = 7  #: rounds after which one more net walks again at a time; 0: P from the first
     PRESENT = 8  #: GAME.present in the first walk

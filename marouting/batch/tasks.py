@@ -10,7 +10,7 @@ begun any more.
 
 * ``target: tree``: the agent starts at the new pin, and any Gcell of the tree ends the task. What
   it sees as its target is the Gcell of the tree that was nearest when the task began.
-* ``next_task: nearest``: of the pins that are not in the tree and whose tasks have not been begun,
+* ``next_pin: nearest``: of the pins that are not in the tree and whose tasks have not been begun,
   the one nearest to the tree is next. With ``target: pin`` the agent starts at the Gcell of the
   tree nearest to it.
 
@@ -207,7 +207,7 @@ def begin_extended(static: Static, dynamic: Dynamic, m: int, n: int, task: int) 
     if is_on(static, Option.MASK_VISITED):
         clear(static, dynamic, m, Option.VISITED, n)
         insert(static, dynamic, m, Option.VISITED, n, wide(agent.cell))
-    if is_on(static, Option.GIVE_BACK):
+    if is_on(static, Option.RELEASE_FAILED):
         clear(static, dynamic, m, Option.TAKEN, n)
 
 

@@ -90,7 +90,8 @@ def judged(
         ``wirelength`` on the problems that negotiation routes without overflow, with ``fails``, how
         many of them are left with overflow; and ``overflow`` on the others.
     """
-    env, negotiation = replace(policy.env, rip_up_rounds=rounds), policy.negotiation
+    rip_up = policy.env.rip_up and replace(policy.env.rip_up, rounds=rounds)
+    env, negotiation = replace(policy.env, rip_up=rip_up), policy.negotiation
     player = TrainedPolicy(
         policy.module, policy.masking, policy.obs_shape, env, negotiation=negotiation
     )
@@ -119,7 +120,7 @@ def compared(seeds: int, episodes: int, count: int, folder: Path) -> Iterator[di
         for seed in range(seeds if name == "nothing" else 1):
             policy = trained(name, seed, episodes, count, folder)
             row: dict[str, Any] = {"without": name, "seed": seed, "episodes": episodes}
-            for game, rounds in (("shot", 0), ("rounds", config.env.rip_up_rounds)):
+            for game, rounds in (("shot", 0), ("rounds", config.env.rip_up.rounds)):
                 for what, value in judged(policy, problems, known, rounds).items():
                     row[f"{game}_{what}"] = round(value, 3)
             yield row

@@ -133,7 +133,7 @@ class Imitation(Learner):
         o, player, games = options, setup.player, setup.games
         check("train.shared", len(setup.names) == 1, "true, for imitation")
         check("agents", not player.everyone, "single, for imitation")
-        check("rip_up", setup.actions == MOVES, "all, conflicts or price, for imitation")
+        check("rip_up.choose", setup.actions == MOVES, "all, conflicts or history, for imitation")
         self.path = f"torch, batched on {setup.device}"
         seeds = setup.network_keys("weights").astype(np.int64).tolist()
         self.networks = Stack(

@@ -28,7 +28,7 @@ from marouting import EnvOptions, Problem, Solution
 from marouting.batch.engine import Engine
 from marouting.batch.prices import MOST_PRESENT, Negotiation
 from marouting.config import check
-from marouting.game import MOST_NEIGHBOURS, MOST_ROUNDS, Rules
+from marouting.game import MOST_NEIGHBOURS, MOST_ROUNDS, RipUp, Rules
 from marouting.problem.grid import MOVES
 from policies.generalist import SHIPPED
 from policies.generalist.cheapest_tree import MOST_PINS
@@ -47,8 +47,7 @@ millisecond on small grids."""
 
 _STEINER: dict[str, Any] = {
     "decomposition": "steiner",
-    "next_task": "listed",
-    "rip_up_neighbours": 0,
+    "next_pin": "listed",
 }
 """What is different in the game in which nets walk along Steiner trees."""
 
@@ -156,7 +155,7 @@ class GeneralistRouter:
         self.options = options = GeneralistOptions() if options is None else options
         self.watch: Callable[[str], bool] | None = None
         self._observation = OutlookObservation()
-        env = EnvOptions(overflow="allowed", target="tree", next_task="nearest", mask_visited=True)
+        env = EnvOptions(overflow="allowed", target="tree", next_pin="nearest", mask_visited=True)
         self._sizes: tuple[int, ...] = (self._observation.size, MOVES)
         self._weights = np.zeros((self._sizes[0] + 1) * MOVES, np.float32)
         if options.mind == "ways":
@@ -168,14 +167,11 @@ class GeneralistRouter:
             self._observation, self._sizes, self._weights = _read(policy, weights)
             env = policy.env
         self._keys = keys(options.seed, [str(copy) for copy in range(options.copies)], "walk")
-        neighbours = options.neighbours if options.rounds else 0
         rules = {field.name: getattr(env, field.name) for field in fields(Rules)}
         self._rules = replace(
             Rules(**rules),
             turn_order="sequential",
-            rip_up="agents",
-            rip_up_rounds=options.rounds,
-            rip_up_neighbours=neighbours,
+            rip_up=_rounds(options.rounds, options.neighbours),
         )
         prices = options.prices and options.rounds > 0 and env.overflow == "allowed"
         self._negotiation = Negotiation(prices=prices, patience=options.patience, calm=_CALM)
@@ -213,7 +209,8 @@ class GeneralistRouter:
         walker.walk_out(stops=True)
         share = _TIGHT if any(_cost(engine, 0)[:-1]) else _ROOM
         if seconds >= max(_LEAST, share * (time.thread_time() - began)):
-            guide = Engine([problem], replace(rules, **_STEINER), negotiation=negotiation)
+            alone_rules = replace(rules, **_STEINER, rip_up=_rounds(o.rounds, 0))
+            guide = Engine([problem], alone_rules, negotiation=negotiation)
             best_moves = np.zeros(1, np.float32)
             alone = Walker(guide, *seen, best_moves, self._keys[:1], exact_pins=o.exact_pins)
             alone.walk_out(stops=True)
@@ -319,6 +316,11 @@ def _orders(engine: Engine, seed: int) -> NDArray[np.int32]:
         agents = int((order >= 0).sum())
         order[:agents] = rng.permutation(order[:agents])
     return orders
+
+
+def _rounds(rounds: int, neighbours: int) -> RipUp | None:
+    """Rip-up rounds in which agents are asked, if there are any."""
+    return RipUp(rounds=rounds, choose="agents", neighbours=neighbours) if rounds else None
 
 
 def _ranking(engine: Engine) -> NDArray[np.int64]:
