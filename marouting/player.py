@@ -116,7 +116,7 @@ class StepBuffers(NamedTuple):
         )
 
 
-class Known(NamedTuple):
+class FastPath(NamedTuple):
     """What the compiled step has to know about the pieces."""
 
     everyone: bool  # whether all agents have a row, or only the one whose turn it is
@@ -156,10 +156,11 @@ class Player:
         observation: what agents see.
         reward: what moves pay.
         everyone: whether all agents have a row.
+        played: (M, K) the moves on the grid of the last step.
         buffers: see :class:`StepBuffers`.
         draws: what the games play; None: the engine's problems stay.
         turned: whether actions and masks are in the order of the observation's own moves.
-        known: what the compiled step knows about the pieces.
+        fast: what the compiled step knows about the pieces.
         paid: (M, N) float32, what the last step paid every agent. None with the paper's reward,
             which pays only the agent that moves.
     """
@@ -193,7 +194,7 @@ class Player:
         pays = PaperReward()
         if isinstance(reward, PaperReward) and type(reward) in KNOWN:
             pays = reward
-        self.known = Known(
+        self.fast = FastPath(
             everyone,
             looks is observation,
             pays is reward,
@@ -209,14 +210,15 @@ class Player:
 
         It is with the paper's observation, reward and six actions.
         """
-        return self.known.observation and self.known.reward and self.engine.actions == MOVES
+        return self.fast.observation and self.fast.reward and self.engine.actions == MOVES
 
     def _bind(self) -> None:
         """Prepares the calls after the arrays have been replaced."""
         engine, buffers = self.engine, self.buffers
+        self.played = buffers.actions
         if self.everyone:
             buffers.agents[:] = engine.pairs(everyone=True)[1].reshape(engine.nets.shape)
-        own_reward = not self.known.reward
+        own_reward = not self.fast.reward
         self.paid = np.zeros(engine.nets.shape, np.float32) if own_reward else None
         self._before = _copy(engine.dynamic) if own_reward else None
         self.kernel_buffers = buffers
@@ -224,7 +226,7 @@ class Player:
             self.kernel_buffers = buffers._replace(
                 mask=buffers.mask.view(np.int16), final_mask=buffers.final_mask.view(np.int16)
             )
-        self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
+        self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.fast
         if own_reward:
             dynamic = engine.dynamic
             agents, sets = dynamic.agents.copy(), copied(dynamic.sets)
@@ -274,7 +276,8 @@ class Player:
             self._step(*self._arguments, True, restart)
         elif self.turned:
             chosen = self.buffers.actions.copy()
-            self.buffers.actions[:] = self._on_the_grid(chosen)
+            self.played = self._on_the_grid(chosen)
+            self.buffers.actions[:] = self.played
             self._step_in_parts(restart)
             self.buffers.actions[:] = chosen  # learners remember what they chose
             self._turn_masks()
@@ -287,9 +290,9 @@ class Player:
         if not engine.hashed:
             return
         engine.make_room()
-        static, dynamic, buffers, known = self._arguments
+        static, dynamic, buffers, fast = self._arguments
         if dynamic is not engine.dynamic:
-            self._arguments = static, engine.dynamic, buffers, known
+            self._arguments = static, engine.dynamic, buffers, fast
         if self._before is not None:
             self._before = _with_room(static, self._before, engine.dynamic)
             arrived = self._arrived._replace(used=engine.dynamic.used)
@@ -325,33 +328,6 @@ class Player:
         if self.draws is None or counts.shape != self.draws.counts.shape:
             raise ValueError(f"counts: expected those of other games, found shape {counts.shape}")
         self._replace(self.draws.go_to(counts, seeds))
-
-    def check_saved(self, saved: Saved) -> None:
-        """Raises ValueError unless a state can be one of these games, wherever it is from.
-
-        Where games draw their problems, those of the state have to be in place; see :meth:`go_to`.
-        """
-        self.engine.check_saved(saved.dynamic)
-        b = saved.buffers
-        if self.everyone:
-            rows, active = self.buffers.agents, saved.dynamic.agents["status"] == Status.ACTIVE
-        else:
-            rows = saved.dynamic.games["agent"][:, None]
-            active = rows != NOBODY
-        holds = {
-            "agents": b.agents == rows,
-            "active": b.active == active,
-            "actions": (b.actions >= NOBODY) & (b.actions < self.engine.actions),
-            "ending": (b.ending >= 0) & (b.ending <= max(Ending)),
-        }
-        for name in ("mask", "final_mask"):
-            mask = getattr(b, name)
-            holds[name] = ((mask == 0) | (mask == 1)) & mask.any(axis=2, keepdims=True)
-        for name in ("obs", "final_obs", "reward", "total"):
-            holds[name] = np.isfinite(getattr(b, name))
-        for name, hold in holds.items():
-            if not np.all(hold):
-                raise ValueError(f"{name}: expected that of a game of these problems")
 
     def restore(self, saved: Saved) -> None:
         """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
@@ -580,11 +556,20 @@ class Player:
         self, problems: NDArray[np.integer], agents: NDArray[np.integer], out: NDArray[np.float32]
     ) -> None:
         """Writes what K agents see."""
-        engine, known = self.engine, self.known
-        if known.observation:
-            see_paper(engine.static, engine.dynamic, known.via_capacity, problems, agents, out)
+        engine, fast = self.engine, self.fast
+        if fast.observation:
+            see_paper(engine.static, engine.dynamic, fast.via_capacity, problems, agents, out)
         else:
             self.observation.write(engine, problems, agents, out)
+
+    def show(self) -> None:
+        """Writes what agents see now, after the games have been changed from outside."""
+        b, engine = self.buffers, self.engine
+        problems = engine.pairs(self.everyone)[0]
+        b.mask[:] = engine.masks(problems, b.agents.reshape(-1)).reshape(b.mask.shape)
+        self._look(None)
+        self._turn_masks()
+        self._mirror(slice(None))
 
     def _look(self, which: NDArray[np.bool_] | None) -> None:
         """Writes what agents see now, in all problems or where ``which`` (M,) is true."""
@@ -729,28 +714,30 @@ def _write_mask(mask: Any, m: int, row: int, free: int) -> None:
 
 @inlined
 def _look(
-    static: Static, dynamic: Dynamic, known: Known, m: int, n: int, obs: Any, mask: Any, row: int
+    static: Static, dynamic: Dynamic, fast: FastPath, m: int, n: int, obs: Any, mask: Any, row: int
 ) -> None:
     """Writes what an agent sees; zeros and a mask of ones for NOBODY."""
     free = _free(static, dynamic, m, n)
-    write_paper(static, dynamic, known.via_capacity, m, n, obs[m], row)
+    write_paper(static, dynamic, fast.via_capacity, m, n, obs[m], row)
     _write_mask(mask, m, row, free)
 
 
 @inlined
-def _look_at_player(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+def _look_at_player(
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int
+) -> None:
     """Writes what the agent whose turn it is sees."""
     player = wide(dynamic.games[m].agent)
     b.agents[m, 0] = player
     b.active[m, 0] = player != NOBODY
-    _look(static, dynamic, known, m, player, b.obs, b.mask, wide(0))
+    _look(static, dynamic, fast, m, player, b.obs, b.mask, wide(0))
 
 
 @inlined
-def _take_stock(dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int) -> Any:
+def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int) -> Any:
     """Writes the result of an agent's move; returns the reward."""
     agent = dynamic.agents[m, n]
-    reward = paper_reward(known.prices, known.overflow_price, agent)
+    reward = paper_reward(fast.prices, fast.overflow_price, agent)
     b.acted[m, row] = agent.crossing != Crossing.NONE
     b.reward[m, row] = reward
     b.ending[m, row] = agent.ending
@@ -781,17 +768,19 @@ def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
 
 
 @inlined
-def _show(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int) -> None:
+def _show(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int) -> None:
     """Writes an agent's status and what it sees now."""
     status = dynamic.agents[m, n].status
     b.terminated[m, n] = status == Status.TERMINATED
     b.truncated[m, n] = status == Status.TRUNCATED
     b.active[m, n] = status == Status.ACTIVE
-    _look(static, dynamic, known, m, n, b.obs, b.mask, n)
+    _look(static, dynamic, fast, m, n, b.obs, b.mask, n)
 
 
 @inlined
-def _step_everyone(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+def _step_everyone(
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int
+) -> None:
     """A step of one problem in which all agents have a row."""
     game = dynamic.games[m]
     playing = game.active > 0
@@ -802,22 +791,22 @@ def _step_everyone(static: Static, dynamic: Dynamic, b: StepBuffers, known: Know
         agent = dynamic.agents[m, n]
         if agent.status == Status.ABSENT:
             continue
-        total += _take_stock(dynamic, b, known, m, n, n)
+        total += _take_stock(dynamic, b, fast, m, n, n)
         if agent.ending != Ending.NONE:
-            _look(static, dynamic, known, m, n, b.final_obs, b.final_mask, n)
+            _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, n)
             settle_agent(static, dynamic, m, n)
-        _show(static, dynamic, b, known, m, n)
+        _show(static, dynamic, b, fast, m, n)
     settle_turns(static, dynamic, m)
     if static.extended is not None and (game.ripped or game.active == 0):
         for n in range(b.agents.shape[1]):
             if dynamic.agents[m, n].status != Status.ABSENT:
-                _show(static, dynamic, b, known, m, n)
+                _show(static, dynamic, b, fast, m, n)
     b.total[m] = total
     _finish(b, m, playing, game)
 
 
 @inlined
-def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """A step of one problem in which only the agent whose turn it is has a row."""
     game = dynamic.games[m]
     playing = game.active > 0
@@ -829,34 +818,34 @@ def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known,
         b.ending[m, 0] = Ending.NONE
     else:
         n = place(mover)
-        b.total[m] += _take_stock(dynamic, b, known, m, n, row)
+        b.total[m] += _take_stock(dynamic, b, fast, m, n, row)
         passes = game.active > 1 and not static.sequential
         if b.ending[m, 0] != Ending.NONE or (b.acted[m, 0] and passes):
-            _look(static, dynamic, known, m, n, b.final_obs, b.final_mask, row)
+            _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, row)
         settle_agent(static, dynamic, m, n)
         pass_turn(static, dynamic, m)
         status = dynamic.agents[m, n].status
         b.terminated[m, 0] = status == Status.TERMINATED
         b.truncated[m, 0] = status == Status.TRUNCATED
-    _look_at_player(static, dynamic, b, known, m)
+    _look_at_player(static, dynamic, b, fast, m)
     _finish(b, m, playing, game)
 
 
 @inlined
-def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """A step of one problem, with the paper's observation and reward.
 
     Args:
         static: the static state of the games.
         dynamic: their dynamic state.
         b: the buffers, with masks in pairs of bytes, (M, K, 3) int16.
-        known: what is known about the pieces.
+        fast: what is known about the pieces.
         m: the problem.
     """
-    if known.everyone:
-        _step_everyone(static, dynamic, b, known, m)
+    if fast.everyone:
+        _step_everyone(static, dynamic, b, fast, m)
     else:
-        _step_player(static, dynamic, b, known, m)
+        _step_player(static, dynamic, b, fast, m)
 
 
 # --- any observation ------------------------------------------------------------------------------
@@ -864,7 +853,7 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known,
 
 @compiled
 def _move_and_pay(
-    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, begins: Any
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, begins: Any
 ) -> None:
     """The moves of a step and what the paper's reward pays for them, before anybody settles.
 
@@ -872,24 +861,24 @@ def _move_and_pay(
         static: the static state of the games.
         dynamic: their dynamic state.
         b: the buffers.
-        known: what is known about the pieces.
+        fast: what is known about the pieces.
         begins: (M,) episodes that have just begun, in which nobody moves.
     """
     for m in range(len(begins)):
         if begins[m]:
             continue
-        if known.everyone:
+        if fast.everyone:
             move_everyone(static, dynamic, m, b.actions)
         else:
             move_player(static, dynamic, m, wide(b.actions[m, 0]))
         for row in range(b.agents.shape[1]):
-            n = wide(row) if known.everyone else wide(dynamic.games[m].agent)
+            n = wide(row) if fast.everyone else wide(dynamic.games[m].agent)
             if n == NOBODY or dynamic.agents[m, place(n)].status == Status.ABSENT:
                 b.acted[m, row] = False
                 b.reward[m, row] = 0
                 b.ending[m, row] = Ending.NONE
             else:
-                b.total[m] += _take_stock(dynamic, b, known, m, place(n), row)
+                b.total[m] += _take_stock(dynamic, b, fast, m, place(n), row)
 
 
 _NOT, _TURNS, _ALL = 0, 1, 2
@@ -901,7 +890,7 @@ def _settle_and_show(
     static: Static,
     dynamic: Dynamic,
     b: StepBuffers,
-    known: Known,
+    fast: FastPath,
     begins: Any,
     asked: Any,
     what: int,
@@ -912,7 +901,7 @@ def _settle_and_show(
         static: the static state of the games.
         dynamic: their dynamic state.
         b: the buffers, with masks in pairs of bytes.
-        known: what is known about the pieces.
+        fast: what is known about the pieces.
         begins: (M,) episodes that have just begun, where there is nothing to settle.
         asked: (M,) whose turn it was, or NOBODY.
         what: is to be settled.
@@ -920,7 +909,7 @@ def _settle_and_show(
     for m in range(len(begins)):
         game = dynamic.games[m]
         if what != _NOT and not begins[m]:
-            if known.everyone:
+            if fast.everyone:
                 if what == _ALL:
                     settle_everyone(static, dynamic, m)
                 else:
@@ -934,10 +923,10 @@ def _settle_and_show(
             for row in range(b.agents.shape[1]):
                 acted |= b.acted[m, row]
             _finish(b, m, acted, game)
-        if not known.everyone:
+        if not fast.everyone:
             b.agents[m, 0] = game.agent
         for row in range(b.agents.shape[1]):
-            n = wide(row) if known.everyone else wide(asked[m])
+            n = wide(row) if fast.everyone else wide(asked[m])
             if n != NOBODY:  # once a game is over, these stay as its last move left them
                 status = dynamic.agents[m, place(n)].status
                 b.terminated[m, row] = status == Status.TERMINATED
@@ -954,7 +943,7 @@ def _settle_and_show(
 
 @compiled
 def _play_everyone(
-    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, steps: bool, restarts: bool
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, steps: bool, restarts: bool
 ) -> None:
     """Steps and restarts of all problems, where all agents have a row.
 
@@ -962,7 +951,7 @@ def _play_everyone(
         static: the static state of the games.
         dynamic: their dynamic state.
         b: the buffers, with masks in pairs of bytes.
-        known: what is known about the pieces.
+        fast: what is known about the pieces.
         steps: whether problems make a step.
         restarts: whether those whose episode is over start the next one instead.
     """
@@ -972,19 +961,19 @@ def _play_everyone(
             for n in range(b.agents.shape[1]):
                 b.active[m, n] = dynamic.agents[m, n].status == Status.ACTIVE
                 if b.active[m, n]:
-                    _look(static, dynamic, known, m, n, b.obs, b.mask, n)
+                    _look(static, dynamic, fast, m, n, b.obs, b.mask, n)
         elif steps:
-            _step_everyone(static, dynamic, b, known, m)
+            _step_everyone(static, dynamic, b, fast, m)
 
 
 @compiled
 def _play_player(
-    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, steps: bool, restarts: bool
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, steps: bool, restarts: bool
 ) -> None:
     """:func:`_play_everyone` where only the agent whose turn it is has a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
             _start(static, dynamic, b, m)
-            _look_at_player(static, dynamic, b, known, m)
+            _look_at_player(static, dynamic, b, fast, m)
         elif steps:
-            _step_player(static, dynamic, b, known, m)
+            _step_player(static, dynamic, b, fast, m)

@@ -85,7 +85,7 @@ def test_the_search_gains_from_them() -> None:
     problems = generate(6, (8, 8, 2), nets=40, max_pins=5, capacity=7, seed=11)
     total = {}
     for exact_pins in (0, 6):
-        options = GeneralistOptions(mind="ways", seconds=None, rounds=40, exact_pins=exact_pins)
+        options = GeneralistOptions(policy="greedy", seconds=None, rounds=40, exact_pins=exact_pins)
         figures = [evaluate(p, GeneralistRouter(options).route(p)) for p in problems]
         assert all(each.connected for each in figures)
         total[exact_pins] = np.sum([(each.overflow, each.wirelength) for each in figures], axis=0)

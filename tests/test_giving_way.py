@@ -167,7 +167,6 @@ def test_no_round_makes_anything_worse(options: dict[str, Any], seed: int) -> No
             kept = (-now["kept_joined"], now["kept_overflow"], now["kept_wirelength"])
             assert best is None or kept <= best
             best = kept
-        engine.check_saved(engine.save())
     _ = judged(engine, best)
     ended = evaluate(problem[0], engine.solution())
     now = engine.metrics()
@@ -205,7 +204,6 @@ def test_nets_negotiate_and_end_with_the_best_routes(
         if rng.random() < 0.3 or engine.games[0]["asked"]:
             move = rng.choice(np.flatnonzero(engine.masks(problems, agents)[0]), 1)
         engine.step(np.asarray(move, np.int8))
-        engine.check_saved(engine.save())
         game = engine.games[0]
         if game["round"] > number:
             number = game["round"]
@@ -280,7 +278,6 @@ def test_agents_that_are_not_there_have_no_routes() -> None:
     while (engine.games["agent"] != NOBODY).any():
         masks = engine.masks(*engine.pairs(everyone=False))
         engine.step(np.array([rng.choice(np.flatnonzero(mask)) for mask in masks]))
-    engine.check_saved(engine.save())
     assert engine.more.tree[:, :3].any(axis=2).all()
     assert engine.more.tree[1].any(axis=1).all()
     assert not engine.more.tree[[0, 2], 3:].any()

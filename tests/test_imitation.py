@@ -103,14 +103,14 @@ def test_what_it_learns_routes_larger_problems(tmp_path: Path) -> None:
     weights = str(tmp_path / "run" / POLICY)
     problems = generate(4, (8, 8, 2), nets=20, max_pins=4, seed=5)
     total = {}
-    for mind in ("network", "ways"):
+    for policy in ("network", "greedy"):
         # In no time, so that nobody walks along Steiner trees.
-        given_ = {"weights": weights, "mind": mind, "rounds": 0, "seconds": 0}
+        given_ = {"weights": weights, "policy": policy, "rounds": 0, "seconds": 0}
         options = build(GeneralistOptions, given_)
         figures = [evaluate(p, GeneralistRouter(options).route(p)) for p in problems]
         assert all(each.connected for each in figures)
-        total[mind] = np.sum([(each.overflow, each.wirelength) for each in figures], axis=0)
-    assert tuple(total["network"]) < tuple(total["ways"])
+        total[policy] = np.sum([(each.overflow, each.wirelength) for each in figures], axis=0)
+    assert tuple(total["network"]) < tuple(total["greedy"])
 
 
 @pytest.mark.parametrize("plain", [0.0, 0.5, 1.0])
@@ -140,7 +140,7 @@ def test_a_share_of_the_episodes_begins_plain(plain: float) -> None:
         ({"env": {"rip_up": {"choose": "agents"}}}, "rip_up.choose"),
         ({"learner": {"masking": False}}, "masking"),
         ({"learner": {"batch": 10_000}}, "batch"),
-        ({"learner": {"taught": 2}}, "taught"),
+        ({"learner": {"expert_fraction": 2}}, "expert_fraction"),
         ({"learner": {"plain": 2}}, "plain"),
     ],
 )
@@ -162,11 +162,11 @@ def test_the_loss_by_hand() -> None:
     assert loss.item() == pytest.approx(-np.log(2 / 3) + 0.5 * 4 / 3)
 
 
-@pytest.mark.parametrize("mind", ["ways", "chance"])
-def test_the_search_without_learning(mind: str) -> None:
+@pytest.mark.parametrize("policy", ["greedy", "random"])
+def test_the_search_without_learning(policy: str) -> None:
     problem = generate(1, nets=40, max_pins=4, seed=5)[0]
-    single = GeneralistOptions(mind=mind, rounds=0, copies=1, keep=1)  # type: ignore[arg-type]
-    longer = GeneralistOptions(mind=mind, rounds=40, copies=3, seconds=None)  # type: ignore[arg-type]
+    single = GeneralistOptions(policy=policy, rounds=0, copies=1, keep=1)  # type: ignore[arg-type]
+    longer = GeneralistOptions(policy=policy, rounds=40, copies=3, seconds=None)  # type: ignore[arg-type]
     first, more, again = (
         GeneralistRouter(options).solve(problem) for options in (single, longer, longer)
     )
@@ -186,7 +186,7 @@ def test_the_search_without_learning(mind: str) -> None:
         {"copies": 0},
         {"keep": 9},
         {"seconds": -1},
-        {"warmth": -1},
+        {"temperature": -1},
         {"neighbours": -1},
         {"patience": -1},
     ],
@@ -201,7 +201,7 @@ def test_options_out_of_range(given: dict[str, Any]) -> None:
 
 def test_who_watches_may_end_the_rip_ups() -> None:
     problem = generate(1, nets=30, max_pins=5, seed=3)[0]
-    router = GeneralistRouter(GeneralistOptions(mind="ways", seconds=60.0))
+    router = GeneralistRouter(GeneralistOptions(policy="greedy", seconds=60.0))
     lines: list[str] = []
 
     def watch(line: str) -> bool:

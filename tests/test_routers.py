@@ -289,7 +289,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
         **{"burn_in_size": 100, "buffer_size": 500, "network": {"hidden": [8]}, "epsilon": 0.3},
         "fused": False,
     },
-    "ppo": {"kind": "ppo", "copies": 2, "rollout": 48, "minibatch": 16},
+    "ppo": {"kind": "ppo", "num_envs": 2, "rollout": 48, "minibatch": 16},
 }
 
 

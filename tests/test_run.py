@@ -49,7 +49,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "epsilon_final": None,
         "target_period": 7,
     },
-    "ppo": {"copies": 2, "rollout": 48, "minibatch": 16},
+    "ppo": {"num_envs": 2, "rollout": 48, "minibatch": 16},
 }
 """Options of learners whose trainings take a moment."""
 
@@ -437,7 +437,7 @@ class Untaught(DQN):
 
     def __init__(self, setup: Setup, options: DQNOptions) -> None:
         super().__init__(setup, options)
-        self.fill = 0
+        self.learning_starts = 0
 
     @property
     def stored(self) -> NDArray[np.int64]:
@@ -807,7 +807,7 @@ LONGER: dict[str, dict[str, Any]] = {
     "multi, masked": {**STEADY, "agents": "multi", "masking": True},
     "shared": {**STEADY, "shared": True, "problem": {**PROBLEMS, "count": 1}},
     "torch": {**STEADY, "fused": False, "n_step": 3},
-    "ppo": {"kind": "ppo", "anneal": False, "copies": 1, "problem": {**PROBLEMS, "count": 1}},
+    "ppo": {"kind": "ppo", "anneal": False, "num_envs": 1, "problem": {**PROBLEMS, "count": 1}},
     "drawn": {**STEADY, "shared": True, "games": 1, "problem": DRAWN},
 }
 
@@ -1116,8 +1116,12 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
         for key in ("problems", "training", "trainer", "seconds", "logged", "evaluated")
     },
     "no policies": changed(lambda state: state["trainer"].pop("policies")),
-    "no state of the game": changed(lambda state: state["trainer"].pop("game.used")),
-    "no buffers": changed(lambda state: state["trainer"].pop("buffers.obs")),
+    "no moves": changed(lambda state: state["trainer"].pop("moves")),
+    "moves that are none": changed(lambda state: state["trainer"]["moves"].fill_(9)),
+    "more moves than there are": changed(lambda state: state["trainer"]["made"].fill_(10**6)),
+    "no routes": changed(lambda state: state.update(routes=[None, None])),
+    "routes off the grid": changed(lambda state: state["routes"][0].fill_(10**6)),
+    "routes of no net": changed(lambda state: state["routes"][0][0].fill_(99)),
     "no number of episodes": changed(lambda state: state.pop("in_all")),
     "more episodes": changed(lambda state: state.update(in_all=4)),
     "fewer episodes": changed(lambda state: state.update(in_all=2)),
@@ -1137,7 +1141,7 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "no mapping": changed(lambda state: state.update(training=[1, 2])),
     "no best episode": changed(lambda state: state["trainer"]["best_episode"].fill_(-1)),
     "a best episode to come": changed(lambda state: state["trainer"]["episodes"].fill_(1)),
-    "an impossible reward": changed(lambda state: state["trainer"]["buffers.total"].fill_(1e30)),
+    "an impossible reward": changed(lambda state: state["trainer"]["total"].fill_(1e30)),
     "a parameter": changed(
         lambda state: state["training"].update(
             {"networks.flat": torch.nn.Parameter(state["training"]["networks.flat"])}

@@ -302,25 +302,6 @@ def _flip(bits: Any, others: Any, m: int, row: int) -> None:
             set_byte(bits, m, row, byte, byte_of(bits, m, row, byte) ^ value)
 
 
-@compiled
-def copy_rows(bits: Any, rows: Any, others: Any, from_: Any, m: int) -> None:
-    """:func:`copy_row` for several rows (K,) of problem m."""
-    for k in range(len(rows)):
-        copy_row(bits, m, wide(rows[k]), others, m, wide(from_[k]))
-
-
-@compiled
-def are_within(bits: Any, first: int, others: Any, m: int, rows: int) -> bool:
-    """Whether the numbers of rows from ``first`` on are in the rows of others, from 0 on."""
-    for other in range(rows):
-        row = wide(first + other)
-        for at in range(places(bits, m, row)):
-            byte, value = byte_at(bits, m, row, at)
-            if value & ~byte_of(others, m, wide(other), byte) != 0:
-                return False
-    return True
-
-
 # --- whole arrays ---------------------------------------------------------------------------------
 
 
@@ -388,56 +369,3 @@ def with_row(bits: NDArray[Any], m: int, row: int, number: NDArray[np.int64]) ->
 _PER_NUMBER = 2 * SMALLEST
 """Entries that a number takes at most: a table has at least a quarter of its entries in use, or is
 one of the smallest, and the tables that it has grown out of are together as large."""
-
-
-@compiled
-def _rebuild(bits: Any, new: Any, bytes_: int) -> bool:
-    """Puts the rows of untrusted arrays into new ones; returns whether they can be such rows."""
-    for m in range(len(bits)):
-        size = wide(0)
-        for row in range(new[m, _ROWS]):
-            at = _DIRECTORY + _RECORD * row
-            begin, mask = wide(bits[m, at]), wide(bits[m, at + 1])
-            if begin == 0 and mask == 0:
-                continue
-            size += mask + 1
-            if begin < 0 or mask < SMALLEST - 1 or (mask + 1) & mask:
-                return False
-            if begin + mask >= bits.shape[1] or size > bits.shape[1]:
-                return False
-            for i in range(begin, begin + mask + 1):
-                entry = wide(bits[m, i])
-                if entry != 0 and not 1 <= entry >> 8 <= bytes_:
-                    return False
-                if entry & 255 != 0:
-                    set_byte(new, m, wide(row), (entry >> 8) - 1, entry & 255)
-    return True
-
-
-def rebuilt(bits: NDArray[Any], rows: int, bytes_: int) -> NDArray[np.int32]:
-    """Hashed rows with the numbers of others, whose arrays nobody has looked at.
-
-    Args:
-        bits: (M, S') int32.
-        rows: how many there must be.
-        bytes_: how many bytes a row may have.
-
-    Raises:
-        ValueError: they cannot be hashed rows.
-    """
-    if bits.shape[1] < begin_of(rows):
-        raise ValueError("rows of bits: expected longer arrays")
-    # Tables do not overlap. Each grows to twice its size at most, if all of its entries are in use.
-    room = begin_of(rows) + 4 * bits.shape[1]
-    new = longer(make_rows(len(bits), rows, bytes_, hashed=True), room)
-    if not _rebuild(bits, new, bytes_):
-        raise ValueError("rows of bits: expected those of a game of these problems")
-    return in_use(new)
-
-
-def with_problem(bits: NDArray[Any], m: int, others: NDArray[Any], k: int) -> NDArray[Any]:
-    """Rows in which those of problem m are those of problem k of others; longer ones if need be."""
-    if bits.ndim == 2:
-        bits = longer(bits, _end(others[k : k + 1]))
-    adopt(bits[m : m + 1], others[k : k + 1])
-    return bits

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import adopt, chosen, forget, has, in_use, numbers_of, rebuilt
+from marouting.batch.bits import adopt, chosen, forget, has, in_use, numbers_of
 from marouting.batch.growth import lengthened, needed_room
 from marouting.batch.observation import write_states
 from marouting.batch.prices import Negotiation
@@ -25,7 +25,6 @@ from marouting.batch.rules import (
     settle_player,
     write_mask,
 )
-from marouting.batch.saved import check_saved
 from marouting.batch.setup import (
     More,
     Room,
@@ -34,7 +33,7 @@ from marouting.batch.setup import (
     replace_problem,
     static_state,
 )
-from marouting.batch.state import ROWS, Dynamic, Option, Static
+from marouting.batch.state import ROWS, Dynamic, Static
 from marouting.config import check
 from marouting.game import NOBODY, Rules
 from marouting.kernels import compiled, place, wide
@@ -421,10 +420,6 @@ class Engine:
         used, sets = in_use(self.dynamic.used), in_use(self.dynamic.sets)
         return self.dynamic._replace(used=used, sets=sets)
 
-    def check_saved(self, saved: Dynamic) -> None:
-        """Raises ValueError unless a state can be one of these games, wherever it is from."""
-        check_saved(self.static, self._fitting(saved))
-
     def restore(self, saved: Dynamic) -> None:
         """Puts all games back into a saved state.
 
@@ -435,46 +430,20 @@ class Engine:
         Raises:
             ValueError: its shapes do not fit.
         """
-        saved = self._fitting(saved)
         if self.hashed:
             self._lengthen(saved.used.shape[1], saved.sets.shape[1])
-        for name, array in self.dynamic._asdict().items():
-            if name in ROWS:
-                adopt(array, getattr(saved, name))
-            else:
-                array[...] = getattr(saved, name)
-        self.make_room()
-
-    def _fitting(self, saved: Dynamic) -> Dynamic:
-        """A saved state with arrays like those of the state; raises ValueError if they differ."""
         for name, array in self.dynamic._asdict().items():
             kept = getattr(saved, name)
             # Hashed rows may be of any length.
             same = array.shape[: 1 if self.hashed and name in ROWS else None]
-            if kept.shape[: len(same)] != same or (kept.ndim, kept.dtype) != (
-                array.ndim,
-                array.dtype,
-            ):
+            fits = kept.ndim == array.ndim and kept.dtype == array.dtype
+            if not fits or kept.shape[: len(same)] != same:
                 raise ValueError(f"saved: expected shape {array.shape}, found {kept.shape}")
-        return saved._replace(
-            used=self.fitting_rows(saved.used),
-            sets=self.fitting_rows(saved.sets, int(self.static.options[Option.ROWS])),
-        )
-
-    def fitting_rows(self, kept: NDArray[Any], rows: int | None = None) -> NDArray[Any]:
-        """Rows of bits that somebody has kept, in a form that compiled code can trust.
-
-        Args:
-            kept: of some problems, with as many axes as those of the state.
-            rows: how many rows a problem has; None: one for every agent.
-
-        Raises:
-            ValueError: they cannot be such rows.
-        """
-        if not self.hashed:
-            return kept
-        bytes_ = -(-self.static.capacity.shape[1] // 8)
-        return rebuilt(kept, self.nets.shape[1] if rows is None else rows, bytes_)
+            if name in ROWS:
+                adopt(array, kept)
+            else:
+                array[...] = kept
+        self.make_room()
 
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents, and starts all episodes.

@@ -38,13 +38,13 @@ from marouting.observations import has_move_order, move_order_of
 from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.generalist.regrets import MASKED, Regrets
+from policies.learned.counter_rng import uniform, uniforms
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
-from policies.learned.memory.before import Before
+from policies.learned.memory.pre_step import PreStep
 from policies.learned.networks.adam import Adam
 from policies.learned.networks.stack import Stack, View
-from policies.learned.rows import COUNT
-from policies.learned.streams import uniform, uniforms
+from policies.learned.per_network import COUNT
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 _MOST_REGRET = 100.0
@@ -79,11 +79,11 @@ class ImitationOptions:
         batch: states of a gradient step.
         reuse: how often a state is learned from, on average.
         regret: weight of the expected regret in the loss.
-        taught: share of the episodes that the teacher plays, and in which the pupil looks on. Until
-            ``batch`` states are known the teacher plays them all.
+        expert_fraction: share of the episodes that the teacher plays, and in which the pupil looks
+            on. Until ``batch`` states are known the teacher plays them all.
         drawn: share of the episodes in which the pupil draws its moves by their chances. In the
             rest it makes those with the highest.
-        helped: share of the moves in its own episodes that the teacher makes for it.
+        expert_moves: share of the moves in its own episodes that the teacher makes for it.
         plain: share of the episodes that begin with plain rounds. Without prices all do.
         passes: of negotiated congestion over the nets of a problem, for the teacher's solution.
         masking: whether only moves that cross an edge are chosen.
@@ -98,9 +98,9 @@ class ImitationOptions:
     batch: int = 1024
     reuse: float = 3.0
     regret: float = 0.1
-    taught: float = 0.15
+    expert_fraction: float = 0.15
     drawn: float = 0.4
-    helped: float = 0.05
+    expert_moves: float = 0.05
     plain: float = 0.5
     passes: int = 200
     masking: bool = True
@@ -112,7 +112,7 @@ class ImitationOptions:
         check("batch", 1 <= self.batch <= self.memory, f"a number from 1 to memory, {self.memory}")
         check("reuse", self.reuse >= 0, "a number from 0")
         check("regret", self.regret >= 0, "a number from 0")
-        for name in ("taught", "drawn", "helped", "plain"):
+        for name in ("expert_fraction", "drawn", "expert_moves", "plain"):
             check(name, 0 <= getattr(self, name) <= 1, "a number from 0 to 1")
         check("passes", 1 <= self.passes <= MOST, f"a number from 1 to {MOST}")
         check("masking", self.masking, "true: the teacher knows no other moves")
@@ -123,8 +123,8 @@ class Imitation(Learner):
 
     Options = ImitationOptions
     rows: ClassVar[tuple[str, ...]] = (
-        *Learner.rows, "store", "kept", "owed", "progress", "begun", "last", "keys",
-        "coming", "table", "attach", "pins", "many", "low", "high",
+        *Learner.rows, "store", "kept", "pending_updates", "progress", "begun", "plain", "last",
+        "keys", "coming", "table", "attach", "pins", "many", "low", "high",
     )  # fmt: skip
     parts: ClassVar[tuple[str, ...]] = ("networks", "adam", "explore")
 
@@ -146,9 +146,10 @@ class Imitation(Learner):
         store = np.zeros((1, o.memory, self.features + MOVES), np.float16)
         self.store = torch.from_numpy(store)
         self.kept = np.zeros(1, np.int64)
-        self.owed = np.zeros(1)  # gradient steps
+        self.pending_updates = np.zeros(1)  # gradient steps
         self.progress = np.zeros(1)  # episodes played, as a share of all
         self.begun = np.zeros((1, games), np.int64)  # episodes that each game has begun
+        self.plain = np.zeros((1, games), np.bool_)  # whether the episode began with a plain walk
         self.last = np.full((1, games), NOBODY, np.int64)  # who moved last in each game
         self.regrets = Regrets(player.engine)
         for name, array in self.regrets.lessons._asdict().items():
@@ -159,12 +160,12 @@ class Imitation(Learner):
         self._out = np.zeros((games, MOVES), np.int32)
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
+        """See :meth:`.PerNetworkState.limits`."""
         engine = self.setup.player.engine
         agents, cells = engine.nets.shape[1], engine.grid.gcells
         return {
             **super().limits(),
-            **dict.fromkeys(("kept", "owed", "begun", "coming"), COUNT),
+            **dict.fromkeys(("kept", "pending_updates", "begun", "coming"), COUNT),
             **dict.fromkeys(("table", "attach"), (0.0, float(MASKED))),
             "progress": (0.0, 1.0),
             "last": (NOBODY, agents - 1.0),
@@ -186,7 +187,7 @@ class Imitation(Learner):
         """See :meth:`policies.learned.learner.Learner.set_episodes`."""
         self.progress[:] = min(float(episodes.mean()) / self.setup.episodes, 1.0)
 
-    def observe(self, player: Player, before: Before) -> None:
+    def observe(self, player: Player, before: PreStep) -> None:
         """Learns nothing from moves of which it does not know the regret."""
 
     # --- play ---------------------------------------------------------------------------------
@@ -205,9 +206,9 @@ class Imitation(Learner):
             self._remember(now.obs[:, 0], regrets, learns)
             self.last[0] = now.agents[:, 0]
             player.step()
-            while self.owed[0] >= 1:
+            while self.pending_updates[0] >= 1:
                 self.learn()
-                self.owed -= 1
+                self.pending_updates -= 1
             if now.over.any():
                 return
 
@@ -226,9 +227,9 @@ class Imitation(Learner):
             if priced:
                 kinds = np.zeros(len(games))
                 _draw(self.explore.keys[0], self.begun[0], _PLAIN, kinds)
-                plain = begins & (kinds < self.options.plain)
-                player.engine.begin_plain(plain)
-                learns[plain] = False  # the first agent has seen prices
+                self.plain[0, begins] = kinds[begins] < self.options.plain
+                self.resume(player, begins)
+                learns[begins & self.plain[0]] = False  # the first agent has seen prices
         new = (games["agent"] != last) & (games["agent"] != NOBODY) & (games["round"] == 0)
         waits = (new | begins) & ((games["plain"] == 1) | (not priced))
         for m in np.flatnonzero(waits).tolist():
@@ -237,6 +238,11 @@ class Imitation(Learner):
                 self.regrets.expect(m, np.flatnonzero(engine.tasks[m]), solution, 1)
             self.regrets.expect(m, np.array([n]), solution, -1)
         return learns
+
+    def resume(self, player: Player, which: NDArray[np.bool_]) -> None:
+        """See :meth:`policies.learned.learner.Learner.resume`."""
+        if player.engine.priced:
+            player.engine.begin_plain(which & self.plain[0])
 
     def _solution(self, m: int, problem: Problem) -> Solution:
         """The teacher's solution of the problem that game m plays."""
@@ -260,12 +266,13 @@ class Imitation(Learner):
         ways, helps = np.zeros((2, len(scores)))
         _draw(self.explore.keys[0], self.begun[0], _EPISODE, ways)
         _draw(self.explore.keys[0], self.explore.counters[0], _HELP, helps)
-        taught = (ways < o.taught) | (helps < o.helped) | (self.kept[0] < o.batch)
+        expert = (ways < o.expert_fraction) | (helps < o.expert_moves)
+        expert |= self.kept[0] < o.batch
         sure = np.where(regrets < MASKED, scores, -np.inf).argmax(axis=1)
         greedy = np.where(np.arange(MOVES) == sure[:, None], _SURE, np.float32(0))
-        own = np.where((ways < o.taught + o.drawn)[:, None], scores, greedy)
+        own = np.where((ways < o.expert_fraction + o.drawn)[:, None], scores, greedy)
         led: NDArray[np.float32] = np.where(
-            taught[:, None], np.where(regrets == 0, _SURE, np.float32(0)), own
+            expert[:, None], np.where(regrets == 0, _SURE, np.float32(0)), own
         ).astype(np.float32)
         return led
 
@@ -285,7 +292,7 @@ class Imitation(Learner):
         )
         self.kept += count
         if self.kept[0] >= o.batch:
-            self.owed += count * o.reuse / o.batch
+            self.pending_updates += count * o.reuse / o.batch
 
     # --- learning -----------------------------------------------------------------------------
 

@@ -112,10 +112,7 @@ class Regrets:
             self.lessons.coming[m, edges] += sign * static.demand[m, n, layers]
 
     def write(
-        self,
-        problems: NDArray[np.integer],
-        agents: NDArray[np.integer],
-        out: NDArray[np.int32],
+        self, problems: NDArray[np.integer], agents: NDArray[np.integer], out: NDArray[np.int32]
     ) -> None:
         """Writes the regrets of K agents' moves; to be called before every move of an agent.
 

@@ -34,21 +34,18 @@ from policies.generalist import SHIPPED
 from policies.generalist.cheapest_tree import MOST_PINS
 from policies.generalist.outlook import DETOURS, OutlookObservation
 from policies.generalist.walk import MOST_STEPS, Walker, take_best
+from policies.learned.counter_rng import keys
 from policies.learned.networks.mlp import MLP
 from policies.learned.policy import Routed, TrainedPolicy
-from policies.learned.streams import keys
 
 _SURE = 8.0
-"""How much a Gcell of detour lowers a move's score without a network; see ``mind``."""
+"""How much a Gcell of detour lowers a move's score where ``policy`` is ``greedy``."""
 
 _STEPS = 64
 """Moves of every copy between two looks at the clock, unless there is time for less: a quarter of a
 millisecond on small grids."""
 
-_STEINER: dict[str, Any] = {
-    "decomposition": "steiner",
-    "next_pin": "listed",
-}
+_STEINER: dict[str, Any] = {"decomposition": "steiner", "next_pin": "listed"}
 """What is different in the game in which nets walk along Steiner trees."""
 
 _LEAST, _ROOM, _TIGHT = 0.01, 2, 8
@@ -71,8 +68,6 @@ _CALM = 0.3
 _OFTEN = 0.1
 """Seconds between two lines to who watches."""
 
-Mind = Literal["network", "ways", "chance"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class GeneralistOptions:
@@ -87,7 +82,7 @@ class GeneralistOptions:
         rounds: the most rip-up rounds; 0 for a single shot.
         copies: copies of the problem that are played.
         keep: how many of them go through rip-up rounds.
-        warmth: the temperature at which moves are drawn.
+        temperature: that at which moves are drawn.
         neighbours: the most nets that walk again with a net because they stand in its way.
         patience: plain rounds in a row after which one more of them does so, from none in the first
             ones; 0: all of them from the first on.
@@ -97,8 +92,8 @@ class GeneralistOptions:
             that is computed (:mod:`policies.generalist.cheapest_tree`), and do not ask the network;
             0: none.
         seed: seed of the random numbers.
-        mind: who chooses the moves: ``network``; or, to see what the search does without learning,
-            ``ways``, whose moves lead along the cheapest way, or ``chance``.
+        policy: what chooses the moves: ``network``; or, to see what the search does without
+            learning, ``greedy``, whose moves lead along the cheapest way, or ``random``.
 
     Raises:
         InputError: a value is out of range.
@@ -111,13 +106,13 @@ class GeneralistOptions:
     rounds: int = MOST_ROUNDS
     copies: int = 1
     keep: int = 1
-    warmth: float = 1.0
+    temperature: float = 1.0
     neighbours: int = 3
     patience: int = 2
     prices: bool = True
     exact_pins: int = 6
     seed: int = 0
-    mind: Mind = "network"
+    policy: Literal["network", "greedy", "random"] = "network"
 
     def __post_init__(self) -> None:
         positive = self.seconds is None or self.seconds >= 0
@@ -125,7 +120,7 @@ class GeneralistOptions:
         check("rounds", 0 <= self.rounds <= MOST_ROUNDS, f"a number from 0 to {MOST_ROUNDS}")
         check("copies", 1 <= self.copies <= 4096, "a number from 1 to 4096")
         check("keep", 1 <= self.keep <= self.copies, f"a number from 1 to copies, {self.copies}")
-        check("warmth", self.warmth >= 0, "a number from 0")
+        check("temperature", self.temperature >= 0, "a number from 0")
         many = f"a number from 0 to {MOST_NEIGHBOURS}"
         check("neighbours", 0 <= self.neighbours <= MOST_NEIGHBOURS, many)
         check("patience", 0 <= self.patience <= MOST_ROUNDS, f"a number from 0 to {MOST_ROUNDS}")
@@ -158,14 +153,14 @@ class GeneralistRouter:
         env = EnvOptions(overflow="allowed", target="tree", next_pin="nearest", mask_visited=True)
         self._sizes: tuple[int, ...] = (self._observation.size, MOVES)
         self._weights = np.zeros((self._sizes[0] + 1) * MOVES, np.float32)
-        if options.mind == "ways":
+        if options.policy == "greedy":
             first = np.arange(MOVES)
             self._weights[(DETOURS + first) * MOVES + first] = -_SURE
-        if options.mind == "network":
+        if options.policy == "network":
             weights = str(SHIPPED) if options.weights is None else options.weights
-            policy = TrainedPolicy.load(weights)
-            self._observation, self._sizes, self._weights = _read(policy, weights)
-            env = policy.env
+            trained = TrainedPolicy.load(weights)
+            self._observation, self._sizes, self._weights = _read(trained, weights)
+            env = trained.env
         self._keys = keys(options.seed, [str(copy) for copy in range(options.copies)], "walk")
         rules = {field.name: getattr(env, field.name) for field in fields(Rules)}
         self._rules = replace(
@@ -200,10 +195,10 @@ class GeneralistRouter:
         engine = Engine([problem] * o.copies, rules, negotiation=negotiation)
         if o.copies > 1:
             engine.set_order(_orders(engine, o.seed))
-        warmth = np.full(o.copies, o.warmth, np.float32)
-        warmth[0] = 0
+        temperature = np.full(o.copies, o.temperature, np.float32)
+        temperature[0] = 0
         seen = self._observation, self._sizes, self._weights
-        walker = Walker(engine, *seen, warmth, self._keys, exact_pins=o.exact_pins)
+        walker = Walker(engine, *seen, temperature, self._keys, exact_pins=o.exact_pins)
 
         guide, seconds = None, np.inf if o.seconds is None else o.seconds
         walker.walk_out(stops=True)
@@ -220,7 +215,7 @@ class GeneralistRouter:
                 walker.follow(guide)
                 walker.walk_out(stops=True)
                 walker.follow(None)
-        warmth[:] = o.warmth
+        temperature[:] = o.temperature
         self._rip_up(engine, walker, began)
         best = int(_ranking(engine)[0])
         moves, rounds = int(walker.counters.sum()), int(engine.games["round"].max())

@@ -1,7 +1,7 @@
 """How moves are chosen in play: greedily but for a random share, or at random by their scores.
 
 Every game has its own random numbers, functions of a key and of the number of the step (see
-:mod:`policies.learned.streams`): its moves do not depend on what else is played beside it.
+:mod:`policies.learned.counter_rng`): its moves do not depend on what else is played beside it.
 """
 
 from typing import Any
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from marouting.game import NOBODY
 from marouting.kernels import compiled
 from marouting.player import StepBuffers
-from policies.learned.rows import COUNT, Rows
-from policies.learned.streams import uniform
+from policies.learned.counter_rng import uniform
+from policies.learned.per_network import COUNT, PerNetworkState
 
 
-class Exploration(Rows):
+class Exploration(PerNetworkState):
     """The random numbers of all games.
 
     Args:
@@ -35,7 +35,7 @@ class Exploration(Rows):
         self.epsilon = np.ones(keys.shape)
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
+        """See :meth:`.PerNetworkState.limits`."""
         return {**super().limits(), "counters": COUNT, "epsilon": (0.0, 1.0)}
 
     def epsilon_greedy(self, now: StepBuffers, values: NDArray[np.float32], masking: bool) -> None:

@@ -12,7 +12,7 @@ from torch import nn
 from marouting.batch.growth import lacks_room
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.kernels import allocating, wide
-from marouting.player import Known, Player, StepBuffers, step_problem
+from marouting.player import FastPath, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
 from policies.generalist.outlook import OutlookObservation
 from policies.generalist.walk import Walker
@@ -28,7 +28,7 @@ def layers_of(player: Player, module: nn.Module, *, masking: bool) -> tuple[int,
     """Units of a network's layers, inputs first, if :func:`play_out` does it in these games."""
     if not isinstance(module, MLP) or module.activation != "relu" or module.dueling:
         return None
-    known = player.known.observation and player.known.reward
+    known = player.fast.observation and player.fast.reward
     fits = known or (masking and _looks_out(player))
     return module.sizes if fits and player.engine.actions == MOVES else None
 
@@ -55,14 +55,14 @@ def play_out(
         masking: whether only moves that cross an edge are chosen.
     """
     engine, sizes = player.engine, np.array(layers, np.int64)
-    if not player.known.observation:
+    if not player.fast.observation:
         _walk_out(player, layers, weights)
         return
     while player.buffers.active.any():
         player.make_room()
         _play_out(
             engine.static, engine.dynamic, player.buffers, player.kernel_buffers,
-            player.known, sizes, weights, masking,
+            player.fast, sizes, weights, masking,
         )  # fmt: skip
 
 
@@ -74,7 +74,7 @@ def _walk_out(player: Player, layers: tuple[int, ...], weights: NDArray[np.float
     of = np.arange(games) * len(weights) // games
     cold, keys = np.zeros(games, np.float32), np.zeros(games, np.uint64)
     for row, own in enumerate(weights):
-        walker = Walker(engine, observation, layers, own, cold, keys, helped=False)
+        walker = Walker(engine, observation, layers, own, cold, keys, fallback_after=None)
         walker.playing[:] = of == row
         walker.walk_out()
     player.buffers.active[:] = False
@@ -82,7 +82,7 @@ def _walk_out(player: Player, layers: tuple[int, ...], weights: NDArray[np.float
 
 @allocating
 def _play_out(
-    static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers, known: Known,
+    static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers, fast: FastPath,
     sizes: NDArray[np.int64], weights: NDArray[np.float32], masking: bool,
 ) -> None:  # fmt: skip
     """:func:`play_out`, as long as there is room."""
@@ -98,5 +98,5 @@ def _play_out(
             q_values(sizes, weights[n], b.obs[games], activations, values[games])
         for m in range(len(b.over)):
             choose(keys, counters, never, b.active, b.mask, values, masking, b.actions, m)
-            step_problem(static, dynamic, kernel_buffers, known, m)
+            step_problem(static, dynamic, kernel_buffers, fast, m)
             short |= lacks_room(static, dynamic, wide(m))

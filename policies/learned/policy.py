@@ -6,7 +6,7 @@ import os
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -26,18 +26,22 @@ from policies.learned import greedy
 from policies.learned.checkpoint import checked, read_checkpoint
 from policies.learned.learner import best_moves, play_steps
 
+Played = TypeVar("Played", bound=Player)
+
 
 def player_of(
     env: EnvOptions,
     problems: Sequence[Problem] | Draws,
     negotiation: Negotiation | None = None,
-) -> Player:
+    kind: type[Played] = Player,  # type: ignore[assignment]
+) -> Played:
     """What plays problems as a configuration's ``env`` says, by the observation's own moves.
 
     Args:
         env: the options.
         problems: the problems, or what games draw theirs from.
         negotiation: how nets negotiate; None: they do not.
+        kind: the class of the player.
 
     Raises:
         InputError: the problems do not go together.
@@ -54,7 +58,7 @@ def player_of(
     )
     observation, reward = env.observation.make(), env.reward.make()
     everyone = env.agents == "multi"
-    return Player(engine, observation, reward, everyone=everyone, draws=draws, turned=True)
+    return kind(engine, observation, reward, everyone=everyone, draws=draws, turned=True)
 
 
 def check_weights(weights: Mapping[str, Any], module: nn.Module) -> None:

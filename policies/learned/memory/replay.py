@@ -29,9 +29,9 @@ from marouting.kernels import compiled
 from marouting.player import StepBuffers
 from marouting.problem.grid import MOVES
 from policies.learned.checkpoint import checked
-from policies.learned.memory.before import Before
-from policies.learned.rows import COUNT, Rows
-from policies.learned.streams import uniforms
+from policies.learned.counter_rng import uniforms
+from policies.learned.memory.pre_step import PreStep
+from policies.learned.per_network import COUNT, PerNetworkState
 
 MOVE, REWARD, GOES_ON, MASK = range(4)
 """Where these stand in a row after the two observations."""
@@ -70,7 +70,7 @@ class Batch:
     weight: Tensor | None = None
 
 
-class Replay(Rows):
+class Replay(PerNetworkState):
     """A ring of transitions for each of L networks, sampled uniformly.
 
     Args:
@@ -122,7 +122,7 @@ class Replay(Rows):
         self.bind()
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
+        """See :meth:`.PerNetworkState.limits`."""
         waiting = (0.0, max(self.n_step - 1.0, 0.0))
         return {**super().limits(), "stored": COUNT, "waiting": waiting}
 
@@ -141,7 +141,7 @@ class Replay(Rows):
         """Renews the device's counts, which on the processor are the same numbers."""
         self._stored = torch.from_numpy(self.stored).to(self.device)
 
-    def add(self, before: Before, after: StepBuffers) -> None:
+    def add(self, before: PreStep, after: StepBuffers) -> None:
         """Stores the transitions of a step, those of agents that moved.
 
         Args:
