@@ -47,12 +47,7 @@ from marouting.errors import InputError
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import bound, compiled, inlined, place, wide
 from marouting.memory import check_memory
-from marouting.observations import (
-    Observation,
-    PaperObservation,
-    has_move_order,
-    move_order_of,
-)
+from marouting.observations import Observation, PaperObservation, has_move_order, move_order_of
 from marouting.options import FORMS
 from marouting.problem.grid import MOVES
 from marouting.rewards import KNOWN, PaperReward, Reward
@@ -442,13 +437,7 @@ class Player:
     def _move_by_turns(
         self, before: Dynamic, begins: NDArray[np.bool_], asked: NDArray[np.int32]
     ) -> None:
-        """Makes the moves, each with a call of the reward, and writes what came of them.
-
-        Args:
-            before: the games as they were before the last move.
-            begins: (M,) episodes that have just begun, in which nobody moves.
-            asked: (M,) whose turn it is.
-        """
+        """Makes the moves, each with a call of the reward, and writes what came of them."""
         b, engine, paid = self.buffers, self.engine, self.paid
         assert paid is not None
         _forget(engine.dynamic)
@@ -513,11 +502,7 @@ class Player:
         return np.where(playing & (movers != NOBODY)[:, None], paid, np.float32(0))
 
     def _look_back(self, asked: NDArray[np.int32]) -> None:
-        """Writes what agents saw where they arrived: whose tasks have ended, or who pass the turn.
-
-        Args:
-            asked: (M,) whose turn it was.
-        """
+        """Writes what agents saw where they arrived, whose tasks ended or who pass the turn."""
         b, engine = self.buffers, self.engine
         rows = b.ending != Ending.NONE
         if not (self.everyone or engine.static.sequential):
@@ -647,12 +632,7 @@ def _move(static: Static, dynamic: Dynamic, movers: Any, moves: Any) -> None:
 
 @compiled
 def _settle_movers(
-    static: Static,
-    dynamic: Dynamic,
-    before: Dynamic,
-    movers: Any,
-    moves: Any,
-    arrived: Dynamic,
+    static: Static, dynamic: Dynamic, before: Dynamic, movers: Any, moves: Any, arrived: Dynamic
 ) -> None:
     """Settles the agents that moved, records where they arrived, and updates ``before``."""
     for m in range(len(movers)):
@@ -833,15 +813,7 @@ def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
 
 @inlined
 def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
-    """A step of one problem, with the paper's observation and reward.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        b: the buffers, with masks in pairs of bytes, (M, K, 3) int16.
-        fast: what is known about the pieces.
-        m: the problem.
-    """
+    """A step of one problem, with the paper's observation and reward."""
     if fast.everyone:
         _step_everyone(static, dynamic, b, fast, m)
     else:
@@ -855,15 +827,7 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
 def _move_and_pay(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, begins: Any
 ) -> None:
-    """The moves of a step and what the paper's reward pays for them, before anybody settles.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        b: the buffers.
-        fast: what is known about the pieces.
-        begins: (M,) episodes that have just begun, in which nobody moves.
-    """
+    """The moves of a step and what the paper's reward pays for them, before anybody settles."""
     for m in range(len(begins)):
         if begins[m]:
             continue
@@ -895,17 +859,7 @@ def _settle_and_show(
     asked: Any,
     what: int,
 ) -> None:
-    """The end of a step: next tasks start, the turn passes; writes all but what agents see.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        b: the buffers, with masks in pairs of bytes.
-        fast: what is known about the pieces.
-        begins: (M,) episodes that have just begun, where there is nothing to settle.
-        asked: (M,) whose turn it was, or NOBODY.
-        what: is to be settled.
-    """
+    """The end of a step: next tasks start, the turn passes; writes all but what agents see."""
     for m in range(len(begins)):
         game = dynamic.games[m]
         if what != _NOT and not begins[m]:
@@ -945,16 +899,7 @@ def _settle_and_show(
 def _play_everyone(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, steps: bool, restarts: bool
 ) -> None:
-    """Steps and restarts of all problems, where all agents have a row.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        b: the buffers, with masks in pairs of bytes.
-        fast: what is known about the pieces.
-        steps: whether problems make a step.
-        restarts: whether those whose episode is over start the next one instead.
-    """
+    """Steps and restarts of all problems, where all agents have a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
             _start(static, dynamic, b, m)

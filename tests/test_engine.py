@@ -14,7 +14,7 @@ from marouting import Adjustment, Engine, InputError, Move, Net, Pin, Problem, e
 from marouting.batch.prices import Negotiation
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.problem.problem import UNLIMITED
-from marouting.search.astar import AStar
+from marouting.search.guides import AStar
 
 E, W, N, S, U, D = Move
 

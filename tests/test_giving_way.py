@@ -14,7 +14,7 @@ from marouting import global_routing_v0 as game
 from marouting.batch.prices import Negotiation
 from marouting.env.single import GlobalRoutingSingle
 from marouting.game import NOBODY
-from marouting.search.astar import AStar
+from marouting.search.guides import AStar
 from marouting.vector import BatchEnv
 from policies.learned.config import load_config
 

@@ -217,7 +217,7 @@ def test_no_import_is_overlooked() -> None:
     assert found == {"p.a", "p.b.c", "p.b", "p.b.d", "p"}
     assert imported_modules("from . import d", "p.b.__init__", known) == {"p.b.d"}
     graph = import_graph("marouting")
-    assert "marouting.search.plain" in graph["marouting.search.bounded"]
+    assert "marouting.search.astar" in graph["marouting.search.guides"]
     assert "marouting.vector" in graph["marouting"]
 
 

@@ -20,8 +20,7 @@ from marouting import (
     sequential_astar,
 )
 from marouting.game import NOBODY
-from marouting.search.astar import AStar
-from marouting.search.route_follower import RouteFollower
+from marouting.search.guides import AStar, RouteFollower
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 IBM01 = Path(__file__).resolve().parents[2] / "shared/data/ispd98/ibm01.modified.txt"

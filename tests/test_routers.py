@@ -30,7 +30,7 @@ from marouting import (
 )
 from marouting.config import build
 from marouting.env.single import GlobalRoutingSingle
-from marouting.search.astar import AStar
+from marouting.search.guides import AStar
 from policies.generalist.router import GeneralistOptions, GeneralistRouter
 from policies.learned.config import Config
 from policies.learned.networks.mlp import MLP

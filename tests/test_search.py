@@ -25,8 +25,7 @@ from marouting import (
 )
 from marouting.game import NOBODY, Ending, Status
 from marouting.problem.grid import OFF_GRID
-from marouting.search.astar import AStar
-from marouting.search.bounded import search_buffers, shortest_path
+from marouting.search.guides import AStar, search_buffers, shortest_path
 from marouting.trees.decomposition import two_pin_tasks
 from marouting.trees.steiner import EXACT_PINS, steiner_length
 from policies.routers.astar import AStarRouter
@@ -39,7 +38,7 @@ def walk(engine: Engine, game: Game, n: int, start: int, target: int) -> tuple[l
     """The moves of a cheapest path by A*, and what they cost by the plain model."""
     working = search_buffers(engine.grid)
     length = shortest_path(engine.static, engine.dynamic, working, 0, n, start, target)
-    moves = working.path[:length].tolist()
+    moves = working.search.path[:length].tolist()
     at, cost, graph = gcell_of(game.problem, start), 0, game.graph(n)
     for move in moves:
         to = tuple(a + d for a, d in zip(at, STEPS[move], strict=True))
@@ -69,7 +68,7 @@ def test_path_cost_is_networkx_shortest_path(problem: Problem, seed: int, overfl
 
 
 def plain_path(engine: Engine, n: int, start: int, target: int) -> tuple[list[int], int]:
-    """The moves that marouting.search.plain describes, and how many Gcells it takes."""
+    """The moves that marouting.search.astar describes, and how many Gcells it takes."""
     grid, demand = engine.grid, engine.static.demand[0, n].tolist()
     remaining = engine.dynamic.remaining[0].tolist()
     used = np.unpackbits(engine.dynamic.used[0, n], bitorder="little").tolist()
@@ -123,9 +122,10 @@ def test_paths_are_those_of_plain_astar(
             ends = [int(engine.agents[0, n][name]) for name in ("cell", "target")]
             length = shortest_path(engine.static, engine.dynamic, working, 0, n, *ends)
             moves, opened = plain_path(engine, n, *ends)
-            assert working.path[:length].tolist() == moves
+            assert working.search.path[:length].tolist() == moves
             fewer += (
-                np.count_nonzero(working.plain.nodes["stamp"] == -working.plain.search[0]) < opened
+                np.count_nonzero(working.search.nodes["stamp"] == -working.search.number[0])
+                < opened
             )
             for move in moves:
                 engine.step(np.array([move]))
@@ -157,9 +157,10 @@ def test_a_target_without_a_way_in_does_not_cost_the_whole_grid() -> None:
     start, target = (problem.topology.number(*at, 0) for at in ((15, 15), (20, 20)))
     length = shortest_path(engine.static, engine.dynamic, working, 0, 0, start, target)
     assert length == 10
-    assert working.path[:length].tolist() == plain_path(engine, 0, start, target)[0]
+    assert working.search.path[:length].tolist() == plain_path(engine, 0, start, target)[0]
     assert walk(engine, game, 0, start, target)[1] == 1009
-    assert np.count_nonzero(working.plain.nodes["stamp"]) < 400  # of 1600, in all searches together
+    # Of 1600, in all searches together.
+    assert np.count_nonzero(working.search.nodes["stamp"]) < 400
 
 
 @settings(deadline=None, max_examples=40)

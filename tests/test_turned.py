@@ -15,7 +15,7 @@ from marouting.batch.window import mirrored, move_order
 from marouting.game import NOBODY, Ending
 from marouting.options import game_options
 from marouting.player import Player
-from marouting.search.astar import AStar
+from marouting.search.guides import AStar
 from policies.learned.networks.mlp import MLP
 from policies.learned.policy import TrainedPolicy, player_of
 

@@ -10,7 +10,7 @@ import time
 from typing import Any
 
 from marouting import Engine, evaluate, scenarios
-from marouting.search.astar import AStar
+from marouting.search.guides import AStar
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "the paper's game": {},

@@ -125,16 +125,7 @@ def price_of(static: Static, dynamic: Dynamic, m: int, edge: int) -> int:
 
 @inlined
 def edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int, room: int) -> int:
-    """What an edge inside a layer costs a net in a priced round.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        m: the problem.
-        edge: the edge.
-        demand: tracks that the net takes of it.
-        room: its remaining capacity if the net does not use it.
-    """
+    """What an edge inside a layer costs a net in a priced round."""
     if demand > static.capacity[m, edge]:
         return wide(MOST)
     cost = UNIT + price_of(static, dynamic, m, edge)
@@ -148,17 +139,7 @@ def edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int, 
 def net_cost(
     static: Static, dynamic: Dynamic, m: int, n: int, rows: Any, row: int, own: int
 ) -> int:
-    """What a net's edges cost it in a priced round.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        m: the problem.
-        n: the agent.
-        rows: of bits, one of which says what the edges are.
-        row: this one.
-        own: 1 if the net uses these edges at the moment, 0 if it has given them back.
-    """
+    """What a net's edges cost it in a priced round."""
     cost = wide(0)
     for at in range(places(rows, m, row)):
         byte, bits = byte_at(rows, m, row, at)

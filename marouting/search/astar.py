@@ -1,149 +1,401 @@
-"""A* as a router and as a player: the paper's benchmark, and moves in a running game.
+"""A* on a problem's capacity grid: the search, and the paper's benchmark router that is made of it.
 
-Both walk the paths of plain A* (:mod:`marouting.search.plain` explains costs, heuristic and ties;
-paper, section "Problem breakdown and A* Search Solver"), found as :mod:`marouting.search.bounded`
-does. The goals of a search are one pin, or with ``target="tree"`` all Gcells of the net's own tree
-so far.
+A path leads from one Gcell to the nearest of its goals (paper, section "Problem breakdown and A*
+Search Solver"). A step costs 1, or 1000 across an edge without remaining capacity. An edge that the
+net already uses costs 1 however full it is, because crossing it again takes no capacity.
 
-A net's own edges are free of demand, so it makes no difference whether the demand is taken after
-each task or after the whole net.
+The heuristic is the Manhattan distance, over x, y and layer, to the box around the goals. Along a
+step it falls by no more than the step costs, so f = g + h never falls along a path, and the cost of
+a Gcell is final once the Gcell is opened.
+
+Ties are broken in one way everywhere: of the Gcells with the lowest f the one found last is opened
+first, and the neighbours of a Gcell are found in the order of
+:class:`marouting.problem.grid.Move`.
+
+The **open list** is a stack of entries for each f, so the entry found last is on top. A Gcell that
+is found again by a cheaper path gets a second entry; the entry left behind is skipped when its turn
+comes. As all f in the list lie close together, the stacks are kept in a ring, f modulo LEVELS.
+
+**Walls.** A goal that is walled in would make A* open the whole grid, in the vain hope of a way
+around that is cheaper than a full edge. So a search that takes long pauses to look for walls: full
+edges that no path to the goals gets around. The walls it finds become part of the heuristic until
+the cost of a cheapest path is known. Then A* with its usual heuristic, and so its usual ties, finds
+the path; it leaves out Gcells from which the walls make every path cost more. Neither these nor
+anything found from them lies on a cheapest path, so the path is the one without walls.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import set_byte
-from marouting.batch.engine import Engine
-from marouting.batch.rules import move_agent
-from marouting.batch.setup import dynamic_state, static_state
-from marouting.batch.state import Dynamic, Static
-from marouting.batch.tasks import begin_task
-from marouting.game import NOBODY, Crossing, NetOrder, Rules, Status, Target
-from marouting.kernels import compiled, wide
-from marouting.memory import PLAYED, SEARCH, TABLES, check_memory
-from marouting.problem.problem import Problem, check_choice, check_problem
+from marouting.errors import InputError
+from marouting.game import NetOrder, Target
+from marouting.kernels import compiled, inlined, inner, place, wide
+from marouting.memory import SEARCH, TABLES, check_memory
+from marouting.problem.grid import AXES, MOVES, VIA_AXIS, Grid
+from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_problem
 from marouting.problem.solution import Solution
-from marouting.search.bounded import SearchBuffers, path_to_goals, search_buffers, shortest_path
-from marouting.search.plain import add_goal, clear_goals
-from marouting.trees.decomposition import Decomposition
+from marouting.trees.decomposition import Decomposition, two_pin_tasks
 
+STEP_COST = 1
+FULL_COST = 1000
+"""Cost of a step, and of one across an edge without remaining capacity (paper, section 3.3)."""
+
+LEVELS = 1 << (2 * FULL_COST).bit_length()
+"""Stacks of the open list. Along a step f grows by FULL_COST + 1 at most, and by up to another
+FULL_COST − 1 for a wall; no two f in the list are farther apart."""
+
+_RING = LEVELS - 1
+_WALL_COST = FULL_COST - STEP_COST  # what crossing a wall adds to the cost of a path, at least
+_EMPTY = _UNKNOWN = -1
 _EDGES_PER_TASK = 8  # initial room for the edges of routes; it doubles as needed
+
+NODE = np.dtype(
+    [
+        ("stamp", np.int64),  # the search that found the Gcell; negative once it is opened
+        ("cost", np.int64),  # g: cost of the cheapest path found, where stamp is the search's
+        ("came", np.int8),  # the last move of that path
+    ],
+    align=True,
+)
+"""A Gcell in a search."""
+
+
+class Capacities(NamedTuple):
+    """What a search sees: the grid, what is left of its edges, and one net's part in them."""
+
+    neighbour: NDArray[np.int32]  # (G, 6) Gcell that a move leads to
+    edge: NDArray[np.int32]  # (G, 6) edge that a move crosses
+    exits: NDArray[np.uint8]  # (G,) bit per move: it stays on the grid
+    position: NDArray[np.int32]  # (G, 3) x, y, z of a Gcell
+    remaining: NDArray[np.int32]  # (E,) remaining capacity
+    demand: NDArray[np.int32]  # (Z,) the net's demand on an edge of each layer
+    own: NDArray[np.int64]  # (E,) the number of the last net that used an edge
+    net: NDArray[np.int64]  # (1,) the number of the present net
+
+
+class Search(NamedTuple):
+    """Working arrays of searches, reused from one to the next without clearing."""
+
+    number: NDArray[np.int64]  # (1,) of the current search, from 1
+    nodes: NDArray[Any]  # (G,) NODE
+    head: NDArray[np.int32]  # (LEVELS,) top entry of each stack, or _EMPTY
+    below: NDArray[np.int32]  # (6 G,) the entry below each entry, or _EMPTY
+    cell: NDArray[np.int32]  # (6 G,) the Gcell of each entry
+    goal_set: NDArray[np.int64]  # (1,) number of the current set of goals
+    goal_mark: NDArray[np.int64]  # (G,) the latest set of goals that a Gcell was in
+    goals: NDArray[np.int32]  # (G,) the current goals, goal_count[0] of them
+    goal_count: NDArray[np.int64]  # (1,)
+    box: NDArray[np.int64]  # (3, 2) lowest and highest x, y, z of a goal
+    depth: NDArray[np.int64]  # (G,) base[0] + walls between a Gcell and the goals; less: unknown
+    base: NDArray[np.int64]  # (1,) rises from flood to flood, so that depth need not be cleared
+    flood: NDArray[np.int32]  # (G,) the Gcells that the last flood reached, in order
+    path: NDArray[np.int8]  # (G,) the moves of the path found
+
+
+def make_search(grid: Grid) -> Search:
+    """Working arrays for grids of this shape."""
+    g = grid.gcells
+    return Search(
+        number=np.zeros(1, np.int64),
+        nodes=np.zeros(g, NODE),
+        head=np.empty(LEVELS, np.int32),
+        below=np.empty(MOVES * g, np.int32),
+        cell=np.empty(MOVES * g, np.int32),
+        goal_set=np.zeros(1, np.int64),
+        goal_mark=np.zeros(g, np.int64),
+        goals=np.empty(g, np.int32),
+        goal_count=np.zeros(1, np.int64),
+        box=np.empty((AXES, 2), np.int64),
+        depth=np.zeros(g, np.int64),
+        base=np.zeros(1, np.int64),
+        flood=np.empty(g, np.int32),
+        path=np.empty(g, np.int8),
+    )
+
+
+# --- Goals ----------------------------------------------------------------------------------------
+
+
+@inlined
+def clear_goals(s: Search) -> None:
+    """Starts a new, empty set of goals."""
+    s.goal_set[0] += 1
+    s.goal_count[0] = 0
+
+
+@inlined
+def is_goal(s: Search, cell: int) -> bool:
+    """Whether a Gcell is one of the current goals."""
+    return s.goal_mark[cell] == s.goal_set[0]
+
+
+@inner
+def add_goal(w: Capacities, s: Search, cell: int) -> None:
+    """Makes a Gcell a goal, unless it is one already."""
+    if is_goal(s, cell):
+        return
+    count = s.goal_count[0]
+    s.goal_mark[cell] = s.goal_set[0]
+    s.goals[count] = cell
+    s.goal_count[0] = count + 1
+    for axis in range(AXES):
+        at = wide(w.position[cell, axis])
+        s.box[axis, 0] = at if count == 0 else min(s.box[axis, 0], at)
+        s.box[axis, 1] = at if count == 0 else max(s.box[axis, 1], at)
+
+
+@inlined
+def _distance_left(w: Capacities, s: Search, cell: int) -> int:
+    """The heuristic h: distance of a Gcell from the box around the goals."""
+    distance = wide(0)
+    for axis in range(AXES):
+        at = w.position[cell, axis]
+        distance += max(s.box[axis, 0] - at, 0) + max(at - s.box[axis, 1], 0)
+    return distance
+
+
+@inlined
+def _has_room(w: Capacities, cell: int, move: int) -> bool:
+    """Whether a move crosses a via, an edge that the net uses, or one with room for it."""
+    edge = place(w.edge[cell, move])
+    via = move >> 1 == VIA_AXIS
+    room = w.remaining[edge] >= w.demand[place(w.position[cell, VIA_AXIS])]
+    return via | room | (w.own[edge] == w.net[0])
+
+
+# --- The search -----------------------------------------------------------------------------------
+
+
+@inner
+def _astar(
+    w: Capacities,
+    s: Search,
+    cell: int,
+    f: int,
+    entries: int,
+    opened: int,
+    limit: int,
+    walls: int,
+    most: int,
+) -> tuple[int, int, int, int]:
+    """A*: opens Gcells until the next one is a goal, or until a limit is reached.
+
+    Args:
+        w: the grid and the net.
+        s: a search that has begun, and its goals. Every Gcell can be reached, so the open list does
+            not run empty before a goal.
+        cell: the Gcell to open next; at first the source.
+        f: its cost plus heuristic; none in the open list is lower.
+        entries: entries made in the open list so far; at first 0.
+        opened: Gcells opened so far; at first 0.
+        limit: how many Gcells to open in all.
+        walls: how many walls are known; 0 for plain A*.
+        most: the cost of a cheapest path, or _UNKNOWN.
+
+    Returns:
+        ``cell``, ``f``, ``entries`` and ``opened`` as they are now, to go on with.
+    """
+    while opened < limit and not is_goal(s, cell):
+        s.nodes[cell].stamp = -s.number[0]  # its cost is final
+        opened += 1
+        so_far, left = s.nodes[cell].cost, _distance_left(w, s, cell)
+        for move in range(MOVES):
+            if not w.exits[cell] >> move & 1:
+                continue
+            ahead = place(w.neighbour[cell, move])
+            node = s.nodes[ahead]
+            cost = so_far + (STEP_COST if _has_room(w, cell, move) else FULL_COST)
+            if node.stamp == -s.number[0] or (node.stamp == s.number[0] and node.cost <= cost):
+                continue
+            # By how much the heuristic changes; even moves go up their axis, odd ones down.
+            at, low, high = w.position[cell, move >> 1], s.box[move >> 1, 0], s.box[move >> 1, 1]
+            nearer = at > high if move & 1 else at < low
+            farther = at <= low if move & 1 else at >= high
+            f_ahead = cost + left + farther - nearer
+            if walls > 0:
+                depth = s.depth[ahead] - s.base[0]
+                added = _WALL_COST * (depth if 0 <= depth < walls else walls)
+                if most == _UNKNOWN:
+                    f_ahead += added
+                elif f_ahead + added > most:
+                    continue
+            node.stamp = s.number[0]
+            node.cost = cost
+            node.came = move
+            s.cell[entries] = ahead
+            s.below[entries] = s.head[f_ahead & _RING]
+            s.head[f_ahead & _RING] = entries
+            entries += 1
+        while True:  # the next Gcell from the open list that is not opened yet
+            while s.head[f & _RING] == _EMPTY:
+                f += 1
+            entry = place(s.head[f & _RING])
+            s.head[f & _RING] = s.below[entry]
+            cell = place(s.cell[entry])
+            if s.nodes[cell].stamp == s.number[0]:
+                break
+    return cell, f, entries, opened
+
+
+@inner
+def _find_walls(w: Capacities, s: Search, source: int, budget: int) -> int:
+    """Finds the walls around the goals.
+
+    Floods the Gcells from which a goal can be reached by steps alone, then those behind one wall,
+    and so on, until the source is reached or the budget, a number of Gcells, is used up.
+
+    Returns:
+        How many walls every path crosses that comes from a Gcell not flooded.
+    """
+    depth, flood = s.depth, s.flood
+    s.base[0] += len(depth) + 1
+    base = s.base[0]
+    walls = 0
+    size = s.goal_count[0]
+    budget += size
+    for i in range(size):
+        flood[i] = s.goals[i]
+        depth[flood[i]] = base
+    # Each depth is gone through twice: first Gcells are added across edges with room, as far as
+    # there are any, then those behind the next wall.
+    first = last = at = 0  # the Gcells of the current depth begin with the first
+    flooding = True
+    while True:
+        if at == (size if flooding else last):
+            if flooding:
+                walls += 1
+                last = size
+            else:
+                first = last
+            at = first
+            flooding = not flooding
+            continue
+        if flooding and size > budget:
+            return walls
+        cell = place(flood[at])
+        at += 1
+        for move in range(MOVES):
+            if not w.exits[cell] >> move & 1:
+                continue
+            beside = place(w.neighbour[cell, move])
+            if depth[beside] >= base or (flooding and not _has_room(w, cell, move)):
+                continue
+            if beside == source:
+                return walls
+            depth[beside] = base + walls
+            flood[size] = beside
+            size += 1
+
+
+@inner
+def path_to_goals(w: Capacities, s: Search, source: int) -> int:
+    """Finds a cheapest path from a Gcell to the nearest goal, of which there is at least one.
+
+    Returns:
+        The number of moves, which lie in ``s.path``; 0 if the source is a goal.
+    """
+    distance = _distance_left(w, s, source)
+    limit = 16 * (distance + 8)  # Gcells to open before looking for walls
+    walls, most = wide(0), wide(_UNKNOWN)
+    cell, seen = source, wide(0)
+    while True:  # one search after another, each knowing more
+        s.number[0] += 1
+        s.head[:] = _EMPTY
+        s.nodes[source].cost = 0
+        cell, f, entries, opened = source, distance, wide(0), wide(0)
+        if most == _UNKNOWN:
+            f += _WALL_COST * walls  # the source lies behind all walls that are known
+        while True:  # one search, with pauses
+            stop = limit - 1 if most == _UNKNOWN else wide(len(s.nodes))
+            cell, f, entries, opened = _astar(w, s, cell, f, entries, opened, stop, walls, most)
+            if is_goal(s, cell):
+                break
+            seen = _find_walls(w, s, source, limit // 4)
+            limit *= 4
+            if seen > walls:
+                break
+        if not is_goal(s, cell):
+            walls = seen
+        elif walls == 0 or most != _UNKNOWN:
+            break
+        else:
+            most = wide(s.nodes[cell].cost)
+    length = 0
+    while cell != source:
+        came = s.nodes[cell].came
+        s.path[length] = came
+        length += 1
+        cell = wide(w.neighbour[cell, came ^ 1])  # the opposite move
+    for i in range(length // 2):
+        s.path[i], s.path[length - 1 - i] = s.path[length - 1 - i], s.path[i]
+    return length
+
+
+# --- Sequential A* --------------------------------------------------------------------------------
 
 
 @compiled
 def _route(
-    static: Static,
-    dynamic: Dynamic,
-    s: SearchBuffers,
+    w: Capacities,
+    s: Search,
+    tasks: Any,
+    first: Any,
     demand: Any,
-    nets: Any,
+    order: Any,
     to_tree: bool,
     turn: int,
     uses: Any,
     size: int,
 ) -> tuple[int, int]:
-    """Routes a problem's nets, one after another in turn order, along cheapest paths.
-
-    A routed net matters to the others only through the capacity it took. So the game has a single
-    agent, which stands for every net in turn: no net needs its own map of used edges.
+    """Routes nets one after another along cheapest paths.
 
     Args:
-        static: the problem; the demand of its first agent is overwritten.
-        dynamic: the game, with room for one agent.
+        w: the grid; ``remaining`` is what the nets before left, and is taken from.
         s: working arrays.
-        demand: (N, Z) the demand of every agent on an edge of each layer.
-        nets: (N,) the net of every agent.
+        tasks: (K, 2) start and target Gcell of every task, net by net.
+        first: (nets + 1,) net n has the tasks first[n] to first[n + 1] − 1.
+        demand: (nets, Z) the demand of every net on an edge of each layer.
+        order: the nets in the order in which they are routed.
         to_tree: whether a task's path leads from its target to the nearest Gcell of the net's
             tree, instead of from its start to its target.
-        turn: place in the turn order to go on from.
+        turn: place in the order to go on from.
         uses: receives net · E + edge for every net and every edge that it uses. Routing stops
             when there might not be room for another net.
         size: how many uses there are already.
 
     Returns:
-        Place in the turn order of the next net to route, and how many uses there are.
+        Place in the order of the next net to route, and how many uses there are.
     """
-    m = n = wide(0)
-    agent = dynamic.agents[m, n]
-    edges = static.capacity.shape[1]
-    while turn < len(nets) and size + edges <= len(uses):
-        member = wide(static.order[m, turn])
-        net = wide(nets[member])
+    edges = len(w.remaining)
+    while turn < len(order) and size + edges <= len(uses):
+        net = wide(order[turn])
         turn += 1
+        w.net[0] = turn
         for layer in range(demand.shape[1]):
-            static.demand[m, n, layer] = demand[member, layer]
-        before = size
-        first = wide(static.first[m, member])
-        for task in range(first, wide(static.first[m, member + 1])):
-            begin_task(static, dynamic, m, n, task)
-            if task == first or not to_tree:
-                clear_goals(s.plain)
+            w.demand[layer] = demand[net, layer]
+        for task in range(first[net], first[net + 1]):
+            start, target = wide(tasks[task, 0]), wide(tasks[task, 1])
+            if task == first[net] or not to_tree:
+                clear_goals(s)
             if to_tree:
-                add_goal(static, s.plain, wide(agent.cell))
-                agent.cell = agent.target
-            else:
-                add_goal(static, s.plain, wide(agent.target))
-            length = path_to_goals(static, dynamic, s, m, n, wide(agent.cell))
-            for i in range(length):
-                edge = wide(static.edge[agent.cell, s.path[i]])
-                if to_tree:
-                    add_goal(static, s.plain, wide(agent.cell))
-                move_agent(static, dynamic, m, n, wide(s.path[i]))
-                if agent.crossing == Crossing.NEW:
+                start, target = target, start
+            add_goal(w, s, target)
+            cell = start
+            for i in range(path_to_goals(w, s, start)):
+                move = wide(s.path[i])
+                edge = wide(w.edge[cell, move])
+                if w.own[edge] != turn:  # otherwise it is free
+                    w.own[edge] = turn
+                    if move >> 1 != VIA_AXIS:  # vias have no limit
+                        w.remaining[edge] -= w.demand[place(w.position[cell, VIA_AXIS])]
                     uses[size] = net * edges + edge
                     size += 1
-        for i in range(before, size):
-            edge = uses[i] - net * edges
-            set_byte(dynamic.used, m, n, edge >> 3, wide(0))
+                if to_tree:
+                    add_goal(w, s, cell)
+                cell = wide(w.neighbour[cell, move])
     return turn, size
-
-
-@compiled
-def _first_moves(
-    static: Static, dynamic: Dynamic, s: SearchBuffers, problems: Any, agents: Any, out: Any
-) -> None:
-    """Writes the moves of agents (K,) of problems (K,) to ``out`` (K,) int8."""
-    for i in range(len(problems)):
-        m, n = wide(problems[i]), wide(agents[i])
-        out[i] = NOBODY
-        if n != NOBODY and dynamic.agents[m, n].status == Status.ACTIVE:
-            agent = dynamic.agents[m, n]
-            shortest_path(static, dynamic, s, m, n, wide(agent.cell), wide(agent.target))
-            out[i] = s.path[0]
-
-
-class AStar:
-    """Moves along A* paths in a running game.
-
-    Every move is the first of a cheapest path from where the agent is to its target, with the
-    capacities as they are now. An agent alone on the grid walks one A* path; among others it finds
-    a new one whenever they take its capacity.
-
-    Args:
-        engine: the game to move in.
-    """
-
-    def __init__(self, engine: Engine) -> None:
-        self._engine = engine
-        self._buffers = search_buffers(engine.grid)
-
-    def moves(self, problems: NDArray[np.integer], agents: NDArray[np.integer]) -> NDArray[np.int8]:
-        """The next moves of K agents, which the caller may make or not.
-
-        Args:
-            problems: (K,) integers, the problem of each agent.
-            agents: (K,) integers, the agents; NOBODY for none.
-
-        Returns:
-            (K,) int8; NOBODY for an agent that is not active.
-        """
-        out = np.empty(len(problems), np.int8)
-        _first_moves(
-            self._engine.static, self._engine.dynamic, self._buffers, problems, agents, out
-        )
-        return out
 
 
 def sequential_astar(
@@ -157,8 +409,8 @@ def sequential_astar(
 
     Args:
         problem: the problem to route.
-        net_order: which nets come first, see :class:`marouting.game.Rules`; or
-            (nets,) integers, smallest first.
+        net_order: which nets come first, see :class:`marouting.game.Rules`; or (nets,) integers,
+            smallest first.
         target: where a task's path ends: ``pin``, at the task's other pin (the paper); ``tree``, at
             the nearest Gcell of the net's route so far.
         decomposition: how nets are cut into tasks, see
@@ -173,28 +425,40 @@ def sequential_astar(
     """
     check_problem(problem)
     check_choice("target", target, Target)
-    grid = problem.topology
-    check_memory(grid.gcells * (TABLES + PLAYED + SEARCH), "A* on a grid of {}", grid)
-    _, gcells = problem.flat_pin_gcells
-    tasks = len(gcells) - len(problem.nets)
-    uses, size, turn = np.empty(_EDGES_PER_TASK * tasks + grid.edges, np.int64), 0, 0
-    if tasks:
-        rules = Rules(
-            net_order=net_order if isinstance(net_order, str) else "file",
-            overflow="allowed",
-            decomposition=decomposition,
-            max_steps=grid.gcells,  # as long as a path without a loop can be
+    grid, nets = problem.topology, len(problem.nets)
+    check_memory(grid.gcells * (TABLES + SEARCH), "A* on a grid of {}", grid)
+    if not isinstance(net_order, str):
+        if np.shape(net_order) != (nets,):
+            found = np.shape(net_order)
+            raise InputError(f"net_order: expected one number per net, found shape {found}")
+        ranks = np.asarray(net_order)
+    else:
+        check_choice("net_order", net_order, NetOrder)
+        low, high = problem.pin_boxes()
+        sign = {"half_perimeter": -1, "half_perimeter_up": 1, "file": 0}[net_order]
+        ranks = sign * (high - low)[:, :VIA_AXIS].sum(axis=1)
+    rows = two_pin_tasks(problem, decomposition)
+    demand = problem.net_demand
+    if demand[np.unique(rows[:, 0])].max(axis=1, initial=0).sum(dtype=np.int64) > UNLIMITED:
+        raise InputError(f"problem: expected demands that add up to at most {UNLIMITED}")
+    first = np.searchsorted(rows[:, 0], np.arange(nets + 1))
+    way = Capacities(
+        neighbour=grid.neighbour,
+        edge=grid.edge,
+        exits=grid.exits,
+        position=grid.position,
+        remaining=problem.capacity.copy(),
+        demand=np.empty(grid.shape[2], np.int32),
+        own=np.zeros(grid.edges, np.int64),
+        net=np.zeros(1, np.int64),
+    )
+    search, tasks = make_search(grid), np.ascontiguousarray(rows[:, 1:])
+    order = np.argsort(ranks, kind="stable")
+    uses, size, turn = np.empty(_EDGES_PER_TASK * len(rows) + grid.edges, np.int64), 0, 0
+    while turn < nets:
+        turn, size = _route(
+            way, search, tasks, first, demand, order, target == "tree", turn, uses, size
         )
-        ranks = None if isinstance(net_order, str) else net_order
-        static, (nets,) = static_state((problem,), rules, ranks)
-        dynamic = dynamic_state(static, grid, 1)
-        dynamic.remaining[...] = static.capacity
-        buffers, demand, to_tree = search_buffers(grid), static.demand[0].copy(), target == "tree"
-        while True:
-            turn, size = _route(static, dynamic, buffers, demand, nets, to_tree, turn, uses, size)
-            if turn == len(nets):
-                break
+        if turn < nets:
             uses = np.concatenate((uses, np.empty_like(uses)))
-    uses = uses[:size]
-    uses.sort()
-    return Solution.of_uses(problem, *np.divmod(uses, grid.edges))
+    return Solution.of_uses(problem, *np.divmod(np.sort(uses[:size]), grid.edges))

@@ -20,7 +20,7 @@ from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import PALETTE, EdgeState, Scene, edge_states, rgb_array, scene_of
-from marouting.search.route_follower import RouteFollower
+from marouting.search.guides import RouteFollower
 from policies.figures.routes import shifts
 
 HOLD = 2.0

@@ -805,7 +805,7 @@ def write_outlook(
     out: Any,
     row: int,
 ) -> None:
-    """Fills a row of ``out`` (K, size) for an agent, whom ``maps`` and ``ways`` are brought up to date for."""
+    """Fills a row of ``out`` (K, size); ``maps`` and ``ways`` have been brought up to date."""
     write_numbers(static, dynamic, m, n, out, row)
     _write_moves(static, dynamic, maps, ways, m, n, out, row)
     _write_folded(static, dynamic, maps, ways, m, n, radius, out, row)

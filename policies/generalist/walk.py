@@ -5,7 +5,7 @@ demand of the others and the cheapest ways stay as they are, so they are found o
 what makes it many times as fast as the same policy through the player.
 
 An agent may be guided: then it walks along given routes of its net, as far as they lead to its
-target (:mod:`marouting.search.route_follower`). So the routes of another game become moves of this
+target (:mod:`marouting.search.guides`). So the routes of another game become moves of this
 one. In games with prices an agent whose net has few pins walks along a cheapest tree in the same
 way (:mod:`policies.generalist.cheapest_tree`).
 
@@ -39,7 +39,7 @@ from marouting.batch.tasks import is_on
 from marouting.game import NOBODY, Status
 from marouting.kernels import allocating, bound, compiled, inlined, inner, place, wide
 from marouting.problem.grid import MOVES, VIA_AXIS
-from marouting.search.route_follower import move_along
+from marouting.search.guides import move_along
 from policies.generalist.cheapest_tree import Trees, is_planned, make_trees, move_on_tree, plan_tree
 from policies.generalist.outlook import (
     DETOURS,

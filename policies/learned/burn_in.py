@@ -13,8 +13,7 @@ from marouting.batch.engine import Engine
 from marouting.config import piece
 from marouting.files import exists, is_dir, stem_of, suffix_of
 from marouting.registry import names
-from marouting.search.astar import AStar
-from marouting.search.route_follower import RouteFollower
+from marouting.search.guides import AStar, RouteFollower
 
 GUIDES = ("astar", "random")
 """Guides that are asked move by move; the name of any other router is one too."""
@@ -40,7 +39,7 @@ def guide(
     Args:
         burn_in: ``astar``: every move is A*'s, with the capacities as they are; ``random``; the
             name of another router, whose solution is replayed
-            (:class:`marouting.search.route_follower.RouteFollower`); or a solution file, or a
+            (:class:`marouting.search.guides.RouteFollower`); or a solution file, or a
             folder with a file ``NAME.solution`` or ``NAME.*.solution`` for every problem.
         problems: by name; the engine plays as many games of each, one after another.
         engine: the games.

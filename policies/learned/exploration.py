@@ -86,19 +86,7 @@ def choose(
     keys: Any, counters: Any, epsilon: Any, active: Any, masks: Any, values: Any, masking: bool,
     actions: Any, m: int,
 ) -> None:  # fmt: skip
-    """ε-greedy moves of game m; the arrays are those of all M games.
-
-    Args:
-        keys: (M,) uint64.
-        counters: (M,); the game's counts on.
-        epsilon: (M,) chance of a random move.
-        active: (M, K) rows whose agents may move.
-        masks: (M, K, A) action masks.
-        values: (M, K, A) what the network expects of each move.
-        masking: whether only moves that cross an edge are chosen.
-        actions: (M, K) filled, NOBODY for rows that are not active.
-        m: the game.
-    """
+    """ε-greedy moves of game m; the arrays are those of all M games."""
     asked = False
     for k in range(active.shape[1]):
         actions[m, k] = NOBODY

@@ -37,12 +37,7 @@ from policies.learned.learner import Learner, Setup
 from policies.learned.logged_player import LoggedPlayer
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.per_network import COUNT
-from policies.learned.policy import (
-    TrainedPolicy,
-    check_weights,
-    player_of,
-    policy_origin,
-)
+from policies.learned.policy import TrainedPolicy, check_weights, player_of, policy_origin
 from policies.learned.threads import use_threads
 from policies.results.rows import LARGEST
 from policies.results.run_folder import Episode, Walk

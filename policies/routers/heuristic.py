@@ -13,7 +13,7 @@ from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY, NetOrder
 from marouting.kernels import compiled, inner, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
-from marouting.search.bounded import SearchBuffers, search_buffers, shortest_path
+from marouting.search.guides import SearchBuffers, search_buffers, shortest_path
 from marouting.trees.decomposition import Decomposition
 
 
@@ -81,7 +81,7 @@ def _play(static: Static, dynamic: Dynamic, s: SearchBuffers, nearest: Any) -> b
         move = _nearer(static, dynamic, m, n, wide(nearest[0]))
         if move == NOBODY:
             shortest_path(static, dynamic, s, m, n, wide(agent.cell), wide(agent.target))
-            move = wide(s.path[0])
+            move = wide(s.search.path[0])
         move_player(static, dynamic, m, move)
         settle_player(static, dynamic, m)
     return True

@@ -123,21 +123,8 @@ def product(
 ) -> None:
     """C = max(floor, A B + start), for C (rows, columns), A (rows, depth), B (depth, columns).
 
-    All arrays are float32, contiguous and of one dimension; B and C lie in them row after row.
-
-    Args:
-        a: holds A.
-        a_row: how far A's rows lie apart: depth, or 1 for a transposed A.
-        a_column: how far A's columns lie apart: 1, or rows for a transposed A.
-        b: holds B.
-        b_at: the place of B's first number.
-        start: (columns,) numbers, from ``start_at``, that every row of C starts from.
-        start_at: see there.
-        c: filled with C.
-        rows: see there.
-        depth: see there.
-        columns: see there.
-        floor: float32, 0 for rectified linear units, −inf for any other product.
+    All arrays are float32, contiguous and of one dimension; B and C lie in them row after row. A's
+    rows and columns lie ``a_row`` and ``a_column`` apart: it may be transposed.
     """
     wide = columns >= _WIDE[1]
     high, broad = _WIDE if wide else _NARROW

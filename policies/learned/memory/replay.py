@@ -223,29 +223,6 @@ def _add(
 ) -> int:  # fmt: skip
     """Makes rows of what a step finished.
 
-    Args:
-        agents: (M, K) and
-        obs: (M, K, F), before the step; the next nine are the player's buffers after it.
-        next_agents: (M, K).
-        next_obs: (M, K, F).
-        next_mask: (M, K, A).
-        actions: (M, K).
-        acted: (M, K).
-        reward: (M, K).
-        ending: (M, K).
-        final_obs: (M, K, F).
-        final_mask: (M, K, A).
-        masks: whether rows hold masks.
-        n_step: see :class:`Replay`.
-        gamma: likewise.
-        waiting: likewise; changed.
-        unfinished: likewise; changed.
-        capacity: of a network's store.
-        stored: (L,) counts on.
-        place: filled with the places of the rows in the store, counted through all networks.
-        here: whether ``rows`` is the store; otherwise the rows are written one after another.
-        rows: (…, width) filled.
-
     Returns:
         How many rows there are.
     """

@@ -186,22 +186,7 @@ def _advantages(
     stream: Any, ending: Any, reward: Any, value: Any, after: Any, count: int, last: Any,
     gamma: float, lam: float, ahead: Any, gain: Any, advantage: Any,
 ) -> None:  # fmt: skip
-    """Advantages of one network's transitions, from the last to the first.
-
-    Args:
-        stream: (C,) and the next four: what the rollout holds.
-        ending: (C,).
-        reward: (C,).
-        value: (C,).
-        after: (C,).
-        count: how many there are.
-        last: (streams,) values of what comes after the rollout.
-        gamma: discount factor.
-        lam: λ.
-        ahead: (streams,) overwritten: the value of what comes next in each stream.
-        gain: (streams,) overwritten: the advantage of what comes next.
-        advantage: (C,) filled.
-    """
+    """Advantages of one network's transitions, from the last to the first."""
     for s in range(len(ahead)):
         ahead[s], gain[s] = last[s], 0
     for i in range(count - 1, -1, -1):
