@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import adopt, byte_of, copied, copy_row, set_byte, swap_rows
+from marouting.batch.bits import copied, copy_row, swap_rows
 from marouting.batch.engine import Engine
 from marouting.batch.growth import lengthened, needed_room
 from marouting.batch.observation import paper_reward, see_paper, write_paper
@@ -40,7 +40,7 @@ from marouting.batch.rules import (
     settle_turns,
     write_moves,
 )
-from marouting.batch.state import GAME, MASKS, ROWS, Dynamic, Option, Static
+from marouting.batch.state import GAME, MASKS, Dynamic, Option, Static
 from marouting.batch.tasks import wait
 from marouting.config import check
 from marouting.errors import InputError
@@ -51,7 +51,7 @@ from marouting.observations import Observation, PaperObservation, has_move_order
 from marouting.options import FORMS
 from marouting.problem.grid import MOVES
 from marouting.rewards import KNOWN, PaperReward, Reward
-from marouting.source import Draws
+from marouting.source import ProblemSampler
 
 
 class StepBuffers(NamedTuple):
@@ -122,12 +122,20 @@ class FastPath(NamedTuple):
     overflow_price: float  # see PaperReward
 
 
+class Earlier(NamedTuple):
+    """The games before a move, as rewards see them; see :class:`marouting.columns.Before`."""
+
+    agents: NDArray[Any]  # (M, N) AGENT
+    games: NDArray[Any]  # (M,) GAME
+    remaining: NDArray[np.int32]  # (M, E)
+
+
 class Saved(NamedTuple):
     """A saved state of a player's games."""
 
     dynamic: Dynamic
     buffers: StepBuffers
-    counts: NDArray[np.int64] | None = None  # (M,) see Draws; None where problems stay
+    counts: NDArray[np.int64] | None = None  # (M,) see ProblemSampler; None where problems stay
     seeds: NDArray[np.object_] | None = None  # (M,) likewise
 
 
@@ -168,7 +176,7 @@ class Player:
         *,
         everyone: bool = True,
         buffers: StepBuffers | None = None,
-        draws: Draws | None = None,
+        draws: ProblemSampler | None = None,
         turned: bool = False,
     ) -> None:
         for name, piece in (("observation", observation), ("reward", reward)):
@@ -215,7 +223,7 @@ class Player:
             buffers.agents[:] = engine.pairs(everyone=True)[1].reshape(engine.nets.shape)
         own_reward = not self.fast.reward
         self.paid = np.zeros(engine.nets.shape, np.float32) if own_reward else None
-        self._before = _copy(engine.dynamic) if own_reward else None
+        self._before: Earlier | None = None
         self.kernel_buffers = buffers
         if engine.actions == MOVES:  # masks are written in pairs of bytes, which is faster
             self.kernel_buffers = buffers._replace(
@@ -223,9 +231,10 @@ class Player:
             )
         self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.fast
         if own_reward:
-            dynamic = engine.dynamic
-            agents, sets = dynamic.agents.copy(), copied(dynamic.sets)
-            self._arrived = dynamic._replace(agents=agents, sets=sets)
+            now = engine.dynamic
+            self._before = Earlier(now.agents.copy(), now.games.copy(), now.remaining.copy())
+            # Where movers arrived, before their next tasks began.
+            self._arrived = now._replace(agents=now.agents.copy(), sets=copied(now.sets))
             self._mirror_games()
         if self.compiled:
             kernel = _play_everyone if self.everyone else _play_player
@@ -289,9 +298,9 @@ class Player:
         if dynamic is not engine.dynamic:
             self._arguments = static, engine.dynamic, buffers, fast
         if self._before is not None:
-            self._before = _with_room(static, self._before, engine.dynamic)
             arrived = self._arrived._replace(used=engine.dynamic.used)
-            self._arrived = _with_room(static, arrived, engine.dynamic)
+            length = max(needed_room(static, arrived)[1], engine.dynamic.sets.shape[1])
+            self._arrived = lengthened(arrived, 0, length)
 
     def part(self, which: NDArray[np.integer]) -> "Player":
         """A player of some of the problems (indices), which continues from their present state."""
@@ -315,7 +324,7 @@ class Player:
 
         Args:
             counts: (M,) how many.
-            seeds: (M,) see :class:`marouting.source.Draws`; None: those that the games have.
+            seeds: (M,) of the games, see :class:`marouting.source.ProblemSampler`; None: as now.
 
         Raises:
             ValueError: the problems of these games stay, or the shape does not fit.
@@ -383,16 +392,8 @@ class Player:
     def _mirror(self, which: Any) -> None:
         """Copies the games of some problems to ``before``, which rewards are given."""
         if self._before is not None:
-            dynamic = self.engine.dynamic
-            if self.engine.hashed:
-                lengths = dynamic.used.shape[1], dynamic.sets.shape[1]
-                self._before = lengthened(self._before, *lengths)
-            for name, array in dynamic._asdict().items():
-                mirrored = getattr(self._before, name)
-                if name in ROWS:
-                    adopt(mirrored, array, which)
-                elif name != "games":
-                    mirrored[which] = array[which]
+            self._before.agents[which] = self.engine.agents[which]
+            self._before.remaining[which] = self.engine.remaining[which]
             self._mirror_games()
 
     def _mirror_games(self) -> None:
@@ -435,13 +436,13 @@ class Player:
         self._look(None)
 
     def _move_by_turns(
-        self, before: Dynamic, begins: NDArray[np.bool_], asked: NDArray[np.int32]
+        self, before: Earlier, begins: NDArray[np.bool_], asked: NDArray[np.int32]
     ) -> None:
         """Makes the moves, each with a call of the reward, and writes what came of them."""
         b, engine, paid = self.buffers, self.engine, self.paid
         assert paid is not None
         _forget(engine.dynamic)
-        _forget(before)
+        before.agents[...] = engine.agents
         paid[:] = 0
         for movers, moves in self._turns(begins):
             _move(engine.static, engine.dynamic, movers, moves)
@@ -484,7 +485,7 @@ class Player:
             ):
                 yield movers, moves
 
-    def _pay(self, before: Dynamic, movers: NDArray[np.int32]) -> NDArray[np.float32]:
+    def _pay(self, before: Earlier, movers: NDArray[np.int32]) -> NDArray[np.float32]:
         """(M, N) float32, what moves pay; raises InputError for a wrong shape, NaN or infinity."""
         paid = np.asarray(self.reward(self.engine, before, movers), np.float32)
         if paid.shape != self.engine.nets.shape:
@@ -570,19 +571,6 @@ class Player:
         obs[rows] = out
 
 
-def _copy(dynamic: Dynamic) -> Dynamic:
-    """A copy of a state."""
-    copies = dynamic._asdict()
-    return Dynamic(**{n: copied(a) if n in ROWS else a.copy() for n, a in copies.items()})
-
-
-def _with_room(static: Static, copy: Dynamic, dynamic: Dynamic) -> Dynamic:
-    """A copy of a state with room for a step in hashed rows, which are as long as its own."""
-    own = needed_room(static, copy)
-    theirs = dynamic.used.shape[1], dynamic.sets.shape[1]
-    return lengthened(copy, max(own[0], theirs[0]), max(own[1], theirs[1]))
-
-
 def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.int8]:
     """(M, K) the entries of orders (M, K, A) at moves (M, K); no move stays none."""
     found = np.take_along_axis(order, np.maximum(moves, 0)[..., None].astype(np.int64), -1)
@@ -632,7 +620,7 @@ def _move(static: Static, dynamic: Dynamic, movers: Any, moves: Any) -> None:
 
 @compiled
 def _settle_movers(
-    static: Static, dynamic: Dynamic, before: Dynamic, movers: Any, moves: Any, arrived: Dynamic
+    static: Static, dynamic: Dynamic, before: Earlier, movers: Any, moves: Any, arrived: Dynamic
 ) -> None:
     """Settles the agents that moved, records where they arrived, and updates ``before``."""
     for m in range(len(movers)):
@@ -645,11 +633,8 @@ def _settle_movers(
             if static.options[option] >= 0 and option != Option.KEPT:
                 row = place(static.options[option] + n)
                 copy_row(arrived.sets, m, row, dynamic.sets, m, row)
-                copy_row(before.sets, m, row, dynamic.sets, m, row)
         settle_agent(static, dynamic, m, n)
         before.remaining[m, edge] = dynamic.remaining[m, edge]
-        byte = byte_of(dynamic.used, m, n, edge >> 3)
-        set_byte(before.used, m, n, edge >> 3, byte)
         before.agents[m, n] = dynamic.agents[m, n]
         before.games[m] = dynamic.games[m]
 

@@ -37,7 +37,7 @@ from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run, clear
 from policies.learned.trainer import Episode, Trainer
 from policies.results.rows import COLUMNS
-from policies.results.run_folder import Walk
+from policies.results.run_folder import GreedyEvaluation
 from policies.routers.astar import AStarRouter
 
 PROBLEMS: dict[str, Any] = {"count": 2, "grid": [4, 4, 2], "nets": 3, "capacity": 2, "seed": 5}
@@ -301,7 +301,10 @@ def test_tensorboard_shows_gaps_to_a_reference(tmp_path: Path) -> None:
         replace(first, problem="r", wirelength=20),
         replace(first, problem="r", episode=1, wirelength=20, best=False),
     ]
-    walked = [Walk("p", 2, 3, 3, 0, 20, 9, True), Walk("q", 2, 2, 3, 0, 9, 9, True)]
+    walked = [
+        GreedyEvaluation("p", 2, 3, 3, 0, 20, 9, True),
+        GreedyEvaluation("q", 2, 2, 3, 0, 9, 9, True),
+    ]
     reference = {"p": (0, 20), "q": (0, 20)}  # of r nothing is known
     with Logs(tmp_path, (0, 0), True, ("p", "q", "r"), reference) as logs:
         logs.write(episodes, walked)

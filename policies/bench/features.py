@@ -120,7 +120,10 @@ def compared(seeds: int, episodes: int, count: int, folder: Path) -> Iterator[di
         for seed in range(seeds if name == "nothing" else 1):
             policy = trained(name, seed, episodes, count, folder)
             row: dict[str, Any] = {"without": name, "seed": seed, "episodes": episodes}
-            for game, rounds in (("shot", 0), ("rounds", config.env.rip_up.rounds)):
+            for game, rounds in (
+                ("shot", 0),
+                ("rounds", config.env.rip_up.rounds if config.env.rip_up else 0),
+            ):
                 for what, value in judged(policy, problems, known, rounds).items():
                     row[f"{game}_{what}"] = round(value, 3)
             yield row

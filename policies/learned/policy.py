@@ -6,7 +6,7 @@ import os
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,20 +21,18 @@ from marouting.observations import has_move_order, move_order_of
 from marouting.options import ORDERS
 from marouting.player import Player
 from marouting.registry import allowing_code
-from marouting.source import Draws
+from marouting.source import ProblemSampler
 from policies.learned import greedy
 from policies.learned.checkpoint import checked, read_checkpoint
 from policies.learned.learner import best_moves, play_steps
 
-Played = TypeVar("Played", bound=Player)
-
 
 def player_of(
     env: EnvOptions,
-    problems: Sequence[Problem] | Draws,
+    problems: Sequence[Problem] | ProblemSampler,
     negotiation: Negotiation | None = None,
-    kind: type[Played] = Player,  # type: ignore[assignment]
-) -> Played:
+    kind: type[Player] = Player,
+) -> Player:
     """What plays problems as a configuration's ``env`` says, by the observation's own moves.
 
     Args:
@@ -46,9 +44,9 @@ def player_of(
     Raises:
         InputError: the problems do not go together.
     """
-    draws = problems if isinstance(problems, Draws) else None
+    draws = problems if isinstance(problems, ProblemSampler) else None
     room = draws.episodes.room if draws else None
-    held = problems.problems.tolist() if isinstance(problems, Draws) else problems
+    held = problems.problems.tolist() if isinstance(problems, ProblemSampler) else problems
     engine = Engine(
         held,
         env,

@@ -26,7 +26,7 @@ from marouting.game import NOBODY
 from marouting.observations import state_space_of
 from marouting.options import PLAYED
 from marouting.registry import allowing_code
-from marouting.source import Draws
+from marouting.source import ProblemSampler
 from policies.generalist import SHIPPED
 from policies.learned.burn_in import GUIDES, guide, read_solutions
 from policies.learned.checkpoint import ANY, FINITE, POLICY_FORMAT, TRAINING_FORMAT, checked
@@ -40,7 +40,7 @@ from policies.learned.per_network import COUNT
 from policies.learned.policy import TrainedPolicy, check_weights, player_of, policy_origin
 from policies.learned.threads import use_threads
 from policies.results.rows import LARGEST
-from policies.results.run_folder import Episode, Walk
+from policies.results.run_folder import Episode, GreedyEvaluation
 
 SHARED = ("all",)
 """The name of the network that all problems share, where there is one."""
@@ -77,7 +77,7 @@ class Trainer:
     """
 
     def __init__(
-        self, problems: Mapping[str, Problem], config: Config, draws: Draws | None = None
+        self, problems: Mapping[str, Problem], config: Config, draws: ProblemSampler | None = None
     ) -> None:
         self.config, self.problems, self.names = config, dict(problems), tuple(problems)
         train, learner = config.train, config.learner
@@ -93,13 +93,15 @@ class Trainer:
         check("train.games", drawn or train.games is None, "null: this training's problems stay")
         self._whole = player_of(config.env, list(problems.values()), config.train.negotiation)
         engine, count = self._whole.engine, 1 if drawn else len(self.names)
+        source: Any = draws
         if draws is not None:
             self._copies = len(draws.counts)
-            self.player = player_of(config.env, draws, config.train.negotiation, LoggedPlayer)
         else:
             self._copies = int(getattr(learner.options, "num_envs", 1))
-            each = [problem for problem in problems.values() for _ in range(self._copies)]
-            self.player = player_of(config.env, each, config.train.negotiation, LoggedPlayer)
+            source = [problem for problem in problems.values() for _ in range(self._copies)]
+        player = player_of(config.env, source, train.negotiation, LoggedPlayer)
+        assert isinstance(player, LoggedPlayer)
+        self.player = player
         b = self.player.buffers
         shapes = [p.buffers.obs.shape[2:] for p in (self._whole, self.player)]
         what = f"the same shape for all problems, found {shapes[0]} and {shapes[1]}"
@@ -140,7 +142,7 @@ class Trainer:
         self.policy_episode = np.zeros(networks, np.int64)  # after which it was evaluated
         self._policies = self.learner.networks.flat.detach().cpu().clone()
         self._evaluated = np.zeros(networks, np.int64)  # episodes at the last evaluation
-        self.walks: list[Walk] = []
+        self.walks: list[GreedyEvaluation] = []
         self.places = np.arange(count)
         self._before = np.zeros((len(b.over), 2))  # of the network before the episode: loss, steps
         self._left: list[tuple[NDArray[np.int64], dict[str, dict[str, Tensor]]]] = []
@@ -340,7 +342,7 @@ class Trainer:
             score = tuple(np.sum([_score(one, None) for one in metrics], axis=0).tolist())
             best = bool(score < tuple(self.policy_score[network].tolist()))
             self.walks += [
-                Walk(self.names[m], int(played[m]), best=best, **asdict(one))
+                GreedyEvaluation(self.names[m], int(played[m]), best=best, **asdict(one))
                 for m, one in zip(places, metrics, strict=True)
             ]
             if best:
@@ -509,18 +511,16 @@ class Trainer:
         best, played = arrays["best_episode"], arrays["episodes"]
         if (best >= played).any() or ((best == NOBODY) != (played == 0)).any():
             raise InputError(f"{where}: best_episode: expected one of the episodes")
-        found = [
-            _routes(routes, self.problems[self.names[m]], where)
-            for m, routes in enumerate(state["routes"])
-        ]
-        if [routes is None for routes in found] != (best == NOBODY).tolist():
+        held = zip(state["routes"], self.problems.values(), strict=False)
+        routes = [_routes(uses, problem, where) for uses, problem in held]
+        if [solution is None for solution in routes] != (best == NOBODY).tolist():
             raise InputError(f"{where}: routes: expected those of every best episode")
         self.learner.load_state(state["training"], f"{where}: ")
         if "draws" in arrays:
             player.go_to(arrays["draws"])
         resume = functools.partial(self.learner.resume, player)
         player.replay(arrays["moves"], arrays["made"], resume)
-        player.buffers.total[:], self.best = arrays["total"], found
+        player.buffers.total[:], self.best = arrays["total"], routes
         for name in (*_OWN, "policies"):
             own[name][...] = arrays[name]
         self._before[...] = arrays["before"]
