@@ -889,7 +889,9 @@ def test_solutions_are_pruned_where_an_entry_says_so(
     summary = json.loads((here / "out" / "summary.json").read_text())["sets"]["small"]
     walks = next(row for row in summary if row["router"] == "walks")
     assert walks["pruned_wirelength"]["mean"] < walks["wirelength"]["mean"]
-    assert "pruned: the mean wirelength without dead ends and loops" in " ".join(shown.split())
+    assert "pruned: the mean wirelength without dangling branches and loops" in " ".join(
+        shown.split()
+    )
     assert f"{walks['pruned_wirelength']['mean']:.1f}" in shown
 
 
