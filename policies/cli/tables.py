@@ -86,14 +86,14 @@ def show_experiment(summary: Mapping[str, Any]) -> None:
 
 _NOTES = (
     "overflow, open (two-pin tasks not connected): totals over the problems. problems without: "
-    "those with neither. wirelength, gap: means over the problems ± half the 95 % interval (Student's "
-    "t). pruned: the mean wirelength without dangling branches and loops, where routes have any; "
-    "all other columns count them. The gap is to the proven optimum, on the problems (their number in "
-    "brackets) that have the optimum's overflow and open tasks. less WL: share of problems with "
-    "less wirelength than A* and no more open tasks [95 % interval, Wilson]. W/T/L: wins, ties and "
-    "losses by open tasks, then overflow, then wirelength. seconds: median time per problem. "
-    "Everything is averaged over the seeds first. Type II: A* uses up the capacity of an edge (the "
-    "paper's partial edge depletion)."
+    "those with neither. wirelength, gap: means over the problems ± half the 95 % interval "
+    "(Student's t). pruned: the mean wirelength without dangling branches and loops, where "
+    "routes have any; all other columns count them. The gap is to the proven optimum, on the "
+    "problems (their number in brackets) that have the optimum's overflow and open tasks. less "
+    "WL: share of problems with less wirelength than A* and no more open tasks [95 % interval, "
+    "Wilson]. W/T/L: wins, ties and losses by open tasks, then overflow, then wirelength. "
+    "seconds: median time per problem. Everything is averaged over the seeds first. Type II: A* "
+    "uses up the capacity of an edge (the paper's partial edge depletion)."
 )
 
 
