@@ -329,14 +329,11 @@ def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
             values[np.searchsorted(borders, common[:-1], "right") - 1] for values, borders in curves
         )
         axes.stairs(upper, common, baseline=lower, fill=True, color=BLUE, alpha=0.1)
-    for (remaining, borders), look in zip(
-        curves,
-        (
-            {"color": BLUE, "linestyle": "-", "label": "before routing"},
-            {"color": RED, "linestyle": "--", "label": "after routing"},
-        ),
-        strict=True,
-    ):
+    looks: list[dict[str, Any]] = [
+        {"color": BLUE, "linestyle": "-", "label": "before routing"},
+        {"color": RED, "linestyle": "--", "label": "after routing"},
+    ]
+    for (remaining, borders), look in zip(curves, looks, strict=True):
         axes.stairs(remaining, borders, baseline=None, linewidth=2, **look)
     if over:
         axes.plot(
