@@ -22,9 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import adopt, byte_of, copied, copy_row, set_byte, swap_rows
+from marouting.batch.bits import byte_of, copy_row, set_byte, swap_rows
 from marouting.batch.engine import Engine
-from marouting.batch.growth import lengthened, needed_room
 from marouting.batch.observation import paper_reward, see_paper, write_paper
 from marouting.batch.rules import (
     free_moves,
@@ -40,7 +39,7 @@ from marouting.batch.rules import (
     settle_turns,
     write_moves,
 )
-from marouting.batch.state import GAME, MASKS, ROWS, Dynamic, Option, Static
+from marouting.batch.state import GAME, MASKS, Dynamic, Option, Static
 from marouting.batch.tasks import wait
 from marouting.config import check
 from marouting.errors import InputError
@@ -227,7 +226,7 @@ class Player:
         self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
         if own_reward:
             dynamic = engine.dynamic
-            agents, sets = dynamic.agents.copy(), copied(dynamic.sets)
+            agents, sets = dynamic.agents.copy(), dynamic.sets.copy()
             self._arrived = dynamic._replace(agents=agents, sets=sets)
             self._mirror_games()
         if self.compiled:
@@ -244,7 +243,6 @@ class Player:
         over = self.buffers.over
         if which is None:
             which = np.ones(len(over), np.bool_)
-        self.make_room()
         if self.compiled:
             self._draw(which)
             were_over = over.copy()
@@ -266,8 +264,6 @@ class Player:
             restart: whether a problem whose episode ended in the previous step starts its next
                 episode instead.
         """
-        if self.engine.hashed:
-            self.make_room()
         if self.compiled:
             if restart:
                 self._draw(self.buffers.over)
@@ -280,20 +276,6 @@ class Player:
             self._turn_masks()
         else:
             self._step_in_parts(restart)
-
-    def make_room(self) -> None:
-        """Makes room for a step where rows of bits are hashed; see :meth:`.Engine.make_room`."""
-        engine = self.engine
-        if not engine.hashed:
-            return
-        engine.make_room()
-        static, dynamic, buffers, known = self._arguments
-        if dynamic is not engine.dynamic:
-            self._arguments = static, engine.dynamic, buffers, known
-        if self._before is not None:
-            self._before = _with_room(static, self._before, engine.dynamic)
-            arrived = self._arrived._replace(used=engine.dynamic.used)
-            self._arrived = _with_room(static, arrived, engine.dynamic)
 
     def part(self, which: NDArray[np.integer]) -> "Player":
         """A player of some of the problems (indices), which continues from their present state."""
@@ -413,14 +395,9 @@ class Player:
         """Copies the games of some problems to ``before``, which rewards are given."""
         if self._before is not None:
             dynamic = self.engine.dynamic
-            if self.engine.hashed:
-                lengths = dynamic.used.shape[1], dynamic.sets.shape[1]
-                self._before = lengthened(self._before, *lengths)
             for name, array in dynamic._asdict().items():
                 mirrored = getattr(self._before, name)
-                if name in ROWS:
-                    adopt(mirrored, array, which)
-                elif name != "games":
+                if name != "games":
                     mirrored[which] = array[which]
             self._mirror_games()
 
@@ -602,15 +579,7 @@ class Player:
 
 def _copy(dynamic: Dynamic) -> Dynamic:
     """A copy of a state."""
-    copies = dynamic._asdict()
-    return Dynamic(**{n: copied(a) if n in ROWS else a.copy() for n, a in copies.items()})
-
-
-def _with_room(static: Static, copy: Dynamic, dynamic: Dynamic) -> Dynamic:
-    """A copy of a state with room for a step in hashed rows, which are as long as its own."""
-    own = needed_room(static, copy)
-    theirs = dynamic.used.shape[1], dynamic.sets.shape[1]
-    return lengthened(copy, max(own[0], theirs[0]), max(own[1], theirs[1]))
+    return Dynamic._make(array.copy() for array in dynamic)
 
 
 def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.int8]:

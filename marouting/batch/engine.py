@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import adopt, chosen, forget, has, in_use, numbers_of, rebuilt
-from marouting.batch.growth import lengthened, needed_room
+from marouting.batch.bits import forget, has, numbers_of
 from marouting.batch.observation import write_states
 from marouting.batch.options import RuleOptions
 from marouting.batch.rules import (
@@ -34,7 +33,7 @@ from marouting.batch.setup import (
     replace_problem,
     static_state,
 )
-from marouting.batch.state import ROWS, Dynamic, Option, Static
+from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY
 from marouting.kernels import compiled, place, wide
 from marouting.observations import CHANNELS
@@ -157,8 +156,6 @@ class Engine:
         nets: (M, N) int32, the net of every agent; NOBODY where there is no agent.
         static: the arrays that do not change during an episode.
         dynamic: the arrays that do.
-        hashed: whether ``dynamic.used`` and ``dynamic.sets`` are hashed, as they are where a bit
-            for each net and edge would take much memory; see :mod:`marouting.batch.bits`.
         replaced: (M,) int64, how often a problem has taken the place of another.
 
     Raises:
@@ -184,7 +181,6 @@ class Engine:
         self._held[:] = problems
         self.grid = Grid.of(problems[0].grid)
         self.dynamic = dynamic_state(self.static, self.grid, self.nets.shape[1])
-        self.hashed = self.dynamic.used.ndim == 2
         self._whole: Engine | None = None
         self._parts: list[tuple[Engine, slice]] = []
         self.replaced = np.zeros(len(problems), np.int64)
@@ -266,7 +262,6 @@ class Engine:
         which = np.asarray(np.ones(len(self.games), np.bool_) if which is None else which)
         if which.shape != self.games.shape or which.dtype != np.bool_:
             raise ValueError(f"which: expected {len(self.games)} booleans, found {which}")
-        self.make_room()
         _reset(self.static, self.dynamic, which)
 
     def begin_plain(self, which: NDArray[np.bool_]) -> None:
@@ -308,36 +303,8 @@ class Engine:
             self._parts.append((part, which))
             self._share()
         else:
-            part.dynamic = Dynamic(
-                **{
-                    name: chosen(array, which) if name in ROWS else array[which]
-                    for name, array in self.dynamic._asdict().items()
-                }
-            )
+            part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
         return part
-
-    def make_room(self) -> None:
-        """Makes room for a step where rows of bits are hashed; see :mod:`marouting.batch.growth`.
-
-        The methods of the engine do so themselves. Who hands ``dynamic`` to compiled rules calls
-        this before each step of all agents, and takes ``dynamic`` afterwards: its arrays may be
-        others. Parts that share their arrays get room together, and not while others play.
-
-        Raises:
-            InputError: they take too much memory.
-        """
-        if self.hashed:
-            used, sets = needed_room(self.static, self.dynamic)
-            if used:
-                self._lengthen(used, sets)
-
-    def _lengthen(self, used: int, sets: int) -> None:
-        """Gives hashed rows arrays of these lengths, unless they are longer."""
-        if self._whole is not None:
-            self._whole._lengthen(used, sets)
-        else:
-            self.dynamic = lengthened(self.dynamic, used, sets)
-            self._share()
 
     def _share(self) -> None:
         """Hands the arrays to the parts that share them."""
@@ -383,7 +350,6 @@ class Engine:
         """
         moves = np.asarray(moves)
         self.check(moves)
-        self.make_room()
         (_move_turn if moves.ndim == 1 else _move_all)(self.static, self.dynamic, moves)
 
     def settle(self, everyone: bool) -> None:
@@ -392,7 +358,6 @@ class Engine:
         Args:
             everyone: whether the moves were those of all agents, (M, N).
         """
-        self.make_room()
         (_settle_all if everyone else _settle_turn)(self.static, self.dynamic)
 
     def step(self, moves: NDArray[np.integer]) -> None:
@@ -402,12 +367,7 @@ class Engine:
 
     def save(self) -> Dynamic:
         """A copy of the state of all games, for :meth:`restore`."""
-        return Dynamic._make(array.copy() for array in self.in_use())
-
-    def in_use(self) -> Dynamic:
-        """The state of all games, to be read, without the free part of hashed rows."""
-        used, sets = in_use(self.dynamic.used), in_use(self.dynamic.sets)
-        return self.dynamic._replace(used=used, sets=sets)
+        return Dynamic._make(array.copy() for array in self.dynamic)
 
     def check_saved(self, saved: Dynamic) -> None:
         """Raises ValueError unless a state can be one of these games, wherever it is from."""
@@ -424,45 +384,16 @@ class Engine:
             ValueError: its shapes do not fit.
         """
         saved = self._fitting(saved)
-        if self.hashed:
-            self._lengthen(saved.used.shape[1], saved.sets.shape[1])
-        for name, array in self.dynamic._asdict().items():
-            if name in ROWS:
-                adopt(array, getattr(saved, name))
-            else:
-                array[...] = getattr(saved, name)
-        self.make_room()
+        for array, kept in zip(self.dynamic, saved, strict=True):
+            array[...] = kept
 
     def _fitting(self, saved: Dynamic) -> Dynamic:
         """A saved state with arrays like those of the state; raises ValueError if they differ."""
         for name, array in self.dynamic._asdict().items():
             kept = getattr(saved, name)
-            # Hashed rows may be of any length.
-            same = array.shape[: 1 if self.hashed and name in ROWS else None]
-            if kept.shape[: len(same)] != same or (kept.ndim, kept.dtype) != (
-                array.ndim,
-                array.dtype,
-            ):
+            if (kept.shape, kept.dtype) != (array.shape, array.dtype):
                 raise ValueError(f"saved: expected shape {array.shape}, found {kept.shape}")
-        return saved._replace(
-            used=self.fitting_rows(saved.used),
-            sets=self.fitting_rows(saved.sets, int(self.static.options[Option.ROWS])),
-        )
-
-    def fitting_rows(self, kept: NDArray[Any], rows: int | None = None) -> NDArray[Any]:
-        """Rows of bits that somebody has kept, in a form that compiled code can trust.
-
-        Args:
-            kept: of some problems, with as many axes as those of the state.
-            rows: how many rows a problem has; None: one for every agent.
-
-        Raises:
-            ValueError: they cannot be such rows.
-        """
-        if not self.hashed:
-            return kept
-        bytes_ = -(-self.static.capacity.shape[1] // 8)
-        return rebuilt(kept, self.nets.shape[1] if rows is None else rows, bytes_)
+        return saved
 
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents, and starts all episodes.

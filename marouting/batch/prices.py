@@ -25,7 +25,7 @@ which an edge without a price has :data:`UNIT`; what prices rise by is finer.
 from typing import Any
 
 from marouting.batch.best import note_best, put_best
-from marouting.batch.bits import byte_at, places
+from marouting.batch.bits import byte_of
 from marouting.batch.options import MOST_PRESENT
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_on
@@ -114,8 +114,8 @@ def net_cost(
         own: 1 if the net uses these edges at the moment, 0 if it has given them back.
     """
     cost = wide(0)
-    for at in range(places(rows, m, row)):
-        byte, bits = byte_at(rows, m, row, at)
+    for byte in range(rows.shape[2]):
+        bits = byte_of(rows, m, row, byte)
         edge = wide(8 * byte)
         while bits != 0:
             if bits & 1:

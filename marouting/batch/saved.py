@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import are_within, byte_at, copy_rows, longer, places
+from marouting.batch.bits import byte_of
 from marouting.batch.edges import demand_of
 from marouting.batch.prices import LARGEST, MOST_RISE
 from marouting.batch.setup import more_of
@@ -76,9 +76,7 @@ def _check_extended(static: Static, saved: Dynamic) -> None:
     for m in range(len(games)):
         # Sets of Gcells are only looked things up in; edges are given back.
         if static.options[Option.RELEASE_FAILED]:
-            taken, count = int(static.options[Option.TAKEN]), agents.shape[1]
-            inside = are_within(saved.sets, taken, saved.used, m, count)
-            _expect("edges of a task", inside)
+            _expect("edges of a task", not (more.taken[m] & ~saved.used[m]).any())
         if not rounds:
             continue
         game, again = games[m], more.again[m]
@@ -123,10 +121,8 @@ def _cost_with(
 ) -> tuple[int, int]:
     """Wirelength and overflow of problem m if some nets (K,) had the edges of K sets of a kind."""
     used = saved.used[m : m + 1].copy()
-    if used.ndim == 2:
-        used = longer(used, 4 * (used.shape[1] + saved.sets.shape[1]))
     rows = int(static.options[which]) + np.arange(len(members))
-    copy_rows(used, members, saved.sets[m : m + 1], rows, 0)
+    used[0, members] = saved.sets[m, rows]
     uses, demand = checked_demand(static, used, m)
     return uses, int(np.maximum(demand - static.capacity[m], 0).sum())
 
@@ -144,7 +140,6 @@ def checked_demand(
     Raises:
         ValueError: an edge does not exist, or its user does not.
     """
-    # Where the rows are hashed, somebody has to have looked at them: Engine.check_saved does.
     demand = np.zeros(static.capacity.shape[1], np.int64)
     uses = _demand(static, used, m, demand)
     _expect("used edges", uses >= 0)
@@ -170,8 +165,8 @@ def _demand(static: Static, used: Any, m: int, demand: Any) -> int:
     """
     uses = 0
     for n in range(static.order.shape[1]):
-        for at in range(places(used, 0, n)):
-            byte, bits = byte_at(used, wide(0), wide(n), wide(at))
+        for byte in range(used.shape[2]):
+            bits = byte_of(used, wide(0), n, byte)
             for bit in range(8):
                 if bits >> bit & 1 == 0:
                     continue

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
-from marouting.batch.bits import chosen, with_problem
 from marouting.batch.engine import Metrics
 from marouting.batch.saved import checked_demand
 from marouting.batch.state import Dynamic
@@ -142,7 +141,7 @@ class Trainer:
         best = 0 if drawn else count
         self.score = np.full((best, 3), np.inf)  # of the best episode: less is better
         self.best_episode = np.full(best, NOBODY, np.int64)
-        self.best_used = chosen(engine.dynamic.used, np.arange(best))
+        self.best_used = engine.dynamic.used[:best].copy()
         networks = 1 if train.shared else count
         self.policy_score = np.full((networks, 3), np.inf)  # of the best network
         self.policy_episode = np.zeros(networks, np.int64)  # after which it was evaluated
@@ -291,7 +290,7 @@ class Trainer:
                 self.score[problem] = score
                 self.best_episode[problem] = self.episodes[problem]
                 now = player.engine.dynamic.used
-                self.best_used = with_problem(self.best_used, problem, now, g)
+                self.best_used[problem] = now[g]
             steps = updates[g] - self._before[g, 1]
             loss = (float(losses[g]) - float(self._before[g, 0])) / max(int(steps), 1)
             finished.append(
@@ -396,7 +395,7 @@ class Trainer:
         return {
             "before": self._before,
             # Records have no counterpart in torch: their bytes do.
-            **{f"game.{k}": _bytes(v) for k, v in engine.in_use()._asdict().items()},
+            **{f"game.{k}": _bytes(v) for k, v in engine.dynamic._asdict().items()},
             **{f"buffers.{k}": _bytes(v) for k, v in buffers._asdict().items()},
         }
 
@@ -498,11 +497,10 @@ class Trainer:
             "best_episode": (NOBODY, then - 1),
             "draws": COUNT,
         }
-        hashed = self._whole.engine.hashed
         arrays = {
             name: checked(
                 state["trainer"].get(name),
-                _like(array, state["trainer"].get(name), hashed and name in _ANY_LENGTH),
+                torch.from_numpy(array),
                 f"{where}: {name}",
                 limits.get(name, FINITE),
             ).numpy()
@@ -518,7 +516,6 @@ class Trainer:
             if saved.counts is not None:
                 self.player.go_to(saved.counts)
             self.player.check_saved(saved)
-            arrays["best_used"] = self._whole.engine.fitting_rows(arrays["best_used"])
             for m in range(len(self.best_used)):
                 _ = checked_demand(self._whole.engine.static, arrays["best_used"][m : m + 1], m)
         except ValueError as error:
@@ -547,9 +544,6 @@ _OWN = (
 )  # fmt: skip
 """Attributes of a trainer that a checkpoint holds, beside the learner and the games."""
 
-_ANY_LENGTH = "best_used", "game.used", "game.sets"
-"""Of these, rows of bits that may be of any length where they are hashed."""
-
 Tuple = TypeVar("Tuple", Dynamic, StepBuffers)
 
 
@@ -557,14 +551,6 @@ def _records(part: str, like: Tuple, arrays: Mapping[str, NDArray[Any]]) -> Tupl
     """Arrays from a checkpoint, with the types and names of others."""
     names = like._asdict().items()
     return type(like)(*(arrays[f"{part}.{k}"].view(array.dtype) for k, array in names))
-
-
-def _like(array: NDArray[Any], kept: Any, hashed: bool) -> Tensor:
-    """What a checkpoint should have in place of an array, hashed rows of bits or others."""
-    like = torch.from_numpy(array)
-    if hashed and isinstance(kept, Tensor) and kept.ndim == like.ndim == 2:
-        return torch.empty((len(like), kept.shape[1]), dtype=like.dtype, device="meta")
-    return like
 
 
 def _score(metrics: Metrics, reward: float | None) -> tuple[float, ...]:

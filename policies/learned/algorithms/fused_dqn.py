@@ -11,11 +11,10 @@ from numba import prange
 from numpy.typing import NDArray
 from torch import Tensor
 
-from marouting.batch.growth import lacks_room
 from marouting.batch.state import Dynamic, Static
 from marouting.config import check
 from marouting.game import Ending
-from marouting.kernels import allocating, threaded, wide
+from marouting.kernels import allocating, threaded
 from marouting.player import Known, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
 from policies.learned.algorithms.dqn import DQN, DQNOptions
@@ -112,7 +111,7 @@ def _play_network(n: int, steps: int, play: Play, nets: Networks, rule: StepRule
                 for f in range(b.obs.shape[2]):
                     play.before[m, k, f] = b.obs[m, k, f]
             step_problem(play.static, play.dynamic, play.kernel_buffers, play.known, m)
-            over |= b.over[m] or lacks_room(play.static, play.dynamic, wide(m))
+            over |= b.over[m]
             for k in range(rows):
                 if b.acted[m, k]:
                     _remember(play, nets, n, m, k, b.agents[m, k] if play.known.everyone else mover)
@@ -206,7 +205,6 @@ class FusedDQN(DQN):
 
     def play(self, player: Player, steps: int) -> None:
         """See :meth:`policies.learned.learner.Learner.play`; one network after the other."""
-        player.make_room()
         b, explore = player.buffers, self.explore
         play = Play(
             player.engine.static,

@@ -27,10 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.batch.best import put_best
-from marouting.batch.bits import byte_at, places
+from marouting.batch.bits import byte_of
 from marouting.batch.engine import Engine
 from marouting.batch.expected import Maps, maps_of, recount, refresh, sum_up
-from marouting.batch.growth import lacks_room
 from marouting.batch.outlook import (
     DETOURS,
     OutlookObservation,
@@ -195,7 +194,6 @@ class Walker:
         """
         engine, stopped = self._engine, False
         while steps > 0 and not stopped:
-            engine.make_room()
             stopped, steps = self._kernel(engine.static, engine.dynamic, self._given, steps, stops)
         return bool(stopped)
 
@@ -207,7 +205,6 @@ class Walker:
 
 def take_best(engine: Engine) -> None:
     """Nets of games with prices take the best routes so far."""
-    engine.make_room()
     _take_best(engine.static, engine.dynamic)
 
 
@@ -264,9 +261,6 @@ def _walk(
     if not stops:
         _go_on(static, dynamic, given)
     for made in range(steps):
-        for m in range(len(given.game)):
-            if lacks_room(static, dynamic, wide(m)):
-                return False, wide(steps - made)
         count, answered = wide(0), False
         for m in range(len(given.game)):
             n = wide(dynamic.games[m].agent)
@@ -409,8 +403,8 @@ def _is_whole(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
 def _length(dynamic: Dynamic, m: int, n: int) -> int:
     """Edges that a net uses."""
     edges = wide(0)
-    for at in range(places(dynamic.used, m, n)):
-        _, bits = byte_at(dynamic.used, m, n, at)
+    for byte in range(dynamic.used.shape[2]):
+        bits = byte_of(dynamic.used, m, n, byte)
         while bits != 0:
             bits &= bits - 1
             edges += 1
@@ -420,8 +414,8 @@ def _length(dynamic: Dynamic, m: int, n: int) -> int:
 @inner
 def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net uses an edge with overflow."""
-    for at in range(places(dynamic.used, m, n)):
-        byte, bits = byte_at(dynamic.used, m, n, at)
+    for byte in range(dynamic.used.shape[2]):
+        bits = byte_of(dynamic.used, m, n, byte)
         for bit in range(8):
             if bits >> bit & 1 and dynamic.remaining[m, 8 * byte + bit] < 0:
                 return True
