@@ -54,11 +54,6 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
     red: the more tracks, the darker, with the number where there is room. Where a few Gcells have
     far more vias than all others, the scale of vias ends below them and says so.
 
-    Args:
-        problem: the problem, which gives the capacities.
-        solution: the routes.
-        title: text before wirelength and overflow in the title.
-
     Returns:
         Three panels with colour bars: number of vias, demand / capacity in %, and overflow.
     """
@@ -379,10 +374,6 @@ def _tracks(problem: Problem, solutions: Sequence[Solution]) -> NDArray[np.int64
 def shifts(problem: Problem, solutions: Sequence[Solution]) -> tuple[NDArray[np.float64], float]:
     """How far to shift nets along x = y so that no two lie upon each other, in Gcells.
 
-    Args:
-        problem: the problem.
-        solutions: at least one; in all of them every net has the same place.
-
     Returns:
         (nets,) float64, and the distance between two tracks.
     """
@@ -432,11 +423,6 @@ def solution_2d(problem: Problem, solution: Solution, title: str = "") -> Figure
 
     Nets that pass through the same Gcell are drawn on tracks side by side, so that they can be
     told apart. Of more than 1000 nets, a map of the congestion is drawn instead.
-
-    Args:
-        problem: the problem.
-        solution: the routes.
-        title: text before wirelength and overflow in the title.
 
     Returns:
         One drawing, with pins, vias and overflowed edges marked.
@@ -550,14 +536,8 @@ def solution_3d(problem: Problem, solution: Solution, title: str = "") -> Figure
 def comparison(solutions: Mapping[str, Solution]) -> Figure:
     """The solutions of several routers for one problem, drawn side by side as :func:`solution_2d`.
 
-    Args:
-        solutions: the solutions by router's name, all of one problem.
-
     Returns:
         One drawing per router, with wirelength and overflow in its title.
-
-    Raises:
-        InputError: there is no solution, or one belongs to another problem.
     """
     if not solutions:
         raise InputError("comparison: expected at least one solution")
