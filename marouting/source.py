@@ -71,9 +71,6 @@ def load_problems(source: Source) -> dict[str, Problem]:
     Returns:
         The problems by name. The name is the file's stem, preceded by its folder's name if stems
         repeat; others are named problem_000 and so on, or problem if there is only one.
-
-    Raises:
-        InputError: the source is not one, a file cannot be read, or a folder holds no ``.gr`` file.
     """
     source = checked_source(source)
     if isinstance(source, GeneratorOptions):
@@ -102,11 +99,7 @@ def problems_in(folder: Path) -> list[Path]:
 
 
 def fixed_problems(options: GameOptions) -> dict[str, Problem]:
-    """The problems that the options of a game name, by name.
-
-    Raises:
-        InputError: they cannot be read, or there is no end of them.
-    """
+    """The problems that the options of a game name, by name."""
     if options.scenario is None:
         return load_problems(options.problem)
     if options.split == "train":
