@@ -7,13 +7,13 @@ The docstring is the page, as PettingZoo does it. The table of arguments, at the
 """
 
 import inspect
-import re
 from collections.abc import Iterator
 from dataclasses import fields
 
 from docstrings import ROOT, markdown
 
 from marouting import global_routing_v0
+from marouting.config import attributes
 from marouting.game import RipUp, Rules
 from marouting.options import GameOptions
 
@@ -41,17 +41,10 @@ def _arguments() -> Iterator[str]:
     """A row for every option: what its docstring says of it, and its default."""
     for cls, prefix in ((GameOptions, ""), (Rules, ""), (RipUp, "rip_up.")):
         defaults = {field.name: field for field in fields(cls if prefix else GameOptions)}
-        for name, about in _attributes(cls).items():
+        for name, about in attributes(cls).items():
             field = defaults[name]
             default = field.metadata.get("name", field.default)  # of a piece, or another value
             yield f"| `{prefix}{name}` | `{default!r}` | {about} |"
-
-
-def _attributes(cls: type) -> dict[str, str]:
-    """What the section Attributes of a docstring says, by name, each on one line."""
-    section = (inspect.getdoc(cls) or "").split("Attributes:\n")[1].split("\n\n")[0]
-    entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
-    return {name: " ".join(text.replace("``", "`").split()) for name, text in entries}
 
 
 if __name__ == "__main__":

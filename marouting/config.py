@@ -14,26 +14,27 @@ The options of a piece are the fields of its class if that is a dataclass, the f
 dataclass ``Options`` if it has one, and the keyword parameters of its constructor otherwise.
 """
 
-import contextlib
 import dataclasses
 import difflib
 import functools
 import inspect
 import json
 import math
+import operator
 import os
 import re
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import (
-    TYPE_CHECKING,
     Annotated,
     Any,
     Literal,
+    NamedTuple,
     NoReturn,
+    NotRequired,
     TypeVar,
     Union,
     cast,
@@ -47,12 +48,6 @@ import yaml
 from marouting.errors import InputError
 from marouting.files import exists, is_file, read_text
 from marouting.registry import KINDS, code_allowed, lookup, name_of, names
-
-if TYPE_CHECKING:
-    from pydantic import TypeAdapter, ValidationError
-
-# Pydantic takes a tenth of a second to import. What plainly fits a schema is taken without it; it
-# judges the rest, and knows what to say (:func:`build`).
 
 MOST = 2**31 - 1
 """The largest count; compiled code and arrays do not support integers of arbitrary size."""
@@ -395,14 +390,20 @@ def _lines(text: str) -> dict[Keys, int]:
     return lines
 
 
+# --- plain data and types -------------------------------------------------------------------------
+
 Schema = TypeVar("Schema")
 
 
-def build(schema: type[Schema], raw: Mapping[str, Any], where: str = "") -> Schema:
-    """Fills a dataclass from plain data, and accepts only its keys and the types that it declares.
+def build(schema: type[Schema], raw: Any, where: str = "") -> Schema:
+    """Fills a dataclass or another type from plain data, which must be what the type declares.
+
+    Nothing is converted, except that a whole number may stand for any number and a list for a
+    tuple.
 
     Args:
-        schema: the dataclass.
+        schema: the type. A dataclass takes the keys of its fields and no others; a TypedDict leaves
+            others out.
         raw: plain data, as from YAML.
         where: the start of error messages: the file, or the key that leads here.
 
@@ -411,137 +412,208 @@ def build(schema: type[Schema], raw: Mapping[str, Any], where: str = "") -> Sche
             found.
     """
     try:
-        return cast(Schema, _filled(schema, raw))
-    except _UnsureError:
-        pass
-    try:
-        # From JSON, a list can become a tuple and an integer a float; nothing else is converted.
-        text = json.dumps(raw, default=_jsonable, ensure_ascii=False).encode()
-    except UnicodeEncodeError as error:
-        found = error.object[max(0, error.start - 40) : error.end]
-        raise InputError(f"{_prefix(where)}expected text in UTF-8, found {found!r}") from None
-    except (TypeError, ValueError, RecursionError) as error:
-        raise InputError(f"{_prefix(where)}expected plain data: {error}") from None
-    return build_json(schema, text, where)
+        return cast(Schema, taken(raw, schema))
+    except InputError as error:
+        raise InputError(f"{_prefix(where)}{error}") from None
 
 
 def build_json(schema: type[Schema], text: str | bytes, where: str = "") -> Schema:
     """Fills a schema from JSON text, as :func:`build` does from plain data; raises InputError."""
-    from pydantic import ValidationError
-    from pydantic.errors import PydanticUserError
-
     try:
-        built: Schema = _adapter(cast(Any, schema)).validate_json(text, strict=True)
-    except ValidationError as error:
-        raise InputError(_prefix(where) + _explain(schema, error)) from None
-    except PydanticUserError as error:
-        reason = str(error).splitlines()[0]
-        what = f"{_prefix(where)}{schema.__name__} cannot be configured"
-        raise InputError(f"{what}: {reason}") from None
-    return built
+        raw = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{_prefix(where)}expected JSON: {error}") from None
+    return build(schema, raw, where)
 
 
-@functools.cache
-def _adapter(schema: Any) -> "TypeAdapter[Any]":
-    from pydantic import TypeAdapter
-
-    return TypeAdapter(schema)
-
-
-class _UnsureError(Exception):
-    """A value that does not plainly fit: pydantic shall judge it."""
-
-
-def _filled(schema: Any, raw: Mapping[str, Any]) -> Any:
-    """A dataclass filled from plain data that plainly fits; raises _UnsureError for any other."""
-    hints = _hints(schema)
-    if not isinstance(raw, Mapping) or not all(name in hints for name in raw):
-        raise _UnsureError
-    values = {name: _taken(value, hints[name]) for name, value in raw.items()}
-    try:
-        return schema(**values)
-    except (InputError, TypeError):
-        raise _UnsureError from None
-
-
-def _taken(value: Any, hint: Any) -> Any:
-    """A value that plainly is of a type."""
-    origin, inner = get_origin(hint), get_args(hint)
-    if origin is Annotated and isinstance(inner[1], OneOf):
-        return _taken(value, inner[1].type_of(value))
-    if origin in (Union, UnionType):
-        for one in inner:
-            with contextlib.suppress(_UnsureError):
-                return _taken(value, one)
-    elif origin is Literal:
-        if isinstance(value, str) and value in inner:
-            return value
-    elif origin is tuple and isinstance(value, list | tuple):
-        if inner[-1] is ...:
-            return tuple(_taken(one, inner[0]) for one in value)
-        if len(inner) == len(value):
-            return tuple(map(_taken, value, inner))
-    elif hint is float:
-        if type(value) in (int, float) and math.isfinite(value):
-            return float(value)
-    elif hint is Piece:
-        return value
-    elif is_dataclass(hint) and isinstance(value, Mapping):
-        return _filled(hint, value)
-    elif hint is str and isinstance(value, str):
-        with contextlib.suppress(UnicodeEncodeError):
-            value.encode()  # half a character is no text
-            return value
-    elif hint in (bool, int, NoneType) and type(value) is hint:
-        return value
-    raise _UnsureError
-
-
-@functools.cache
-def _hints(schema: Any) -> dict[str, Any]:
-    """The types of a schema's fields; none if it is no dataclass."""
-    if not is_dataclass(schema):
-        return {}
-    hints = get_type_hints(schema, include_extras=True)
-    return {field.name: hints[field.name] for field in fields(schema) if field.init}
-
-
-@dataclass(frozen=True, eq=False)
-class OneOf:
-    """An annotation of a type: it is one of several, and a function tells by the value which.
+class Meets(NamedTuple):
+    """A condition on a value, as in ``Annotated[str, Meets(str.isupper, "capitals")]``.
 
     Attributes:
-        types: the types by their names.
-        name_of: gives the name of a value's type.
+        holds: whether a value meets it.
+        expected: what is expected, in words.
     """
 
-    types: Mapping[str, Any]
-    name_of: Callable[[Any], str]
-
-    def type_of(self, value: Any) -> Any:
-        """The type that a value is to be of."""
-        return self.types[self.name_of(value)]
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Says it in pydantic's words."""
-        from pydantic import Discriminator, Tag
-
-        del source
-        tagged = tuple(Annotated[kind, Tag(name)] for name, kind in self.types.items())
-        return handler.generate_schema(Annotated[Union[tagged], Discriminator(self.name_of)])  # noqa: UP007
+    holds: Callable[[Any], object]
+    expected: str
 
 
-def _jsonable(value: Any) -> Any:
-    """Converts what JSON does not know: paths, NumPy's numbers, dataclasses, pieces."""
-    if isinstance(value, Piece):
-        return plain(value)
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: getattr(value, f.name) for f in fields(value)}
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    raise TypeError(f"found {value!r}")
+def between(least: float, most: float) -> Meets:
+    """The condition that a number is in a range, both ends included."""
+    return Meets(lambda value: least <= value <= most, f"a number from {least:g} to {most:g}")
+
+
+def taken(value: Any, hint: Any) -> Any:
+    """A value as its type has it.
+
+    Args:
+        value: plain data; NumPy's numbers and paths will do as well.
+        hint: the type. What is neither a dataclass nor a type of plain data takes any value.
+
+    Raises:
+        InputError: it does not fit the type.
+    """
+    if hasattr(value, "tolist"):  # NumPy's
+        value = value.tolist()
+    forms = _forms(hint)
+    for form in forms:
+        if form.fits(value):
+            return form.take(value)
+    *words, last = dict.fromkeys(form.words for form in forms)
+    expected = f"{', '.join(words)} or {last}" if words else last
+    raise InputError(f"expected {expected}, found {_shown(value)}")
+
+
+class _Form(NamedTuple):
+    """What a type takes.
+
+    Attributes:
+        words: that in words.
+        fits: whether it may be a value, whatever is inside of it.
+        take: such a value as the type has it; raises InputError if what is inside does not fit.
+    """
+
+    words: str
+    fits: Callable[[Any], object]
+    take: Callable[[Any], Any]
+
+
+def _text(value: str | os.PathLike[str]) -> str:
+    text = os.fspath(value)
+    if not text.isascii() and any("\ud800" <= character <= "\udfff" for character in text):
+        raise InputError(f"expected text in UTF-8, found {_shown(text)}")
+    return text
+
+
+_PLAIN: dict[Any, _Form] = {
+    bool: _Form("true or false", lambda v: isinstance(v, bool), bool),
+    int: _Form(
+        "a whole number",
+        lambda v: hasattr(v, "__index__") and not isinstance(v, bool),
+        operator.index,
+    ),
+    float: _Form(
+        "a number",
+        lambda v: isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v),
+        float,
+    ),
+    str: _Form("a text", lambda v: isinstance(v, str | os.PathLike), _text),
+    NoneType: _Form("null", lambda v: v is None, lambda v: v),
+}
+
+
+_FEW = 5
+"""With fewer keys than so many, a message names all keys of a mapping."""
+
+
+@functools.cache
+def _forms(hint: Any) -> tuple[_Form, ...]:
+    """What a type, or each part of a union, takes."""
+    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    return tuple(map(_form, kinds))
+
+
+def _form(kind: Any) -> _Form:
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is NotRequired:
+        return _form(inner[0])
+    if origin is Annotated:
+        return _form(inner[0])._replace(take=functools.partial(_met, inner[0], inner[1:]))
+    if origin is Literal:
+        known = f"one of {', '.join(inner)}"
+        return _Form(known, lambda v: isinstance(v, str) and v in inner, lambda v: v)
+    if origin in (tuple, list):
+        take = functools.partial(_sequence, origin, inner)
+        return _Form("a list", lambda v: isinstance(v, list | tuple), take)
+    if origin is dict:
+        take = functools.partial(_mapping, inner[1])
+        return _Form("a mapping", lambda v: isinstance(v, Mapping), take)
+    if is_dataclass(kind) or hasattr(kind, "__required_keys__"):  # or a TypedDict
+        take, known = functools.partial(_record, kind), list(hints_of(kind))
+        words = f"a mapping of {', '.join(known)}" if len(known) < _FEW else "a mapping"
+        return _Form(words, lambda v: isinstance(v, Mapping) or is_dataclass(type(v)), take)
+    return _PLAIN.get(kind, _Form("a value", lambda _: True, lambda v: v))
+
+
+def _met(hint: Any, conditions: Sequence[Meets], value: Any) -> Any:
+    found = taken(value, hint)
+    for holds, expected in conditions:
+        if not holds(found):
+            raise InputError(f"expected {expected}, found {_shown(value)}")
+    return found
+
+
+def _sequence(origin: Any, inner: tuple[Any, ...], value: Sequence[Any]) -> Any:
+    hints = inner if origin is tuple and inner[-1] is not ... else inner[:1] * len(value)
+    if len(hints) != len(value):
+        raise InputError(f"expected {len(hints)} values, found {len(value)}")
+    return origin(of_key(i, *pair) for i, pair in enumerate(zip(value, hints, strict=True)))
+
+
+def _mapping(hint: Any, value: Mapping[Any, Any]) -> dict[str, Any]:
+    return {str(key): of_key(key, one, hint) for key, one in value.items()}
+
+
+def _record(kind: Any, value: Any) -> Any:
+    """A dataclass or a TypedDict from a mapping."""
+    if is_dataclass(value):
+        if isinstance(value, kind):
+            return value
+        value = {f.name: getattr(value, f.name) for f in fields(value)}
+    hints, required = hints_of(kind), _required(kind)
+    if is_dataclass(kind):
+        for key in value:
+            if key not in hints:
+                raise InputError(unknown_key(str(key), list(hints)))
+    for name in required:
+        if name not in value:
+            raise InputError(f"{name}: expected a value, found none")
+    return kind(
+        **{key: of_key(key, value[key], hint) for key, hint in hints.items() if key in value}
+    )
+
+
+@functools.cache
+def _required(kind: Any) -> list[str]:
+    """The keys without a default."""
+    if not is_dataclass(kind):
+        return [name for name in hints_of(kind) if name in kind.__required_keys__]
+    kept = (f for f in fields(kind) if f.init and f.default is f.default_factory is MISSING)
+    return [f.name for f in kept]
+
+
+def of_key(key: object, value: Any, hint: Any) -> Any:
+    """The value of a key, or an error that begins with the key."""
+    try:
+        return taken(value, hint)
+    except InputError as error:
+        raise under(str(key), error) from None
+
+
+def under(key: str, error: InputError) -> InputError:
+    """An error about what a key holds, as one that begins with the key."""
+    join = "" if not key else ": " if str(error).startswith("expected ") else "."
+    return InputError(f"{key}{join}{error}")
+
+
+@functools.cache
+def hints_of(kind: Any) -> dict[str, Any]:
+    """The types of the fields that a dataclass or a TypedDict is made with."""
+    hints = get_type_hints(kind, include_extras=True)
+    if is_dataclass(kind):
+        return {field.name: hints[field.name] for field in fields(kind) if field.init}
+    return hints
+
+
+def attributes(kind: type[Any]) -> dict[str, str]:
+    """What the section Attributes of a docstring says, by name, each in one line."""
+    section = inspect.cleandoc(vars(kind).get("__doc__") or "").partition("Attributes:\n")[2]
+    entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", section.split("\n\n")[0], re.MULTILINE)
+    return {name: " ".join(text.replace("``", "`").split()) for name, text in entries}
+
+
+def _shown(value: Any) -> str:
+    return repr(value)[:200]
 
 
 # --- pieces ---------------------------------------------------------------------------------------
@@ -550,8 +622,7 @@ _CONTEXT = {"network": 2, "learner": 1}
 """The number of arguments that the constructor of a piece gets before its options."""
 
 
-@dataclass(frozen=True)
-class Piece:
+class Piece(NamedTuple):
     """A piece that a configuration names, before it is made.
 
     Attributes:
@@ -569,14 +640,6 @@ class Piece:
     cls: type[Any]
     options: Any
     given: bool = False
-
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
-        """To pydantic anything may be one: :func:`take_pieces` judges it."""
-        from pydantic import PlainValidator
-
-        del source
-        return handler.generate_schema(Annotated[Any, PlainValidator(lambda value: value)])
 
     def make(self, *context: Any) -> Any:
         """Makes the piece.
@@ -656,16 +719,13 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> P
     cls = lookup(kind, name, where)
     schema, varied = _options_of(kind, cast(Any, cls))
     known = [f.name for f in fields(schema)]
-    unknown = [key for key in plainly if key not in known]
+    others = {key: plainly.pop(key) for key in list(plainly) if varied and key not in known}
     try:
-        if unknown and not varied:
-            raise InputError(unknown_key(str(unknown[0]), known))
-        options = build(schema, {k: v for k, v in plainly.items() if k not in unknown})
+        options = build(schema, plainly)
     except InputError as error:
-        raise InputError(f"{where}.{error}" if where else str(error)) from None
+        raise under(where, error) from None
     if schema.__name__ == _KEYWORDS:
-        keywords = {key: getattr(options, key) for key in known}
-        return Piece(kind, name, cls, keywords | {key: plainly[key] for key in unknown})
+        return Piece(kind, name, cls, {key: getattr(options, key) for key in known} | others)
     return Piece(kind, name, cls, options)
 
 
@@ -693,6 +753,7 @@ def _options_of(kind: str, cls: type[Any]) -> tuple[type[Any], bool]:
         if parameter.default is parameter.empty:
             declared.append((parameter.name, hint))
         else:
+            # A factory, because a default may be a list.
             default = field(default_factory=functools.partial(_same, parameter.default))
             declared.append((parameter.name, hint, default))
     varied = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
@@ -725,7 +786,9 @@ def plain(value: Any) -> Any:
         return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
         return [plain(inner) for inner in value]
-    return value
+    if hasattr(value, "tolist"):  # NumPy's
+        return value.tolist()
+    return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
 # --- changes and checks ---------------------------------------------------------------------------
@@ -771,26 +834,13 @@ def check_same(mine: Mapping[str, Any], kept: Mapping[str, Any], where: Path) ->
         kept: the configuration at the start.
         where: the file that holds it.
     """
-    found, expected = _flat(mine), _flat(kept)
+    found, expected = ({".".join(keys): v for keys, v in leaves(plain(c))} for c in (mine, kept))
     # Some keys may be in only one of them, such as those of a problem's files or its generator.
     for key in dict.fromkeys((*expected, *found)):
         if expected.get(key) != found.get(key):
             raise InputError(
                 f"{key}: expected {expected.get(key)!r}, as in {where}, found {found.get(key)!r}"
             )
-
-
-def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Flattens nested mappings, with keys joined by dots and sequences as tuples."""
-    flat: dict[str, Any] = {}
-    for key, value in nested.items():
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{prefix}{key}.")
-        elif isinstance(value, Sequence) and not isinstance(value, str):
-            flat[prefix + key] = tuple(value)
-        else:
-            flat[prefix + key] = value
-    return flat
 
 
 def _prefix(where: str) -> str:
@@ -831,58 +881,3 @@ def unknown_key(key: str, known: Sequence[str]) -> str:
     listed = textwrap.shorten(", ".join(known), _LISTED, placeholder=" …")
     expected = f"did you mean {close[0]}?" if close else f"expected one of {listed}"
     return f"{key}: unknown key; {expected}"
-
-
-def _explain(schema: type, error: "ValidationError") -> str:
-    """The first error of a validation, in one line."""
-    errors = error.errors(include_url=False)
-    first = errors[0]
-    # The tag of a union appears in the path as if it were a key.
-    tags = {tag for hint in _flatten(schema) if isinstance(hint, OneOf) for tag in hint.types}
-
-    def path_of(loc: tuple[int | str, ...]) -> list[str]:
-        parts = [str(part) for part in loc if not str(part).startswith("literal[")]
-        return [
-            p for i, p in enumerate(parts) if not (p in tags and i and parts[i - 1] == "problem")
-        ]
-
-    path = path_of(first["loc"])
-    key = ".".join(path)
-    if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-        return unknown_key(key, _keys(schema, path[:-1]))
-    message = first["msg"].replace("\n", " ").replace("Invalid JSON", "expected JSON")
-    message = message.removeprefix("Value error, ").replace("Input should be", "expected")
-    message = message.replace("a valid array", "a list").replace("an object", "a mapping")
-    message = message.replace("Field required", "expected a value, found none")
-    if first["type"] == "literal_error":
-        # Of a union, every part has an error of its own.
-        same = [e for e in errors if e["type"] == first["type"] and path_of(e["loc"]) == path]
-        known = [name for e in same for name in re.split(", | or ", e["ctx"]["expected"])]
-        message = f"expected {', '.join(known[:-1])} or {known[-1]}" if known[1:] else message
-    elif first["type"] == "dataclass_type" and (known := _keys(schema, path)):
-        message = f"expected a mapping of {', '.join(known)}"
-    elif first["loc"][-1:] == ("file",) and path[-1:] == ["problem"]:
-        message = "expected a file, a folder, a list of them, or a generator's options"
-    said = first["type"] in ("value_error", "json_invalid", "missing", "missing_argument")
-    found = "" if said else f", found {first['input']!r}"[:200]
-    return f"{_prefix(key)}{message}{found}"
-
-
-def _keys(schema: Any, path: list[str]) -> list[str]:
-    """The keys of the dataclass that a path of keys leads to."""
-    for name in path:
-        schema = get_type_hints(schema, include_extras=True).get(name)
-        schema = next(
-            (t for t in _flatten(schema) if isinstance(t, type) and is_dataclass(t)), None
-        )
-        if schema is None:
-            return []
-    return [f.name for f in fields(schema)]
-
-
-def _flatten(hint: Any) -> list[Any]:
-    """A type hint and all hints inside it, including those of a dataclass's fields."""
-    inner = list(get_args(hint))
-    if isinstance(hint, type) and is_dataclass(hint):
-        inner += get_type_hints(hint, include_extras=True).values()
-    return [hint, *(deeper for one in inner for deeper in _flatten(one))]

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.checks import check_fields
 from marouting.errors import InputError
 from marouting.memory import ADJUSTMENT, NET, PIN, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
@@ -21,9 +22,6 @@ from marouting.problem.net import (
     Adjustment,
     Net,
     Pin,
-    check_numbers,
-    is_whole,
-    whole_numbers,
 )
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_grid
 from marouting.search.astar import sequential_astar
@@ -55,15 +53,13 @@ class Least:
         capacity: tracks of an edge.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     grid: tuple[int, int, int] = (4, 4, 1)
     nets: int = 1
     max_pins: int = 2
     capacity: int = 1
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "grid", whole_numbers("least.grid", self.grid, 3))
+        check_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,10 +72,11 @@ class GeneratorOptions:
         nets: nets per problem.
         max_pins: pins per net, drawn uniformly from 2…max_pins.
         capacity: capacity, in tracks, of an edge along its layer's direction.
-        reduced_edges: how many of the most used edges get a reduced capacity.
+        reduced_edges: how many edges get a reduced capacity: those that sequential A* uses most.
         reduced_capacity: that capacity; None: two less than ``capacity`` but at least 0.
         reduced_per: ``problem``: each problem has its own edges reduced; ``set``: all problems have
-            the same edges reduced, those most used in all of them together.
+            the same edges reduced, those most used in all of them together, as in the authors'
+            published sets.
         seed: seed of the random numbers, from 0; None: different ones every time, in an environment
             a new problem at every reset.
         least: None: all problems are of the size above. Otherwise every problem has a size of its
@@ -102,8 +99,6 @@ class GeneratorOptions:
         InputError: a value is out of range.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     count: int = 1
     grid: tuple[int, int, int] = (8, 8, 2)
     nets: int = 50
@@ -119,24 +114,15 @@ class GeneratorOptions:
     hot_spots: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "grid", whole_numbers("grid", self.grid, 3))
+        counted = dict.fromkeys(("count", "nets"), (1, MAX_NUMBER))
+        many = ("capacity", "reduced_edges", "reduced_capacity", "macros", "hot_spots")
+        counted |= dict.fromkeys(many, (0, MAX_NUMBER))
+        check_fields(self, max_pins=(2, MAX_NUMBER), seed=(0, math.inf), rent=(0, 1), **counted)
         check_grid(self.grid)
         if self.grid[0] * self.grid[1] < 2:
             raise InputError(
                 f"grid {self.grid}: expected at least two Gcells in layer 1, for a net to span"
             )
-        for name, least in (("count", 1), ("nets", 1), ("max_pins", 2)):
-            if getattr(self, name) < least:
-                raise InputError(f"{name}: expected at least {least}, found {getattr(self, name)}")
-            check_numbers(name, [getattr(self, name)])
-        for name in ("capacity", "reduced_edges", "macros", "hot_spots"):
-            check_numbers(name, (getattr(self, name),))
-        check_numbers("reduced_capacity", [n for n in (self.reduced_capacity,) if n is not None])
-        check_choice("reduced_per", self.reduced_per, ReducedPer)
-        if self.seed is not None and not (is_whole(self.seed) and self.seed >= 0):
-            raise InputError(f"seed: expected a whole number from 0, found {self.seed!r}")
-        if self.rent is not None and not 0 <= self.rent <= 1:
-            raise InputError(f"rent: expected a number from 0 to 1, found {self.rent!r}")
         if self.macros and (min(self.grid[:2]) < _MACRO or self.grid[2] < _FREE_LAYERS + 1):
             raise InputError(
                 f"macros: expected 0 on a grid of {self.grid}: they need {_MACRO} columns and rows "
@@ -168,12 +154,7 @@ def generate(
     capacity: int = 5,
     reduced_edges: int = 3,
     seed: int | None = 0,
-    *,
-    reduced_capacity: int | None = None,
-    reduced_per: ReducedPer = "problem",
-    rent: float | None = None,
-    macros: int = 0,
-    hot_spots: int = 0,
+    **options: Any,
 ) -> list[Problem]:
     """Generates problems; the same arguments give the same problems.
 
@@ -188,14 +169,7 @@ def generate(
         reduced_edges: how many edges get a reduced capacity: those that sequential A* uses most
             before the reduction (ties: lowest edge number).
         seed: seed of the random numbers, from 0; None: a different set every time.
-        reduced_capacity: capacity of the reduced edges; None: two less than ``capacity`` but at
-            least 0.
-        reduced_per: ``problem``: the edges that the problem's own solution uses most; ``set``: the
-            edges that the solutions of all problems together use most, the same in every problem,
-            as in the authors' published sets (so they depend on ``count``).
-        rent: Rent's exponent, for local nets; None: pins anywhere. See :class:`GeneratorOptions`.
-        macros: rectangles without capacity but in the two highest layers.
-        hot_spots: places around which half of the nets begin.
+        **options: the other attributes of :class:`GeneratorOptions`.
 
     Returns:
         The problems, ``count`` of them.
@@ -211,12 +185,8 @@ def generate(
             max_pins=max_pins,
             capacity=capacity,
             reduced_edges=reduced_edges,
-            reduced_capacity=reduced_capacity,
-            reduced_per=reduced_per,
             seed=seed,
-            rent=rent,
-            macros=macros,
-            hot_spots=hot_spots,
+            **options,
         )
     )
 
@@ -343,13 +313,7 @@ def _unreduced(options: GeneratorOptions, rng: np.random.Generator) -> Problem:
 
 
 def _without(problem: Problem, closed: NDArray[np.bool_], layers: int) -> Problem:
-    """A problem without capacity at some Gcells in its lowest layers.
-
-    Args:
-        problem: the problem.
-        closed: (X, Y) which Gcells; edges are closed at either end.
-        layers: how many layers.
-    """
+    """A problem without capacity at some Gcells in its lowest layers."""
     none = np.zeros((*problem.grid, AXES), np.bool_)
     for axis in range(VIA_AXIS):
         none[:, :, :layers, axis] = (closed | np.roll(closed, -1, axis))[..., None]

@@ -36,7 +36,6 @@ NET = 300  #: without its pins
 PIN = 120
 ADJUSTMENT = 200
 USED = 150  #: an edge of a route that is read and evaluated
-HASHED = 300  #: a net's edges, or another set of its, where there is no bit for every edge
 DRAWN = 1300  #: an edge in a drawing of routes
 
 

@@ -111,8 +111,6 @@ class PaperObservation:
             code starts at 10 (there it runs out; here it does not).
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     via_capacity: float = 10.0
 
     def __post_init__(self) -> None:

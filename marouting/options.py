@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from marouting.config import Named, OneOf, build, check, piece_field, take_pieces, unknown_key
+from marouting.config import Named, build, check, piece_field, take_pieces, unknown_key
 from marouting.errors import UnknownOption
 from marouting.game import Rules, TurnOrder
 from marouting.generator import GeneratorOptions
@@ -24,16 +24,7 @@ PLAYED = ("problem", "scenario", "split")
 """The options that say which problems are played, not how."""
 
 
-def _kind_of_source(value: Any) -> str:
-    if isinstance(value, Mapping | GeneratorOptions):
-        return "generator"
-    return "files" if isinstance(value, list | tuple) else "file"
-
-
-ProblemSource = Annotated[
-    str | tuple[str, ...] | GeneratorOptions,
-    OneOf({"file": str, "files": tuple[str, ...], "generator": GeneratorOptions}, _kind_of_source),
-]
+ProblemSource = str | tuple[str, ...] | GeneratorOptions
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,9 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import copied, copy_row, swap_rows
+from marouting.batch.bits import copy_row, swap_rows
 from marouting.batch.engine import Engine
-from marouting.batch.growth import lengthened, needed_room
 from marouting.batch.observation import paper_reward, see_paper, write_paper
 from marouting.batch.rules import (
     free_moves,
@@ -234,7 +233,7 @@ class Player:
             now = engine.dynamic
             self._before = Earlier(now.agents.copy(), now.games.copy(), now.remaining.copy())
             # Where movers arrived, before their next tasks began.
-            self._arrived = now._replace(agents=now.agents.copy(), sets=copied(now.sets))
+            self._arrived = now._replace(agents=now.agents.copy(), sets=now.sets.copy())
             self._mirror_games()
         if self.compiled:
             kernel = _play_everyone if self.everyone else _play_player
@@ -250,7 +249,6 @@ class Player:
         over = self.buffers.over
         if which is None:
             which = np.ones(len(over), np.bool_)
-        self.make_room()
         if self.compiled:
             self._draw(which)
             were_over = over.copy()
@@ -272,8 +270,6 @@ class Player:
             restart: whether a problem whose episode ended in the previous step starts its next
                 episode instead.
         """
-        if self.engine.hashed:
-            self.make_room()
         if self.compiled:
             if restart:
                 self._draw(self.buffers.over)
@@ -287,20 +283,6 @@ class Player:
             self._turn_masks()
         else:
             self._step_in_parts(restart)
-
-    def make_room(self) -> None:
-        """Makes room for a step where rows of bits are hashed; see :meth:`.Engine.make_room`."""
-        engine = self.engine
-        if not engine.hashed:
-            return
-        engine.make_room()
-        static, dynamic, buffers, fast = self._arguments
-        if dynamic is not engine.dynamic:
-            self._arguments = static, engine.dynamic, buffers, fast
-        if self._before is not None:
-            arrived = self._arrived._replace(used=engine.dynamic.used)
-            length = max(needed_room(static, arrived)[1], engine.dynamic.sets.shape[1])
-            self._arrived = lengthened(arrived, 0, length)
 
     def part(self, which: NDArray[np.integer]) -> "Player":
         """A player of some of the problems (indices), which continues from their present state."""

@@ -1,7 +1,8 @@
 """Pictures of a running game: text for a terminal, RGB frames for videos, or a window.
 
-All three draw the same :class:`Scene`, a moment of a game. Nothing here needs more than
-numpy, except that :class:`Window` loads matplotlib when it is first shown.
+All three draw the same :class:`Scene`, a moment of a game. A picture consists of :func:`shapes` on
+a :class:`Sheet`, and an animation of the same. Nothing here needs more than numpy, except that
+:class:`Window` loads matplotlib when it is first shown.
 """
 
 import colorsys
@@ -13,8 +14,9 @@ import os
 import sys
 import textwrap
 import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,7 +187,7 @@ def ansi(scene: Scene) -> str:
     return "\n".join(lines)
 
 
-# RGB --------------------------------------------------------------------------------------------
+# Pictures ---------------------------------------------------------------------------------------
 
 _SHORTEST, _LONGEST = 200, 1200  # bounds of the longer side of a picture, px
 _PITCH = 48  # distance between Gcells if there is room, px
@@ -197,7 +199,7 @@ _GCELL = (208, 211, 217)
 _FREE = (232, 234, 239)
 _OVERFLOWED = (214, 39, 40)
 _INK = (20, 20, 20)
-_HALO = (255, 196, 61)  # background of the head and the target of the net to move
+_HALO = (255, 196, 61)  # around the head and the target of the net to move
 
 PALETTE = np.array(
     [
@@ -234,61 +236,50 @@ _FONT = {
     "z": "4464544c44",
 }  # fmt: skip
 _ADVANCE, _LINE = 6, 10  # px of a letter of scale 1, with the space to the next, and of a line
-_CAPTION = 64  # letters of a caption that there is room for
+_CAPTION = 80  # letters of a caption that there is room for
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """Where everything is in a picture, in px; the same for every scene of a grid shape.
+Ink = tuple[int, ...]
+"""A colour: red, green and blue, 0 to 255."""
 
-    Attributes:
-        pitch: distance between Gcells.
-        columns: panels side by side, one for each layer.
-        rows: panels one above the other.
-        margin: around the panels.
-        header: above each panel, for its name.
-        shrink: how many pixels of the drawing, along each side, become one of the picture.
-        scale: pixels of the drawing for a pixel of the font.
-        lines: lines of the caption.
-        roomy: whether nets are drawn side by side.
-        layers: how many panels there are.
-        width: of the drawing.
-    """
 
-    pitch: int
-    columns: int
-    rows: int
-    margin: int
-    header: int
-    shrink: int
+class Box(NamedTuple):
+    """A filled rectangle of a picture, in px; right and bottom are just outside of it."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+    ink: Ink
+
+
+class Disc(NamedTuple):
+    """A filled disc."""
+
+    x: int
+    y: int
+    radius: int
+    ink: Ink
+
+
+class Words(NamedTuple):
+    """A line of text, in letters that are ``6 · scale`` px wide and ``8 · scale`` px high."""
+
+    x: int
+    y: int
+    text: str
     scale: int
-    lines: int
-    roomy: bool
-    layers: int
-    width: int
 
-    @staticmethod
-    def of(shape: tuple[int, int, int], tracks: int) -> "_Layout":
-        """The layout for a grid shape; ``tracks`` are the most that an edge has."""
-        width, height, layers = shape
-        # About as many columns of layers as rows; two layers are side by side.
-        columns = math.ceil(math.sqrt(layers))
-        rows = math.ceil(layers / columns)
-        longest = max(columns * width, rows * height)
-        # All lengths are even, because video encoders need even sides.
-        pitch = min(max(_PITCH, math.ceil(_SHORTEST / longest)), 9 * _LONGEST // (10 * longest))
-        pitch = max(pitch // 2 * 2, _SMALLEST)
-        margin = max(pitch // 4 * 2, 8)
-        side = longest * pitch + (max(columns, rows) + 1) * margin
-        shrink = max(1, math.ceil(side / _LONGEST))
-        across = _up_to(columns * (width * pitch + margin) + margin, 2 * shrink)
-        scale = shrink * (2 if across >= 400 * shrink else 1)
-        letters = max(1, (across - 2 * margin) // (_ADVANCE * scale))
-        lines = 1 if letters >= _CAPTION else math.ceil(1.3 * _CAPTION / letters)
-        roomy = pitch >= _ROOMY and tracks <= pitch // 4 * 2
-        return _Layout(
-            pitch, columns, rows, margin, 20 * shrink, shrink, scale, lines, roomy, layers, across
-        )
+
+Shape = Box | Disc | Words
+
+
+def colour_of(net: int) -> Ink:
+    """A net's colour, one of :data:`PALETTE`."""
+    return _COLOURS[net % len(_COLOURS)]
+
+
+_COLOURS = [tuple(colour) for colour in PALETTE.tolist()]
 
 
 def rgb_array(scene: Scene) -> NDArray[np.uint8]:
@@ -300,213 +291,42 @@ def rgb_array(scene: Scene) -> NDArray[np.uint8]:
     ones red borders. Otherwise edges are bars, and used ones go from yellow over green to dark
     violet (full); overflowed ones are red and wide. Edges without capacity are left out. A black
     dot in a Gcell means that a via up or down from it is in use. Discs are the heads of the nets,
-    and outlined squares their targets; the net to move has them on a yellow background.
+    and outlined squares their targets; those of the net to move have yellow frames.
 
     Returns:
         (H, W, 3) uint8. H and W are even and the same for every scene of a problem; the longer one
         is between about 200 and 1200. (Grids of more than about 250 Gcells per side are drawn
         larger and shrunk.)
     """
-    inside = np.arange(scene.grid.edges) % AXES != VIA_AXIS
-    tracks = int(scene.capacity.max(initial=1, where=inside))
-    layout = _Layout.of(scene.grid.shape, tracks)
-    tiles = _draw_gcells(scene, layout, max(tracks, 1))
-    return _arrange(tiles, scene, layout)
-
-
-def _draw_gcells(scene: Scene, layout: _Layout, tracks: int) -> NDArray[np.uint8]:
-    """(G, pitch, pitch, 3) uint8, a tile for every Gcell with its square and half of each edge."""
-    grid, pitch = scene.grid, layout.pitch
-    state = edge_states(scene)
-    square = max(2, pitch // 4 * 2)
-    inset = (pitch - square) // 2
-    tiles = np.empty((grid.gcells, pitch, pitch, 3), np.uint8)
-    tiles[:] = _BACKGROUND
-    if scene.turn is not None:
-        tiles[[scene.heads[scene.turn], scene.targets[scene.turn]]] = _HALO
-    # The rows of a picture run downwards, so north has the low indices.
-    low, high = slice(0, inset), slice(inset + square, pitch)
-
-    def bars(edges: NDArray[np.integer], across: slice, colour: Any) -> None:
-        """Draws bars of some edges; ``across`` says where between the borders of a tile."""
-        near, far = grid.ends(edges)
-        for axis, sides in ((0, (high, low)), (1, (low, high))):
-            chosen = edges % AXES == axis
-            ink = colour[chosen][:, None, None] if isinstance(colour, np.ndarray) else colour
-            for gcells, side in zip((near, far), sides, strict=True):
-                rows, columns = (side, across) if axis else (across, side)
-                tiles[gcells[chosen], rows, columns] = ink
-
-    def of(which: EdgeState) -> NDArray[np.intp]:
-        return np.flatnonzero(state == which)
-
-    if layout.roomy:
-        line = square // tracks
-        start = (pitch - line * tracks) // 2
-        border = max(1, pitch // 16)
-        room = np.where(state == EdgeState.FULL, scene.capacity, tracks)
-        for which, width, ink in (
-            (EdgeState.FULL, border, _INK), (EdgeState.OVERFLOWED, 2 * border, _OVERFLOWED)
-        ):  # fmt: skip
-            edges = of(which)
-            for own in np.unique(room[edges]).tolist():
-                across = slice(start - width, start + line * own + width)
-                bars(edges[room[edges] == own], across, ink)
-        first = np.searchsorted(scene.edges, scene.edges)
-        slot = np.arange(len(scene.edges)) - first
-        there = np.flatnonzero(grid.exists & (state != EdgeState.ABSENT))
-        for track in range(tracks):
-            across = slice(start + track * line, start + (track + 1) * line)
-            bars(
-                there[(scene.capacity[there] > track) | (state[there] == EdgeState.OVERFLOWED)],
-                across,
-                _FREE,
-            )
-            mine = slot == track
-            bars(scene.edges[mine], across, PALETTE[scene.nets[mine] % len(PALETTE)])
-    else:
-        bar = 2 * max(1, pitch // 10)
-        wide = min(2 * bar, square)
-        shown = np.flatnonzero(state != EdgeState.ABSENT)
-        middle = slice((pitch - bar) // 2, (pitch + bar) // 2)
-        bars(shown, middle, _shade(scene, state)[shown])
-        bars(of(EdgeState.OVERFLOWED), slice((pitch - wide) // 2, (pitch + wide) // 2), _OVERFLOWED)
-    tiles[:, inset : inset + square, inset : inset + square] = _GCELL
-
-    # Distance from the middle of the tile, in half pixels.
-    distance = 2 * np.indices((pitch, pitch)) - (pitch - 1)
-    radius, reach = np.hypot(*distance), np.abs(distance).max(axis=0)
-    outline = (reach < square) & (reach > square - 2 * max(1, pitch // 12))
-    disc = radius < max(0.75 * square, 2)
-    rim = disc & (radius > 0.75 * square - 2 * max(1, pitch // 24))
-    dot = radius < max(0.3 * square, 1.5)
-
-    def stamp(gcells: NDArray[np.integer], mask: NDArray[np.bool_], ink: Any) -> None:
-        rows, columns = np.nonzero(mask)
-        tiles[gcells[:, None], rows, columns] = ink
-
-    own = PALETTE[scene.active % len(PALETTE)][:, None]
-    everyone = np.arange(len(own))
-    for who in (everyone, everyone[scene.turn :][:1] if scene.turn is not None else everyone[:0]):
-        # Once more the net to move, which is in the foreground.
-        stamp(scene.targets[who], outline, own[who])
-        stamp(scene.heads[who], disc, own[who])
-        if pitch >= _ROOMY:
-            stamp(scene.heads[who], rim, _INK)
-    stamp(_via_gcells(scene), dot, _INK)
-    return tiles
-
-
-def _shade(scene: Scene, state: NDArray[np.int8]) -> NDArray[np.uint8]:
-    """(E, 3) uint8, the colour of every edge by its utilisation."""
-    capacity = np.maximum(scene.capacity, 1).astype(np.float64)
-    utilisation = (capacity - scene.remaining) / capacity
-    stops = np.linspace(0, 1, len(_RAMP))
-    ramp = np.stack([np.interp(utilisation, stops, c) for c in _RAMP.T], axis=1)
-    ramp[state == EdgeState.FREE] = _FREE
-    ramp[state == EdgeState.OVERFLOWED] = _OVERFLOWED
-    return ramp.astype(np.uint8)
-
-
-def _arrange(tiles: NDArray[np.uint8], scene: Scene, layout: _Layout) -> NDArray[np.uint8]:
-    """Joins the tiles of each layer, puts the layers next to one another, and adds the words."""
-    width, height, _ = scene.grid.shape
-    pitch, margin, header, scale = layout.pitch, layout.margin, layout.header, layout.scale
-    panel = (height * pitch, width * pitch)
-    top = layout.lines * _LINE * scale + margin // 2
-    legend = _legend(layout)
-    bottom = top + layout.rows * (header + panel[0] + margin)
-    canvas = np.full(
-        (_up_to(bottom + len(legend), 2 * layout.shrink), layout.width, 3), _BACKGROUND, np.uint8
-    )
-    letters = max(1, (layout.width - 2 * margin) // (_ADVANCE * scale))
-    words = textwrap.wrap(scene.caption, letters, replace_whitespace=False)[: layout.lines]
-    for n, words_of_line in enumerate(words):
-        _write(canvas, words_of_line, (margin // 2 + n * _LINE * scale, margin), scale)
-    panels = tiles.reshape(*scene.grid.shape, pitch, pitch, 3)[:, ::-1].transpose(2, 1, 3, 0, 4, 5)
-    for layer, picture in enumerate(panels):
-        row, column = divmod(layer, layout.columns)
-        above = top + row * (header + panel[0] + margin)
-        left = margin + column * (panel[1] + margin)
-        picture = picture.reshape(*panel, 3)
-        canvas[above + header : above + header + panel[0], left : left + panel[1]] = picture
-        name = f"layer {layer + 1}"
-        if _ADVANCE * scale * len(name) > panel[1]:
-            name = f"l{layer + 1}"
-        _write(canvas, name, (above + header - 9 * scale, left), scale)
-    canvas[bottom : bottom + len(legend)] = legend
-    if layout.shrink == 1:
+    sheet = Sheet.of(scene)
+    canvas = sheet.canvas.copy()
+    for level in shapes(scene):
+        _paint(canvas, level)
+    shrink = sheet.shrink
+    if shrink == 1:
         return canvas
-    shrink = layout.shrink
     blocks = canvas.reshape(canvas.shape[0] // shrink, shrink, -1, shrink, 3)
     return np.asarray(blocks.mean(axis=(1, 3)), np.uint8)
 
 
-@functools.lru_cache(maxsize=16)
-def _legend(layout: _Layout) -> NDArray[np.uint8]:
-    """(height, width, 3) uint8, what the marks and colours mean."""
-    scale = layout.scale
-    side = 8 * scale
-    distance = 2 * np.indices((side, side)) - (side - 1)
-    radius, reach = np.hypot(*distance), np.abs(distance).max(axis=0)
-
-    def mark(*parts: tuple[Any, Any]) -> NDArray[np.uint8]:
-        sample = np.full((side, side, 3), _BACKGROUND, np.uint8)
-        for where, colour in parts:
-            sample[where] = colour
-        return sample
-
-    third = [slice((1 + 2 * k) * scale, (3 + 2 * k) * scale) for k in range(3)]
-    nets = [(part, PALETTE[k]) for k, part in enumerate(third)]
-    entries = [
-        (mark((radius < 0.9 * side, _INK), (radius < 0.7 * side, PALETTE[0])), "head"),
-        (mark(((reach < side) & (reach > 0.6 * side), PALETTE[0])), "target"),
-        (mark((slice(None), _HALO)), "to move"),
-    ]  # fmt: skip
-    if layout.layers > 1:
-        entries.append((mark((slice(None), _GCELL), (radius < 0.5 * side, _INK)), "via"))
-    if layout.roomy:
-        ends = [slice(0, scale), slice(7 * scale, None)]
-        entries += [
-            (mark(*nets), "nets, by colour"),
-            (mark(*nets, *((end, _INK) for end in ends)), "full"),
-            (mark(*nets, *((end, _OVERFLOWED) for end in ends)), "overflowed"),
-        ]
-    else:
-        steps = np.linspace(0, len(_RAMP) - 1, side)
-        ramp = np.stack([np.interp(steps, range(len(_RAMP)), c) for c in _RAMP.T], axis=1)
-        entries += [
-            (mark((slice(None), ramp.astype(np.uint8))), "used to full"),
-            (mark((slice(None), _OVERFLOWED)), "overflowed"),
-        ]
-    places = []
-    line, left = 0, layout.margin
-    for sample, name in entries:
-        width = side + scale * (_ADVANCE * len(name) + 10)
-        if left > layout.margin and left + width - 10 * scale > layout.width:
-            line, left = line + 1, layout.margin
-        places.append((line * _LINE * scale, left, sample, name))
-        left += width
-    height = (line + 1) * _LINE * scale + layout.margin // 2
-    picture = np.full((height, layout.width, 3), _BACKGROUND, np.uint8)
-    for top, left, sample, name in places:
-        space = picture[top : top + side, left : left + side]
-        space[:] = sample[:, : space.shape[1]]
-        _write(picture, name, (top, left + side + 3 * scale), scale)
-    picture.setflags(write=False)
-    return picture
+def _paint(canvas: NDArray[np.uint8], drawn: Iterable[Shape]) -> None:
+    """Draws shapes into pixels; what does not fit is left out."""
+    for shape in drawn:
+        if isinstance(shape, Box):
+            canvas[shape.top : shape.bottom, shape.left : shape.right] = shape.ink
+        elif isinstance(shape, Disc):
+            x, y, r, ink = shape
+            canvas[y - r : y + r, x - r : x + r][_disc(r)] = ink
+        else:
+            letters = _lettering(shape.text, shape.scale)
+            space = canvas[shape.y :, shape.x :][: letters.shape[0], : letters.shape[1]]
+            space[letters[: space.shape[0], : space.shape[1]]] = _INK
 
 
-def _up_to(length: int, unit: int) -> int:
-    """The smallest multiple of ``unit`` that is at least ``length``."""
-    return -(-length // unit) * unit
-
-
-def _write(picture: NDArray[np.uint8], text: str, at: tuple[int, int], scale: int) -> None:
-    """Writes a line of text; ``at`` is its upper left corner. What does not fit is left out."""
-    letters = _lettering(text, scale)
-    space = picture[at[0] : at[0] + letters.shape[0], at[1] : at[1] + letters.shape[1]]
-    space[letters[: space.shape[0], : space.shape[1]]] = _INK
+@functools.lru_cache(maxsize=64)
+def _disc(radius: int) -> NDArray[np.bool_]:
+    distance = 2 * np.indices((2 * radius, 2 * radius)) - (2 * radius - 1)
+    return np.hypot(*distance) < 2 * radius
 
 
 @functools.lru_cache(maxsize=256)
@@ -515,6 +335,238 @@ def _lettering(text: str, scale: int) -> NDArray[np.bool_]:
     columns = b"".join(bytes.fromhex(_FONT.get(c, _FONT["?"])) + b"\0" for c in text.lower())
     bits = np.unpackbits(np.frombuffer(columns, np.uint8)[None], axis=0, bitorder="little")
     return bits.astype(np.bool_).repeat(scale, axis=0).repeat(scale, axis=1)
+
+
+def shapes(scene: Scene) -> list[list[Shape]]:
+    """What a scene adds to its :class:`Sheet`, level by level: later levels cover earlier ones."""
+    sheet, state = Sheet.of(scene), edge_states(scene)
+    half, rim = sheet.square // 2, max(1, sheet.pitch // 12)
+    targets, heads, turn = scene.targets.tolist(), scene.heads.tolist(), scene.turn
+    inks = [colour_of(net) for net in scene.active.tolist()]
+    nets = sorted(range(len(inks)), key=lambda n: n == turn)  # the net to move is in the foreground
+    marked = [] if turn is None else [targets[turn], heads[turn]]
+    vias = np.unique(_via_gcells(scene)).tolist()
+    words = textwrap.wrap(scene.caption, sheet.letters)[: sheet.lines]
+    signs: list[Shape] = [
+        *(sheet.around(gcell, half + 2 * rim, _HALO) for gcell in marked),
+        *(sheet.around(gcell, half, _GCELL) for gcell in marked),
+        *(sheet.around(targets[n], half, inks[n]) for n in nets),
+        *(sheet.around(targets[n], half - rim, _GCELL) for n in nets),
+        *(sheet.disc(heads[n], 0.75 * half, _INK) for n in nets),
+        *(sheet.disc(heads[n], 0.75 * half - rim / 2, inks[n]) for n in nets),
+        *(sheet.disc(gcell, 0.3 * half, _INK) for gcell in vias),
+        *(sheet.words(row, line) for row, line in enumerate(words)),
+    ]
+    edges = _nets(scene, sheet, state) if sheet.roomy else _bars(scene, sheet, state)
+    return [*edges, signs]
+
+
+def _nets(scene: Scene, sheet: "Sheet", state: NDArray[np.int8]) -> list[list[Shape]]:
+    """Every use of an edge as a line; full and overflowed edges have borders."""
+    border = max(1, sheet.pitch // 16)
+    full, over = (np.flatnonzero(state == s) for s in (EdgeState.FULL, EdgeState.OVERFLOWED))
+    room = sheet.start + sheet.track * np.minimum(scene.capacity[full], sheet.tracks)
+    most = sheet.start + sheet.track * np.full(len(over), sheet.tracks)
+    slot = np.arange(len(scene.edges)) - np.searchsorted(scene.edges, scene.edges)
+    drawn = (slot < sheet.tracks) & (scene.edges % AXES != VIA_AXIS)
+    low = sheet.start + slot[drawn] * sheet.track
+    inks = [colour_of(net) for net in scene.nets[drawn].tolist()]
+    return [
+        [
+            *sheet.bars(full, sheet.start - border, room + border, [_INK]),
+            *sheet.bars(over, sheet.start - 2 * border, most + 2 * border, [_OVERFLOWED]),
+        ],
+        [
+            *sheet.bars(full, sheet.start, room, [_FREE]),
+            *sheet.bars(over, sheet.start, most, [_FREE]),
+        ],
+        sheet.bars(scene.edges[drawn], low, low + sheet.track, inks),
+    ]
+
+
+def _bars(scene: Scene, sheet: "Sheet", state: NDArray[np.int8]) -> list[list[Shape]]:
+    """Every edge in use as a bar, the darker the fuller; overflowed ones are red and wide."""
+    over, used = (
+        np.flatnonzero(state == EdgeState.OVERFLOWED),
+        np.flatnonzero(state >= EdgeState.USED),
+    )
+    capacity = np.maximum(scene.capacity[used], 1)
+    share = (capacity - scene.remaining[used]) / capacity
+    stops = np.linspace(0, 1, len(_RAMP))
+    shades = np.stack([np.interp(share, stops, part) for part in _RAMP.T], axis=1).astype(int)
+    inks = list(map(tuple, shades.tolist()))
+    end, more = sheet.start + sheet.track, sheet.track // 2
+    return [
+        sheet.bars(used, sheet.start, end, inks),
+        sheet.bars(over, sheet.start - more, end + more, [_OVERFLOWED]),
+    ]
+
+
+class Sheet:
+    """The picture of a problem before anything is routed, and where things are in it, in px.
+
+    Args:
+        grid: the grid.
+        capacity: (E,) capacity of every edge.
+
+    Attributes:
+        shapes: what is drawn.
+        canvas: (height, width, 3) uint8, the picture.
+        shrink: how many of its pixels, along each side, become one of a scene's picture.
+        pitch: distance between Gcells.
+        square: side of a Gcell.
+        margin: around the panels, one for each layer.
+        roomy: whether nets are drawn side by side.
+        tracks: the most that an edge has.
+        track: width of a net's line, or of an edge where nets are not drawn.
+        start: where the first one begins, from the border between two rows of Gcells.
+        scale: of letters.
+        letters: how many of them a line of the caption has.
+        lines: how many lines the caption has.
+    """
+
+    def __init__(self, grid: Grid, capacity: NDArray[np.int32]) -> None:
+        width, height, layers = grid.shape
+        # About as many columns of panels as rows; two layers are side by side.
+        columns = math.ceil(math.sqrt(layers))
+        rows = math.ceil(layers / columns)
+        longest = max(columns * width, rows * height)
+        # All lengths are even, because video encoders need even sides.
+        pitch = min(max(_PITCH, math.ceil(_SHORTEST / longest)), 9 * _LONGEST // (10 * longest))
+        self.pitch = pitch = max(pitch // 2 * 2, _SMALLEST)
+        self.square = max(2, pitch // 4 * 2)
+        self.margin = margin = max(pitch // 4 * 2, 8)
+        side = longest * pitch + (max(columns, rows) + 1) * margin
+        self.shrink = math.ceil(side / _LONGEST)
+        across = _up_to(columns * (width * pitch + margin) + margin, 2 * self.shrink)
+        self.scale = self.shrink * (2 if across >= 400 * self.shrink else 1)
+        self.letters = max(1, (across - 2 * margin) // (_ADVANCE * self.scale))
+        self.lines = math.ceil(_CAPTION / self.letters)
+
+        inside = grid.exists & (np.arange(grid.edges) % AXES != VIA_AXIS)
+        self.tracks = int(capacity.max(initial=1, where=inside))
+        self.roomy = pitch >= _ROOMY and self.tracks <= self.square
+        self.track = self.square // self.tracks if self.roomy else 2 * max(1, pitch // 10)
+        self.start = (pitch - self.track * (self.tracks if self.roomy else 1)) // 2
+
+        self._grid, line = grid, _LINE * self.scale
+        x, y, z = np.unravel_index(np.arange(grid.gcells), grid.shape)
+        row, column = np.divmod(z, columns)
+        panel = line + height * pitch + margin
+        self._x = margin + column * (width * pitch + margin) + x * pitch + pitch // 2
+        self._y = (self.lines + 1) * line + row * panel + (height - 1 - y) * pitch + pitch // 2
+        free = np.flatnonzero(inside & (capacity > 0))
+        end = self.start + self.track * (capacity[free] if self.roomy else 1)
+        self.shapes: list[Shape] = [
+            *self.bars(free, self.start, end, [_FREE]),
+            *(self.around(gcell, self.square // 2, _GCELL) for gcell in range(grid.gcells)),
+        ]
+        fits = 8 * _ADVANCE * self.scale <= width * pitch + margin
+        for layer in range(layers):
+            corner = self.around(grid.number(0, height - 1, layer), pitch // 2, _INK)
+            name = f"{'layer ' if fits else 'l'}{layer + 1}"
+            self.shapes.append(Words(corner.left, corner.top - line, name, self.scale))
+        bottom = self.lines * line + rows * panel
+        self.shapes += self._legend(layers > 1, bottom, across - margin)
+        last = max(shape.y for shape in self.shapes if isinstance(shape, Words))
+        bottom = _up_to(last + line + margin // 2, 2 * self.shrink)
+        self.canvas = np.full((bottom, across, 3), _BACKGROUND, np.uint8)
+        _paint(self.canvas, self.shapes)
+        self.canvas.setflags(write=False)
+
+    @staticmethod
+    def of(scene: Scene) -> "Sheet":
+        """The sheet of a scene, which all scenes of its problem share."""
+        return _sheet(scene.grid, scene.capacity.tobytes())
+
+    def bars(
+        self, edges: NDArray[np.integer], low: Any, high: Any, inks: Sequence[Ink]
+    ) -> list[Shape]:
+        """Bars on edges inside layers.
+
+        Args:
+            edges: the edges.
+            low: where each bar begins, from the border between two rows of Gcells.
+            high: where it ends.
+            inks: the colour of each, or of all.
+        """
+        near, far = self._grid.ends(edges)
+        half, low, high = self.square // 2, low - self.pitch // 2, high - self.pitch // 2
+        x, y = self._x[near], self._y[near]
+        along_x = np.stack((x + half, y + low, self._x[far] - half, y + high), axis=1)
+        along_y = np.stack((x + low, self._y[far] + half, x + high, y - half), axis=1)
+        sides: list[Any] = np.where((edges % AXES == 0)[:, None], along_x, along_y).tolist()
+        return [Box(*own, inks[n % len(inks)]) for n, own in enumerate(sides)]
+
+    def around(self, gcell: int, reach: int, ink: Ink) -> Box:
+        """A square around the middle of a Gcell."""
+        x, y = int(self._x[gcell]), int(self._y[gcell])
+        return Box(x - reach, y - reach, x + reach, y + reach, ink)
+
+    def disc(self, gcell: int, radius: float, ink: Ink) -> Disc:
+        """A disc in the middle of a Gcell."""
+        return Disc(int(self._x[gcell]), int(self._y[gcell]), max(1, round(radius)), ink)
+
+    def words(self, row: int, text: str) -> Words:
+        """A line of the caption."""
+        return Words(self.margin, self.margin // 2 + row * _LINE * self.scale, text, self.scale)
+
+    def _legend(self, vias: bool, top: int, right: int) -> Iterator[Shape]:
+        """What the marks and colours mean."""
+        unit = self.scale
+        side, net = 8 * unit, [colour_of(n) for n in range(3)]
+        lines = [Box(0, (1 + 2 * n) * unit, side, (3 + 2 * n) * unit, net[n]) for n in range(3)]
+
+        def box(inset: int, ink: Ink) -> Box:
+            return Box(inset, inset, side - inset, side - inset, ink)
+
+        def disc(radius: int, ink: Ink) -> Disc:
+            return Disc(side // 2, side // 2, radius * unit, ink)
+
+        signs: dict[str, list[Shape]] = {
+            "head": [disc(4, _INK), disc(3, net[0])],
+            "target": [box(0, net[0]), box(unit, _BACKGROUND)],
+            "to move": [box(0, _HALO)],
+        }
+        if vias:
+            signs["via"] = [box(0, _GCELL), disc(2, _INK)]
+        if self.roomy:
+            signs["nets, by colour"] = [*lines]
+            signs["full"] = [box(0, _INK), *lines]
+            signs["overflowed"] = [box(0, _OVERFLOWED), *lines]
+        else:
+            ramp = enumerate(_RAMP.astype(int).tolist())
+            fifth = side / len(_RAMP)
+            signs["used to full"] = [
+                Box(round(n * fifth), 0, round((n + 1) * fifth), side, tuple(ink))
+                for n, ink in ramp
+            ]
+            signs["overflowed"] = [box(0, _OVERFLOWED)]
+        left = self.margin
+        for words, sign in signs.items():
+            width = side + unit * (_ADVANCE * len(words) + 3)
+            if left > self.margin and left + width > right:
+                top, left = top + _LINE * unit, self.margin
+            for shape in sign:
+                if isinstance(shape, Box):
+                    yield Box(
+                        shape.left + left, shape.top + top,
+                        shape.right + left, shape.bottom + top, shape.ink,
+                    )  # fmt: skip
+                else:
+                    yield shape._replace(x=shape.x + left, y=shape.y + top)
+            yield Words(left + side + 3 * unit, top, words, unit)
+            left += width + 7 * unit
+
+
+@functools.lru_cache(maxsize=8)
+def _sheet(grid: Grid, capacity: bytes) -> Sheet:
+    return Sheet(grid, np.frombuffer(capacity, np.int32))
+
+
+def _up_to(length: int, unit: int) -> int:
+    """The smallest multiple of ``unit`` that is at least ``length``."""
+    return -(-length // unit) * unit
 
 
 # Window -----------------------------------------------------------------------------------------

@@ -100,8 +100,6 @@ class PaperReward:
             if overflow is allowed.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     reached: float = 100.0
     step: float = -1.0
     own_edge: float | None = None
@@ -178,8 +176,6 @@ class TeamReward:
         wirelength: price of an edge that a net uses.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     overflow: float = 10.0
     open: float = 100.0
     wirelength: float = 1.0
@@ -235,8 +231,6 @@ class PotentialReward:
         scale: factor of all rewards.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     gamma: float = 1.0
     scale: float = 1.0
 
@@ -261,8 +255,6 @@ class MixedReward:
         parts: for each reward a mapping with ``kind``, its options, and its ``weight`` (1 unless
             it is given).
     """
-
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     parts: tuple[Mapping[str, Any], ...] = ({"kind": "paper"}, {"kind": "potential"})
 

@@ -143,8 +143,7 @@ class ProblemStream:
         source: one problem; several, of which every episode plays one drawn at random; or options
             of the generator with ``seed=None``, by which every episode plays a new one.
         scenario: the name of a scenario, in place of a source.
-        split: which problems of the scenario: every episode plays a new one of ``train``, or one
-            drawn at random of ``validation`` or ``test``.
+        split: which problems of the scenario.
         held_out: how many of the first numbers are never drawn, where every episode plays a new
             problem of a generator.
 
@@ -246,11 +245,6 @@ class ProblemSampler:
     What a game plays in an episode depends on the seed, on the game's place and on the number of
     the episode: not on the other games, and not on who asks first.
 
-    Args:
-        episodes: the problems to draw from.
-        seed: a whole number from 0, where the random numbers start.
-        games: M.
-
     Attributes:
         episodes: the problems to draw from.
         seeds: (M,) objects, the seed of each game.
@@ -285,14 +279,8 @@ class ProblemSampler:
     def begin(self, seeds: Sequence[int | None], which: NDArray[np.bool_]) -> None:
         """Begins with other seeds, and the first episodes, in the games in ``which`` (M,).
 
-        The next episodes play their problems; until then those of the last ones stay in place.
-
-        Args:
-            seeds: M; a game whose seed is None goes on as it is.
-            which: the games.
-
-        Raises:
-            InputError: one of them is no seed.
+        A game whose seed is None goes on as it is. The next episodes play the problems drawn; until
+        then those of the last ones stay in place. Raises InputError for what is no seed.
         """
         for m in np.flatnonzero(which).tolist():
             if seeds[m] is not None:
@@ -301,11 +289,7 @@ class ProblemSampler:
     def go_to(
         self, counts: NDArray[np.integer], seeds: NDArray[np.object_] | None = None
     ) -> list[int]:
-        """Goes to where each game has begun some number of episodes.
-
-        Args:
-            counts: (M,) the numbers.
-            seeds: (M,) the seeds of the games; None: those that they have.
+        """Goes to where each game has begun some number of episodes (M,), perhaps with other seeds.
 
         Returns:
             The games that play another problem now than before.

@@ -251,7 +251,6 @@ class BatchEnv(EzPickle):
             raise ValueError(f"actions: expected shape {b.actions.shape}, found {actions.shape}")
         self.engine.check(actions if self._everyone else actions[:, 0])
         b.actions[:] = actions
-        self.engine.make_room()  # not in the threads: parts share their arrays
         first, *others = self._players
         if self._process != os.getpid():  # a fork: the threads have stayed behind
             self._start_threads()

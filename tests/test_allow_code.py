@@ -141,8 +141,8 @@ COMMANDS: dict[str, tuple[tuple[str, ...], str]] = {
         ("route", "p.gr", "--router", "learned", "weights=generalist.pt", "seconds=0.1"),
         "generalist.pt: env.reward: names code",
     ),
-    "animate": (
-        ("animate", "p.gr", "--checkpoint", "reward.pt", "--out", "a.svg"), "reward.pt: env.reward",
+    "view": (
+        ("view", "p.gr", "--checkpoint", "reward.pt", "--out", "a.svg"), "reward.pt: env.reward",
     ),
     "experiment": (("experiment", "e.yaml"), "e.yaml:4: routers.a.router: names code, evil:Mine"),
     "experiment config": (("experiment", "f.yaml"), "f.yaml: train.yaml:4: env.reward.kind: names"),

@@ -52,13 +52,14 @@ def test_too_many_nets_give_a_map_and_the_title_says_so(busy):
     problem, solution = busy
     for figure in (
         figures.solution_2d(problem, solution, "astar"),
-        figures.solution_3d(problem, solution, "astar"),
         figures.comparison({"one": solution, "two": solution}),
     ):
         assert all("41 nets are too many to draw: congestion map" in t for t in titles(figure))
         assert not figure.legends  # there are no lines to explain
         bars = [*figure.axes, *(child for axes in figure.axes for child in axes.child_axes)]
         assert any("demand / capacity [%]" in axes.get_ylabel() for axes in bars)
+    layers = figures.solution_3d(problem, solution, "astar")
+    assert "41 nets are too many to draw" in layers.get_suptitle()
     (image,) = figures.solution_2d(problem, solution).axes[0].images
     values, _ = congestion.congestion(problem, solution)
     shown = np.asarray(image.get_array())

@@ -248,8 +248,8 @@ def test_commands(
 
     expected = judged("evaluate", "p.gr", "p.solution")
     assert judged("evaluate", "P.GR.gz", "p.astar.solution.gz") == expected
-    judged("report", "P.GR.gz", "p.astar.solution.gz")
-    judged("guide", "P.GR.gz", "p.astar.solution.gz", "--out", "g.guide.gz")
+    judged("evaluate", "P.GR.gz", "p.astar.solution.gz", "--report")
+    judged("convert", "P.GR.gz", "g.guide.gz", "--solution", "p.astar.solution.gz")
     assert gzip.decompress(Path("g.guide.gz").read_bytes()) == Path("p.guide").read_bytes()
     of_guide = judged("evaluate", "p.gr", "p.guide")
     assert judged("evaluate", "P.GR.gz", "g.guide.gz") == of_guide

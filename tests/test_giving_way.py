@@ -375,7 +375,7 @@ def test_only_the_generalist_negotiates() -> None:
         ({"next_pin": "nearest", "decomposition": "steiner"}, "next_pin: expected listed"),
         (
             {"rip_up": "all"},
-            "rip_up: expected a mapping of rounds, choose, neighbours, found 'all'",
+            "rip_up: expected a mapping of rounds, choose, neighbours or null, found 'all'",
         ),
         ({"rip_up": {"choose": "price"}}, "rip_up.choose: expected one of all, conflicts, history"),
         ({"rip_up": {"round": 1}}, "rip_up.round: unknown key; did you mean rounds"),

@@ -261,7 +261,6 @@ def test_dependencies_are_the_declared_ones() -> None:
         "numba",
         "numpy",
         "pettingzoo",
-        "pydantic",
         "yaml",
     }
     allowed = declared | OPTIONAL | {"marouting"} | sys.stdlib_module_names
@@ -270,7 +269,7 @@ def test_dependencies_are_the_declared_ones() -> None:
         assert set(imports(ast.parse(file.read_text("utf-8")))) <= allowed | named
 
 
-def test_the_plain_environments_need_neither_a_compiler_nor_pydantic() -> None:
+def test_the_plain_environments_need_no_compiler() -> None:
     """Importing, making, resetting and a first step, in every interface and with options."""
     code = """
         import sys, time
@@ -289,7 +288,7 @@ def test_the_plain_environments_need_neither_a_compiler_nor_pydantic() -> None:
             env.step(dict.fromkeys(env.agents, 0))
         env.state(), env.solution()
         gymnasium.make(marouting.ENVIRONMENT_ID, problem=problem).reset()
-        print([name for name in ("numba", "pydantic", "torch") if name in sys.modules], spent)
+        print([name for name in ("numba", "torch") if name in sys.modules], spent)
     """
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(code)],

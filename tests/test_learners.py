@@ -1122,7 +1122,7 @@ def test_ppo_learns_the_one_game_there_is() -> None:
         ("dqn", {"network": {"kind": "mlp", "width": 3}}, "width: unknown key"),
         ("dqn", {"network": {"kind": "lmp"}}, "unknown network 'lmp'; did you mean mlp?"),
         ("ppo", {"rollout": 100, "minibatch": 64}, "rollout: expected a multiple of minibatch"),
-        ("ppo", {"critic": "mine"}, "critic: expected 'own' or 'central'"),
+        ("ppo", {"critic": "mine"}, "critic: expected one of own, central"),
         ("ppo", {"clip": 0}, "clip: expected a number above 0"),
     ],
 )

@@ -338,10 +338,10 @@ def test_commands_take_designs(
     # Solutions go through convert both ways, to ISPD text, which .gr files have as well.
     assert status(["convert", *given, "r.solution", "--solution", "r.guide"]) == 0
     assert status(["convert", "chip.gr", "r.PR_output", "--solution", "r.solution"]) == 0
-    again = ["guide", *given, "r.PR_output", "--out", "again.guide"]
+    again = ["convert", *given, "again.guide", "--solution", "r.PR_output"]
     assert status(again) == 0
     assert Path("again.guide").read_text() == Path("r.guide").read_text()
-    assert status(["report", *given, "r.guide"]) == 0
+    assert status(["evaluate", *given, "r.guide", "--report"]) == 0
     assert "overflow 0 on 0 edges" in capsys.readouterr().out
     assert status(["convert", *given, "x.gr", "--format", "guide"]) == 2
     assert "--format: expected ispd2008" in capsys.readouterr().err

@@ -236,10 +236,10 @@ def test_routes_of_a_design(
 
     own, same = (["chip.def", f"n1.{suffix}"] for suffix in ("segs", "solution"))
     assert judged("evaluate", *own) == judged("evaluate", *same)
-    judged("report", *own)
+    judged("evaluate", *own, "--report")
     judged("view", *own, "--out", "v.html")
-    judged("guide", *own, "--out", "own.guide")
-    judged("guide", *same, "--out", "same.guide")
+    judged("convert", own[0], "own.guide", "--solution", own[1])
+    judged("convert", same[0], "same.guide", "--solution", same[1])
     assert Path("own.guide").read_text() == Path("same.guide").read_text()
     judged("convert", "chip.def", "own.solution", "--solution", "n1.segs")
     assert Solution.read("own.solution", problem) == routes

@@ -480,7 +480,7 @@ def test_a_limit_holds_whatever_the_solver_does(
 ) -> None:
     """It may look at the clock too late, or never."""
     problem = generate(1, (8, 8, 2), nets=60, max_pins=3, capacity=2, seed=5)[0]
-    warm_up(OptimalRouter(), problem)
+    warm_up(OptimalRouter())
     asked = threading.Event()
 
     def never(*_: Any, **__: Any) -> Any:
@@ -501,7 +501,7 @@ def test_a_limit_holds_whatever_the_solver_does(
 def test_a_limit_holds_on_a_large_problem(limit: float) -> None:
     problem = generate(1, (64, 64, 4), nets=3000, capacity=8)[0]
     router = OptimalRouter(time_limit=limit)
-    warm_up(router, problem)
+    warm_up(router)
     began, worked = time.monotonic(), time.process_time()
     found = proven(problem, router)
     assert found.status == "time limit"
@@ -570,7 +570,7 @@ def test_is_a_router_that_reports() -> None:
     [
         ({"time_limit": -1.0}, "time_limit: expected seconds from 0, found -1"),
         ({"time_limit": math.nan}, "time_limit: expected seconds from 0, found nan"),
-        ({"bound": "best"}, "bound: expected 'optimum' or 'relaxation', found 'best'"),
+        ({"bound": "best"}, "bound: expected one of optimum, relaxation, found 'best'"),
         ({"bond": "optimum"}, "bond: unknown key; did you mean bound?"),
     ],
 )

@@ -710,7 +710,7 @@ def test_options_out_of_range(options: dict[str, Any], message: str) -> None:
     ("options", "message"),
     [
         ({"grow": 2.0}, "grow: unknown key; did you mean growth?"),
-        ({"stuck": "often"}, "stuck: expected a valid integer, found 'often'"),
+        ({"stuck": "often"}, "stuck: expected a whole number, found 'often'"),
         ({"decay": float("nan")}, "decay: expected a finite number"),
     ],
 )

@@ -417,7 +417,7 @@ def test_a_registered_name_stands_wherever_a_piece_does() -> None:
         ({"reward": "papre"}, "reward: unknown reward 'papre'; did you mean paper?"),
         ({"reward": {"kind": "paper", "reach": 1}}, "reward.reach: unknown key; did you mean"),
         ({"reward": {"kind": f"{HERE}:Team", "prise": 1}}, "reward.prise: unknown key; did you"),
-        ({"reward": {"kind": f"{HERE}:Team", "price": "x"}}, "reward.price: expected a valid num"),
+        ({"reward": {"kind": f"{HERE}:Team", "price": "x"}}, "reward.price: expected a number"),
         ({"reward": f"{HERE}:Nothing"}, "there is no class Nothing"),
         ({"reward": "nowhere.at_all:Team"}, "there is no module nowhere"),
         ({"observation": {"kind": 3}}, "observation: kind: expected a name, found 3"),

@@ -171,7 +171,7 @@ def test_the_benchmarks_engine_can_stand_in_its_file(
     assert status([*command, "two", "engine=local"]) == 0
     assert asked == ["ray", "local"]
     assert status([*command, "three", "engine=rai"]) == 2
-    assert "engine: expected 'local' or 'ray'" in capsys.readouterr().err.splitlines()[-1]
+    assert "engine: expected one of local, ray" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_what_a_part_refuses_is_said_in_one_line(

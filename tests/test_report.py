@@ -206,21 +206,21 @@ def test_a_report_by_hand(crowded: Solution) -> None:
 
 
 def test_the_command(crowded: Solution, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["report", "p.gr", "p.solution", "--json", "--map", "map.png"]) == 0
+    assert status(["evaluate", "p.gr", "p.solution", "--report", "--json", "--map", "map.png"]) == 0
     assert json.loads(capsys.readouterr().out) == report(crowded)
     assert Path("map.png").read_bytes().startswith(b"\x89PNG")
-    assert status(["report", "p.gr", "p.solution"]) == 0
+    assert status(["evaluate", "p.gr", "p.solution", "--report"]) == 0
     text = capsys.readouterr().out
     for line in ("overflow 1 on 1 edges, at most 1", "open nets: 1", "  d", "Fullest edges"):
         assert line in text
     assert status(["evaluate", "p.gr", "p.solution", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["open_nets"] == ["d"]
-    assert status(["guide", "p.gr", "p.solution", "--out", "g"]) == 0
+    assert status(["convert", "p.gr", "g", "--solution", "p.solution", "--format", "guide"]) == 0
     said = capsys.readouterr()
     assert "4 nets in g" in said.out
-    assert "1 open nets, whose guides are not connected" in said.err
+    assert "1 open nets, whose routes are not connected" in said.err
     assert Path("g").read_text().startswith("a\n(\n0 0 3 1 Metal1\n")
-    assert status(["report", "p.gr", "p.solution", "--map", "map.xyz"]) == 2
+    assert status(["evaluate", "p.gr", "p.solution", "--map", "map.xyz"]) == 2
     assert "expected a picture's suffix" in capsys.readouterr().err
 
 

@@ -439,12 +439,10 @@ def test_the_heuristic_is_its_plain_version() -> None:
     assert open_nets > 0
 
 
-@pytest.mark.parametrize(("grid", "nets"), [((8, 8, 2), 20), ((32, 32, 2), 512)])
-def test_nothing_is_left_to_compile_after_warming_up(grid: tuple[int, int, int], nets: int) -> None:
-    """Routes of large problems are stored in another way, which is compiled apart."""
-    problem = generate(1, grid, nets=nets, max_pins=3, seed=1)[0]
+def test_nothing_is_left_to_compile_after_warming_up() -> None:
+    problem = generate(1, nets=20, max_pins=3, seed=1)[0]
     router = GeneralistRouter(GeneralistOptions(seconds=2))
-    warm_up(router, problem)
+    warm_up(router)
     kernels = [one for one in gc.get_objects() if issubclass(type(one), Dispatcher)]
     before = [len(kernel.signatures) for kernel in kernels]
     assert router.solve(problem).report["rounds"] > 1
@@ -460,7 +458,7 @@ from policies.routers.registry import make_router
 
 problem = generate(1, (8, 8, 3), nets=30, max_pins=5, capacity=2, seed=1)[0]
 router = make_router(sys.argv[1], json.loads(sys.argv[2]))
-warm_up(router, problem)
+warm_up(router)
 kernels = [one for one in gc.get_objects() if isinstance(one, Dispatcher)]
 before = {one: len(one.signatures) for one in kernels}
 solve(router, problem)[0].pruned()

@@ -640,9 +640,9 @@ GENERATED = marouting.generate(2, nets=3)
     [
         (GENERATED[0], {"scenario": "toy-4x4-v0"}, "problem: expected none beside a scenario"),
         (None, {"scenario": "toy-4x4-v1"}, r"scenario: did you mean toy-4x4-v0\?"),
-        (None, {"scenario": "toy-4x4-v0", "split": "tst"}, "split: expected 'train', 'valid"),
+        (None, {"scenario": "toy-4x4-v0", "split": "tst"}, "split: expected one of train, valid"),
         (None, {"split": "test"}, "split: expected a scenario beside it"),
-        (None, {"scenario": 3}, "scenario: expected a valid string, found 3"),
+        (None, {"scenario": 3}, "scenario: expected a text or null, found 3"),
     ],
 )
 @makers
@@ -767,9 +767,9 @@ def test_a_generator_without_seed_holds_problems_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("train", "env", "said"),
     [
-        ({"games": 2}, {}, "train: games: expected null: a network for each of the problems that"),
-        ({"games": 0, "shared": True}, {}, "train: games: expected a number from 1 to 10000"),
-        ({"validation": 3}, {}, "train: validation: expected null without train.games"),
+        ({"games": 2}, {}, "train.games: expected null: a network for each of the problems that"),
+        ({"games": 0, "shared": True}, {}, "train.games: expected a number from 1 to 10000"),
+        ({"validation": 3}, {}, "train.validation: expected null without train.games"),
         ({"games": 2, "shared": True, "validation": 21}, {"scenario": "toy-4x4-v0"},
          "train.validation: expected at most 20, those of the split, found 21"),
         ({"games": 2, "shared": True, "validation": 2}, {"problem": {"nets": 3}},

@@ -224,7 +224,6 @@ def test_the_command_takes_files_folders_and_run_folders(tmp_path, capfd):
         (["missing.gr", "s.solution"], "missing.gr: cannot be read"),
         (["p.gr", "damaged.solution"], "damaged.solution:1"),
         (["p.gr", "nothing"], "nothing: expected files of solutions of p"),
-        (["p.gr"], "Missing argument"),
     ],
 )
 def test_bad_input_is_one_line(tmp_path, monkeypatch, capfd, arguments, expected):

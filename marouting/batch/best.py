@@ -3,7 +3,7 @@
 The better routes have more tasks joined, then less overflow, then less wirelength.
 """
 
-from marouting.batch.bits import byte_at, byte_of, copy_row, places
+from marouting.batch.bits import byte_of, copy_row
 from marouting.batch.edges import use_edges
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import clear, grow_tree, is_on, keeps_tree
@@ -63,14 +63,14 @@ def take_routes(static: Static, dynamic: Dynamic, m: int, n: int, row: int, join
         joined: how many of the net's tasks these edges join.
     """
     changed = False
-    for at in range(places(dynamic.used, m, n)):
-        byte, bits = byte_at(dynamic.used, m, n, at)
+    for byte in range(dynamic.used.shape[2]):
+        bits = byte_of(dynamic.used, m, n, byte)
         if bits != 0:
             taken = byte_of(dynamic.sets, m, row, byte)
             changed |= taken != bits
             use_edges(static, dynamic, m, n, byte, taken)
-    for at in range(places(dynamic.sets, m, row)):
-        byte, bits = byte_at(dynamic.sets, m, row, at)
+    for byte in range(dynamic.sets.shape[2]):
+        bits = byte_of(dynamic.sets, m, row, byte)
         if bits != 0:
             changed |= byte_of(dynamic.used, m, n, byte) != bits
             use_edges(static, dynamic, m, n, byte, bits)

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import adopt, chosen, forget, has, in_use, numbers_of
-from marouting.batch.growth import lengthened, needed_room
+from marouting.batch.bits import forget, has, numbers_of
 from marouting.batch.observation import write_states
 from marouting.batch.prices import Negotiation
 from marouting.batch.rules import (
@@ -33,7 +32,7 @@ from marouting.batch.setup import (
     replace_problem,
     static_state,
 )
-from marouting.batch.state import ROWS, Dynamic, Static
+from marouting.batch.state import Dynamic, Static
 from marouting.config import check
 from marouting.game import NOBODY, Rules
 from marouting.kernels import compiled, place, wide
@@ -159,8 +158,6 @@ class Engine:
         nets: (M, N) int32, the net of every agent; NOBODY where there is no agent.
         static: the arrays that do not change during an episode.
         dynamic: the arrays that do.
-        hashed: whether ``dynamic.used`` and ``dynamic.sets`` are hashed, as they are where a bit
-            for each net and edge would take much memory; see :mod:`marouting.batch.bits`.
         replaced: (M,) int64, how often a problem has taken the place of another.
 
     Raises:
@@ -195,7 +192,6 @@ class Engine:
         self._held[:] = problems
         self.grid = Grid.of(problems[0].grid)
         self.dynamic = dynamic_state(self.static, self.grid, self.nets.shape[1])
-        self.hashed = self.dynamic.used.ndim == 2
         self._whole: Engine | None = None
         self._parts: list[tuple[Engine, slice]] = []
         self.replaced = np.zeros(len(problems), np.int64)
@@ -277,7 +273,6 @@ class Engine:
         which = np.asarray(np.ones(len(self.games), np.bool_) if which is None else which)
         if which.shape != self.games.shape or which.dtype != np.bool_:
             raise ValueError(f"which: expected {len(self.games)} booleans, found {which}")
-        self.make_room()
         _reset(self.static, self.dynamic, which)
 
     def begin_plain(self, which: NDArray[np.bool_]) -> None:
@@ -319,36 +314,8 @@ class Engine:
             self._parts.append((part, which))
             self._share()
         else:
-            part.dynamic = Dynamic(
-                **{
-                    name: chosen(array, which) if name in ROWS else array[which]
-                    for name, array in self.dynamic._asdict().items()
-                }
-            )
+            part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
         return part
-
-    def make_room(self) -> None:
-        """Makes room for a step where rows of bits are hashed; see :mod:`marouting.batch.growth`.
-
-        The methods of the engine do so themselves. Who hands ``dynamic`` to compiled rules calls
-        this before each step of all agents, and takes ``dynamic`` afterwards: its arrays may be
-        others. Parts that share their arrays get room together, and not while others play.
-
-        Raises:
-            InputError: they take too much memory.
-        """
-        if self.hashed:
-            used, sets = needed_room(self.static, self.dynamic)
-            if used:
-                self._lengthen(used, sets)
-
-    def _lengthen(self, used: int, sets: int) -> None:
-        """Gives hashed rows arrays of these lengths, unless they are longer."""
-        if self._whole is not None:
-            self._whole._lengthen(used, sets)
-        else:
-            self.dynamic = lengthened(self.dynamic, used, sets)
-            self._share()
 
     def _share(self) -> None:
         """Hands the arrays to the parts that share them."""
@@ -394,7 +361,6 @@ class Engine:
         """
         moves = np.asarray(moves)
         self.check(moves)
-        self.make_room()
         (_move_turn if moves.ndim == 1 else _move_all)(self.static, self.dynamic, moves)
 
     def settle(self, everyone: bool) -> None:
@@ -403,7 +369,6 @@ class Engine:
         Args:
             everyone: whether the moves were those of all agents, (M, N).
         """
-        self.make_room()
         (_settle_all if everyone else _settle_turn)(self.static, self.dynamic)
 
     def step(self, moves: NDArray[np.integer]) -> None:
@@ -413,12 +378,7 @@ class Engine:
 
     def save(self) -> Dynamic:
         """A copy of the state of all games, for :meth:`restore`."""
-        return Dynamic._make(array.copy() for array in self.in_use())
-
-    def in_use(self) -> Dynamic:
-        """The state of all games, to be read, without the free part of hashed rows."""
-        used, sets = in_use(self.dynamic.used), in_use(self.dynamic.sets)
-        return self.dynamic._replace(used=used, sets=sets)
+        return Dynamic._make(array.copy() for array in self.dynamic)
 
     def restore(self, saved: Dynamic) -> None:
         """Puts all games back into a saved state.
@@ -430,20 +390,12 @@ class Engine:
         Raises:
             ValueError: its shapes do not fit.
         """
-        if self.hashed:
-            self._lengthen(saved.used.shape[1], saved.sets.shape[1])
         for name, array in self.dynamic._asdict().items():
             kept = getattr(saved, name)
-            # Hashed rows may be of any length.
-            same = array.shape[: 1 if self.hashed and name in ROWS else None]
-            fits = kept.ndim == array.ndim and kept.dtype == array.dtype
-            if not fits or kept.shape[: len(same)] != same:
+            if (kept.shape, kept.dtype) != (array.shape, array.dtype):
                 raise ValueError(f"saved: expected shape {array.shape}, found {kept.shape}")
-            if name in ROWS:
-                adopt(array, kept)
-            else:
-                array[...] = kept
-        self.make_room()
+        for array, kept in zip(self.dynamic, saved, strict=True):
+            array[...] = kept
 
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents, and starts all episodes.

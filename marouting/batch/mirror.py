@@ -5,11 +5,9 @@ them, its plain game (:mod:`marouting.game`) is copied into an engine of one pro
 are read; of its sets only those that have changed since.
 """
 
-from typing import Any
-
 import numpy as np
 
-from marouting.batch.bits import with_row
+from marouting.batch.bits import put_numbers
 from marouting.batch.engine import Engine
 from marouting.batch.state import Option
 from marouting.columns import Columns, Games
@@ -72,9 +70,8 @@ class _Mirror:
             return
         self._known[name, n] = own, len(own)
         numbers, dynamic = np.fromiter(own, np.int64, len(own)), self.engine.dynamic
-        changed: dict[str, Any] = {}
-        if name == "used":
-            changed["used"] = with_row(dynamic.used, 0, n, numbers)
-        else:
-            changed["sets"] = with_row(dynamic.sets, 0, self._options[name] + n, numbers)
-        self.engine.dynamic = dynamic._replace(**changed)
+        rows, row = dynamic.used, n
+        if name != "used":
+            rows, row = dynamic.sets, self._options[name] + n
+        rows[0, row] = 0
+        put_numbers(rows, 0, np.full(len(own), row), numbers)

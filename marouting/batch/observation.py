@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from marouting.batch.bits import byte_at, places
+from marouting.batch.bits import byte_of
 from marouting.batch.rules import is_agent
 from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY, Status
@@ -76,8 +76,8 @@ def write_states(dynamic: Dynamic, out: Any) -> None:
             for channel in range(VIA_AXIS, CHANNELS):
                 out[m, cell, channel] = 0
         for n in range(dynamic.agents.shape[1]):
-            for at in range(places(dynamic.used, m, n)):
-                byte, bits = byte_at(dynamic.used, m, n, at)
+            for byte in range(dynamic.used.shape[2]):
+                bits = byte_of(dynamic.used, m, n, byte)
                 edge = 8 * byte
                 while bits != 0:
                     if bits & 1 and edge % AXES == VIA_AXIS:

@@ -24,10 +24,10 @@ which an edge without a price has :data:`UNIT`; what prices rise by is finer.
 """
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from marouting.batch.best import note_best, put_best
-from marouting.batch.bits import byte_at, places
+from marouting.batch.bits import byte_of
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_on
 from marouting.checks import check_fields
@@ -88,8 +88,6 @@ class Negotiation:
         InputError: an option is out of range.
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-
     prices: bool = True
     patience: int = 0
     present: float = 0.1
@@ -141,8 +139,8 @@ def net_cost(
 ) -> int:
     """What a net's edges cost it in a priced round."""
     cost = wide(0)
-    for at in range(places(rows, m, row)):
-        byte, bits = byte_at(rows, m, row, at)
+    for byte in range(rows.shape[2]):
+        bits = byte_of(rows, m, row, byte)
         edge = wide(8 * byte)
         while bits != 0:
             if bits & 1:

@@ -30,7 +30,7 @@ No move is made, and no reward paid, when nets take earlier routes.
 """
 
 from marouting.batch.best import put_best, take_routes
-from marouting.batch.bits import byte_at, byte_of, empty, places, put, set_byte, span
+from marouting.batch.bits import byte_of, empty, put, set_byte
 from marouting.batch.edges import use_edges
 from marouting.batch.places import grid_of
 from marouting.batch.prices import choose_kind, is_priced, net_cost
@@ -73,8 +73,8 @@ def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
         now: whether an edge costs 1 if it is full now, or the rounds at whose start it was.
     """
     price = wide(0)
-    for at in range(places(dynamic.used, m, n)):
-        byte, bits = byte_at(dynamic.used, m, n, at)
+    for byte in range(dynamic.used.shape[2]):
+        bits = byte_of(dynamic.used, m, n, byte)
         edge = 8 * byte
         while bits != 0:
             if bits & 1:
@@ -175,8 +175,8 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     # Such edges lie close to each other: all other bytes of the nets need not be looked at.
     begin, stop = wide(static.capacity.shape[1]), wide(0)
     empty(dynamic.sets, m, blocking)
-    for at in range(places(dynamic.used, m, n)):
-        byte, bits = byte_at(dynamic.used, m, n, at)
+    for byte in range(dynamic.used.shape[2]):
+        bits = byte_of(dynamic.used, m, n, byte)
         for bit in range(8):
             if bits >> bit & 1 and is_full(static, dynamic, m, 8 * byte + bit):
                 put(dynamic.sets, m, blocking, 8 * byte + bit, wide(1))
@@ -192,9 +192,8 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
                     begin, stop = min(begin, wide(edge >> 3)), max(stop, wide(edge >> 3) + 1)
     for other in range(dynamic.agents.shape[1]):
         count = wide(0)
-        first, end = span(dynamic.used, m, other, begin, stop)
-        for at in range(first, end):
-            byte, bits = byte_at(dynamic.used, m, other, at)
+        for byte in range(begin, stop):
+            bits = byte_of(dynamic.used, m, other, byte)
             if bits != 0:
                 bits &= byte_of(dynamic.sets, m, blocking, byte)
             while bits != 0:
@@ -237,8 +236,8 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
         dynamic.numbers[m, o[Option.KEPT_JOINED] + k] = agent.joined
         kept = place(o[Option.KEPT] + k)
         empty(dynamic.sets, m, kept)
-        for at in range(places(dynamic.used, m, member)):
-            byte, bits = byte_at(dynamic.used, m, member, at)
+        for byte in range(dynamic.used.shape[2]):
+            bits = byte_of(dynamic.used, m, member, byte)
             if bits != 0:
                 set_byte(dynamic.sets, m, kept, byte, bits)
                 use_edges(static, dynamic, m, member, byte, wide(0))

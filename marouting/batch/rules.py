@@ -30,7 +30,7 @@ next task puts the agent on another pin.
 
 from typing import Any
 
-from marouting.batch.bits import byte_at, byte_of, empty, forget, places, put
+from marouting.batch.bits import byte_of, empty, forget, put
 from marouting.batch.edges import demand_of, may_cross, take, use_edges, uses
 from marouting.batch.prices import NO_LIMIT, first_present
 from marouting.batch.rounds import (
@@ -151,8 +151,8 @@ def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     agent = dynamic.agents[m, n]
     if is_on(static, Option.RELEASE_FAILED) and agent.ending == Ending.FAILED:
         row = place(static.options[Option.TAKEN] + n)
-        for at in range(places(dynamic.sets, m, row)):
-            byte, taken = byte_at(dynamic.sets, m, row, at)
+        for byte in range(dynamic.sets.shape[2]):
+            taken = byte_of(dynamic.sets, m, row, byte)
             if taken != 0:
                 kept = byte_of(dynamic.used, m, n, byte) & ~taken
                 use_edges(static, dynamic, m, n, byte, kept)
@@ -246,7 +246,7 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
 @inner
 def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
     """Forgets the rounds of an episode."""
-    # What others of its problem had there is of no use to an agent; hashed rows give it back.
+    # What others of its problem had there is of no use to an agent.
     forget(dynamic.sets, m)
     game = dynamic.games[m]
     game.round = game.place = game.again = game.picked = game.ripped = game.asked = 0

@@ -7,14 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import make_rows
-from marouting.batch.growth import lengthened, needed_room
 from marouting.batch.prices import WHOLE, Negotiation
 from marouting.batch.state import AGENT, GAME, Choice, Dynamic, Option, Static
 from marouting.errors import InputError
 from marouting.game import NOBODY, NetOrder, RipUp, Rules
 from marouting.kernels import compiled, wide
-from marouting.memory import HASHED, PLAYED, TABLES, check_memory
+from marouting.memory import PLAYED, TABLES, check_memory
 from marouting.problem.grid import VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem
 from marouting.trees.decomposition import two_pin_tasks
@@ -235,10 +233,7 @@ _PLAIN = _options(Rules(), (0, 0, 0))
 
 
 class More(NamedTuple):
-    """Views of the state of the options, by name; see :class:`Option`. Empty where switched off.
-
-    Sets are also empty where their rows are hashed, see :mod:`marouting.batch.bits`.
-    """
+    """Views of the state of the options, by name; see :class:`Option`. Empty where switched off."""
 
     tree: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
     visited: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
@@ -262,9 +257,6 @@ def more_of(static: Static, dynamic: Dynamic) -> More:
         (range(Option.LINE, Option.QUEUE + 1), dynamic.numbers),
     ):
         begins = [int(static.options[part]) for part in parts]
-        if array is dynamic.sets and array.ndim == 2:
-            found += [array[:, :0]] * len(begins)
-            continue
         for place, begin in enumerate(begins):
             later = [other for other in begins[place + 1 :] if other >= 0]
             end = later[0] if later else array.shape[1]
@@ -286,30 +278,20 @@ def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
     m, edges = static.capacity.shape
     ways, rows = -(-edges // 8), int(static.options[Option.ROWS])
     columns = int(static.options[Option.COLUMNS])
-    hashed = is_hashed(agents, edges)
-    bits = (agents + rows) * (HASHED if hashed else ways)
     check_memory(
-        m * (bits + 8 * columns), "the routes of {} nets on a grid of {}", m * agents, grid
+        m * ((agents + rows) * ways + 8 * columns),
+        "a batch with {} nets on a grid of {} (global_routing_v0.env has room for more)",
+        m * agents,
+        grid,
     )
-    dynamic = Dynamic(
+    return Dynamic(
         remaining=np.empty((m, edges), np.int32),
-        used=make_rows(m, agents, ways, hashed=hashed),
+        used=np.zeros((m, agents, ways), np.uint8),
         agents=np.zeros((m, agents), AGENT),
         games=np.zeros(m, GAME),
-        sets=make_rows(m, rows, ways, hashed=hashed),
+        sets=np.zeros((m, rows, ways), np.uint8),
         numbers=np.zeros((m, columns), np.int64),
     )
-    return lengthened(dynamic, *needed_room(static, dynamic)) if hashed else dynamic
-
-
-PER_NET, PER_EDGE = 4096, 4
-"""Bytes up to which rows of bits are wide: so many for each net, and for each edge as many as its
-capacity takes."""
-
-
-def is_hashed(agents: int, edges: int) -> bool:
-    """Whether the rows of bits of a game are hashed; see :mod:`marouting.batch.bits`."""
-    return agents * -(-edges // 8) > PER_NET * agents + PER_EDGE * edges
 
 
 @compiled

@@ -3,7 +3,7 @@
 The state of M problems with N agents on one grid shape is held in plain arrays, with the problem as
 the first axis. There are G Gcells, E edges, Z layers, K tasks over all problems, and P nets at most
 that walk again at a time. Arrays of options that are switched off have no elements. Sets of edges
-and Gcells are rows of bits, hashed where grids are large (:mod:`marouting.batch.bits`). Only
+and Gcells are rows of bits (:mod:`marouting.batch.bits`). Only
 :mod:`marouting.batch.rules`, and what it calls, changes the dynamic state.
 """
 
@@ -138,16 +138,12 @@ class Dynamic(NamedTuple):
     """What changes during an episode."""
 
     remaining: NDArray[np.int32]  # (M, E) capacity minus demand
-    used: NDArray[Any]  # (M, N, ceil(E / 8)) uint8, bit e % 8 of byte e // 8: the net uses edge e;
-    # or the same as hashed rows
+    used: NDArray[Any]  # (M, N, ceil(E / 8)) uint8, bit e % 8 of byte e // 8: the net uses edge e
     agents: NDArray[Any]  # (M, N) AGENT
     games: NDArray[Any]  # (M,) GAME
-    sets: NDArray[Any]  # (M, R, ceil(E / 8)) uint8, or hashed rows: sets of options; see Option
+    sets: NDArray[Any]  # (M, R, ceil(E / 8)) uint8, sets of options; see Option
     numbers: NDArray[np.int64]  # (M, C) numbers of the options; see Option
 
-
-ROWS = "used", "sets"
-"""What of the dynamic state are rows of bits."""
 
 MASKS = np.array(
     [

@@ -18,7 +18,7 @@ Distances are Manhattan distances over x, y and layer; ties go to the task liste
 Gcell with the lowest number. With Steiner trees, "pin" stands for Steiner points as well.
 """
 
-from marouting.batch.bits import byte_at, empty, has, places, put
+from marouting.batch.bits import byte_of, empty, has, put
 from marouting.batch.edges import uses
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.game import NOBODY, Crossing, Ending
@@ -93,8 +93,8 @@ def nearest_in_tree(static: Static, dynamic: Dynamic, m: int, n: int, pin: int) 
     """The Gcell of a net's tree that is nearest to another Gcell, and its distance."""
     nearest, least = wide(0), wide(1 << 62)
     row = place(static.options[Option.TREE] + n)
-    for at in range(places(dynamic.sets, m, row)):
-        byte, bits = byte_at(dynamic.sets, m, row, at)
+    for byte in range(dynamic.sets.shape[2]):
+        bits = byte_of(dynamic.sets, m, row, byte)
         cell = 8 * byte
         while bits != 0:
             if bits & 1:

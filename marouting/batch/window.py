@@ -64,7 +64,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from marouting.batch.bits import byte_at, places
+from marouting.batch.bits import byte_of
 from marouting.batch.edges import uses
 from marouting.batch.engine import check_rows
 from marouting.batch.expected import (
@@ -136,8 +136,6 @@ class WindowObservation:
         channels: what is seen of them, some of ``capacity``, ``demand``, ``history``, ``own``,
             ``pins`` and ``heads``.
     """
-
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     radius: int = 2
     layers: int = 1
@@ -558,8 +556,8 @@ def _state(static: Static, dynamic: Dynamic, maps: Maps, where: _Where, out: Any
         pins = begin + AXES * wide(where.own >= 0)
         for n in range(dynamic.agents.shape[1]):
             if where.own >= 0:
-                for at in range(places(dynamic.used, m, n)):
-                    byte, bits = byte_at(dynamic.used, m, n, at)
+                for byte in range(dynamic.used.shape[2]):
+                    bits = byte_of(dynamic.used, m, n, byte)
                     edge = 8 * byte
                     while bits != 0:
                         if bits & 1:

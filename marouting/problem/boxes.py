@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.kernels import compiled
-from marouting.memory import USED, check_memory
+from marouting.memory import USED
 from marouting.problem.chip import Chip, Places
-from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.grid import AXES, VIA_AXIS, gcells_of_boxes, neighbours
 from marouting.problem.net import FieldError
 from marouting.problem.parts import root_of
 from marouting.problem.problem import Problem
@@ -65,26 +65,15 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
         )
     first = [np.searchsorted(at, box[:, i], "right") - 1 for i, at in enumerate((chip.x, chip.y))]
     last = [np.searchsorted(at, box[:, i + 2], "left") for i, at in enumerate((chip.x, chip.y))]
-    wide, high_ = last[0] - first[0], last[1] - first[1]
-    sizes = wide * high_
-    gcells = int(sizes.sum())  # a line of text may cover millions
-    check_memory(USED * gcells, "boxes of {} Gcells", gcells)
-    index = np.repeat(np.arange(len(net)), sizes)
-    place = np.arange(len(index)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    index, x, y = gcells_of_boxes(first, last, USED, "boxes of {} Gcells")
     _, rows, layers = problem.grid
-    x, y = first[0][index] + place // high_[index], first[1][index] + place % high_[index]
     size = int(np.prod(problem.grid))
     keys = net[index] * size + (x * rows + y) * layers + layer[index]
     covered = np.unique(keys)
-    position = np.stack(np.unravel_index(covered % size, problem.grid), axis=1)
     inside = (x + 1 < last[0][index], y + 1 < last[1][index])  # the next Gcell is of the same box
     ends, axes, costs = [], [], []
     for axis in range(AXES):
-        at = np.flatnonzero(position[:, axis] + 1 < problem.grid[axis])
-        other = np.searchsorted(covered, covered[at] + problem.strides[axis])
-        other = np.minimum(other, len(covered) - 1)
-        both = covered[other] == covered[at] + problem.strides[axis]
-        at, other = at[both], other[both]
+        at, other = neighbours(problem.grid, covered, axis)
         ends.append(np.stack((at, other)))
         axes.append(np.full(len(at), axis))
         cost = np.zeros(len(at), np.int64)
@@ -105,15 +94,7 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
 
 @compiled
 def _mark_joins(near: Any, far: Any, order: Any, part: Any, kept: Any) -> None:
-    """Joins vertices by edges and marks the edges that joined two parts.
-
-    Args:
-        near: (n,) one end of every edge.
-        far: (n,) the other.
-        order: the edges to be looked at, in this order.
-        part: (vertices,) leads from each vertex to one of its part; changed.
-        kept: (n,) receives True for edges that joined two parts.
-    """
+    """Joins vertices by edges and marks the edges that joined two parts."""
     for edge in order:
         a, b = root_of(part, near[edge]), root_of(part, far[edge])
         if a != b:

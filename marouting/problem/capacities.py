@@ -28,9 +28,6 @@ def as_adjustments(
         capacity: (X, Y, Z) of the edge from each Gcell to the next one along its layer's axis.
         axis: (Z,) 0 or 1, the direction of each layer's wires.
         wires: (Z,) whether a layer has wires at all; the others have no capacity.
-
-    Raises:
-        InputError: the adjustments would take too much memory.
     """
     layers = capacity.shape[2]
     usual = np.zeros((2, layers), np.int64)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.problem.chip import Contest, Places
-from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.grid import AXES, VIA_AXIS, neighbours
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution, joined_parts
 
@@ -60,12 +60,6 @@ def contest_cost(solution: Solution) -> ContestCost:
     passes: so a stack of vias costs capacity in every layer that it only passes. An edge's demand
     and capacity are those of its lower Gcell. An edge that a net lists several times counts once
     here, and each time in the contest.
-
-    Args:
-        solution: of a problem of the contest.
-
-    Raises:
-        InputError: its problem is none of the contest's.
     """
     problem = solution.problem
     contest = contest_of(problem)
@@ -156,28 +150,18 @@ def _open_nets(
 
     Neighbouring Gcells of one net are joined if wires or vias of it lie in both, whether or not an
     edge of it joins them.
-
-    Args:
-        problem: the problem.
-        wired: nets · G + Gcells at the ends of wires, with repetitions.
-        via_net: (vias,) the net of each via.
-        via: (vias,) its lower Gcell.
     """
     assert problem.chip is not None
     size = int(np.prod(problem.grid))
     lower = via_net * size + via
     covered = np.unique(np.concatenate((wired, lower, lower + 1)))
-    position = np.stack(np.unravel_index(covered % size, problem.grid), axis=1)
     ends = []
     for axis in range(AXES):
-        possible = position[:, axis] + 1 < problem.grid[axis]
+        pairs = np.stack(neighbours(problem.grid, covered, axis))
         if axis != VIA_AXIS:
-            possible &= problem.chip.wires[position[:, VIA_AXIS], axis]
-        at = np.flatnonzero(possible)
-        other = np.searchsorted(covered, covered[at] + problem.strides[axis])
-        other = np.minimum(other, len(covered) - 1)
-        both = covered[other] == covered[at] + problem.strides[axis]
-        ends.append(np.stack((at[both], other[both])))
+            layer = covered[pairs[0]] % problem.grid[2]
+            pairs = pairs[:, problem.chip.wires[layer, axis]]
+        ends.append(pairs)
     near, far = np.concatenate(ends, axis=1)
     part = joined_parts(near, far, len(covered))
     places = _places_of(problem)

@@ -9,12 +9,14 @@ their numbers exist, the edges do not.
 import enum
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from marouting.memory import check_memory
 
 OFF_GRID = -1
 """Stands in the tables for a Gcell or edge that does not exist, as a move would leave the grid."""
@@ -185,3 +187,46 @@ neighbours."""
 def _read_only(table: Any) -> Any:
     table.setflags(write=False)
     return table
+
+
+def counted(sizes: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Of ``sizes[i]`` things for every i: the i of each thing, and its place among those of i."""
+    index = np.repeat(np.arange(len(sizes)), sizes)
+    return index, np.arange(len(index)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+
+
+def gcells_of_boxes(
+    first: Sequence[NDArray[np.int64]], last: Sequence[NDArray[np.int64]], each: int, what: str
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """(k,) thrice: for every Gcell of every box the box's index, the column and the row.
+
+    Args:
+        first: first column and first row of every box.
+        last: column and row behind the last ones.
+        each: bytes that will be taken by the Gcell.
+        what: what takes them, for the error, as for :func:`marouting.memory.check_memory`.
+
+    Raises:
+        InputError: they would take too much memory: a line of text may cover millions.
+    """
+    high = last[1] - first[1]
+    sizes = (last[0] - first[0]) * high
+    count = int(sizes.sum())
+    check_memory(each * count, what, count)
+    index, place = counted(sizes)
+    return index, first[0][index] + place // high[index], first[1][index] + place % high[index]
+
+
+def neighbours(
+    shape: tuple[int, int, int], keys: NDArray[np.int64], axis: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which of some net · G + Gcell, ascending, have the next Gcell along an axis beside them.
+
+    Returns:
+        (k,) twice: indices of both.
+    """
+    stride = (shape[1] * shape[2], shape[2], 1)[axis]
+    at = np.flatnonzero(keys // stride % shape[axis] + 1 < shape[axis])
+    other = np.minimum(np.searchsorted(keys, keys[at] + stride), len(keys) - 1)
+    both = keys[other] == keys[at] + stride
+    return at[both], other[both]

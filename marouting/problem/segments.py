@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.memory import USED, check_memory
-from marouting.problem.grid import AXES, OFF_GRID
+from marouting.problem.grid import AXES, OFF_GRID, counted
 from marouting.problem.net import FieldError, Pin
 from marouting.problem.problem import Problem
 
@@ -65,8 +65,7 @@ def edges_between(
     axis, length = span.argmax(axis=1), span.sum(axis=1)
     edges = int(length.sum())  # a line of text may cover millions
     check_memory(USED * edges, "a solution of {} edges", edges)
-    segment = np.repeat(np.arange(len(length)), length)
-    step = np.arange(len(segment)) - np.repeat(np.cumsum(length) - length, length)
+    segment, step = counted(length)
     first = AXES * gcells.min(axis=1) + axis
     return segment, first[segment] + AXES * problem.strides[axis[segment]] * step
 

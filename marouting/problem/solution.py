@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.files import suffix_of
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled
 from marouting.problem import ispd
 from marouting.problem.boxes import Boxes, boxes_of, edges_in_boxes
 from marouting.problem.chip import Places
 from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS
-from marouting.problem.net import MAX_NUMBER, FieldError
+from marouting.problem.net import FieldError
 from marouting.problem.parts import root_of
 from marouting.problem.problem import Problem, check_problem
 from marouting.problem.segments import (
@@ -297,13 +297,7 @@ class Solution:
 def _shared_places(
     problem: Problem, places: Places, routed: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Nets · G + Gcell of the first Gcell that all pins of a net without edges have in common.
-
-    Args:
-        problem: the problem.
-        places: of its pins.
-        routed: the nets with edges, with repetitions.
-    """
+    """Nets · G + Gcell of the first Gcell that all pins of a net without edges have in common."""
     size = int(np.prod(problem.grid))
     pins = np.diff(places.first_pin)
     owner = np.repeat(np.arange(len(pins)), pins)
@@ -452,50 +446,13 @@ def _used_edges(
     problem: Problem, solution: Solution
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """:attr:`Solution.used_edges`, but with the widths and spacings of ``problem``."""
-    edge = np.empty(len(solution.uses[1]), np.int64)
-    _write_tracks(*solution.uses, problem.net_demand, edge)
-    edge.sort()
-    tracks = np.empty_like(edge)
-    size = _sum_tracks(edge, tracks)
-    return edge[:size].copy(), tracks[:size].copy()
-
-
-_TRACK_BITS = (2 * MAX_NUMBER).bit_length()
-"""Bits for what a net takes of an edge, width plus spacing; an edge's number fits above them."""
-
-
-@compiled
-def _write_tracks(net: Any, edge: Any, net_demand: Any, out: Any) -> None:
-    """For every use, edge and tracks in one number, which is sorted faster than an index is."""
-    for use in range(len(edge)):
-        gcell = edge[use] // AXES
-        tracks = wide(0)
-        if edge[use] - AXES * gcell != VIA_AXIS:
-            tracks = wide(net_demand[net[use], gcell % net_demand.shape[1]])
-        out[use] = (edge[use] << _TRACK_BITS) + tracks
-
-
-@compiled
-def _sum_tracks(edge: Any, tracks: Any) -> int:
-    """Takes the sorted numbers of :func:`_write_tracks` apart, with the tracks of an edge summed.
-
-    Args:
-        edge: (uses,) the numbers; receives the edges, each once.
-        tracks: (uses,) receives their tracks.
-
-    Returns:
-        How many edges there are.
-    """
-    size = wide(0)
-    for use in range(len(edge)):
-        own = edge[use] & ((1 << _TRACK_BITS) - 1)
-        now = edge[use] >> _TRACK_BITS
-        if size and edge[size - 1] == now:
-            tracks[size - 1] += own
-        else:
-            edge[size], tracks[size] = now, own
-            size += 1
-    return size
+    net, edge = solution.uses
+    gcell = edge // AXES
+    tracks = problem.net_demand[net, gcell % problem.grid[2]].astype(np.int64)
+    tracks[edge - AXES * gcell == VIA_AXIS] = 0
+    order = np.argsort(edge, kind="stable")
+    used, first = np.unique(edge[order], return_index=True)
+    return used, np.add.reduceat(tracks[order], first) if len(first) else tracks
 
 
 def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -525,11 +482,8 @@ def _graph(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDA
     """One graph that holds the routes of all nets.
 
     Its vertices are pairs of a net and a Gcell where the net has a pin or an edge, numbered in this
-    order.
-
-    Returns:
-        (pin Gcells,) the net of each pin Gcell, and (2 uses + pin Gcells,) vertices: the near ends
-        of all uses, then the far ends, then the pin Gcells.
+    order. What comes back is the net of each pin Gcell, and the vertices at the near ends of all
+    uses, then at the far ends, then of the pin Gcells.
     """
     net, edge = solution.uses
     near, far = problem.topology.ends(edge)
@@ -542,13 +496,7 @@ def _graph(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDA
 
 @compiled
 def _join(near: Any, far: Any, part: Any) -> None:
-    """Joins vertices to connected parts.
-
-    Args:
-        near: (n,) one end of every edge.
-        far: (n,) the other.
-        part: (vertices,) each its own number; receives the lowest number in its part.
-    """
+    """Joins vertices to connected parts."""
     for edge in range(len(near)):
         a, b = root_of(part, near[edge]), root_of(part, far[edge])
         part[max(a, b)] = min(a, b)
@@ -558,17 +506,7 @@ def _join(near: Any, far: Any, part: Any) -> None:
 
 @compiled
 def _mark_ways(ends: Any, pins: Any, first: Any, at: Any, back: Any, queue: Any, kept: Any) -> None:
-    """Marks the edges on the shortest ways from pins to other pins of the same connected part.
-
-    Args:
-        ends: (2, uses) the ends of every edge in use.
-        pins: (pin Gcells,) vertices; the first of a part is where its ways begin.
-        first: (vertices + 1,) zeros; for work.
-        at: (2 uses,) for work.
-        back: (vertices,) for work.
-        queue: (vertices,) for work.
-        kept: (uses,) False; receives True for the edges that stay.
-    """
+    """Marks the edges on the shortest ways from pins to other pins of the same connected part."""
     uses, vertices = ends.shape[1], len(queue)
     # at[first[v] : first[v + 1]] are the edges at vertex v.
     for use in range(uses):

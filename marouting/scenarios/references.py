@@ -41,8 +41,6 @@ class Best:
         seconds: the time that they took, in all.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     overflow: int
     wirelength: int
     bound_overflow: int
@@ -84,8 +82,6 @@ class References:
     Attributes:
         references: by the digest of the problem.
     """
-
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     references: dict[str, Record]
 

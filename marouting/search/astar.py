@@ -425,6 +425,7 @@ def sequential_astar(
     """
     check_problem(problem)
     check_choice("target", target, Target)
+    check_choice("decomposition", decomposition, Decomposition)
     grid, nets = problem.topology, len(problem.nets)
     check_memory(grid.gcells * (TABLES + SEARCH), "A* on a grid of {}", grid)
     if not isinstance(net_order, str):

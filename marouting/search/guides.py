@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import byte_at, make_rows, places, put_numbers
+from marouting.batch.bits import byte_of, put_numbers
 from marouting.batch.edges import may_cross, uses
 from marouting.batch.engine import Engine
 from marouting.batch.state import Dynamic, Static
@@ -103,7 +103,7 @@ class RouteFollower:
         self._buffers = search_buffers(engine.grid)
         count, agents = engine.nets.shape
         bytes_ = -(-engine.static.capacity.shape[1] // 8)
-        self._route = make_rows(count, agents, bytes_, hashed=engine.hashed)
+        self._route = np.zeros((count, agents, bytes_), np.uint8)
         for m, (problem, solution) in enumerate(zip(engine.problems, solutions, strict=True)):
             own = solution.problem
             if (own.grid, own.nets) != (problem.grid, problem.nets):
@@ -113,7 +113,7 @@ class RouteFollower:
             agent[engine.nets[m, agents]] = agents
             net, edge = solution.uses
             edge, n = edge[agent[net] != NOBODY], agent[net][agent[net] != NOBODY]
-            self._route = put_numbers(self._route, m, n, edge)
+            put_numbers(self._route, m, n, edge)
 
     def moves(self, problems: NDArray[np.integer], agents: NDArray[np.integer]) -> NDArray[np.int8]:
         """The next moves of K agents; see :meth:`AStar.moves`."""
@@ -133,8 +133,8 @@ def shortest_path(
         The number of moves, which lie in ``s.search.path``; 0 if source and target are one Gcell.
     """
     s.net[0] += 1
-    for at in range(places(dynamic.used, m, n)):
-        byte, bits = byte_at(dynamic.used, m, n, at)
+    for byte in range(dynamic.used.shape[2]):
+        bits = byte_of(dynamic.used, m, n, byte)
         edge = 8 * byte
         while bits != 0:
             if bits & 1:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from marouting import Problem, evaluate
 from marouting.columns import Games
 from marouting.config import check, config_file
+from marouting.game import RipUp
 from policies.bench.negotiation import write_rows
 from policies.generalist.outlook import OutlookObservation
 from policies.learned.config import load_config
@@ -120,10 +121,7 @@ def compared(seeds: int, episodes: int, count: int, folder: Path) -> Iterator[di
         for seed in range(seeds if name == "nothing" else 1):
             policy = trained(name, seed, episodes, count, folder)
             row: dict[str, Any] = {"without": name, "seed": seed, "episodes": episodes}
-            for game, rounds in (
-                ("shot", 0),
-                ("rounds", config.env.rip_up.rounds if config.env.rip_up else 0),
-            ):
+            for game, rounds in (("shot", 0), ("rounds", (config.env.rip_up or RipUp()).rounds)):
                 for what, value in judged(policy, problems, known, rounds).items():
                     row[f"{game}_{what}"] = round(value, 3)
             yield row

@@ -98,7 +98,7 @@ def main(
 ) -> None:
     """Measures what an oracle brings; writes rows to a file, a table to standard output."""
     for router in (PathfinderRouter, EvolvedRouter):
-        warm_up(router(), problems(families[0])[0])
+        warm_up(router())
 
     def rows(family: str) -> Iterator[dict[str, Any]]:
         if oracle == EVOLVED:

@@ -76,8 +76,6 @@ class BenchmarkConfig:
         engine: where the work is done, as in an experiment.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     routers: dict[str, dict[str, Any] | None] = field(default_factory=dict)
     budget: str | None = None
     seeds: int | None = None
@@ -91,8 +89,6 @@ class Elsewhere:
     Attributes:
         folder: holds a solution for each problem, in a file called ``PROBLEM.…``.
     """
-
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     folder: str
 

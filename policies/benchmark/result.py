@@ -6,6 +6,7 @@ without routes do not say which nets are open, and then have no score.
 """
 
 import json
+import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -13,9 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
-
-from marouting.config import build_json, check
+from marouting.config import Meets, between, build_json, check
 from marouting.files import read_text, write_text
 from policies.benchmark.score import Figures, score
 from policies.results.rows import Count, Measure, Name, Seconds
@@ -29,9 +28,7 @@ CLOSE = 1e-6
 Split = Literal["test", "validation"]
 """The problems of a scenario that can be scored."""
 
-_FORBID = {"extra": "forbid", "allow_inf_nan": False}
-
-Share = Annotated[float, Field(ge=-3, le=4, allow_inf_nan=False)]
+Share = Annotated[float, between(-3, 4)]
 """A score."""
 
 
@@ -45,8 +42,6 @@ class Task:
         reference: those of the proven optimum or the best solution known: score 1.
         proven: whether the reference is proven to be optimal.
     """
-
-    __pydantic_config__ = _FORBID
 
     problem: Name
     astar: tuple[Count, Count, Count]
@@ -75,8 +70,6 @@ class Outcome:
         seconds: wall time, with the training if there was one for this problem; None if not known.
         score: see :mod:`policies.benchmark.score`; None where ``open`` is.
     """
-
-    __pydantic_config__ = _FORBID
 
     problem: Name
     seed: Count | None
@@ -120,8 +113,6 @@ class Result:
             mean of the scores of the best routes so far.
     """
 
-    __pydantic_config__ = _FORBID
-
     format: Literal["marouting-benchmark-1"] = "marouting-benchmark-1"
     scenario: Name
     split: Split = "test"
@@ -132,7 +123,7 @@ class Result:
     version: str
     machine: str
     command: str
-    date: Annotated[str, Field(pattern="^[0-9]{4}-[0-9]{2}-[0-9]{2}$")]
+    date: Annotated[str, Meets(re.compile("[0-9]{4}-[0-9]{2}-[0-9]{2}").fullmatch, "YYYY-MM-DD")]
     seconds: Seconds | None
     training_seconds: Seconds | None
     tasks: tuple[Task, ...]

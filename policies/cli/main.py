@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import TYPE_CHECKING, Any, cast
 
 try:
     import click
@@ -28,25 +28,23 @@ except ImportError:  # pragma: no cover - the command line needs the extra
 from marouting import InputError, Solution, __version__, evaluate, sequential_astar
 from marouting.config import override, read_yaml
 from marouting.files import check_writable, exists, naming, write_text
-from marouting.generator import ReducedPer
+from marouting.generator import GeneratorOptions
 from marouting.problem.contest import contest_cost, with_pins_covered
 from marouting.problem.ispd import FORMATS, Format
 from marouting.problem.solution import ROUTE_FORMATS, RouteFormat
 from marouting.registry import importing_from, names
-from policies.cli.animate import animate
 from policies.cli.benchmark import benchmark
 from policies.cli.completion import file_or_keys, keys_of, options_of_the_router, routers
 from policies.cli.options import (
     FILE,
-    NUMBER,
     WHOLE,
     allow_code_option,
     as_text,
     json_option,
+    options_of,
     overrides_argument,
     tell,
 )
-from policies.cli.report import guide, report
 from policies.cli.source import ProblemFile, problem_argument
 from policies.cli.view import view
 from policies.interrupts import interruptible
@@ -56,7 +54,12 @@ from policies.routers.registry import has_seed, is_learner, make_router, router_
 if TYPE_CHECKING:
     from policies.routers.base import Router
 
-GridShape = click.Tuple([WHOLE, WHOLE, WHOLE])
+_RENAMED = {
+    "animate": "view … --out FILE.svg",
+    "guide": "convert PROBLEM FILE.guide --solution SOLUTION",
+    "report": "evaluate --report",
+}
+"""Commands that there were before version 0.3, and what does the same."""
 
 
 class _Commands(click.Group):
@@ -66,6 +69,8 @@ class _Commands(click.Group):
         """The command of a name."""
         found = super().get_command(ctx, name)
         if found is None and not ctx.resilient_parsing:
+            if name in _RENAMED:
+                raise InputError(f"marouting {name}: it is now marouting {_RENAMED[name]}")
             raise unknown("command", name, tuple(self.list_commands(ctx)))
         return found
 
@@ -82,62 +87,7 @@ def cli() -> None:
 
 
 @cli.command()
-@click.option("--count", type=WHOLE, default=1, show_default=True, help="Number of problems.")
-@click.option(
-    "--grid",
-    type=GridShape,
-    default=(8, 8, 2),
-    show_default=True,
-    help="Size of the grid: columns, rows and layers, in Gcells.",
-)
-@click.option("--nets", type=WHOLE, default=50, show_default=True, help="Nets per problem.")
-@click.option(
-    "--max-pins", type=WHOLE, default=2, show_default=True, help="Largest number of pins per net."
-)
-@click.option(
-    "--capacity", type=WHOLE, default=5, show_default=True, help="Capacity of an edge, in tracks."
-)
-@click.option(
-    "--reduced-edges",
-    type=WHOLE,
-    default=3,
-    show_default=True,
-    help="Number of busiest edges whose capacity is reduced.",
-)
-@click.option(
-    "--reduced-capacity",
-    type=WHOLE,
-    help="Capacity of these edges, in tracks.  [default: two less than --capacity]",
-)
-@click.option(
-    "--reduced-per",
-    type=click.Choice(get_args(ReducedPer)),
-    default="problem",
-    show_default=True,
-    help="Whether edges are the busiest in the A* solution of each problem, or of all problems.",
-)
-@click.option(
-    "--rent",
-    type=NUMBER,
-    help="Rent's exponent, for nets as local as on chips: 0.6 to 0.75.  [default: pins anywhere]",
-)
-@click.option(
-    "--macros",
-    type=WHOLE,
-    default=0,
-    show_default=True,
-    help="Rectangles without capacity but in the two highest layers.",
-)
-@click.option(
-    "--hot-spots",
-    type=WHOLE,
-    default=0,
-    show_default=True,
-    help="Places around which half of the nets begin.",
-)
-@click.option(
-    "--seed", type=WHOLE, default=0, show_default=True, help="Seed of the random numbers."
-)
+@options_of(GeneratorOptions, but=("least",))
 @click.option("--out", type=FILE, required=True, help="Folder for the .gr files.")
 @json_option
 def generate(out: Path, as_json: bool, **options: Any) -> None:
@@ -146,7 +96,7 @@ def generate(out: Path, as_json: bool, **options: Any) -> None:
     OUT may hold problems of these names, which are written anew. It may hold no others: a set of
     40 is not half replaced by one of 20.
     """
-    from marouting.generator import GeneratorOptions, generate_each
+    from marouting.generator import generate_each
     from marouting.source import generated_name
     from policies.cli.progress import problems_bar
     from policies.results.folder import working_in
@@ -195,13 +145,19 @@ def convert(
         what = "a problem" if solution is None else "--solution"
         raise InputError(f"--format: expected {', '.join(known)} for {what}, found {format}")
     loaded = problem.read()
-    if solution is not None:
-        Solution.read(solution, loaded).write(out, cast(RouteFormat | None, format))
-    else:
+    size, nets = list(loaded.grid), len(loaded.nets)
+    if solution is None:
         loaded.write(out, cast(Format, format or "ispd2008"))
-    nets, size = f"{len(loaded.nets)} nets", "x".join(map(str, loaded.grid))
-    text = f"{size}, {nets} in {out}" if solution is None else f"{nets} in {out}"
-    tell(as_json, text, out=out, grid=list(loaded.grid), nets=len(loaded.nets))
+        tell(as_json, f"{loaded.topology}, {nets} nets in {out}", out=out, grid=size, nets=nets)
+        return
+    routes = Solution.read(solution, loaded)
+    routes.write(out, cast(RouteFormat | None, format))
+    reached = routes.at_reached_pins()
+    open_nets = list(evaluate(reached.problem, reached).disconnected)
+    if open_nets:
+        click.echo(f"{len(open_nets)} open nets, whose routes are not connected", err=True)
+    text = f"{nets} nets in {out}"
+    tell(as_json, text, out=out, grid=size, nets=nets, open_nets=open_nets)
 
 
 @cli.command()
@@ -284,7 +240,7 @@ def route(
             solver = make_router(router, options, where)
             save = None if out is None else lambda best: _finished(best, prune).write(out)
             stack.enter_context(waiting(router, solver, save))
-        warm_up(solver, loaded)
+        warm_up(solver)
         started = time.perf_counter()
         solution, report = solve(solver, loaded)
         solution = _finished(solution, prune)
@@ -356,17 +312,46 @@ def _report(
 @cli.command("evaluate")
 @problem_argument
 @click.argument("solution", type=FILE)
+@click.option(
+    "--report",
+    "in_detail",
+    is_flag=True,
+    help="Say where it is crowded and which nets make detours, instead.",
+)
+@click.option(
+    "--map",
+    "picture",
+    type=FILE,
+    help="Picture for a congestion map, such as map.png; without it, none.",
+)
 @json_option
-def evaluate_command(problem: ProblemFile, solution: Path, as_json: bool) -> None:
+def evaluate_command(
+    problem: ProblemFile, solution: Path, in_detail: bool, picture: Path | None, as_json: bool
+) -> None:
     """Evaluate a solution file by the rules of the ISPD 2008 contest's evaluator.
 
     Overflow and wirelength are those of the routes as they are; beside them stand those without
     dead ends and loops, which join nothing (pruned). Of a routing guide, the shortest ways inside
     it are judged. For a problem of the ISPD 2024 contest its cost stands there as well. A pin with
     shapes in several Gcells may be reached in any of them.
+
+    A report has wires and vias by layer, overflow and the edges where it is worst, with the nets
+    that meet there, detours by net against the shortest tree, a histogram of use, and open nets.
     """
     loaded = problem.read()
     routes = Solution.read(solution, loaded).at_reached_pins()
+    if picture is not None:
+        from policies import figures
+
+        check_writable(picture)
+        figures.save(figures.congestion_map(routes.problem, routes, problem.stem), picture)
+    if in_detail:
+        from policies.cli.tables import show_report
+        from policies.results.report import report
+
+        found = report(routes)
+        click.echo(json.dumps(found)) if as_json else show_report(found, str(solution))
+        return
     small = small_problem()
     evaluate(small, sequential_astar(small))  # whatever it compiles or loads is ready then
     started = time.perf_counter()
@@ -531,10 +516,7 @@ def plot(paths: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
         click.echo(path)
 
 
-cli.add_command(report)
-cli.add_command(guide)
 cli.add_command(view)
-cli.add_command(animate)
 
 
 @cli.command()

@@ -3,12 +3,15 @@
 import functools
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, Literal, get_args, get_origin
 
 import click
 
+from marouting.config import attributes, hints_of
 from marouting.registry import allowing_code
 from policies.cli.completion import Complete
 
@@ -46,6 +49,37 @@ WHOLE = _Number(click.INT, "[+-]?[0-9]+")
 
 NUMBER = _Number(click.FLOAT, r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 """A finite number on the command line."""
+
+
+def options_of(schema: Any, but: Collection[str] = ()) -> Callable[[Any], Any]:
+    """Gives a command an option for every field of a dataclass, as the dataclass describes it."""
+    about, hints = attributes(schema), hints_of(schema)
+
+    def add(command: Any) -> Any:
+        for own in reversed(fields(schema)):
+            if own.name not in but:
+                command = click.option(
+                    f"--{own.name.replace('_', '-')}",
+                    type=_type_of(hints[own.name]),
+                    default=own.default,
+                    show_default=own.default is not None,
+                    help=about[own.name].replace("`", ""),
+                )(command)
+        return command
+
+    return add
+
+
+def _type_of(hint: Any) -> Any:
+    """What click reads for a type."""
+    inner = get_args(hint)
+    if get_origin(hint) is Literal:
+        return click.Choice(inner)
+    if get_origin(hint) is tuple:
+        return click.Tuple([_type_of(one) for one in inner])
+    kind = next((one for one in inner if one is not NoneType), hint)
+    return {int: WHOLE, float: NUMBER}[kind]
+
 
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object instead of text."

@@ -34,11 +34,6 @@ def training_bar(
 ) -> "Iterator[Callable[[Sequence[Episode]], None]]":
     """Shows the progress of a training: episodes, time, the best result so far, the last reward.
 
-    Args:
-        done: episodes finished before.
-        total: episodes in all.
-        best: the best episode so far of each problem.
-
     Yields:
         A function to call with the episodes that have finished since the last call.
     """
@@ -73,9 +68,6 @@ def _best(kept: "Mapping[str, Episode]") -> str:
 @contextlib.contextmanager
 def problems_bar(name: str) -> Iterator[Callable[[float, int], None]]:
     """Shows the progress of work on one problem after another.
-
-    Args:
-        name: what the bar is called.
 
     Yields:
         A function to call with the number of problems done so far, and their number in all.
@@ -161,11 +153,7 @@ def _shown(text: str) -> Iterator[Callable[[str], None]]:
 
 @contextlib.contextmanager
 def _asked(begun: threading.Event) -> Iterator[threading.Event]:
-    """Whether Ctrl-C has been pressed; pressed again it does what it did before.
-
-    Args:
-        begun: whether there is somebody to ask; until then it does so the first time, too.
-    """
+    """Whether Ctrl-C has been pressed; pressed again it does what it did before."""
     asked = threading.Event()
     before = signal.getsignal(signal.SIGINT)
 

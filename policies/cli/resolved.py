@@ -2,16 +2,18 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any
-
-from pydantic import TypeAdapter
-from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin
 
 from marouting.config import (
     INCLUDE,
     Keys,
+    Piece,
+    attributes,
     build,
+    hints_of,
     leaves,
     origins_of,
     override,
@@ -70,9 +72,6 @@ def resolve(
     Returns:
         All its values as plain data, and where they are from: ``FILE:LINE``, with files named from
         the folder of the first, ``command line`` or ``default``.
-
-    Raises:
-        InputError: names the file or key, what was expected and what was found.
     """
     raw, name = read_yaml(path), os.fspath(path)
     whole = plain(build(kinds()[kind_of(raw)], override(raw, overrides), name))
@@ -91,24 +90,49 @@ def resolve(
 
 
 def schema_of(command: str) -> dict[str, Any]:
-    """The JSON schema of a command's configurations."""
-    schema = TypeAdapter(kinds()[command]).json_schema(schema_generator=_Schema)
-    file = {"type": "string"}
-    schema["properties"][INCLUDE] = {
-        "anyOf": [file, {"type": "array", "items": file}],
-        "description": "Files to begin from, relative to this one.",
-    }
+    """The JSON schema of a command's configurations, with what docstrings say of the keys."""
+    schema = _schema(kinds()[command])
+    files = {"anyOf": [_schema(str), _schema(list[str])]}
+    schema["properties"][INCLUDE] = {**files, "description": "Files to begin from."}
     return schema
 
 
-class _Schema(GenerateJsonSchema):
-    """Of a piece, editors get to know that it is a name, or a mapping with the name as ``kind``."""
+def _schema(hint: Any) -> dict[str, Any]:
+    """The JSON schema of the values that :func:`marouting.config.taken` takes for a type."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return {"anyOf": [_schema(one) for one in inner]}
+    if origin is Literal:
+        return {"enum": list(inner)}
+    if origin is tuple and inner[-1] is not ...:
+        return {"type": "array", "prefixItems": [_schema(one) for one in inner], "items": False}
+    if origin in (tuple, list):
+        return {"type": "array", "items": _schema(inner[0])}
+    if origin is dict:
+        return {"type": "object", "additionalProperties": _schema(inner[1])}
+    if hint is Piece:  # its name, or a mapping with the name as kind
+        kind = {"type": "object", "properties": {"kind": _schema(str)}}
+        return {"anyOf": [_schema(str), kind]}
+    if not isinstance(hint, type) or not is_dataclass(hint):
+        return {"type": _TYPES[hint]} if hint in _TYPES else {}
+    return {"type": "object", "properties": _properties(hint), "additionalProperties": False}
 
-    def function_plain_schema(self, schema: Any) -> JsonSchemaValue:
-        """The schema of a piece."""
-        del schema
-        kind = {"type": "object", "properties": {"kind": {"type": "string"}}}
-        return {"anyOf": [{"type": "string"}, kind]}
+
+def _properties(kind: Any) -> dict[str, Any]:
+    """The schemas of the fields of a dataclass."""
+    about: dict[str, str] = {}
+    for base in kind.__mro__:
+        about |= attributes(base)
+    found = {name: _schema(hint) for name, hint in hints_of(kind).items()}
+    for field in fields(kind):
+        if field.name in found and field.name in about:
+            found[field.name]["description"] = about[field.name]
+        if field.name in found and isinstance(field.default, bool | int | float | str):
+            found[field.name]["default"] = field.default
+    return found
+
+
+_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", NoneType: "null"}
 
 
 def _origin(keys: tuple[str, ...], given: Origins) -> str:

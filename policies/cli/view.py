@@ -1,43 +1,136 @@
-"""``marouting view``: a page with a problem and its solutions."""
+"""``marouting view``: a page, an animation or a picture of solutions."""
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING, get_args
 
 import click
 
-from marouting import InputError, Solution
+from marouting import InputError, Problem, Solution, evaluate
 from marouting.files import check_writable, is_dir, stem_of, suffix_of, write_text
-from policies.cli.options import FILE, json_option, tell
+from marouting.game import TurnOrder
+from policies.cli.completion import routers
+from policies.cli.options import FILE, NUMBER, WHOLE, allow_code_option, json_option, tell
 from policies.cli.source import ProblemFile, problem_argument
 from policies.results.run_folder import solution_name
-from policies.routers.registry import labelled
+from policies.routers.registry import is_learner, labelled, make_router, router_label
+
+if TYPE_CHECKING:
+    from marouting.render import Scene
+
+PAGE, MOVING = ".html", (".svg", ".gif")
 
 
 @click.command()
 @problem_argument
-@click.argument("solutions", nargs=-1, required=True, type=FILE, metavar="SOLUTION...")
-@click.option("--out", type=FILE, required=True, help="HTML file for the page.")
+@click.argument("solutions", nargs=-1, type=FILE, metavar="[SOLUTION]...")
+@click.option(
+    "--out",
+    type=FILE,
+    required=True,
+    help="File, whose suffix says what it is: a page (.html), an animation (.svg, .gif) or a "
+    "picture (.png, .pdf).",
+)
+@click.option(
+    "--router",
+    metavar="NAME",
+    shell_complete=routers,
+    help="What routes PROBLEM if there is no SOLUTION: a router's name or module:Class.  "
+    "[default: astar]",
+)
+@click.option(
+    "--checkpoint",
+    type=FILE,
+    help="File of a trained policy, whose own game is animated; without it, a replay.",
+)
+@click.option(
+    "--turn-order",
+    type=click.Choice(get_args(TurnOrder)),
+    help="Whether in an animation a net finishes before the next one starts.  "
+    "[default: sequential, or as the policy was trained]",
+)
+@click.option(
+    "--frames",
+    type=WHOLE,
+    default=240,
+    show_default=True,
+    help="The most pictures of an animation.",
+)
+@click.option(
+    "--fps", type=NUMBER, help="Pictures per second.  [default: 3 to 20, for about 12 seconds]"
+)
+@allow_code_option
 @json_option
-def view(problem: ProblemFile, solutions: tuple[Path, ...], out: Path, as_json: bool) -> None:
-    """Make a page with the routes of PROBLEM in 3-D and heat maps of its congestion.
+def view(
+    problem: ProblemFile,
+    solutions: tuple[Path, ...],
+    out: Path,
+    router: str | None,
+    checkpoint: Path | None,
+    turn_order: TurnOrder | None,
+    frames: int,
+    fps: float | None,
+    as_json: bool,
+) -> None:
+    """Show solutions of PROBLEM: a page with routes in 3-D, an animation, or a picture.
 
-    The page is one file that any browser shows without a network. SOLUTION is a solution file, a
-    folder of them (taken in the order of their names), or the run folder of a training. Two
-    solutions are shown side by side; of more, a slider shows one after the other beside the first.
+    SOLUTION is a solution file, a folder of them (taken in the order of their names), or the run
+    folder of a training. A page is one file that any browser shows without a network; two solutions
+    are shown side by side, and of more a slider shows one after the other beside the first. An
+    animation plays one solution as a game in which every net walks along its own route.
     """
+    from policies import figures
+    from policies.figures.animation import record, replay, save_animation
     from policies.figures.view import page
 
+    kind = suffix_of(out)
+    if sum(map(bool, (solutions, router, checkpoint))) > 1:
+        raise InputError("view: expected only one of SOLUTION, --router and --checkpoint")
+    if checkpoint is not None and kind not in MOVING:
+        raise InputError("--checkpoint: expected an animation, --out FILE.svg or FILE.gif")
+    if checkpoint is not None and turn_order is not None:
+        raise InputError("--turn-order: expected none with --checkpoint: the policy has its own")
     loaded = problem.read()
+    check_writable(out)
+    found = {} if checkpoint else _solutions(problem, loaded, solutions, router)
+    if kind not in MOVING:
+        if kind == PAGE:
+            write_text(out, page(loaded, labelled(found), problem.stem))
+        else:
+            figures.save(figures.comparison(labelled(found)), out)
+        text = f"{len(found)} solution{'s' if len(found) > 1 else ''} in {out}"
+        tell(as_json, text, out=out, solutions=list(found))
+        return
+    if checkpoint is not None:
+        scenes, name = _policy(checkpoint, loaded, problem.stem, frames), checkpoint.stem
+    else:
+        if len(found) > 1:
+            raise InputError(f"{out}: expected one SOLUTION to animate, found {len(found)}")
+        ((name, routes),) = found.items()
+        if open_nets := len(evaluate(loaded, routes).disconnected):
+            click.echo(f"{open_nets} open nets go on as A* would", err=True)
+        scenes = record(replay(loaded, routes, turn_order or "sequential"), frames)
+    save_animation(scenes, out, f"{problem.stem}: {router_label(name)}", fps)
+    count, caption = len(scenes), scenes[-1].caption
+    tell(as_json, f"{count} pictures in {out}: {caption}", out=out, pictures=count, caption=caption)
+
+
+def _solutions(
+    problem: ProblemFile, loaded: Problem, paths: tuple[Path, ...], router: str | None
+) -> dict[str, Solution]:
+    """The solutions by name: those in files, or a router's."""
+    if not paths:
+        name = router or "astar"
+        if is_learner(name, "--router"):
+            raise InputError(f"--router {name}: expected --checkpoint, a trained policy")
+        return {name: make_router(name, {}, f"--router {name}").route(loaded)}
     found: dict[str, Solution] = {}
-    for file in (file for path in solutions for file in _files(path, problem.path)):
+    for file in (file for path in paths for file in _files(path, problem.path)):
         name = base = solution_name(file, problem.stem)
         while name in found:
             name = f"{base} ({len(found) + 1})"
         found[name] = Solution.read(file, loaded)
-    check_writable(out)
-    write_text(out, page(loaded, labelled(found), problem.stem))
-    text = f"{len(found)} solution{'s' if len(found) > 1 else ''} in {out}"
-    tell(as_json, text, out=out, solutions=list(found))
+    return found
 
 
 def _files(path: Path, problem: Path) -> list[Path]:
@@ -59,3 +152,11 @@ def _natural(file: Path) -> list[tuple[int, str]]:
     """Names in the order of the numbers in them: round9 before round10."""
     parts = re.split(r"([0-9]+)", file.name)
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+
+
+def _policy(checkpoint: Path, problem: Problem, network: str, frames: int) -> "list[Scene]":
+    """Moments of a trained policy's own game."""
+    from policies.figures.animation import record
+    from policies.learned.policy import TrainedPolicy
+
+    return record(TrainedPolicy.load(checkpoint, network).play(problem), frames)

@@ -62,8 +62,6 @@ class ExperimentConfig:
             problems that a smaller ``count`` on the command line leaves out.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     out: str = "runs/experiment"
     seeds: tuple[int, ...] = (0,)
     engine: EngineName = "local"
@@ -161,8 +159,6 @@ class Training:
             may then be given.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     config: str | None = None
     stack: int = 1
     env: dict[str, Any] = field(default_factory=dict)
@@ -215,8 +211,6 @@ class Published:
         wirelength: the name of the wirelength's column.
         optimal: whether these are proven optima, from which gaps are measured.
     """
-
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     file: str
     overflow: str = "overflow"

@@ -17,7 +17,7 @@ from policies.learned.burn_in import read_solutions, solution_files
 from policies.learned.config import Config, load_config
 from policies.results import experiment_folder, run_folder
 from policies.results.rows import COLUMNS, Row, figures_of, solution_row
-from policies.routers.base import Router, is_large, solve, warm_up
+from policies.routers.base import Router, solve, warm_up
 from policies.routers.registry import is_learner, make_router
 
 
@@ -146,7 +146,7 @@ class Part:
     def _route(self, name: str) -> Row:
         problem = Problem.read(self.problem(name))
         router = self._router(name)
-        self._warm_up(router, problem)
+        self._warm_up(router)
         started = time.perf_counter()
         solution, report = solve(router, problem)
         solution = solution.pruned() if self.entry.prune else solution
@@ -164,11 +164,11 @@ class Part:
         seed = {} if self.seed is None else {"seed": self.seed}
         return make_router(self.entry.router, {**self.entry.options, **seed})
 
-    def _warm_up(self, router: Router, problem: Problem) -> None:
-        """Does so once per process and kind of problem, so that no time includes compiling."""
-        if (kind := (self.entry.name, is_large(problem))) not in _warm:
-            warm_up(router, problem)
-            _warm.add(kind)
+    def _warm_up(self, router: Router) -> None:
+        """Does so once per process, so that no time includes compiling."""
+        if self.entry.name not in _warm:
+            warm_up(router)
+            _warm.add(self.entry.name)
 
     def _train(self) -> list[Row]:
         from policies.learned.router import LearnedRouter
@@ -181,8 +181,7 @@ class Part:
             # The folder may have been renamed since the training was started.
             config = replace(config, out=str(self.run))
             if not kept.exists():
-                first = Problem.read(self.problem(self.problems[0]))
-                self._warm_up(LearnedRouter(config), first)
+                self._warm_up(LearnedRouter(config))
             Run(config, resume=kept.exists()).execute()
         # The checkpoint of a finished training is large and of no use.
         (self.run / run_folder.CHECKPOINT).unlink(missing_ok=True)
@@ -205,7 +204,7 @@ class Part:
         return build(Config, {"seed": self.seed, **parts})
 
 
-_warm: set[tuple[str, bool]] = set()
+_warm: set[str] = set()
 """The routers that this process has used already, and whether for large problems."""
 
 

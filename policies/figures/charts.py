@@ -43,9 +43,6 @@ def reward_curves(
 
     Returns:
         One plot with a legend. More than twelve curves are drawn alike, with their mean.
-
-    Raises:
-        InputError: there is no curve, or ``smoothing`` is below 1.
     """
     if not curves:
         raise InputError("reward curves: expected at least one curve")
@@ -174,9 +171,6 @@ def by_problem(
     Returns:
         One plot, with marks for each router. No line joins the problems, whose ranks mean nothing;
         a pale one joins the marks of a problem.
-
-    Raises:
-        InputError: there is no router.
     """
     if not values:
         raise InputError("by problem: expected the values of at least one router")
@@ -244,9 +238,6 @@ def _most(whole: NDArray[np.float64]) -> NDArray[np.float64]:
     """(problems,) the highest value to draw where nets stayed open: a quarter above all others'.
 
     Random walks may take many times the wirelength, beside which all others would look alike.
-
-    Args:
-        whole: (routers, problems) values of routers that joined everything, or NaN.
     """
     if np.isnan(whole).all():
         return np.full(whole.shape[1], np.inf)
@@ -290,9 +281,6 @@ def decrease_histogram(
     Returns:
         One panel per router, all with the same axes. To the right of the dashed line the router's
         wirelength is lower.
-
-    Raises:
-        InputError: there is no router, or no value that is not NaN.
     """
     bins = decrease_bins(list(decreases.values()))
     figure = Figure(figsize=(9, 1.4 + 1.8 * len(decreases)), layout="constrained")
@@ -356,9 +344,6 @@ def scaling(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
     Returns:
         A panel for each family of problems, side by side with the same axes. A dashed line has the
         slope of growth in proportion.
-
-    Raises:
-        InputError: there are no rows.
     """
     panels = curves(rows)
     if not panels:

@@ -18,7 +18,6 @@ from policies.results.utilisation import MOST_FIELDS
 MOST_NETS = 1000
 """The most nets that are drawn one by one."""
 
-_FIELDS_3D = 64  # along x and y; a surface of more takes minutes
 _NO_CAPACITY = "#D3D6DC"
 
 
@@ -119,11 +118,6 @@ def draw_congestion(axes: Axes, problem: Problem, solution: Solution, across: fl
 def congestion_map(problem: Problem, solution: Solution, title: str) -> Figure:
     """The use of every Gcell's fullest edge, over all layers and layer by layer.
 
-    Args:
-        problem: the problem, which gives the capacities.
-        solution: the routes.
-        title: text at the top, before overflow and wirelength.
-
     Returns:
         A large panel for all layers, and a small one for each.
     """
@@ -159,26 +153,3 @@ def congestion_map(problem: Problem, solution: Solution, title: str) -> Figure:
             axes.set(xlabel="column of Gcells", ylabel="row of Gcells", title="all layers")
     figure.colorbar(scale, ax=panels[0], shrink=0.8, location="left", pad=0.02, **_label(values))
     return figure
-
-
-def draw_congestion_3d(axes: Any, problem: Problem, solution: Solution) -> None:
-    """Draws the fullest edge by Gcell of every layer, layer above layer."""
-    values, side = congestion(problem, solution, _FIELDS_3D)
-    scale = _colours(values)
-    corners = [side * np.arange(length + 1) - 0.5 for length in values.shape[1:]]
-    x, y = np.meshgrid(*corners, indexing="ij")
-    x, y = x.clip(max=problem.grid[0] - 0.5), y.clip(max=problem.grid[1] - 0.5)
-    for layer, own in enumerate(values):
-        axes.plot_surface(
-            x,
-            y,
-            np.full_like(x, layer + 1),
-            facecolors=scale.to_rgba(np.ma.masked_invalid(np.minimum(own, 1e9)), alpha=0.9),
-            rcount=len(x),
-            ccount=x.shape[1],
-            shade=False,
-            linewidth=0,
-            antialiased=False,
-            zorder=layer,
-        )
-    axes.figure.colorbar(scale, ax=axes, shrink=0.6, pad=0.1, **_label(values))

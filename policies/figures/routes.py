@@ -20,12 +20,7 @@ from marouting.memory import DRAWN, check_memory
 from marouting.problem.grid import AXES
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution, evaluate
-from policies.figures.congestion import (
-    crowded,
-    crowded_note,
-    draw_congestion,
-    draw_congestion_3d,
-)
+from policies.figures.congestion import congestion_map, crowded, crowded_note, draw_congestion
 from policies.figures.style import (
     BAND,
     BLUE,
@@ -146,16 +141,7 @@ def draw_map(
     across: float,
     scale: MapScale | None = None,
 ) -> None:
-    """Draws one of the :func:`heat_maps`.
-
-    Args:
-        axes: where.
-        problem: the problem.
-        solution: the routes.
-        direction: which of the maps.
-        across: about the width of the grid in inches.
-        scale: the scale of maps beside this one; None for its own.
-    """
+    """Draws one of the :func:`heat_maps`; ``across`` is about the width of the grid in inches."""
     maps = utilisation_maps(problem, solution)
     scale = scale or map_scale([maps])
     overflow = None
@@ -168,15 +154,9 @@ def draw_map(
     columns, rows, _ = problem.grid
     _prepare(axes, problem, "Vias" if direction == "vias" else f"{direction.title()} edges")
     if not values.size:
-        axes.text(
-            0.5,
-            0.5,
-            "no such edges",
-            ha="center",
-            va="center",
-            rotation="horizontal" if columns > 2 * rows else "vertical",
-            transform=axes.transAxes,
-        )
+        turn = "horizontal" if columns > 2 * rows else "vertical"
+        middle: Any = {"ha": "center", "va": "center", "transform": axes.transAxes}
+        axes.text(0.5, 0.5, "no such edges", rotation=turn, **middle)
         return
     # A field of one Gcell's size lies in the middle between the Gcells it joins.
     side = maps.side
@@ -349,22 +329,15 @@ def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
             values[np.searchsorted(borders, common[:-1], "right") - 1] for values, borders in curves
         )
         axes.stairs(upper, common, baseline=lower, fill=True, color=BLUE, alpha=0.1)
-    for (remaining, borders), colour, style, label in zip(
+    for (remaining, borders), look in zip(
         curves,
-        (BLUE, RED),
-        ("-", "--"),
-        ("before routing", "after routing"),
+        (
+            {"color": BLUE, "linestyle": "-", "label": "before routing"},
+            {"color": RED, "linestyle": "--", "label": "after routing"},
+        ),
         strict=True,
     ):
-        axes.stairs(
-            remaining,
-            borders,
-            baseline=None,
-            color=colour,
-            linewidth=2,
-            linestyle=style,
-            label=label,
-        )
+        axes.stairs(remaining, borders, baseline=None, linewidth=2, **look)
     if over:
         axes.plot(
             np.arange(edges - over, edges),
@@ -491,9 +464,7 @@ def _drawing(problem: Problem, solution: Solution, beside: Sequence[Solution] = 
     grid = problem.topology
     drawn = len(solution.uses[1])
     check_memory(DRAWN * drawn, "a drawing of {} edges", drawn)
-    shift, pitch = shifts(
-        problem, [solution, *(other for other in beside if other is not solution)]
-    )
+    shift, pitch = shifts(problem, [solution, *beside])
     net, edge = solution.uses
     near, far = grid.ends(edge)
     start, stop = _points(problem, near), _points(problem, far)
@@ -558,13 +529,8 @@ def draw_routes(
 ) -> None:
     """Draws :func:`solution_2d`.
 
-    Args:
-        axes: where.
-        problem: the problem.
-        solution: the routes.
-        title: text before wirelength and overflow in the title.
-        gcell: about the width of a Gcell in inches.
-        beside: solutions that are drawn beside this one, with the pins at the same places.
+    ``gcell`` is about the width of a Gcell in inches; pins lie at the same places in the solutions
+    ``beside`` this one.
     """
     heading = _heading(problem, solution, title)
     width = max(gcell * problem.grid[0], 3)
@@ -611,18 +577,17 @@ def draw_routes(
 
 
 def solution_3d(problem: Problem, solution: Solution, title: str = "") -> Figure:
-    """The routes in three dimensions, layer above layer; arguments as for :func:`solution_2d`."""
+    """The routes in three dimensions, layer above layer; arguments as for :func:`solution_2d`.
+
+    Of more than 1000 nets, a map of the congestion of every layer is drawn instead.
+    """
+    if crowded(problem):
+        return congestion_map(problem, solution, f"{title}\n{crowded_note(problem)}")
     columns, rows, layers = problem.grid
     figure = Figure(figsize=(9, 8), layout="constrained")
     # Three-dimensional axes have no type stubs.
     axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
-    heading = _heading(problem, solution, title)
-    if crowded(problem):
-        axes.set_title(fitted(f"{heading}\n{crowded_note(problem)}", 8, 12), fontsize=12)
-        draw_congestion_3d(axes, problem, solution)
-        _frame(axes, problem)
-        return figure
-    axes.set_title(fitted(heading, 8, 12), fontsize=12)
+    axes.set_title(fitted(_heading(problem, solution, title), 8, 12), fontsize=12)
     drawing = _drawing(problem, solution)
     width = float(np.clip(300 / max(columns, rows) * drawing.pitch, 0.5, 1.8))
 
@@ -640,24 +605,14 @@ def solution_3d(problem: Problem, solution: Solution, title: str = "") -> Figure
         draw(level, _layer_colour(layer, layers), width, 3 + layer)
     x, y, z = drawing.pins.T
     axes.plot(x, y, z + 1, "s", color=INK, markersize=1.5 * width + 1, zorder=3 + layers)
-    _frame(axes, problem)
-    _legend(figure, problem, [solution], 6, upright=True)
-    return figure
-
-
-def _frame(axes: Any, problem: Problem) -> None:
-    """What surrounds a drawing in three dimensions."""
-    columns, rows, layers = problem.grid
-    axes.set(
-        xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5), zlim=(1, max(layers, 2)),
-        zlabel="layer",
-    )  # fmt: skip
+    axes.set(zlim=(1, max(layers, 2)), zlabel="layer", zticks=range(1, layers + 1))
     _number_gcells(axes, problem)
-    axes.set_zticks(range(1, layers + 1))
     longest = max(columns, rows)
     axes.set_box_aspect((max(columns / longest, 0.2), max(rows / longest, 0.2), 0.4))
     axes.grid(False)
     axes.view_init(elev=32, azim=-62)
+    _legend(figure, problem, [solution], 6, upright=True)
+    return figure
 
 
 def comparison(solutions: Mapping[str, Solution]) -> Figure:
@@ -715,15 +670,15 @@ def _heading(problem: Problem, solution: Solution, title: str) -> str:
 
 def _prepare(axes: Axes, problem: Problem, title: str) -> None:
     """Axes in Gcells: integer ticks, square Gcells, (0, 0) at the lower left."""
-    columns, rows, _ = problem.grid
     axes.set_title(title, fontsize=11)
-    axes.set(aspect="equal", xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
+    axes.set_aspect("equal")
     _number_gcells(axes, problem)
 
 
 def _number_gcells(axes: Any, problem: Problem) -> None:
-    """Integer ticks along x and y, few of them on the short side of a narrow grid."""
+    """The limits along x and y and integer ticks, few of them on the short side of a grid."""
     columns, rows, _ = problem.grid
+    axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
     axes.set_xlabel("x [Gcell]", labelpad=12 if axes.name == "3d" else 4)
     axes.set_ylabel("y [Gcell]", labelpad=12 if axes.name == "3d" else 4)
     for axis, length, other in ((axes.xaxis, columns, rows), (axes.yaxis, rows, columns)):
@@ -767,18 +722,17 @@ def route_notes(
 ) -> list[Line2D | Patch]:
     """Legend entries for the lines and marks of a drawing of routes."""
     layers = problem.grid[2]
+    mark: Any = {"color": INK, "linestyle": "none"}
+    upright_via = Line2D([], [], color=VIA, label="via")
+    round_via = Line2D([], [], marker="o", markerfacecolor="white", label="via", **mark)
     handles: list[Line2D | Patch] = [
-        Line2D([], [], color=_layer_colour(z, layers), linewidth=2, label=f"layer {z + 1}")
-        for z in range(layers)
+        *(
+            Line2D([], [], color=_layer_colour(z, layers), linewidth=2, label=f"layer {z + 1}")
+            for z in range(layers)
+        ),
+        Line2D([], [], marker="s", label="pin", **mark),
+        upright_via if upright else round_via,
     ]
-    handles.append(Line2D([], [], color=INK, marker="s", linestyle="none", label="pin"))
-    handles.append(
-        Line2D([], [], color=VIA, label="via")
-        if upright
-        else Line2D(
-            [], [], color=INK, marker="o", markerfacecolor="white", linestyle="none", label="via"
-        )
-    )
     if any(len(overflowed_edges(problem, solution)) for solution in solutions):
         handles.append(Patch(color=BAND, label="overflowed edge"))
     return handles

@@ -50,9 +50,6 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     Args:
         figure: the figure.
         path: the file; its suffix gives the format (``.png`` if there is none).
-
-    Raises:
-        InputError: the file cannot be written, or matplotlib does not know the format.
     """
     target = Path(path)
     kind = target.suffix[1:].lower() or "png"

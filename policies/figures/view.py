@@ -36,10 +36,6 @@ def page(problem: Problem, solutions: Mapping[str, Solution], title: str = "") -
 
     Returns:
         HTML with plotly.js in it; the same for the same input and version of plotly.
-
-    Raises:
-        InputError: plotly is missing, there is no solution, one belongs to another problem, or the
-            problem is too large for a page.
     """
     try:
         from plotly.offline import get_plotlyjs

@@ -89,8 +89,6 @@ class ImitationOptions:
         masking: whether only moves that cross an edge are chosen.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     network: Named = piece_field("network", "mlp", hidden=(160, 128))
     learning_rate: float = 1e-3
     anneal: bool = True

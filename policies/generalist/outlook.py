@@ -62,7 +62,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from marouting.batch.bits import byte_at, places
+from marouting.batch.bits import byte_of
 from marouting.batch.edges import demand_of, uses
 from marouting.batch.engine import Engine, check_rows
 from marouting.batch.expected import Maps, maps_of, refresh, slack_of, squashed
@@ -175,8 +175,6 @@ class OutlookObservation:
         radius: Gcells that are seen in each direction of x and y, 0 to 32.
         margin: Gcells by which ways may leave the box around the open pins, from 1.
     """
-
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     radius: int = 2
     margin: int = 3
@@ -543,8 +541,8 @@ def find_wires(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> 
     ways.start[m] = dynamic.agents[m, n].cell
     ways.wired[static.first[m, n] : static.first[m, n + 1]] = _FARTHEST
     _note_wire(static, dynamic, ways, m, n, place(dynamic.agents[m, n].cell))
-    for at in range(places(dynamic.used, m, n)):
-        byte, bits = byte_at(dynamic.used, m, n, at)
+    for byte in range(dynamic.used.shape[2]):
+        bits = byte_of(dynamic.used, m, n, byte)
         edge = wide(8 * byte)
         while bits != 0:
             if bits & 1:

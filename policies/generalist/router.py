@@ -99,8 +99,6 @@ class GeneralistOptions:
         InputError: a value is out of range.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     weights: str | None = None
     seconds: float | None = 1.0
     rounds: int = MOST_ROUNDS

@@ -28,10 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.batch.best import put_best
-from marouting.batch.bits import byte_at, places
+from marouting.batch.bits import byte_of
 from marouting.batch.engine import Engine
 from marouting.batch.expected import Maps, maps_of, recount, refresh, sum_up
-from marouting.batch.growth import lacks_room
 from marouting.batch.prices import UNIT, first_present, is_priced, net_cost
 from marouting.batch.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
 from marouting.batch.state import Dynamic, Option, Static
@@ -185,11 +184,8 @@ class Walker:
         Returns:
             Whether all games have stopped or are over.
         """
-        engine, stopped = self._engine, False
-        while steps > 0 and not stopped:
-            engine.make_room()
-            stopped, steps = self._kernel(engine.static, engine.dynamic, self._given, steps, stops)
-        return bool(stopped)
+        engine = self._engine
+        return bool(self._kernel(engine.static, engine.dynamic, self._given, steps, stops))
 
     def walk_out(self, *, stops: bool = False) -> None:
         """Plays on until all games have stopped or are over; see :meth:`walk`."""
@@ -199,7 +195,6 @@ class Walker:
 
 def take_best(engine: Engine) -> None:
     """Nets of games with prices take the best routes so far."""
-    engine.make_room()
     _take_best(engine.static, engine.dynamic)
 
 
@@ -247,20 +242,11 @@ def _choose(
 
 
 @allocating
-def _walk(
-    static: Static, dynamic: Dynamic, given: WalkState, steps: int, stops: bool
-) -> tuple[bool, int]:
-    """:meth:`Walker.walk`, until there may be no room for a step.
-
-    Returns:
-        Whether all games have stopped or are over, and how many steps are left.
-    """
+def _walk(static: Static, dynamic: Dynamic, given: WalkState, steps: int, stops: bool) -> bool:
+    """See :meth:`Walker.walk`."""
     if not stops:
         _go_on(static, dynamic, given)
-    for made in range(steps):
-        for m in range(len(given.game)):
-            if lacks_room(static, dynamic, wide(m)):
-                return False, wide(steps - made)
+    for _ in range(steps):
         count, answered = wide(0), False
         for m in range(len(given.game)):
             n = wide(dynamic.games[m].agent)
@@ -300,7 +286,7 @@ def _walk(
         if count == 0:
             if answered:
                 continue
-            return True, wide(steps - made)
+            return True
         at = forward(given.sizes, given.weights, given.rows.reshape(-1), count, given.scores)
         for row in range(count):
             m = place(given.game[row])
@@ -311,7 +297,7 @@ def _walk(
             move = _choose(given, m, wide(row), free, at + row * given.sizes[-1], late, warm)
             given.counters[m] += 1
             _step(static, dynamic, given, m, n, move, stops)
-    return False, wide(0)
+    return False
 
 
 @inner
@@ -386,8 +372,8 @@ def _is_whole(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
 def _length(dynamic: Dynamic, m: int, n: int) -> int:
     """Edges that a net uses."""
     edges = wide(0)
-    for at in range(places(dynamic.used, m, n)):
-        _, bits = byte_at(dynamic.used, m, n, at)
+    for byte in range(dynamic.used.shape[2]):
+        bits = byte_of(dynamic.used, m, n, byte)
         while bits != 0:
             bits &= bits - 1
             edges += 1
@@ -397,8 +383,8 @@ def _length(dynamic: Dynamic, m: int, n: int) -> int:
 @inner
 def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net uses an edge with overflow."""
-    for at in range(places(dynamic.used, m, n)):
-        byte, bits = byte_at(dynamic.used, m, n, at)
+    for byte in range(dynamic.used.shape[2]):
+        bits = byte_of(dynamic.used, m, n, byte)
         for bit in range(8):
             if bits >> bit & 1 and dynamic.remaining[m, 8 * byte + bit] < 0:
                 return True

@@ -60,8 +60,6 @@ class TrainOptions:
         figures: whether to draw the figures at the end.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     episodes: int = 1000
     shared: bool = False
     games: int | None = None
@@ -105,8 +103,6 @@ class Config:
             and its options beside it.
         train: the run.
     """
-
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
 
     seed: int = 0
     out: str = "runs/training"

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import nn
 
-from marouting.batch.growth import lacks_room
 from marouting.batch.state import Dynamic, Option, Static
-from marouting.kernels import allocating, wide
+from marouting.kernels import allocating
 from marouting.player import FastPath, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
 from policies.generalist.outlook import OutlookObservation
@@ -58,12 +57,10 @@ def play_out(
     if not player.fast.observation:
         _walk_out(player, layers, weights)
         return
-    while player.buffers.active.any():
-        player.make_room()
-        _play_out(
-            engine.static, engine.dynamic, player.buffers, player.kernel_buffers,
-            player.fast, sizes, weights, masking,
-        )  # fmt: skip
+    _play_out(
+        engine.static, engine.dynamic, player.buffers, player.kernel_buffers,
+        player.fast, sizes, weights, masking,
+    )  # fmt: skip
 
 
 def _walk_out(player: Player, layers: tuple[int, ...], weights: NDArray[np.float32]) -> None:
@@ -85,18 +82,16 @@ def _play_out(
     static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers, fast: FastPath,
     sizes: NDArray[np.int64], weights: NDArray[np.float32], masking: bool,
 ) -> None:  # fmt: skip
-    """:func:`play_out`, as long as there is room."""
+    """:func:`play_out`."""
     each = len(b.over) // len(weights)
     values = np.empty((*b.agents.shape, MOVES), np.float32)
     activations = np.empty(units_of(sizes) * b.agents.size, np.float32)
     keys, counters = np.zeros(len(b.over), np.uint64), np.zeros(len(b.over), np.int64)
     never = np.zeros(len(b.over))  # a random move
-    short = False
-    while b.active.any() and not short:
+    while b.active.any():
         for n in range(len(weights)):
             games = slice(n * each, (n + 1) * each)
             q_values(sizes, weights[n], b.obs[games], activations, values[games])
         for m in range(len(b.over)):
             choose(keys, counters, never, b.active, b.mask, values, masking, b.actions, m)
             step_problem(static, dynamic, kernel_buffers, fast, m)
-            short |= lacks_room(static, dynamic, wide(m))

@@ -338,7 +338,7 @@ class Run:
         learner = self.config.learner.name
         best = self.trainer.solutions()
         for name, problem in self.problems.items():
-            warm_up(AStarRouter(), problem)
+            warm_up(AStarRouter())
             start = time.perf_counter()
             astar = AStarRouter().route(problem)
             seconds = time.perf_counter() - start

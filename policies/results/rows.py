@@ -9,13 +9,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, NotRequired
-
-from pydantic import AfterValidator, Field
-from typing_extensions import TypedDict
+from typing import Annotated, Any, NotRequired, TypedDict
 
 from marouting import InputError, Solution, evaluate
-from marouting.config import build, build_json, check
+from marouting.config import Meets, between, build, build_json, check
 from marouting.files import FILE_NAME, is_file_name, read_text
 
 MOST_BYTES = 2**30
@@ -25,25 +22,19 @@ Row = dict[str, Any]
 """One router on one problem (in an experiment: with one seed), plain data by column."""
 
 
-def _name(name: str) -> str:
-    if not is_file_name(name):
-        raise ValueError(f"expected {FILE_NAME}, found {name[:80]!r}")
-    return name
-
-
-Name = Annotated[str, AfterValidator(_name)]
+Name = Annotated[str, Meets(is_file_name, FILE_NAME)]
 """The name of a set, a problem or a router: files are called after it."""
 
-Count = Annotated[int, Field(ge=0, lt=2**63)]
+Count = Annotated[int, between(0, 2**63 - 1)]
 """A whole number from 0."""
 
 LARGEST = 2.0**63
 """What is larger than the largest count is no result but a mistake."""
 
-Measure = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+Measure = Annotated[float, between(-LARGEST, LARGEST)]
 """A number, neither infinite nor NaN; also one that JSON writes as a whole number."""
 
-Seconds = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
+Seconds = Annotated[float, between(0, LARGEST)]
 """A time."""
 
 ResultRow = TypedDict(

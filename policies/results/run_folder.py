@@ -21,10 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-from pydantic import Field
-
 from marouting import InputError
-from marouting.config import build_json, check
+from marouting.config import between, build_json, check
 from marouting.files import plain_name, read_text, stem_of, suffix_of
 from policies.results.rows import MOST_BYTES, Count, Measure, Name, ResultRow, Row, read_rows
 
@@ -81,7 +79,7 @@ class Episode:
     overflow: Count
     wirelength: Count
     steps: Count
-    epsilon: Annotated[float, Field(ge=0, le=1)]
+    epsilon: Annotated[float, between(0, 1)]
     loss: Measure | None
     updates: Count
     best: bool

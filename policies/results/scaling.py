@@ -6,18 +6,16 @@ The rows are those of :class:`policies.bench.scaling.Timing`, or have at least t
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
-from typing_extensions import TypedDict
 
-from marouting.config import build_json
+from marouting.config import Meets, between, build_json
 from marouting.files import read_text
 from policies.results.rows import LARGEST, MOST_BYTES, Count
 
-Text = Annotated[str, Field(min_length=1, max_length=200)]
+Text = Annotated[str, Meets(lambda text: 0 < len(text) <= 200, "a text of 1 to 200 characters")]
 
 
 class TimingRow(TypedDict):
@@ -25,8 +23,8 @@ class TimingRow(TypedDict):
 
     family: Text
     work: Text
-    edges: Annotated[Count, Field(ge=1)]
-    seconds: Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
+    edges: Annotated[Count, between(1, LARGEST)]
+    seconds: Annotated[float, between(1e-12, LARGEST)]
 
 
 class Machine(TypedDict):
@@ -39,7 +37,7 @@ class ScalingReport(TypedDict):
     """What ``marouting bench scaling --out`` stores, as far as it is drawn."""
 
     machine: Machine
-    scaling: Annotated[list[TimingRow], Field(min_length=1)]
+    scaling: Annotated[list[TimingRow], Meets(len, "at least one row")]
 
 
 def read_scaling(bench: Path) -> ScalingReport:

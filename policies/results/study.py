@@ -56,8 +56,6 @@ class StudyColumn:
         beside: other routers to show in ``mean_reward``.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     router: str
     set: str | None = None
     problem: str | None = None
@@ -72,8 +70,6 @@ class Study:
         panels: what the rows show, from top to bottom.
         columns: what the columns show, by title, from left to right.
     """
-
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     panels: tuple[Panel, ...] = ("wirelength", "decrease", "reward")
     columns: dict[str, StudyColumn] = field(default_factory=dict)

@@ -39,9 +39,7 @@ class AStarRouter:
         InputError: ``best_of``, ``seconds`` or ``seed`` is out of range.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
-    net_order: NetOrder | Literal["random"] = "half_perimeter"
+    net_order: Literal[NetOrder, "random"] = "half_perimeter"
     best_of: int = 1
     target: Target = "pin"
     decomposition: Decomposition = "mst"

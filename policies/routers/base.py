@@ -7,8 +7,6 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from marouting import InputError, Problem, Solution, generate
-from marouting.batch.setup import is_hashed
-from marouting.problem.grid import Grid
 
 LEFT_ALONE = "left alone"
 """The name of threads that may be at work in a library when the process ends; it must not wait for
@@ -93,34 +91,19 @@ class Keeper(Watched, Protocol):
         ...
 
 
-def is_large(problem: Problem) -> bool:
-    """Whether the game of a problem stores routes as large ones do, which is compiled apart."""
-    return is_hashed(len(problem.nets), Grid.of(problem.grid).edges)
-
-
-def small_problem(*, large: bool = False) -> Problem:
-    """A small problem, to make ready what compiles or loads when it is first used.
-
-    Args:
-        large: whether it is just large enough for :func:`is_large`.
-    """
-    if large:
-        return generate(1, (90, 90, 2), nets=150, max_pins=2, capacity=3, reduced_edges=0)[0]
+def small_problem() -> Problem:
+    """A small problem, to make ready what compiles or loads when it is first used."""
     return generate(1, (4, 4, 2), nets=8, max_pins=3, capacity=1, reduced_edges=0)[0]
 
 
-def warm_up(router: Router, problem: Problem) -> None:
+def warm_up(router: Router) -> None:
     """Routes a small problem, so that the next time is that of routing alone.
 
     Whatever the router compiles or loads is ready then. A learner that would be trained on the
     problem learns two short episodes. What the small problem does not suit is left to the next one.
     Who watches the router does not hear of it.
-
-    Args:
-        router: the router.
-        problem: what will be routed: the small problem is stored in the same way.
     """
-    small = small_problem(large=is_large(problem))
+    small = small_problem()
     with contextlib.ExitStack() as stack:
         if isinstance(router, Watched):
             stack.callback(setattr, router, "watch", router.watch)

@@ -7,7 +7,6 @@ import numpy as np
 
 from marouting import Engine, Problem, Solution
 from marouting.batch.edges import has_room, uses
-from marouting.batch.growth import lacks_room
 from marouting.batch.rules import move_player, settle_player
 from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY, NetOrder
@@ -35,8 +34,6 @@ class HeuristicRouter:
             :class:`marouting.Engine`.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     net_order: NetOrder = "half_perimeter"
     decomposition: Decomposition = "mst"
     max_steps: int | None = None
@@ -55,14 +52,13 @@ class HeuristicRouter:
             max_steps=self.max_steps,
         )
         buffers, nearest = search_buffers(engine.grid), np.zeros(1, np.int64)
-        while not _play(engine.static, engine.dynamic, buffers, nearest):
-            engine.make_room()
+        _play(engine.static, engine.dynamic, buffers, nearest)
         return engine.solution()
 
 
 @compiled
-def _play(static: Static, dynamic: Dynamic, s: SearchBuffers, nearest: Any) -> bool:
-    """Plays the game of the first problem; returns False if it needs room to go on.
+def _play(static: Static, dynamic: Dynamic, s: SearchBuffers, nearest: Any) -> None:
+    """Plays the game of the first problem.
 
     Args:
         static: the game.
@@ -72,8 +68,6 @@ def _play(static: Static, dynamic: Dynamic, s: SearchBuffers, nearest: Any) -> b
     """
     m = wide(0)
     while dynamic.games[m].agent != NOBODY:
-        if lacks_room(static, dynamic, m):
-            return False
         n = place(dynamic.games[m].agent)
         agent = dynamic.agents[m, n]
         here = _distance(static, wide(agent.cell), wide(agent.target))
@@ -84,7 +78,6 @@ def _play(static: Static, dynamic: Dynamic, s: SearchBuffers, nearest: Any) -> b
             move = wide(s.search.path[0])
         move_player(static, dynamic, m, move)
         settle_player(static, dynamic, m)
-    return True
 
 
 @inner

@@ -45,8 +45,6 @@ class RandomRouter:
         InputError: ``seed`` is negative.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
-
     seed: int = 0
     max_steps: int | None = None
 

@@ -80,13 +80,6 @@ def read_contest(resources: str | os.PathLike[str], nets: str | os.PathLike[str]
 
     Coordinates of the problem are columns and rows. Capacities are cut to whole tracks. A pin is
     put where it can be reached nearest to the middle (the median) of all such places of its net.
-
-    Args:
-        resources: the ``.cap`` file.
-        nets: the ``.net`` file.
-
-    Raises:
-        InputError: a file cannot be read, is not of its format, or a pin is off the grid.
     """
     found = _read_resources(resources)
     listed = _read_nets(nets)

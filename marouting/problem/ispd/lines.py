@@ -81,10 +81,6 @@ def reading(path: str | os.PathLike[str], errors: str = "strict") -> Iterator[Li
 
     Yields:
         Its lines.
-
-    Raises:
-        InputError: the file cannot be read, or the block raised an InputError, to which the file
-            and the current line are added.
     """
     with files.reading(path) as file:
         lines = Lines(file, errors)

@@ -138,9 +138,6 @@ def read_problem(path: str | os.PathLike[str]) -> ProblemRecord:
 
     Returns:
         The content, in the units of the file.
-
-    Raises:
-        InputError: the file cannot be read or is in none of the formats.
     """
     where: dict[str, array[int]] = {}
     with reading(path) as lines:
@@ -164,10 +161,6 @@ def write_problem(
         path: the file.
         fields: the values of all fields of a valid Problem, by name.
         format: one of FORMATS.
-
-    Raises:
-        InputError: there is no such format, it cannot hold the problem, or the file cannot be
-            written.
     """
     if format not in FORMATS:
         raise InputError(f"format: expected one of {', '.join(FORMATS)}, found {format!r}")
@@ -191,11 +184,7 @@ def write_problem(
 def _read_header(
     lines: Lines, where: dict[str, "array[int]"]
 ) -> tuple[_Form, dict[str, tuple[Any, ...]]]:
-    """Reads the lines before ``num net``; records the line of each field in ``where``.
-
-    Returns:
-        The format, and the fields of the Problem that are in its header or fixed.
-    """
+    """Reads the lines before ``num net``; records the line of each field in ``where``."""
     forms = list(_FORMS.values())
     values: dict[str, tuple[Any, ...]] = {}
     row = 0

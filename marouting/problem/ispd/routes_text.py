@@ -55,18 +55,7 @@ def read_routes(
     nets: Iterable[str],
     layers: Sequence[str],
 ) -> RoutesRecord:
-    """Reads a file whose first line has been read already.
-
-    Args:
-        lines: the rest of the file.
-        file: its name.
-        header: its first line.
-        nets: the names of the problem's nets, in order.
-        layers: the names of its layers, lowest first.
-
-    Raises:
-        InputError: the file is not of this form, has a net twice, or names an unknown net or layer.
-    """
+    """Reads a file whose first line has been read already."""
     known = {name: index for index, name in enumerate(nets)}
     level = {name: str(index) for index, name in enumerate(layers)}
     net, numbers, values = array("q"), array("q"), array("q")
@@ -154,9 +143,6 @@ def write_routes(
         nets: names; each gets a block, in this order.
         net: (n,) the index of each row's net, ascending.
         rows: n lines without their ends.
-
-    Raises:
-        InputError: the file cannot be written.
     """
     bounds = np.searchsorted(net, np.arange(len(nets) + 1)).tolist()
     blocks = [

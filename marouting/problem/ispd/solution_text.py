@@ -56,10 +56,6 @@ def read_solution(
 
     Returns:
         The segments or boxes in file order.
-
-    Raises:
-        InputError: the file cannot be read, is not of this format, or names a net twice or an
-            unknown net.
     """
     ids: list[int] = []
     known: dict[str, int] = {}
@@ -141,9 +137,6 @@ def write_solution(
         nets: name and id of each of the problem's nets; each gets a block, in this order.
         net: (n,) the index of each segment's net, ascending.
         points: (n, 2, 3) the two ends of each segment: x and y in chip coordinates, layer from 1.
-
-    Raises:
-        InputError: the file cannot be written.
     """
     texts = [
         f"({x1},{y1},{l1})-({x2},{y2},{l2})\n" for (x1, y1, l1), (x2, y2, l2) in points.tolist()

@@ -133,16 +133,7 @@ _PLACED = ("PLACED", "FIXED", "COVER")
 
 
 def read_def(path: str | os.PathLike[str], library: Library, copy: Copy) -> Design:
-    """Reads a DEF file.
-
-    Args:
-        path: the file.
-        library: the macros, layers and vias that it may name.
-        copy: gets the statements that hold shapes on which wires depend.
-
-    Raises:
-        InputError: it cannot be read, is not DEF, or names what the library does not have.
-    """
+    """Reads a DEF file."""
     design = Design(os.fspath(path))
     with reading(path, errors=ENCODING_ERRORS) as lines:
         words = Statements(lines)

@@ -17,7 +17,7 @@ from marouting.errors import InputError
 from marouting.memory import NET, PIN, check_memory
 from marouting.problem.capacities import as_adjustments
 from marouting.problem.chip import Chip, Places
-from marouting.problem.grid import MAX_GCELLS
+from marouting.problem.grid import MAX_GCELLS, gcells_of_boxes
 from marouting.problem.ispd.problem_text import ProblemRecord
 from marouting.problem.lefdef.def_text import Design, Tracks, read_def
 from marouting.problem.lefdef.lef_text import Layer, Library, read_library
@@ -44,10 +44,6 @@ def read_design(
 
     Returns:
         The fields of a problem, :attr:`marouting.Problem.chip` among them.
-
-    Raises:
-        InputError: a file cannot be read, or the design cannot be routed as it is; or klayout is
-            not installed.
     """
     library = Library()
     with (
@@ -174,16 +170,7 @@ def _capacity(
     x: NDArray[np.int64],
     y: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """(X, Y) the capacity of a layer's edges.
-
-    Args:
-        design: the design.
-        layer: the layer.
-        boxes: (k, 4) the sides of all shapes in the layer, from which wires keep their distance.
-        outside: (m, 4) the sides of what is no chip: a wire may run along its border.
-        x: (X + 1,) the lines between columns.
-        y: (Y + 1,) the lines between rows.
-    """
+    """(X, Y) the capacity of a layer's edges."""
     across = 1 - layer.axis  # the axis along which tracks have their places
     low, high = design.box[across], design.box[across + 2]
     own = [
@@ -216,12 +203,6 @@ def _located_pins(design: Design, shapes: Shapes) -> tuple[NDArray[np.int64], ND
     """The boxes of all connections, cut to the die.
 
     Nets with one pin that is nowhere on the die leave the design: there is nothing to route.
-
-    Returns:
-        (boxes,) the connection that each box belongs to; (boxes, 5) layers and sides.
-
-    Raises:
-        InputError: a pin of another net is nowhere on the die.
     """
     owner, boxes = _pin_boxes(design, shapes)
     left, low, right, high = design.box
@@ -257,18 +238,12 @@ def _pin_gcells(
     """The Gcell of every connection, and all that the pin lies in; ``boxes`` as located."""
     first = [np.searchsorted(at, boxes[:, 1 + i], "right") - 1 for i, at in enumerate((x, y))]
     last = [np.searchsorted(at, boxes[:, 3 + i], "left") - 1 for i, at in enumerate((x, y))]
-    first = [column.clip(0) for column in first]
-    last = [
-        np.minimum(np.maximum(b, a), len(at) - 2)
+    first = [at.clip(0) for at in first]
+    behind = [
+        np.minimum(np.maximum(b, a), len(at) - 2) + 1
         for a, b, at in zip(first, last, (x, y), strict=True)
     ]
-    wide, high = last[0] - first[0] + 1, last[1] - first[1] + 1
-    sizes = wide * high
-    index = np.repeat(np.arange(len(boxes)), sizes)
-    check_memory(PIN * len(index), "pins in {} Gcells", len(index))
-    place = np.arange(len(index)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    column = first[0][index] + place // high[index]
-    row = first[1][index] + place % high[index]
+    index, column, row = gcells_of_boxes(first, behind, PIN, "pins in {} Gcells")
     sides = np.minimum(boxes[index, 3], x[column + 1]) - np.maximum(boxes[index, 1], x[column])
     area = sides * (np.minimum(boxes[index, 4], y[row + 1]) - np.maximum(boxes[index, 2], y[row]))
     rows = len(y) - 1

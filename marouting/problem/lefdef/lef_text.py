@@ -99,9 +99,6 @@ def read_library(path: str | os.PathLike[str], library: Library, copy: Copy) -> 
         path: the file.
         library: is added to. Of a macro or a rule that is given twice, the first counts.
         copy: gets all words of the file.
-
-    Raises:
-        InputError: it cannot be read or is not LEF.
     """
     library.files.append(os.fspath(path))
     with reading(path, errors=ENCODING_ERRORS) as lines:

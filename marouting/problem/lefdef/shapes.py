@@ -68,18 +68,7 @@ def read_shapes(
     design: Design,
     library: Library,
 ) -> Shapes:
-    """Reads the shapes in the routing layers.
-
-    Args:
-        path: the DEF file's copy.
-        lef: the LEF files' copies, beside it.
-        design: what the DEF file says in words.
-        library: what the LEF files say in words.
-
-    Raises:
-        InputError: klayout is not installed, cannot read a file, or finds a shape in a layer that
-            the LEF files do not define.
-    """
+    """Reads the shapes in the routing layers."""
     try:
         import klayout.db as db
     except ImportError:

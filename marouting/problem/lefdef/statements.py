@@ -144,11 +144,7 @@ class Statements:
                 return
 
     def _quoted(self, tokens: list[str]) -> tuple[str, list[str]]:
-        """A text in quotes, with blanks for line ends, and the tokens that follow it in its line.
-
-        Args:
-            tokens: of the line in which it begins, from there on.
-        """
+        """A text in quotes, with blanks for line ends, and the tokens after it in its line."""
         begun = self.line
         text: list[str] = []
         skipped = 1  # the quote at the beginning

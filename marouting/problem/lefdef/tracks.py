@@ -17,11 +17,7 @@ _CELL = 24
 
 
 def places(tracks: Sequence[Tracks], low: int, high: int, file: str) -> NDArray[np.int64]:
-    """Where tracks or lines are, ascending, each once; only those in ``low < place < high``.
-
-    Raises:
-        InputError: there are too many.
-    """
+    """Where tracks or lines are, ascending, each once; only those in ``low < place < high``."""
     parts = [np.empty(0, np.int64)]
     for _, first, count, step, _, line in tracks:
         begin = max(0, (low - first) // step + 1)

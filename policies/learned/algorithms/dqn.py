@@ -64,8 +64,6 @@ class DQNOptions:
             :func:`policies.learned.algorithms.fused_dqn.obstacle`; None: where it applies.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     network: Named = piece_field("network", "mlp")
     gamma: float = 0.95
     learning_rate: float = 1e-4

@@ -11,11 +11,10 @@ from numba import prange
 from numpy.typing import NDArray
 from torch import Tensor
 
-from marouting.batch.growth import lacks_room
 from marouting.batch.state import Dynamic, Static
 from marouting.config import check
 from marouting.game import Ending
-from marouting.kernels import allocating, threaded, wide
+from marouting.kernels import allocating, threaded
 from marouting.player import FastPath, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
 from policies.learned.algorithms.dqn import DQN, DQNOptions
@@ -117,7 +116,7 @@ def _play_network(
                 for f in range(b.obs.shape[2]):
                     play.before[m, k, f] = b.obs[m, k, f]
             step_problem(static, dynamic, kernel_buffers, fast, m)
-            over |= b.over[m] or lacks_room(static, dynamic, wide(m))
+            over |= b.over[m]
             for k in range(rows):
                 if b.acted[m, k]:
                     who = b.agents[m, k] if fast.everyone else mover
@@ -210,7 +209,6 @@ class FusedDQN(DQN):
 
     def play(self, player: Player, steps: int) -> None:
         """See :meth:`policies.learned.learner.Learner.play`; one network after the other."""
-        player.make_room()
         b, explore, engine = player.buffers, self.explore, player.engine
         moves, made = np.empty((1, 0, 1), np.int8), np.zeros(len(b.over), np.int64)
         if isinstance(player, LoggedPlayer):

@@ -57,8 +57,6 @@ class PPOOptions:
         masking: whether only moves that cross an edge are chosen.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     network: Named = piece_field("network", "mlp", hidden=(64, 64))
     critic: Literal["local", "central"] = "local"
     num_envs: int = 32

@@ -35,9 +35,9 @@ Where to look:
   one another.
 * :mod:`~policies.routers.optimal.candidates`: the trees to choose from and the best solution.
 * :mod:`~policies.routers.optimal.priced_tree`: the cheapest tree of a net at given prices.
-* :mod:`~policies.routers.optimal.programs`: linear and integer programs as scipy takes them.
+* :mod:`~policies.routers.optimal.programs`: linear and integer programs as scipy takes them, and
+  step 2.
 * :mod:`~policies.routers.optimal.prices`: step 1.
-* :mod:`~policies.routers.optimal.choice`: step 2.
 * :mod:`~policies.routers.optimal.flows`: step 3.
 """
 

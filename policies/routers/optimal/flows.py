@@ -15,7 +15,6 @@ from scipy.sparse import block_diag, csr_array, eye_array, vstack
 
 from marouting.problem.grid import AXES, VIA_AXIS
 from policies.routers.optimal.candidates import Candidates, Score
-from policies.routers.optimal.choice import choose
 from policies.routers.optimal.priced_tree import Across
 from policies.routers.optimal.prices import UNIT, Prices
 from policies.routers.optimal.programs import (
@@ -23,6 +22,7 @@ from policies.routers.optimal.programs import (
     Deadline,
     Objective,
     Program,
+    choose,
     hstack,
     sparse_matrix,
     widened,
@@ -57,10 +57,6 @@ class Flows:
         """Finds an objective's best solution if it is close to the bound, or raises the bound.
 
         Each call for the same objective looks farther above the bound.
-
-        Args:
-            objective: what is minimised.
-            lower: the bound.
 
         Returns:
             The bound, raised if possible, and what prevents further progress, if anything.

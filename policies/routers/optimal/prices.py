@@ -151,9 +151,6 @@ class Prices:
 
         When the time is up, the last nets of the first proof count with their half perimeters, and
         there is no other proof.
-
-        Returns:
-            Whether any tree is new.
         """
         candidates = self._candidates
         if not objective.wirelength:

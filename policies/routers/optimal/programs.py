@@ -1,6 +1,7 @@
-"""Linear and integer programs over candidate columns, as scipy's HiGHS takes them."""
+"""Linear and integer programs over candidate columns, as scipy's HiGHS takes them; step 2."""
 
 import math
+import operator
 import queue
 import threading
 import time
@@ -199,10 +200,6 @@ class Program:
     def solve_whole(self, deadline: Deadline, **options: float) -> Any:
         """Solves the program in whole numbers where ``Columns.whole`` asks for them.
 
-        Args:
-            deadline: when to stop.
-            **options: further options of the solver.
-
         Returns:
             A result of :func:`scipy.optimize.milp`; its ``x`` starts with the columns.
         """
@@ -227,3 +224,25 @@ def widened(matrix: Any, width: int) -> csr_array:
     """A sparse matrix extended to ``width`` columns by zeros."""
     more = csr_array((matrix.shape[0], width - matrix.shape[1]))
     return csr_array(hstack((matrix, more)))
+
+
+def choose(candidates: Candidates, objective: Objective, deadline: Deadline) -> None:
+    """Chooses trees for least overflow beyond the objective's, then for least length.
+
+    The solver stops at the first node of its search tree: hard cases are left to step 3. What it
+    finds is added to the candidates.
+    """
+
+    def solved() -> Any:
+        columns = tree_columns(candidates)
+        longest = np.zeros(len(candidates.nets))
+        np.maximum.at(longest, [net for net, _ in candidates.trees], columns.length)
+        excess = 1 + longest.sum()
+        program = Program(columns, candidates.capacity, objective, excess)
+        return program.solve_whole(deadline, node_limit=1)
+
+    result = deadline.bounded(solved)
+    if result is not None and result.x is not None:
+        trees = candidates.trees
+        chosen = (trees[i] for i in np.flatnonzero(result.x[: len(trees)] > 0.5))
+        candidates.add_routes([tree for _, tree in sorted(chosen, key=operator.itemgetter(0))])

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution, evaluate, sequential_astar
 from policies.routers.optimal.candidates import Candidates, Score
-from policies.routers.optimal.choice import choose
 from policies.routers.optimal.flows import Flows, Stop
 from policies.routers.optimal.prices import Prices
-from policies.routers.optimal.programs import OVERFLOW, Deadline, Objective
+from policies.routers.optimal.programs import OVERFLOW, Deadline, Objective, choose
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 MAX_WORK = 2**36
@@ -91,8 +90,6 @@ class OptimalRouter:
     Raises:
         InputError: ``time_limit`` is negative or not a number.
     """
-
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012
 
     time_limit: float | None = None
     bound: Bound = "optimum"

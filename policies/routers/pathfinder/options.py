@@ -71,8 +71,6 @@ class PathfinderOptions:
         InputError: an option is out of range; the message names it and the range.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     via_weight: float = 1.0
     exact_pins: int = 5
     margin: int = 2

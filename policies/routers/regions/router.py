@@ -56,8 +56,6 @@ class RegionsOptions:
         InputError: an option is out of range; the message names it and the range.
     """
 
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012
-
     regions: int = 2
     seconds: float | None = 50.0
     seed: int = 0
@@ -210,12 +208,7 @@ class RegionsRouter:
         seed: int,
         best: str,
     ) -> tuple[State, Step, bool | None]:
-        """A step.
-
-        Returns:
-            What there is after it, what it took, and whether every region found nothing better any
-            more; None if somebody asked to stop.
-        """
+        """What comes of a step, and whether no region found better; None if asked to stop."""
         problem = state.solution.problem
         pieces = [
             cut(state.solution, state.prices, division, region)
