@@ -390,17 +390,12 @@ class Engine:
         Raises:
             ValueError: its shapes do not fit.
         """
-        saved = self._fitting(saved)
-        for array, kept in zip(self.dynamic, saved, strict=True):
-            array[...] = kept
-
-    def _fitting(self, saved: Dynamic) -> Dynamic:
-        """A saved state with arrays like those of the state; raises ValueError if they differ."""
         for name, array in self.dynamic._asdict().items():
             kept = getattr(saved, name)
             if (kept.shape, kept.dtype) != (array.shape, array.dtype):
                 raise ValueError(f"saved: expected shape {array.shape}, found {kept.shape}")
-        return saved
+        for array, kept in zip(self.dynamic, saved, strict=True):
+            array[...] = kept
 
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents, and starts all episodes.

@@ -88,7 +88,6 @@ class Negotiation:
         InputError: an option is out of range.
     """
 
-
     prices: bool = True
     patience: int = 0
     present: float = 0.1

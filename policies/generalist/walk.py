@@ -184,10 +184,8 @@ class Walker:
         Returns:
             Whether all games have stopped or are over.
         """
-        engine, stopped = self._engine, False
-        while steps > 0 and not stopped:
-            stopped, steps = self._kernel(engine.static, engine.dynamic, self._given, steps, stops)
-        return bool(stopped)
+        engine = self._engine
+        return bool(self._kernel(engine.static, engine.dynamic, self._given, steps, stops))
 
     def walk_out(self, *, stops: bool = False) -> None:
         """Plays on until all games have stopped or are over; see :meth:`walk`."""
@@ -244,17 +242,11 @@ def _choose(
 
 
 @allocating
-def _walk(
-    static: Static, dynamic: Dynamic, given: WalkState, steps: int, stops: bool
-) -> tuple[bool, int]:
-    """:meth:`Walker.walk`, until there may be no room for a step.
-
-    Returns:
-        Whether all games have stopped or are over, and how many steps are left.
-    """
+def _walk(static: Static, dynamic: Dynamic, given: WalkState, steps: int, stops: bool) -> bool:
+    """See :meth:`Walker.walk`."""
     if not stops:
         _go_on(static, dynamic, given)
-    for made in range(steps):
+    for _ in range(steps):
         count, answered = wide(0), False
         for m in range(len(given.game)):
             n = wide(dynamic.games[m].agent)
@@ -294,7 +286,7 @@ def _walk(
         if count == 0:
             if answered:
                 continue
-            return True, wide(steps - made)
+            return True
         at = forward(given.sizes, given.weights, given.rows.reshape(-1), count, given.scores)
         for row in range(count):
             m = place(given.game[row])
@@ -305,7 +297,7 @@ def _walk(
             move = _choose(given, m, wide(row), free, at + row * given.sizes[-1], late, warm)
             given.counters[m] += 1
             _step(static, dynamic, given, m, n, move, stops)
-    return False, wide(0)
+    return False
 
 
 @inner
