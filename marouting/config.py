@@ -529,8 +529,8 @@ def _form(kind: Any) -> _Form:
         take = functools.partial(_mapping, inner[1])
         return _Form("a mapping", lambda v: isinstance(v, Mapping), take)
     if is_dataclass(kind) or hasattr(kind, "__required_keys__"):  # or a TypedDict
-        take, known = functools.partial(_record, kind), list(hints_of(kind))
-        words = f"a mapping of {', '.join(known)}" if len(known) < _FEW else "a mapping"
+        take, keys = functools.partial(_record, kind), list(hints_of(kind))
+        words = f"a mapping of {', '.join(keys)}" if len(keys) < _FEW else "a mapping"
         return _Form(words, lambda v: isinstance(v, Mapping) or is_dataclass(type(v)), take)
     return _PLAIN.get(kind, _Form("a value", lambda _: True, lambda v: v))
 

@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 import torch
 import yaml
+from conftest import in_this_process
 from matplotlib.figure import Figure
 from mutations import MODEST, NASTY, in_archive, in_data, in_state, in_text, saved
 from reference import plain_evaluation
@@ -49,9 +50,9 @@ from marouting.config import build, override, plain, read_yaml
 from marouting.problem.contest import contest_cost
 from marouting.problem.ispd import Format
 from policies import figures
-from policies.benchmark.leaderboard import read_groups
-from policies.benchmark.statistics import summarise
 from policies.experiment import Experiment, ExperimentConfig, experiment, load_experiment
+from policies.experiment.leaderboard import read_groups
+from policies.experiment.result import summarise
 from policies.figures.plot import plot
 from policies.learned.config import Config, load_config
 from policies.learned.policy import TrainedPolicy
@@ -541,13 +542,6 @@ def possible(row: Row) -> bool:
     return 0 <= (row["joined"] or 0) <= (row["tasks"] or 0) and row["wirelength"] >= 0
 
 
-def at_once(parts: Sequence[Any], *_: Any) -> Iterator[list[Any]]:
-    """In place of the processes, which take seconds to start."""
-    for part in parts:
-        part.work()
-        yield [part]
-
-
 # --- all of them ----------------------------------------------------------------------------------
 
 
@@ -670,7 +664,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     os.environ.setdefault("MAROUTING_MAX_GIB", "1")
     torch.set_num_threads(1)
-    experiment.work_on = at_once  # type: ignore[attr-defined]
+    experiment.work_on = in_this_process  # type: ignore[attr-defined]
     folder = given.folder or Path(tempfile.mkdtemp())
     failed = 0
     print(f"{'inputs':>8}{'accepted':>10}{'refused':>9}{'failed':>8}{'seconds':>9}  kind")

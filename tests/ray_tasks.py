@@ -2,7 +2,6 @@
 
 import os
 import signal
-import time
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +53,6 @@ class LateReward:
     def __call__(self, *arguments: Any) -> Any:
         self.paid += 1
         if self.paid == self.moves and not self.mark.exists():
-            time.sleep(4)  # the last checkpoint is sent meanwhile
             kill_once(self.mark)
         if self.paid % 100 == 0:
             self.tally.write_text(str(self.paid))
@@ -70,11 +68,3 @@ def kill_once(mark: Path) -> None:
 
 def total(*numbers: int) -> int:
     return sum(numbers)
-
-
-def with_notes(notes: Any, key: str) -> tuple[Any, bool]:
-    known = notes.read(key)
-    if known is None:
-        notes.write(key, "written")
-        os.kill(os.getpid(), signal.SIGKILL)
-    return known, os.environ["NUMBA_NUM_THREADS"] == "1"

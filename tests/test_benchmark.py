@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,21 +17,23 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from conftest import in_this_process
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
 from marouting import InputError, Problem, Solution, evaluate, scenarios, sequential_astar
 from marouting.config import build, plain
-from policies.benchmark import run
-from policies.benchmark.contenders import Budget, from_text, load_contenders
-from policies.benchmark.leaderboard import read_groups
-from policies.benchmark.result import Outcome, Result, Task, read_result
-from policies.benchmark.score import Figures, score
-from policies.benchmark.statistics import interquartile_mean, interval, summarise
 from policies.cli.main import status
+from policies.experiment import experiment
+from policies.experiment.benchmark import from_text, load_entries
+from policies.experiment.config import Budget
+from policies.experiment.leaderboard import read_groups
+from policies.experiment.result import Outcome, Result, Task, read_result, summarise
+from policies.experiment.score import Figures, score
 from policies.learned.config import Config, load_config
 from policies.learned.trainer import Trainer
+from policies.results.statistics import bootstrap_interval, interquartile_mean
 
 SCENARIO = "toy-4x4-v0"
 
@@ -103,7 +104,7 @@ def test_the_reference_is_no_worse_than_astar(astar: Figures, reference: Figures
 def test_the_interquartile_mean_and_its_interval() -> None:
     assert interquartile_mean(np.array([-9.0, 1, 2, 3, 4, 99, 2, 4])) == 2.75
     scores = np.random.default_rng(1).normal(size=(60, 1))
-    mine = interval(scores)
+    mine = bootstrap_interval(scores)
     theirs = stats.bootstrap(
         (scores.ravel(),),
         lambda x, axis: stats.trim_mean(x, 0.25, axis=axis),
@@ -112,11 +113,11 @@ def test_the_interquartile_mean_and_its_interval() -> None:
         random_state=np.random.default_rng(2),  # called rng from SciPy 1.15 on
     ).confidence_interval
     assert mine == pytest.approx((theirs.low, theirs.high), abs=0.05)
-    assert mine == interval(scores)
+    assert mine == bootstrap_interval(scores)
     # Seeds that all agree tell nothing new; seeds that differ widen the interval of a problem.
-    assert interval(np.repeat(scores, 3, axis=1)) == pytest.approx(mine, abs=0.05)
-    assert interval(np.full((5, 2), 0.5)) == (0.5, 0.5)
-    low, high = interval(np.tile([0.0, 1.0], (1, 8)))
+    assert bootstrap_interval(np.repeat(scores, 3, axis=1)) == pytest.approx(mine, abs=0.05)
+    assert bootstrap_interval(np.full((5, 2), 0.5)) == (0.5, 0.5)
+    low, high = bootstrap_interval(np.tile([0.0, 1.0], (1, 8)))
     assert low < high
 
 
@@ -297,7 +298,7 @@ def test_all_rows_are_scored_against_the_best_reference(tmp_path: Path) -> None:
         read_groups(tmp_path / "nothing")
 
 
-# --- contenders -----------------------------------------------------------------------------------
+# --- entries --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -325,8 +326,8 @@ def test_a_budget_fills_in_what_the_router_knows() -> None:
     second, tries = Budget(seconds=1), Budget(samples=7)
 
     def told(text: str, budget: Budget | None, *keys: str) -> list[Any]:
-        contender = from_text(text, None, budget)
-        return [contender.budget, *(contender.entry.options.get(key) for key in keys)]
+        entry = from_text(text, None, budget)
+        return [entry.allowed, *(entry.options.get(key) for key in keys)]
 
     assert told("pathfinder", second, "seconds") == ["1 s", 1]
     assert told("pathfinder seconds=3", second, "seconds") == ["3 s", 3]
@@ -336,32 +337,31 @@ def test_a_budget_fills_in_what_the_router_knows() -> None:
     assert told("astar best_of=5", second, "seconds") == ["best of 5, 1 s", 1]
     assert told("astar", tries, "best_of") == ["best of 7", 7]
     assert told("random", second) == [None]
-    contender = from_text("dqn", None, tries)
-    assert contender.budget == "7 episodes"
-    assert contender.entry.options["train"]["episodes"] == 7
-    name = from_text("astar best_of=16 target=tree", None, None).entry.name
-    assert name == "astar-16-tree"
+    entry = from_text("dqn", None, tries)
+    assert entry.allowed == "7 episodes"
+    assert entry.options["train"]["episodes"] == 7
+    assert from_text("astar best_of=16 target=tree", None, None).name == "astar-16-tree"
 
 
 @pytest.mark.parametrize("name", ["baselines", "learners"])
 def test_the_configurations_that_travel_with_the_package(name: str) -> None:
-    contenders, config = load_contenders(f"configs/benchmark/{name}.yaml", (), None)
+    entries, config = load_entries(f"configs/benchmark/{name}.yaml", (), None)
     assert config.seeds == 3
-    names = [contender.entry.name for contender in contenders]
+    names = [entry.name for entry in entries]
     if name == "baselines":
         assert names == ["random", "heuristic", "astar", "astar-16", "pathfinder", "optimal"]
-        budgets = [contender.budget for contender in contenders]
+        budgets = [entry.allowed for entry in entries]
         assert budgets == [None, None, None, "best of 16, 1 s", "1 s", "30 s"]
     else:
         one, many = ["dqn-single"], ["dqn-multi", "dqn-multi-rounds", "dqn-double-dueling"]
         assert names == [*one, *many, "ippo", "mappo"]
-        assert {contender.budget for contender in contenders} == {"500 episodes"}
+        assert {entry.allowed for entry in entries} == {"500 episodes"}
 
 
 def test_the_ablation_adds_one_thing_at_a_time_and_has_the_grown_learner() -> None:
-    contenders, config = load_contenders("configs/benchmark/ablation.yaml", (), None)
+    entries, config = load_entries("configs/benchmark/ablation.yaml", (), None)
     assert config.seeds == 3
-    rows = {contender.entry.name: contender.entry.options for contender in contenders}
+    rows = {entry.name: entry.options for entry in entries}
     assert list(rows) == sorted(rows)  # in the order in which things are added
     grown = plain(load_config("configs/grown.yaml"))
     options = rows["l-grown"]
@@ -399,16 +399,9 @@ def command(*more: str) -> list[str]:
     return ["benchmark", "--scenario", SCENARIO, *split, *routers, *more]
 
 
-def at_once(parts: Sequence[Any], *_: Any) -> Iterator[list[Any]]:
-    """In place of the processes, which take seconds to start."""
-    for part in parts:
-        part.work()
-        yield [part]
-
-
 @pytest.fixture(scope="module")
 def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which a benchmark of every form of contender has run."""
+    """A folder in which a benchmark of every form of entry has run."""
     folder = tmp_path_factory.mktemp("benchmark")
     (folder / "mine.py").write_text(MINE)
     for name, problem in problems().items():
@@ -426,7 +419,7 @@ def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.syspath_prepend(folder)
-        patch.setattr(run, "work_on", at_once)
+        patch.setattr(experiment, "work_on", in_this_process)
         assert status(command()) == 0
     return folder
 
@@ -442,9 +435,10 @@ def of(name: str) -> Path:
 
 
 def test_results_are_those_of_the_solutions(here: Path) -> None:
-    assert sorted(path.name for path in (here / "out").glob("*.json")) == sorted(
-        of(name).name for name in NAMES
-    )
+    written = {path.name for path in (here / "out").glob("*.json")}
+    assert written == {"results.json", *(of(name).name for name in NAMES)}
+    ((_, found),) = read_groups(here / "out").items()
+    assert {result.name for result in found} == set(NAMES)
     scenario = scenarios.get(SCENARIO)
     for name in NAMES[:-1]:
         result = read_result(of(name))
@@ -481,7 +475,7 @@ def test_a_run_that_is_finished_routes_nothing_again(
     assert [row["name"] for row in shown["rows"]] == list(NAMES)
     assert [row["open"] is None for row in shown["rows"]] == [False] * 5 + [True]
     for path, content in kept.items():
-        if path.suffix == ".json" and path.parent == here / "out":
+        if path.suffix == ".json" and path.parent == here / "out" and path.name != "results.json":
             continue  # written again, perhaps on another day
         assert path.read_bytes() == content
     assert status(command()) == 0
@@ -502,7 +496,7 @@ def test_a_run_goes_on(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     shutil.copytree(here, tmp_path / "copy")
     monkeypatch.chdir(tmp_path / "copy")
     expected = without_times(of("random-9"))
-    rows = sorted(Path("out", SCENARIO, "rows").rglob("random-9*/*.json"))
+    rows = sorted(Path("out", "rows").rglob("random-9*/*.json"))
     assert len(rows) == 2 * len(problems())
     kept = {path: path.read_bytes() for path in rows[::2]}
     for path in rows[1::2]:
@@ -544,13 +538,22 @@ def test_wrong_input_is_one_line(
     assert re.search(message, error), error
 
 
-def test_other_options_need_another_name(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    del here
+@pytest.mark.usefixtures("at_once")
+def test_other_options_need_another_name(
+    here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(here, tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
     words = ["benchmark", "--scenario", SCENARIO, "--split", "validation", "--out", "out"]
     assert status([*words, "--router", "astar target=tree", "--name", "astar"]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "target" in error
+    assert "routers.astar.target: expected 'pin', as in out/config.yaml, found 'tree'" in error
+    monkeypatch.setattr("policies.experiment.benchmark.__version__", "9")
+    assert status([*words, "--router", "astar"]) == 2
+    assert "routers.astar.version: expected " in capsys.readouterr().err
+    # Of routers that are not asked for nothing is read, code that they name neither.
+    assert status([*words, "--router", "astar target=tree", "--name", "tree"]) == 0
 
 
 def test_problems_of_another_version_are_not_mixed(
@@ -558,7 +561,7 @@ def test_problems_of_another_version_are_not_mixed(
 ) -> None:
     shutil.copytree(here, tmp_path / "copy")
     monkeypatch.chdir(tmp_path / "copy")
-    first, second = sorted(Path("out", SCENARIO, "problems").rglob("*.gr"))[:2]
+    first, second = sorted(Path("out", "problems").rglob("*.gr"))[:2]
     shutil.copy(second, first)
     assert status(command()) == 2
     error = capsys.readouterr().err
@@ -594,5 +597,5 @@ def test_a_benchmark_that_is_killed_comes_to_the_same_end(here: Path, tmp_path: 
     left = [path for path in (tmp_path / "out").rglob(".*") if path.is_file()]
     assert left == []
     one = next(iter(problems().items()))
-    path = tmp_path / f"out/{SCENARIO}/solutions/{SCENARIO}.validation/{one[0]}.astar.solution"
+    path = tmp_path / f"out/solutions/{SCENARIO}.validation/{one[0]}.astar.solution"
     assert Solution.read(path, one[1]) == sequential_astar(one[1])

@@ -28,10 +28,10 @@ from test_bad_files import GR
 import marouting
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
 from marouting.config import override, plain, read_yaml
-from policies.benchmark.contenders import load_contenders
 from policies.cli.main import cli, status
-from policies.cli.tables import show, show_experiment, show_speed
+from policies.cli.tables import show, show_experiment
 from policies.experiment import ExperimentConfig, load_experiment
+from policies.experiment.benchmark import load_entries
 from policies.learned.algorithms.dqn import DQNOptions
 from policies.learned.config import Config, TrainOptions, load_config
 from policies.learned.policy import TrainedPolicy
@@ -657,7 +657,7 @@ def test_tables_of_experiments_fit(
     assert text.count(" astar ") == (4 if width == 80 else 1)
 
 
-def test_tables_of_trainings_and_speeds_fit(
+def test_tables_of_trainings_fit(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
@@ -669,14 +669,6 @@ def test_tables_of_trainings_and_speeds_fit(
     assert {"123456789", "1234567890", "123456/234567", "1234567.89"} <= set(text.split())
     assert text.count("p") >= 50
     assert text.count("[r") >= 18  # names wrap, and are whole
-    words = "a name of many words, longer than a line of the terminal that it is printed to, it is"
-    speed = {"name": words, "value": 23456789.0, "best": 34567890.0, "unit": "agent-steps/s"}
-    more = {"threads": 2, "comparator": words, "against": 12.3, "ratio": 1.5, "target": words}
-    show_speed({"machine": {"processor": words}, "rows": [{**speed, **more}]})
-    text = capsys.readouterr().out
-    assert max(map(len, text.splitlines())) <= 80
-    assert "23\N{NO-BREAK SPACE}500\N{NO-BREAK SPACE}000 agent-steps/s" in text
-    assert text.count("longer") == 4
 
 
 # --- bad input ------------------------------------------------------------------------------------
@@ -1235,8 +1227,8 @@ def test_shipped_configurations_are_valid() -> None:
         if path.parent.name == "benchmarl":
             continue  # of a library; tests/test_integrations.py reads it
         if path.parent.name == "benchmark":
-            contenders, _ = load_contenders(path, [], None)
-            assert contenders
+            entries, _ = load_entries(path, [], None)
+            assert entries
         elif "routers" in raw:
             assert isinstance(load_experiment(path), ExperimentConfig)
         elif path.stem in router_names():
@@ -1454,6 +1446,7 @@ NOTHING = GR.partition("num net")[0] + "num net 1\nA 1 2 1\n5 5 1\n6 6 1\n"
 """A problem whose only net lies in one Gcell."""
 
 
+@pytest.mark.usefixtures("at_once")
 def test_a_problem_with_nothing_to_route(
     here: Path, capsys: pytest.CaptureFixture[str], refused: Callable[..., str]
 ) -> None:

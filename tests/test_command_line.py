@@ -66,11 +66,11 @@ COMMANDS: dict[str, tuple[list[str], set[str]]] = {
         {"files", "rows"},
     ),
 }
-"""Arguments, and keys that the object has; ``bench`` and ``quickstart`` take too long."""
+"""Arguments, and keys that the object has; ``quickstart`` takes too long."""
 
 
 def test_every_command_has_an_option_for_json() -> None:
-    assert {*COMMANDS, "bench", "quickstart"} == set(cli.commands)
+    assert {*COMMANDS, "quickstart"} == set(cli.commands)
     for name, command in cli.commands.items():
         assert "as_json" in [parameter.name for parameter in command.params], name
 

@@ -103,8 +103,8 @@ class Entries:
 class Scored:
     """In the place of a benchmark: takes what the command names."""
 
-    def __init__(self, chosen: list[str], contenders: list[Any], *_: Any, **__: Any) -> None:
-        assert contenders
+    def __init__(self, chosen: list[str], entries: list[Any], *_: Any, **__: Any) -> None:
+        assert entries
         assert all(marouting.scenarios.get(name) for name in chosen)
         raise WorkBegins
 
@@ -118,8 +118,8 @@ def drawn(paths: tuple[Path, ...], _: Path | None) -> None:
 def stop_before_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("policies.learned.run.Run", begins)
     monkeypatch.setattr("policies.experiment.Experiment", Entries)
-    monkeypatch.setattr("policies.benchmark.run.Benchmark", Scored)
-    monkeypatch.setattr("policies.bench.run", begins)
+    monkeypatch.setattr("policies.experiment.benchmark.Benchmark", Scored)
+    monkeypatch.setattr("policies.bench.__main__.run", begins)
     monkeypatch.setattr("policies.cli.main.warm_up", begins)
     monkeypatch.setattr("policies.figures.plot.plot", drawn)
     monkeypatch.setattr("policies.cli.quickstart.run", begins)
@@ -317,7 +317,8 @@ def check_python_command(arguments: list[str]) -> None:
         files = [word for word in rest if word.endswith(".py")]
         assert all((ROOT / file).exists() for file in files), files
     elif module.startswith("policies."):
-        command = importlib.import_module(module).main
+        folder = (ROOT / module.replace(".", "/")).is_dir()
+        command = importlib.import_module(f"{module}.__main__" if folder else module).main
         assert isinstance(command, click.Command)
         with command.make_context(module, rest):
             pass
@@ -340,7 +341,7 @@ def test_blocks_are_found_and_marks_are_read() -> None:
         ("marouting route problem.gr --router dqn train.episode=5", "did you mean episodes?"),
         ("marouting experiment configs/yardstick.yaml seed=0", "seed"),
         ("marouting benchmark --scenario toy-4x4-v1 --router astar", "toy-4x4-v1"),
-        ("marouting bench --repeat 5", "--repeat"),
+        ("marouting plot --ouch problem.gr", "--ouch"),
     ],
 )
 def test_what_is_only_parsed_is_parsed_to_the_end(

@@ -8,16 +8,16 @@ import os
 import shutil
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from conftest import in_this_process
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib.text import Text
 from scipy import stats
 
 from marouting import (
@@ -27,12 +27,13 @@ from marouting import (
     evaluate,
     generate,
     register,
+    scenarios,
     sequential_astar,
 )
 from policies import figures
 from policies.cli.main import status
 from policies.experiment import Experiment, load_experiment, load_sets
-from policies.experiment.work import work_on
+from policies.experiment.part import work_on
 from policies.figures import plot
 from policies.learned.config import load_config
 from policies.learned.policy import TrainedPolicy
@@ -43,14 +44,11 @@ from policies.results.statistics import (
     by_router,
     by_set,
     mean_interval,
-    mean_overflow,
     mean_wirelength,
     rank,
     share_interval,
     summarise,
 )
-from policies.results.study import FigureOptions
-from policies.results.utilisation import histogram_counts, utilisation_maps
 from policies.routers.astar import AStarRouter
 from policies.routers.random import RandomRouter
 from policies.routers.registry import is_seeded, make_router, router_piece
@@ -109,16 +107,6 @@ def everything(folder: Path, **keys: Any) -> Path:
     }
     sets = {"small": SMALL, "other": OTHER}
     config = {"seeds": [0, 4], "reference": "random", "problems": sets, "routers": routers}
-    panels = ["edges", "wirelength", "overflow", "decrease", "reward"]
-    columns = {
-        "three nets": {"router": "dqn", "set": "small", "problem": "problem_001"},
-        "four nets": {"router": "dqn", "set": "other"},
-    }
-    up = {"panels": ["decrease"], "columns": {"smallest first": {"router": "up"}}}
-    one = ["vias", "vertical", "horizontal", "histogram", "routes"]
-    routes = {"panels": one, "columns": {"DQN": {**columns["three nets"]}}}
-    sizes = {"panels": panels, "columns": columns}
-    config["studies"] = {"sizes": sizes, "order": up, "routes": routes}
     return write_config(folder / "all.yaml", **{**config, **keys})
 
 
@@ -320,7 +308,7 @@ def test_results_are_there_of_the_routers_that_are_done(
     config = load_experiment(everything(tmp_path, jobs=1))
 
     def without_trainings(parts: Sequence[Any], *how: Any) -> Iterator[list[Any]]:
-        for done in work_on(parts, *how):
+        for done in in_this_process(parts, *how):
             if any(part.entry.trains for part in done):
                 raise KeyboardInterrupt
             yield done
@@ -334,16 +322,16 @@ def test_results_are_there_of_the_routers_that_are_done(
     assert [row["router"] for row in summary["sets"]["all"]] == ["random", "astar", "best"]
 
 
-@pytest.mark.usefixtures("_undrawn")
+@pytest.mark.usefixtures("_undrawn", "at_once")
 def test_one_process_finds_the_same_as_two(finished: Path, tmp_path: Path) -> None:
-    config = load_experiment(everything(tmp_path), ["jobs=1"])
+    config = load_experiment(everything(tmp_path))
     summary = Experiment(config).execute()
     assert outcome(tmp_path / "out") == outcome(finished)
     kept = json.loads((finished / "summary.json").read_text())
     assert untimed(json.loads(json.dumps(summary["sets"]))) == untimed(kept["sets"])
 
 
-@pytest.mark.usefixtures("_undrawn")
+@pytest.mark.usefixtures("_undrawn", "at_once")
 def test_a_trained_policy_can_take_part(finished: Path, tmp_path: Path) -> None:
     """Of several networks in a file each problem is walked by its own; nothing is trained."""
     trained = finished / "runs" / "small" / "dqn.seed0" / "problem_000"
@@ -383,7 +371,7 @@ def test_what_is_wrong_is_said_before_there_is_a_folder(
 # --- going on -------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("_undrawn")
+@pytest.mark.usefixtures("_undrawn", "at_once")
 def test_nothing_is_done_twice(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -406,7 +394,8 @@ def test_nothing_is_done_twice(
     changed = {
         str(path.relative_to(folder / "rows")) for path in after if after[path] != before[path]
     }
-    assert changed == set(lost)
+    quoted = {f"{name}/best/problem_000.json" for name in ("small", "other")}
+    assert changed == {*lost, *quoted}  # what others published is read again
 
 
 def test_problems_are_those_it_started_with(tmp_path: Path) -> None:
@@ -462,7 +451,6 @@ def test_threads_of_the_processes_are_set_for_them_alone(tmp_path: Path) -> None
 
 SET = {"small": SMALL}
 ASTAR = {"a": {"router": "astar"}}
-ROUTED = {"router": "a"}
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "unknown key": ({"router": ASTAR}, "router: unknown key; did you mean routers?"),
     "no routers": ({"routers": {}}, "routers: expected at least one"),
@@ -508,71 +496,26 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"routers": {"d": {"router": "dqn", "checkpoint": "c.pt", "learner": {"gamma": 1.0}}}},
         "checkpoint: expected nothing to train",
     ),
-    "unknown router of a study": (
-        {"studies": {"s": {"columns": {"t": {"router": "b"}}}}},
-        "studies.s.columns.t.router: unknown name 'b'; expected one of a",
+    "no such scenario": (
+        {"problems": {"s": {"scenario": "toy-4x4-v9"}}},
+        "problems.s: scenario: did you mean toy-4x4-v0? expected one of toy-4x4-v0",
     ),
-    "unknown panel": (
-        {"studies": {"s": {"panels": ["x"], "columns": {"t": {"router": "a"}}}}},
-        "studies.s.panels.0: expected one of edges, ",
+    "the training problems of a scenario": (
+        {"problems": {"s": {"scenario": "toy-4x4-v0", "split": "train"}}},
+        "problems.s: split: expected one of test, validation, found 'train'",
     ),
-    "panel twice": (
-        {"studies": {"s": {"panels": ["edges"] * 2, "columns": {"t": {"router": "a"}}}}},
-        "panels: expected every panel once",
+    "no budget": ({"routers": {"a": {"router": "astar", "budget": "x"}}}, "budget: expected"),
+    "no solutions": (
+        {"routers": {"a": {"router": "solutions", "folder": "."}}},
+        ".: expected one solution problem_000.*, found none",
     ),
-    "no columns": ({"studies": {"s": {}}}, "columns: expected at least one"),
-    "a study's name": (
-        {"studies": {"a/b": {"columns": {"t": {"router": "a"}}}}},
-        "studies.a/b: expected a name",
-    ),
-    "unknown router beside": (
-        {"studies": {"s": {"columns": {"t": {**ROUTED, "beside": ["b"]}}}}},
-        "studies.s.columns.t.beside: unknown name 'b'; expected one of a",
-    ),
-    "beside without learning": (
-        {
-            "routers": {**ASTAR, "d": DQN},
-            "studies": {"s": {"columns": {"t": {"router": "d", "beside": ["a"]}}}},
-        },
-        "studies.s.columns.t.beside: expected routers that are trained on small",
-    ),
-    "a study called as a set's figure": (
-        {"studies": {"small_overflow": {"panels": ["edges"], "columns": {"t": ROUTED}}}},
-        "studies.small_overflow: expected another name",
+    "training without a number": (
+        {"routers": {"a": {"router": "astar", "training_seconds": "1"}}},
+        "routers.a: training_seconds: expected a number from 0",
     ),
     "only nothing": (
         {"routers": {"a": {"router": "astar", "only": []}}},
         "only: expected a list of sets, found []",
-    ),
-    "which set": (
-        {"problems": {"x": SMALL, "y": SMALL}, "studies": {"s": {"columns": {"t": ROUTED}}}},
-        "studies.s.columns.t.set: expected one of x, y",
-    ),
-    "another's set": (
-        {"studies": {"s": {"columns": {"t": {**ROUTED, "set": "smal"}}}}},
-        "studies.s.columns.t.set: unknown name 'smal'; did you mean small?",
-    ),
-    "no such problem of a study": (
-        {"studies": {"s": {"columns": {"t": {**ROUTED, "problem": "problem_003"}}}}},
-        "studies.s.columns.t.problem: unknown name 'problem_003'",
-    ),
-    "a study without A*": (
-        {
-            "routers": {"a": {"router": "random"}},
-            "studies": {"s": {"panels": ["edges"], "columns": {"t": ROUTED}}},
-        },
-        "studies.s.columns.t: expected a router of the kind astar that is for small",
-    ),
-    "a study of what others did": (
-        {
-            "routers": {**ASTAR, "p": {"router": "published", "file": "p.csv"}},
-            "studies": {"s": {"columns": {"t": {"router": "p"}}}},
-        },
-        "studies.s.columns.t.router: expected one that routes here",
-    ),
-    "rewards of what does not learn": (
-        {"studies": {"s": {"panels": ["reward"], "columns": {"t": ROUTED}}}},
-        "studies.s.columns.t.router: expected one that is trained",
     ),
     "empty stack": ({"routers": {"d": {"router": "dqn", "stack": 0}}}, "stack: expected"),
     "shared by two grids": (
@@ -703,7 +646,7 @@ def names_and_seeds(folder: Path) -> set[tuple[Any, ...]]:
     return {(row["set"], row["router"], row["seed"]) for row in rows}
 
 
-@pytest.mark.usefixtures("_undrawn")
+@pytest.mark.usefixtures("_undrawn", "at_once")
 def test_routers_seeds_and_sets_come_and_go(here: Path, refused: Callable[..., str]) -> None:
     routers = {"a": {"router": "astar"}, "r": {"router": "random", "max_steps": 9}}
     config = write_config(here / "c.yaml", routers=routers, seeds=[3])
@@ -823,7 +766,6 @@ def test_plot_draws_an_experiment(
 ) -> None:
     kinds = ("wirelength", "overflow", "decrease")
     names = {f"{name}_{kind}.png" for name in ("small", "other", "all") for kind in kinds}
-    names |= {"sizes.png", "order.png", "routes.png"}
     assert {path.name for path in (finished / "figures").iterdir()} == names
     assert status(["plot", str(finished), "--out", str(tmp_path / "f")]) == 0
     written = [Path(line) for line in capsys.readouterr().out.splitlines()]
@@ -891,74 +833,31 @@ def test_figures_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, 
         assert lower in axes.get_title() or np.isnan(decrease).all()
 
 
-def test_studies_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
-    plot.experiment_figures(finished, tmp_path)
-    rows = by_set(json.loads((finished / "results.json").read_text()))
-    panels = np.array(drawn["sizes"].axes).reshape(5, 2)
-    letters = [axes.get_title(loc="left") for axes in panels.ravel()]
-    assert letters == [f"({letter})" for letter in "abcdefghij"]
-    for (name, title, chosen), column in zip(
-        (("small", "three nets", "problem_001"), ("other", "four nets", "problem_000")),
-        panels.T,
-        strict=True,
-    ):
-        edges, lengths, overflows, decrease, rewards = column
-        assert edges.get_title().startswith(f"{title}\nType I")
-        problem = Problem.read(finished / "problems" / name / f"{chosen}.gr")
-        left = problem.capacity - AStarRouter().route(problem).edge_demand
-        used = np.sort(left.reshape(-1, 3)[problem.capacity.reshape(-1, 3) > 0])
-        after = next(p for p in edges.patches if p.get_label() == "after routing").get_data()
-        steps = np.repeat(after.values, np.diff(after.edges).astype(int))
-        assert sorted(steps) == [n for n in used if n < 10**6]
-
-        routers = by_router(rows[name])
-        order = np.argsort(mean_wirelength(routers["astar"]), kind="stable")
-        for axes, of in ((lengths, mean_wirelength), (overflows, mean_overflow)):
-            shown = marks(axes)
-            assert list(shown) == ["A*", "DQN", "random walks"]  # the column's, the reference
-            for router in ("astar", "dqn", "random"):
-                expected = of(routers[router])[order]
-                whole = ~np.isnan(mean_wirelength(routers[router]))[order]
-                np.testing.assert_array_equal(shown[CALLED[router]][whole], expected[whole])
-        less = mean_wirelength(routers["astar"]) - mean_wirelength(routers["dqn"])
-        assert sum(bar.get_height() for bar in decrease.patches) == (~np.isnan(less)).sum()
-        logs = (finished / "runs" / name / "dqn.seed0").glob("*/metrics.jsonl")
-        entries = [json.loads(line) for log in logs for line in log.read_text().splitlines()]
-        pale = [line.get_ydata() for line in rewards.get_lines() if line.get_alpha()]
-        expected: dict[str, list[float]] = {}
-        for entry in entries:
-            expected.setdefault(entry["problem"], []).append(entry["reward"])
-        assert [list(curve) for curve in pale] == [expected[key] for key in sorted(expected)]
-    # To be compared along a row.
-    for row in panels[3:]:
-        assert row[0].get_ylim() == row[1].get_ylim()
-    assert panels[3][0].get_xlim() == panels[3][1].get_xlim()
-    assert drawn["order"].axes[0].get_title().startswith("smallest first\nlower on ")
+@pytest.mark.usefixtures("_undrawn", "at_once")
+def test_scenarios_budgets_and_solutions_from_elsewhere(here: Path) -> None:
+    problems = scenarios.get("toy-4x4-v0").problems("validation")
+    for name, problem in problems.items():
+        sequential_astar(problem, "file").write(here / "made" / f"{name}.solution")
+    routers = {
+        **ASTAR,
+        "tries": {"router": "astar", "budget": 3},
+        "made": {"router": "solutions", "folder": "made"},
+    }
+    sets = {"toys": {"scenario": "toy-4x4-v0", "split": "validation"}}
+    config = load_experiment(write_config(here / "c.yaml", problems=sets, routers=routers))
+    assert config.routers["tries"]["best_of"] == 3
+    for _ in range(2):  # the second time the folder is read again
+        Experiment(config).execute()
+        rows = json.loads((here / "out" / "results.json").read_text())
+        found = {(row["router"], row["problem"]): row for row in rows}
+        assert [name for router, name in found if router == "made"] == sorted(problems)
+        for name, problem in problems.items():
+            row, judged = found["made", name], evaluate(problem, sequential_astar(problem, "file"))
+            assert (row["wirelength"], row["seconds"]) == (judged.wirelength, None)
+            assert row["open_nets"] == len(judged.disconnected)
 
 
-def test_studies_show_one_problem(finished: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
-    plot.experiment_figures(finished, tmp_path)
-    vias, vertical, horizontal, histogram, routes = drawn["routes"].axes[:5]
-    problem = Problem.read(finished / "problems" / "small" / "problem_001.gr")
-    file = finished / "solutions" / "small" / "problem_001.dqn.seed0.solution"
-    solution = Solution.read(file, problem)
-    maps = utilisation_maps(problem, solution)
-    for axes, expected in (
-        (vias, maps.via),
-        (vertical, maps.vertical),
-        (horizontal, maps.horizontal),
-    ):
-        shown = np.ma.filled(axes.images[0].get_array().astype(float), np.nan)
-        np.testing.assert_array_equal(shown, np.minimum(expected, 1e9).T)
-    bars = [bar.get_height() for bars in histogram.containers for bar in bars]
-    assert bars == histogram_counts(problem, solution).ravel().tolist()
-    less = len(solution.pruned().uses[1])
-    figures = f"WL {evaluate(problem, solution).wirelength} ({less} pruned), OF 0"
-    assert figures in " ".join(routes.get_title().split())
-    assert vias.get_title().startswith("DQN\n")
-
-
-@pytest.mark.usefixtures("_undrawn")
+@pytest.mark.usefixtures("_undrawn", "at_once")
 def test_solutions_are_pruned_where_an_entry_says_so(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -1022,8 +921,8 @@ def test_labels_of_entries(here: Path) -> None:
         "y": {"router": "optimal", "label": "walks"},
     }
     path = write_config(here / "c.yaml", routers=routers)
-    options = FigureOptions.read(path)
-    assert [options.label(name) for name in routers] == [
+    labels = plot.read_labels(path)
+    assert [labels[name] for name in routers] == [
         "A*", "p", "negotiated congestion", "learning rate 1e-3", "rate1e-5", "walks (x)",
         "walks (y)",
     ]  # fmt: skip
@@ -1032,49 +931,7 @@ def test_labels_of_entries(here: Path) -> None:
     Experiment(load_experiment(write_config(here / "d.yaml", **keys)))
     keys["routers"]["a"]["label"] = "second"
     Experiment(load_experiment(write_config(here / "d.yaml", **keys)))
-    assert FigureOptions.read(here / "o" / "config.yaml").label("a") == "second"
-
-
-def test_a_study_of_mean_rewards(here: Path, drawn: dict[str, Any]) -> None:
-    more = {**DQN, "learner": {**DQN["learner"], "network": {"hidden": [4]}}}
-    routers = {**ASTAR, "wide": DQN, "slim": more}
-    column = {"router": "wide", "beside": ["slim"]}
-    study = {"panels": ["mean_reward"], "columns": {"width": column, "one": {"router": "slim"}}}
-    config = write_config(here / "c.yaml", routers=routers, seeds=[0, 3], studies={"w": study})
-    Experiment(load_experiment(config)).execute()
-
-    def mean(router: str) -> list[float]:
-        by_episode: dict[int, list[float]] = {}
-        for log in (here / "out" / "runs" / "small").glob(f"{router}.seed*/*/metrics.jsonl"):
-            for entry in map(json.loads, log.read_text().splitlines()):
-                by_episode.setdefault(entry["episode"], []).append(entry["reward"])
-        assert {len(rewards) for rewards in by_episode.values()} == {6}  # problems × seeds
-        return [sum(by_episode[k]) / 6 for k in sorted(by_episode)]
-
-    both, one = drawn["w"].axes
-    for axes, names in ((both, ["wide", "slim"]), (one, ["slim"])):
-        assert [text.get_text() for text in axes.get_legend().get_texts()] == names
-        pale = [line.get_ydata() for line in axes.get_lines() if line.get_alpha()]
-        np.testing.assert_allclose(pale, [mean(name) for name in names])
-    assert both.get_ylim() == one.get_ylim()
-
-
-@pytest.mark.usefixtures("_undrawn")
-def test_studies_can_change_and_follow_the_routers(here: Path) -> None:
-    study = {"panels": ["wirelength"], "columns": {"A*": {"router": "b"}, "0": {"router": "a"}}}
-    routers = {"a": {"router": "astar"}, "b": {"router": "astar", "net_order": "file"}}
-    keys = {"routers": routers, "studies": {"orders": study, "second": study}}
-    config = write_config(here / "c.yaml", **keys)
-    changes = ["routers.b=null", "studies.second.columns={B: {router: b}}"]
-    first = Experiment(load_experiment(config, changes))
-    assert list(first.config.studies) == ["orders"]
-    assert list(first.config.studies["orders"].columns) == ["0"]
-    first.execute()
-    before = outcome(here / "out")
-    again = Experiment(load_experiment(config, ["routers.b=null", "studies={}"]))
-    again.execute()
-    assert outcome(here / "out") == before
-    assert load_experiment(here / "out" / "config.yaml") == again.config
+    assert plot.read_labels(here / "o" / "config.yaml")["a"] == "second"
 
 
 @pytest.mark.usefixtures("_undrawn")
@@ -1093,127 +950,6 @@ def test_keys_of_the_run_reach_every_training(here: Path) -> None:
         load_experiment(config, ["train.episode=2"])
     with pytest.raises(InputError, match="train: expected none: no router of this experiment"):
         load_experiment(write_config(here / "d.yaml"), ["train.episodes=2"])
-
-
-@pytest.mark.usefixtures("_undrawn")
-def test_studies_follow_smaller_sets_and_may_be_left_out(here: Path) -> None:
-    def study(*problems: str | None) -> dict[str, Any]:
-        columns = {str(p): {"router": "astar", "problem": p} for p in problems}
-        return {"panels": ["routes"], "columns": columns}
-
-    problems = {"small": SMALL}
-    studies = {"a": study(None, "problem_000", "problem_002"), "b": study("problem_002")}
-    config = write_config(here / "c.yaml", problems=problems, studies=studies)
-    whole = load_experiment(config)
-    assert {name: list(s.columns) for name, s in whole.drawn.items()} == {
-        "a": ["None", "problem_000", "problem_002"],
-        "b": ["problem_002"],
-    }
-    fewer = load_experiment(config, ["problems.small.count=2"])
-    assert {name: list(s.columns) for name, s in fewer.drawn.items()} == {
-        "a": ["None", "problem_000"]
-    }
-    Experiment(fewer).execute()
-    assert (here / "out" / "results.csv").exists()
-    assert list(load_experiment(config, ["studies.a=null"]).studies) == ["b"]
-    # A name that no generated problem has is a mistake.
-    wrong = load_experiment(config, ["studies.a.columns.problem_002.problem=problem_2"])
-    with pytest.raises(InputError, match="problem: unknown name 'problem_2'"):
-        Experiment(replace(wrong, out=str(here / "other")))
-
-
-def test_a_study_shows_every_router_once_and_any_title(here: Path, drawn: dict[str, Any]) -> None:
-    """Whatever the baseline and the reference are called."""
-    routers = {"a": {"router": "astar"}, "p": {"router": "pathfinder"}, "b": {"router": "astar"}}
-    columns = {r"$\x{$": {"router": "a"}, "P": {"router": "p"}, "B": {"router": "b"}}
-    study = {"panels": ["wirelength"], "columns": columns}
-    keys = {"routers": routers, "reference": "p", "studies": {"s": study}}
-    config = write_config(here / "c.yaml", **keys)
-    Experiment(load_experiment(config)).execute()
-    shown = [[line.get_label() for line in axes.get_lines()] for axes in drawn["s"].axes]
-    best = "negotiated congestion"
-    assert shown == [["a", best], ["a", best], ["a", "b", best]]
-    drawn["s"].canvas.draw()
-    assert drawn["s"].axes[0].get_title() == r"$\x{$"
-
-
-@pytest.mark.parametrize("missing", ["astar", "dqn"])
-def test_studies_wait_for_what_they_show(missing: str, finished: Path, tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    for name in ("config.yaml", "problems", "solutions", "runs"):
-        (tmp_path / "out" / name).symlink_to(finished / name)
-    rows = json.loads((finished / "results.json").read_text())
-    # Where A* is missing the next of its kind stands for it, where there is one.
-    left = [row for row in rows if row["router"] != missing]
-    (tmp_path / "out" / "results.json").write_text(json.dumps(left))
-    drawn = {path.stem for path in plot.experiment_figures(tmp_path / "out")}
-    assert ("sizes" in drawn) == (missing == "astar")
-    assert "order" in drawn
-    (tmp_path / "out" / "results.json").write_text(
-        json.dumps([row for row in rows if row["kind"] != "astar"])
-    )
-    drawn = {path.stem for path in plot.experiment_figures(tmp_path / "out")}
-    assert not drawn & {"sizes", "order"}
-
-
-def test_rewards_of_a_study_that_are_gone(
-    finished: Path, tmp_path: Path, refused: Callable[..., str]
-) -> None:
-    shutil.copytree(finished, tmp_path / "out")
-    shutil.rmtree(tmp_path / "out" / "runs")
-    said = refused("plot", tmp_path / "out")
-    assert f"{Path('runs') / 'small' / 'dqn.seed0'}: expected run folders" in said
-
-
-def test_a_study_without_anything_to_compare() -> None:
-    """Nothing joined, no reward above 0: a picture all the same, after hours of training."""
-    problem = generate(1, grid=(4, 4, 2), nets=3)[0]
-    nothing = {"astar": np.array([9.0]), "dqn": np.array([math.nan])}
-    solution = AStarRouter().route(problem)
-    column = figures.ColumnData(
-        problem, solution, solution, nothing, {"astar": np.zeros(1)}, {"p": [-3.0, -1]}, {}
-    )
-    drawn = figures.study({"A": column}, ("decrease", "reward"))
-    title = " ".join(drawn.axes[0].get_title().split())
-    assert title == "A no problem; 1 with open nets not shown"
-    assert drawn.axes[1].get_yscale() == "linear"
-    for columns, panels in (({}, ("reward",)), ({"A": column}, ())):
-        with pytest.raises(InputError, match="study: expected at least one"):
-            figures.study(columns, panels)
-
-
-def test_narrow_panels_of_a_study_are_readable() -> None:
-    """Legends cover no marks and stay inside; titles are no wider than panels, letters beside."""
-    problem = generate(1, grid=(4, 4, 2), nets=3)[0]
-    solution = AStarRouter().route(problem)
-    astar = np.arange(300.0, 340)
-    dqn = astar[::-1].copy()  # marks everywhere: high on the left and high on the right
-    open_nets = np.where(np.arange(40) % 9 == 0, dqn, math.nan)
-    dqn[::9] = math.nan
-    column = figures.ColumnData(
-        problem,
-        solution,
-        solution,
-        {"A*": astar, "DQN, row 5": dqn},
-        {"A*": astar, "DQN, row 5": dqn},
-        {},
-        {},
-        {"DQN, row 5": open_nets},
-        {"DQN, row 5": open_nets},
-    )
-    columns = {f"γ = {number}": column for number in range(4)}
-    drawn = figures.study(columns, ("wirelength", "overflow", "decrease"))
-    drawn.canvas.draw()
-    for axes in drawn.axes[:8]:
-        legend = axes.get_legend().get_window_extent()
-        assert axes.get_window_extent().x0 <= legend.x0
-        assert legend.x1 <= axes.get_window_extent().x1
-        marks = [axes.transData.transform(line.get_xydata()) for line in axes.get_lines()]
-        assert max(np.nanmax(own[:, 1]) for own in marks) < legend.y0
-    for axes in drawn.axes[8:]:
-        letter = next(text for text in axes.findobj(Text) if text.get_text().startswith("("))
-        assert letter.get_window_extent().x1 < axes.title.get_window_extent().x0
-        assert axes.get_title().count("\n") <= 3
 
 
 def test_decreases_fall_into_their_bars() -> None:

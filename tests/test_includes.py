@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 import marouting
 from marouting import InputError
 from marouting.config import merged, origins_of, read_yaml
-from policies.benchmark.contenders import load_contenders
 from policies.cli.main import status
 from policies.experiment import load_experiment
+from policies.experiment.benchmark import load_entries
 from policies.learned.config import load_config
 
 ROOT = Path(__file__).parent.parent
@@ -90,7 +90,7 @@ def test_one_mechanism_for_every_configuration(capsys: pytest.CaptureFixture[str
     write(
         {
             "table.yaml": "include: configs/paper/size16.yaml\n"
-            "problems: {capacity3: {count: 2}}\nrouters: {dqn: null}\nstudies: {solutions: null}\n",
+            "problems: {capacity3: {count: 2}}\nrouters: {dqn: null}\n",
             "scores.yaml": "include: configs/benchmark/baselines.yaml\nseeds: 1\n",
             "game.yaml": "include: [configs/paper/default.yaml]\nenv: {agents: multi}\n",
             "router.yaml": "include: sub/astar.yaml\nnet_order: file\n",
@@ -101,9 +101,9 @@ def test_one_mechanism_for_every_configuration(capsys: pytest.CaptureFixture[str
     assert set(experiment.routers) == {"astar", "astar-best", "pathfinder", "optimal"}
     assert experiment.problems["capacity3"]["grid"] == [16, 16, 2]
     assert experiment.problems["capacity3"]["count"] == 2
-    contenders, scores = load_contenders("scores.yaml", (), None)
+    entries, scores = load_entries("scores.yaml", (), None)
     assert (scores.seeds, scores.budget) == (1, "1s")
-    assert "optimal" in [contender.entry.name for contender in contenders]
+    assert "optimal" in [entry.name for entry in entries]
     assert marouting.make("game.yaml").possible_agents
     marouting.generate(1, grid=(4, 4, 2), nets=3)[0].write("p.gr")
     assert status(["route", "p.gr", "--config", "router.yaml"]) == 0

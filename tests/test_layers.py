@@ -71,9 +71,8 @@ ROOMS = {
         ("learned.logs", "learned.router", "learned.run"),
         ("learned",),
         ("experiment",),
-        ("benchmark",),
-        ("bench",),
         ("cli",),
+        ("bench",),
         ("",),
     ),
 }

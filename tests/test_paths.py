@@ -10,9 +10,9 @@ import pytest
 import marouting
 from marouting import InputError, Problem, Solution, global_routing_v0
 from marouting.config import read_yaml
-from policies.benchmark.contenders import from_text, load_contenders
 from policies.cli.main import status
 from policies.experiment import Experiment, load_experiment
+from policies.experiment.benchmark import from_text, load_entries
 from policies.figures.plot import plot
 from policies.learned.config import load_config
 from policies.learned.policy import TrainedPolicy
@@ -112,7 +112,6 @@ WRITTEN: dict[str, tuple[str, ...]] = {
     "plot": ("plot", "p.gr", "--out", "PATH"),
     "benchmark": ("benchmark", "--scenario", "toy-4x4-v0", "--router", "astar", "--out", "PATH"),
     "leaderboard": ("benchmark", "--leaderboard", "--results", "PATH"),
-    "bench": ("bench", "start", "--out", "PATH"),
     "quickstart": ("quickstart", "--out", "PATH"),
 }
 
@@ -161,8 +160,8 @@ FROM_PYTHON: dict[str, Callable[[str], Any]] = {
     "read_yaml": read_yaml,
     "load_config": load_config,
     "load_experiment": load_experiment,
-    "load_contenders": lambda path: load_contenders(path, (), None),
-    "contender": lambda path: from_text(f"./{path}", None, None),
+    "load_entries": lambda path: load_entries(path, (), None),
+    "entry": lambda path: from_text(f"./{path}", None, None),
     "TrainedPolicy": TrainedPolicy.load,
     "read_rows": lambda path: read_rows(Path(path)),
     "plot": lambda path: plot([path]),

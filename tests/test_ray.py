@@ -17,10 +17,10 @@ import ray_tasks as tasks
 import test_experiment
 import test_regions
 import yaml
+from conftest import in_this_process
 
 from marouting import InputError
 from policies import figures
-from policies.benchmark import run
 from policies.cli.main import status
 from policies.engines import Call, opened
 from policies.experiment import Experiment, experiment, load_experiment
@@ -41,13 +41,6 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ray's processes do not find by its name what lies in the folder of a test."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(figures, "save", lambda _figure, _path: None)
-
-
-def at_once(parts: Sequence[Any], *_: Any) -> Iterator[list[Any]]:
-    """In place of local processes, which take seconds to start."""
-    for part in parts:
-        part.work()
-        yield [part]
 
 
 def compared(folder: Path, **routers: Any) -> Path:
@@ -91,20 +84,6 @@ def test_calls_return_what_they_return() -> None:
     assert found == {i: 40 + i for i in range(20)}
 
 
-def test_notes_outlive_the_process_that_wrote_them() -> None:
-    with opened("ray", 2, 1) as engine:
-        assert engine.notes is not None
-        found, news = {}, {}
-        for done in engine.run([Call(tasks.with_notes, (engine.notes, "k"))]):
-            found |= done
-            news |= engine.notes.news()
-        until = time.monotonic() + 10
-        while not news and time.monotonic() < until:
-            news |= engine.notes.news()
-    assert found == {0: ("written", True)}
-    assert news == {"k": "written"}
-
-
 def test_what_no_machine_has_is_refused() -> None:
     with opened("ray", 1, 1) as engine, pytest.raises(InputError, match="no GPU"):
         next(engine.run([Call(tasks.total, (), 1)]))
@@ -131,7 +110,7 @@ def test_an_experiment_is_the_same_as_here(tmp_path: Path, monkeypatch: pytest.M
     assert all(path.exists() for path in lost)
 
     there, names = test_experiment.outcome(out), files(out)
-    monkeypatch.setattr(experiment, "work_on", at_once)
+    monkeypatch.setattr(experiment, "work_on", in_this_process)
     assert execute(config, "out=here") == whole
     assert test_experiment.outcome(tmp_path / "here") == there
     assert files(tmp_path / "here") == names
@@ -140,7 +119,7 @@ def test_an_experiment_is_the_same_as_here(tmp_path: Path, monkeypatch: pytest.M
 def test_a_benchmark_is_the_same_as_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     command = ["benchmark", "--scenario", "toy-4x4-v0", "--seeds", "1", "--router", "random"]
     assert status([*command, "--router", "astar", "--out", "there", "engine=ray"]) == 0
-    monkeypatch.setattr(run, "work_on", at_once)
+    monkeypatch.setattr(experiment, "work_on", in_this_process)
     assert status([*command, "--router", "astar", "--out", "here"]) == 0
     for name in ("random", "astar"):
         file = f"toy-4x4-v0.{name}.json"
@@ -160,9 +139,9 @@ def test_the_benchmarks_engine_can_stand_in_its_file(
 
     def work(parts: Sequence[Any], *how: Any) -> Iterator[list[Any]]:
         asked.append(how[-1])
-        return at_once(parts)
+        return in_this_process(parts)
 
-    monkeypatch.setattr(run, "work_on", work)
+    monkeypatch.setattr(experiment, "work_on", work)
     Path("b.yaml").write_text(
         yaml.safe_dump({"engine": "ray", "routers": {"a": {"router": "astar"}}})
     )
@@ -237,7 +216,7 @@ def test_a_training_goes_on_from_its_last_checkpoint(
     execute(config, "engine=ray", *ONE)
     assert mark.read_text() != str(os.getpid())
     again = int(tally.read_text())
-    monkeypatch.setattr(experiment, "work_on", at_once)
+    monkeypatch.setattr(experiment, "work_on", in_this_process)
     execute(config, "out=here", *ONE)
     assert test_experiment.outcome(tmp_path / "here") == test_experiment.outcome(tmp_path / "out")
     assert files(tmp_path / "here") == files(tmp_path / "out")
@@ -311,7 +290,7 @@ def test_a_killed_experiment_goes_on_where_it_was(
     assert not list((tmp_path / "out" / "rows").rglob("dqn*/*.json"))
 
     execute(config, "engine=ray", *ONE)
-    monkeypatch.setattr(experiment, "work_on", at_once)
+    monkeypatch.setattr(experiment, "work_on", in_this_process)
     execute(config, "out=here", *ONE)
     assert test_experiment.outcome(tmp_path / "here") == test_experiment.outcome(tmp_path / "out")
 

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from policies import figures
-from policies.figures.plot import experiment_figures, reward_figures, scaling_figure
+from policies.figures.plot import experiment_figures, reward_figures
 from policies.results.rows import COLUMNS, ResultRow, read_published, read_rows, to_csv
 from policies.results.run_folder import read_rewards
 from policies.results.statistics import add_gaps, by_set, summarise
@@ -26,7 +26,7 @@ def row(problem: str, router: str, seed: int | None, **figures: Any) -> dict[str
     """A row of an experiment."""
     known = {"overflow": 1, "max_overflow": 1, "wirelength": 20, "vias": 4, "connected": True}
     known |= {"pruned_overflow": 0, "pruned_wirelength": 18}
-    known |= {"joined": 3, "tasks": 3, "seconds": 0.5}
+    known |= {"open_nets": 0, "joined": 3, "tasks": 3, "seconds": 0.5}
     about = {"set": "s", "problem": problem, "router": router, "kind": router, "seed": seed}
     return {**dict.fromkeys(COLUMNS), **about, **known, **figures}
 
@@ -46,13 +46,6 @@ RESULTS = [
 EPISODE = {"reward": -12.5, "joined": 2, "tasks": 3, "overflow": 0, "wirelength": 17, "steps": 40}
 EPISODE |= {"epsilon": 0.05, "loss": 0.25, "updates": 7, "best": False}
 EPISODES = [{"problem": name, "episode": n, **EPISODE} for n in range(2) for name in "pq"]
-TIMES = [
-    {"family": family, "work": work, "edges": edges, "seconds": edges / 1000}
-    for family in ("near", "far")
-    for work in ("A*", "a step")
-    for edges in (10, 100)
-]
-BENCH = {"machine": {"date": "2026-11-22"}, "scaling": TIMES}
 
 
 def sane(value: Any) -> bool:
@@ -132,7 +125,6 @@ DRAWN: dict[str, Kind] = {
         as_lines,
         lambda file: reward_figures(file, file.parent),
     ),
-    "a benchmark": ("b.json", BENCH, json.dumps, lambda file: scaling_figure(file, file.parent)),
 }
 
 
@@ -152,7 +144,6 @@ def test_published_files_are_read(tmp_path: Path) -> None:
     for name in ("shuffle26_single.json", "shuffle26_multi.json"):
         # A*, the best episode and the policy in the end, on eleven problems.
         assert len(read_rows(DOCS / name, ResultRow)) == 33
-    assert scaling_figure(DOCS / "performance.json", tmp_path).exists()
     tables = [*DOCS.glob("paper/*.csv"), DOCS / "liao2019.csv"]
     assert len(tables) == 8
     for path in tables:

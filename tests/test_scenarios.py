@@ -5,7 +5,6 @@ import hashlib
 import itertools
 import json
 import pickle
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -38,14 +37,11 @@ from marouting.scenarios.references import Best, path_of, read_references, refer
 from marouting.scenarios.scenario import routable
 from marouting.source import load_problem
 from marouting.vector import BatchEnv
-from policies.benchmark.references import (
-    MARKS,
+from policies.experiment.references import (
     Effort,
     main,
     solve,
     solve_scenario,
-    table,
-    write_table,
 )
 from policies.learned.config import Config
 from policies.learned.run import Run, problems_of
@@ -391,7 +387,7 @@ def test_what_is_known_is_checked(tmp_path: Path) -> None:
 def test_references_are_computed_once_and_only_get_better(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("policies.benchmark.references.path_of", lambda name: tmp_path / name)
+    monkeypatch.setattr("policies.experiment.references.path_of", lambda name: tmp_path / name)
     name = "two-pin-8x8-v0"
     hasty = Effort(seconds=0)  # A* and the bound of nets alone
     steps = solve_scenario(name, hasty)
@@ -432,40 +428,12 @@ def test_a_worse_search_changes_nothing() -> None:
         assert found.how.startswith("solution by optimal")
 
 
-def test_the_table_is_measured(tmp_path: Path) -> None:
-    path = tmp_path / "scenarios.md"
-    path.write_text(f"before {MARKS[0]} old {MARKS[1]} after", encoding="utf-8")
-    names = ["toy-4x4-v0", "paper-table2-row3-v0"]
-    write_table(path, table(names, sample=0.3))
-    text = path.read_text(encoding="utf-8")
-    assert text.startswith(f"before {MARKS[0]}\n\n| scenario ")
-    assert text.endswith(f"\n{MARKS[1]} after")
-    head, _, *rows = text.split(MARKS[0])[1].split(MARKS[1])[0].strip().splitlines()
-    for name, row in zip(names, rows, strict=True):
-        cells = [cell.strip() for cell in row.strip("|").split("|")]
-        assert len(cells) == len(head.strip("|").split("|"))
-        test = scenarios.get(name).test
-        known = [scenarios.get(name).reference(problem) for problem in test]
-        least = sum(one.wirelength for one in known)
-        assert cells[0] == name
-        assert cells[7] == f"0 / {least}"
-        judged = [evaluate(problem, sequential_astar(problem)) for problem in test]
-        more = 100 * (sum(one.wirelength for one in judged) / least - 1)
-        found = f"{sum(one.overflow for one in judged)} / {more:+.1f} %"
-        assert re.fullmatch(re.escape(found) + r", \S+ s", cells[8])
-        assert cells[9].startswith("0 / +0.0 %, ")  # negotiated congestion finds these optima
-        assert cells[11].endswith("/s")
-    path.write_text("no marks", encoding="utf-8")
-    with pytest.raises(InputError, match="expected the marks"):
-        write_table(path, [])
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["toy"], "Error: scenario: did you mean toy-4x4-v0?"),
         (["--seconds", "-1"], "Error: --seconds: expected a number from 0"),
-        (["--table", "missing.md"], "Error: missing.md: cannot be read"),
+        (["--seeds", "-1"], "Error: --seeds: expected a number from 0"),
     ],
 )
 def test_the_command_says_what_is_wrong(arguments: list[str], said: str) -> None:

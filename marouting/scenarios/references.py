@@ -1,6 +1,6 @@
 """What is known about the best solutions of a scenario's problems, read from the package.
 
-``python -m policies.benchmark.references`` computes and writes these files, one per scenario.
+``python -m policies.experiment.references`` computes and writes these files, one per scenario.
 """
 
 import functools

@@ -2,25 +2,15 @@
 
 import json
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from marouting import (
-    Engine,
-    PaperObservation,
-    Problem,
-    WindowObservation,
-    generate,
-    global_routing_v0,
-)
-from marouting.batch.outlook import OutlookObservation
+from marouting import Problem, generate, global_routing_v0
 from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.bench.measure import Bench, Measurement, Work
@@ -68,68 +58,8 @@ def batch(bench: Bench) -> Iterator[Measurement]:
         )
 
 
-_RADII = (0, 1, 2, 3, 5)
-_CROWD: dict[str, Any] = {"nets": 10_000, "grid": (64, 64, 2), "capacity": 60, "reduced_edges": 0}
-_KINDS: dict[str, tuple[dict[str, Any], int]] = {
-    "128 problems of 50 nets": ({}, 128),
-    "10 000 nets on 64×64×2": (_CROWD, 1),
-}
-
-
-def _rows(engine: Engine, observation: Any, steps: int) -> Work:
-    """What all agents see, after every step of random moves; only the looking is timed.
-
-    The clock is the processor's: on a busy machine a long call would be interrupted more often than
-    the short one that it is compared with.
-    """
-    pairs = engine.pairs(everyone=True)
-    shape = observation.space(engine.problems, False).shape
-    out = np.empty((len(pairs[0]), *shape), np.float32)
-    rng = np.random.default_rng(0)
-    engine.reset()
-
-    def work() -> float:
-        seconds = 0.0
-        for _ in range(steps):
-            engine.step(rng.integers(MOVES, size=engine.nets.shape, dtype=np.int8))
-            begun = time.thread_time()
-            observation.write(engine, *pairs, out)
-            seconds += time.thread_time() - begun
-        return seconds / steps / len(out) * 1e9
-
-    return work
-
-
 def observation(bench: Bench) -> Iterator[Measurement]:
-    """What a row of window and outlook costs, beside the paper's 12 numbers, and steps with it."""
-    for name, (options, copies) in _KINDS.items():
-        problems = generate(1, **options) * copies
-        seen: dict[str, WindowObservation | OutlookObservation] = {
-            f"window, radius {radius}": WindowObservation(radius=radius) for radius in _RADII
-        }
-        seen["window, radius 2, no demand"] = WindowObservation(channels=("capacity", "own"))
-        seen["outlook"] = OutlookObservation()
-        works = []
-        for piece in (PaperObservation(), *seen.values()):
-            # The outlook searches for every row: a look of 10 000 nets takes seconds.
-            steps = 1 if copies == 1 and isinstance(piece, OutlookObservation) else 10
-            works.append(_rows(Engine(problems, turn_order="round_robin"), piece, steps))
-        for work in works:
-            work()
-        turns = [[work() for work in works] for _ in range(bench.repeats)]
-        paper, *columns = (statistics.median(column) for column in zip(*turns, strict=True))
-        best = [min(column) for column in zip(*turns, strict=True)][1:]
-        for (kind, piece), cost, least in zip(seen.items(), columns, best, strict=True):
-            yield Measurement(
-                f"{kind}, {piece.size} numbers, {name}",
-                cost,
-                least,
-                "ns a row",
-                1,
-                "the paper's 12 numbers",
-                paper,
-                paper / cost,
-            )
+    """Steps with the window and the outlook, beside those with the paper's 12 numbers."""
     for name, options in (
         ("window, radius 2", {"kind": "window", "radius": 2}),
         ("outlook", {"kind": "outlook"}),
@@ -232,15 +162,15 @@ def interfaces(bench: Bench) -> Iterator[Measurement]:
 
 def jumanji(bench: Bench) -> Iterator[Measurement]:
     """The batched environment against Jumanji's Connector, both on one core."""
-    from policies.bench.jumanji import Connector, one_core
+    from policies.bench.jumanji import connector, one_core
 
-    with one_core(), Connector(1024) as connector:
+    with one_core():
         yield bench.versus(
             "BatchEnv, 1024 problems of 50 nets, on one core",
             "agent-steps/s",
             _batched(1),
             "Jumanji's Connector-v3, 1024 games of 10 agents",
-            connector,
+            connector(1024),
             target="3 times the comparator",
         )
 

@@ -16,17 +16,18 @@ below 1; at the large end tables outgrow the caches, and an edge takes longer.
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting import InputError, Net, Pin, Problem, Solution, evaluate, sequential_astar
+from marouting import Net, Pin, Problem, evaluate, sequential_astar
 from marouting.problem.grid import Move
 from marouting.vector import BatchEnv
-from policies.results.scaling import exponents
+from policies.bench.measure import Bench, Measurement
 
 SIDE, NETS, CAPACITY = 8, 50, 5
 """The paper's problems: columns and rows of Gcells, nets, capacity of an edge."""
@@ -36,47 +37,13 @@ COUNTS = (50, 200, 1000, 3000, 10000)
 LARGE = 64
 """Columns and rows of the grid that more and more nets are put on."""
 
-STEP, ASTAR, EVALUATE = "step of the environment", "A*", "evaluation"
 
-
-@dataclass(frozen=True)
-class Timing:
-    """One measurement: how long some work on one problem took.
-
-    Attributes:
-        family: of the problem, one of the three above.
-        work: what was done.
-        side: columns and rows of Gcells.
-        nets: nets of the problem.
-        capacity: of an edge along its layer's direction.
-        edges: routed edges when it was done.
-        seconds: the least time of all repeats.
-    """
-
-    family: str
-    work: str
-    side: int
-    nets: int
-    capacity: int
-    edges: int
-    seconds: float
-
-
-def problem(
-    side: int, nets: int, capacity: int, window: int | None = None, seed: int = 0
-) -> Problem:
+def problem(side: int, nets: int, capacity: int, window: int) -> Problem:
     """A problem of two-pin nets on side × side × 2 Gcells, the same for the same arguments.
 
-    Args:
-        side: columns and rows of Gcells, 2 or more.
-        nets: nets, 1 or more.
-        capacity: of edges along x in layer 1, and along y in layer 2.
-        window: side of the square of Gcells that both pins of a net lie in, itself anywhere on the
-            grid; None: the whole grid.
-        seed: where the random numbers start.
+    Both pins of a net lie in a square of window × window Gcells, itself anywhere on the grid.
     """
-    rng = np.random.default_rng((seed, side, nets))
-    window = min(window or side, side)
+    rng = np.random.default_rng((0, side, nets))
     corner = rng.integers(side - window + 1, size=(nets, 1, 2))
     # Two different ones of the window's Gcells, all such pairs equally likely.
     first = rng.integers(window**2, size=nets)
@@ -96,41 +63,41 @@ def problem(
     )
 
 
-def _families(
-    sides: Sequence[int], counts: Sequence[int], large: int, seed: int
+def families(
+    sides: Sequence[int], counts: Sequence[int], large: int
 ) -> Iterator[tuple[str, Problem]]:
     """The problems of all families."""
 
     def nets_on(side: int) -> int:
-        return max(1, NETS * side**2 // SIDE**2)
+        return NETS * side**2 // SIDE**2
 
     def capacity_for(nets: int, side: int) -> int:
         # Routes are as long as the sides, and there are edges as the area.
         return max(1, round(CAPACITY * nets / NETS * SIDE / side))
 
     for side in sides:
-        yield "near pins", problem(side, nets_on(side), CAPACITY, SIDE, seed)
+        yield "near pins", problem(side, nets_on(side), CAPACITY, min(SIDE, side))
     for side in sides:
         nets = nets_on(side)
-        yield "uniform pins", problem(side, nets, capacity_for(nets, side), None, seed)
+        yield "uniform pins", problem(side, nets, capacity_for(nets, side), side)
     for nets in counts:
-        yield "more nets", problem(large, nets, capacity_for(max(counts), large), None, seed)
+        yield "more nets", problem(large, nets, capacity_for(max(counts), large), large)
 
 
-def _least(works: Iterable[float], budget: float) -> float:
+def _least(times: Iterator[float], budget: float) -> float:
     """The least of the times that repeats took: three of them, more within a budget of seconds."""
     found: list[float] = []
-    for seconds in works:
-        found.append(seconds)
-        if len(found) >= 3 and sum(found) >= budget:
-            break
+    while len(found) < 3 or sum(found) < budget:
+        found.append(next(times))
     return min(found)
 
 
-def _timed(work: Callable[[], object]) -> float:
-    started = time.perf_counter()
-    work()
-    return time.perf_counter() - started
+def _timed(work: Callable[[], object]) -> Iterator[float]:
+    """The times that some work takes, without end."""
+    while True:
+        started = time.perf_counter()
+        work()
+        yield time.perf_counter() - started
 
 
 def _straight(seen: NDArray[np.float32]) -> NDArray[np.int8]:
@@ -142,7 +109,7 @@ def _straight(seen: NDArray[np.float32]) -> NDArray[np.int8]:
 
 
 def _episodes(env: BatchEnv) -> Iterator[float]:
-    """Episodes without end, and how long the steps of each took."""
+    """How long the steps of an episode take, without end."""
     while True:
         seen, info = env.reset()
         seconds, over = 0.0, False
@@ -155,75 +122,42 @@ def _episodes(env: BatchEnv) -> Iterator[float]:
         yield seconds
 
 
-def _measured(on: Problem, budget: float) -> Iterator[tuple[str, int, float]]:
+def times_of(on: Problem, budget: float) -> Iterator[tuple[str, int, float]]:
     """Each work on one problem, the edges routed with it, and its seconds."""
     # Nets that may overflow edges all get where they want, straight away.
     env = BatchEnv([on], overflow="allowed", autoreset=False)
     seconds = _least(_episodes(env), budget)
-    yield STEP, env.engine.metrics().wirelength, seconds
-
-    routed: list[Solution] = []
-
-    def route() -> float:
-        fresh = replace(on)  # of which nothing has been worked out yet
-        return _timed(lambda: routed.append(sequential_astar(fresh)))
-
-    seconds = _least(iter(route, None), budget)
-    edges = len(routed[0].uses[1])
-    yield ASTAR, edges, seconds
-    solution = routed[0]
-    del routed[:]
-    yield (
-        EVALUATE,
-        edges,
-        _least(iter(lambda: _timed(lambda: evaluate(on, solution)), None), budget),
-    )
+    yield "step of the environment", env.engine.metrics().wirelength, seconds
+    solution = sequential_astar(on)
+    edges = len(solution.uses[1])
+    # A problem of which nothing has been worked out yet.
+    yield "A*", edges, _least(_timed(lambda: sequential_astar(replace(on))), budget)
+    yield "evaluation", edges, _least(_timed(lambda: evaluate(on, solution)), budget)
 
 
-def measure(
+def exponent(points: Sequence[tuple[int, float]]) -> float:
+    """The p with which time grows as edges to the power of p, by least squares of logarithms."""
+    edges, seconds = np.log(np.array(points, np.float64).T)
+    return float(np.polyfit(edges, seconds, 1)[0])
+
+
+def scaling(
+    bench: Bench,
     sides: Sequence[int] = SIDES,
     counts: Sequence[int] = COUNTS,
     large: int = LARGE,
-    *,
-    budget: float = 0.5,
-    seed: int = 0,
-    progress: Callable[[Timing], None] | None = None,
-) -> dict[str, Any]:
-    """Measures all families, on one core.
-
-    Args:
-        sides: of the grids of the first two families, two or more different ones.
-        counts: of nets in the third family, likewise.
-        large: side of the third family's grid.
-        budget: seconds to spend on the repeats of each measurement, at least three.
-        seed: where the random numbers of the problems start.
-        progress: called with every row as it is there.
-
-    Returns:
-        Plain data: ``rows``, the fields of :class:`Timing` each, and ``exponents`` as of
-        :func:`policies.results.scaling.exponents`.
-
-    Raises:
-        InputError: the sizes do not differ, or are too small.
-    """
-    for name, sizes, least in (("sides", sides, 2), ("counts", counts, 1)):
-        if len(set(sizes)) < 2 or min(sizes) < least:
-            raise InputError(f"{name}: expected different sizes from {least}, found {tuple(sizes)}")
-    if large < 2:
-        raise InputError(f"large: expected a side from 2, found {large}")
-    _compile()
-    rows = []
-    for family, on in _families(sides, counts, large, seed):
-        for work, edges, seconds in _measured(on, budget):
-            capacity = on.horizontal_capacity[0]
-            row = Timing(family, work, on.grid[0], len(on.nets), capacity, edges, seconds)
-            rows.append(asdict(row))
-            if progress is not None:
-                progress(row)
-    return {"rows": rows, "exponents": exponents(rows)}
-
-
-def _compile() -> None:
-    """Has everything compiled before anything is timed."""
-    for _ in _measured(problem(2, 1, 1), 0.0):
-        pass
+) -> Iterator[Measurement]:
+    """Exponents of time over routed edges, by family and work."""
+    list(times_of(problem(2, 1, 1, 2), 0.0))  # everything is compiled then
+    rows: list[dict[str, Any]] = []
+    points: dict[tuple[str, str], list[tuple[int, float]]] = defaultdict(list)
+    for family, on in families(sides, counts, large):
+        for work, edges, seconds in times_of(on, 0.1 * bench.repeats):
+            about = {"family": family, "work": work, "side": on.grid[0], "nets": len(on.nets)}
+            rows.append({**about, "edges": edges, "seconds": seconds})
+            points[family, work].append((edges, seconds))
+    bench.details["scaling"] = rows
+    for (family, work), found in points.items():
+        name = f"{work}, {family}: exponent of time over routed edges"
+        power = exponent(found)
+        yield Measurement(name, power, power, "", target="1.2 at most")

@@ -1,4 +1,4 @@
-"""Speed of A*, and how time grows with the size of a problem."""
+"""Speed of A*."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -9,7 +9,6 @@ from marouting import Problem, generate, sequential_astar
 from marouting.problem.grid import Grid
 from marouting.trees.decomposition import two_pin_tasks
 from policies.bench.measure import Bench, Measurement, Work
-from policies.bench.scaling import measure
 
 
 def _graph(problem: Problem) -> Any:
@@ -81,13 +80,3 @@ def search(bench: Bench) -> Iterator[Measurement]:
         _networkx(chip, 30),
         target=f"{tasks / 2:.0f} (2 s in all)",
     )
-
-
-def time_scaling(bench: Bench) -> Iterator[Measurement]:
-    """How time grows with routed edges (:mod:`policies.bench.scaling`)."""
-    found = measure(budget=0.1 * bench.repeats)
-    bench.details["scaling"] = found["rows"]
-    for family, works in found["exponents"].items():
-        for work, exponent in works.items():
-            name = f"{work}, {family}: exponent of time over routed edges"
-            yield Measurement(name, exponent, exponent, "", target="1.2 at most")

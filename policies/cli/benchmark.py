@@ -110,11 +110,8 @@ def benchmark(
     single --router; engine=ray does the work as tasks of Ray. --leaderboard makes the page of all
     result files in --results.
     """
-    from policies.benchmark.result import read_result
-    from policies.benchmark.statistics import summarise
-
     if leaderboard:
-        from policies.benchmark.leaderboard import write_leaderboard
+        from policies.experiment.leaderboard import write_leaderboard
 
         if names or routers or config:
             raise InputError("--leaderboard: expected no --scenario, --router or --config with it")
@@ -128,18 +125,12 @@ def benchmark(
 
     from marouting import scenarios
     from marouting.config import build, override
-    from policies.benchmark.contenders import (
-        BenchmarkConfig,
-        Budget,
-        Contender,
-        from_text,
-        load_contenders,
-    )
-    from policies.benchmark.result import Split
-    from policies.benchmark.run import Benchmark
     from policies.cli.progress import problems_bar
     from policies.cli.resolved import check_kind
     from policies.cli.tables import show_benchmark
+    from policies.experiment.benchmark import Benchmark, BenchmarkConfig, from_text, load_entries
+    from policies.experiment.config import Budget, Entry, Split
+    from policies.experiment.result import read_result, summarise
     from policies.routers.registry import unknown
 
     if not names:
@@ -154,24 +145,24 @@ def benchmark(
     own = [text for text in overrides if text.startswith("engine=")]
     overrides = tuple(text for text in overrides if text not in own)
     engine = build(BenchmarkConfig, override({}, own)).engine
-    contenders: list[Contender] = []
+    entries: list[Entry] = []
     if config is not None:
         check_kind(config, "benchmark")
-        contenders, defaults = load_contenders(config, overrides, given)
+        entries, defaults = load_entries(config, overrides, given)
         seeds = defaults.seeds if seeds is None else seeds
         engine = engine if own else defaults.engine
     elif overrides and len(routers) != 1:
         raise InputError(f"{overrides[0]}: expected --config or one --router with it")
     for text in routers:
         more = "" if config is not None else f" {shlex.join(overrides)}" if overrides else ""
-        contenders.append(from_text(f"{text}{more}", name, given))
+        entries.append(from_text(f"{text}{more}", name, given))
     for scenario in names:
         if scenario not in (*scenarios.names(), "all"):
             raise unknown("--scenario", scenario, (*scenarios.names(), "all"))
-    chosen = scenarios.names() if "all" in names else list(names)
+    chosen = scenarios.names() if "all" in names else list(dict.fromkeys(names))
     run = Benchmark(
         chosen,
-        contenders,
+        entries,
         out,
         split=cast(Split, split),
         seeds=seeds,
@@ -179,7 +170,7 @@ def benchmark(
         engine=engine,
     )
     with problems_bar("benchmark") as watch:
-        files = run.execute(watch)
+        files = run.execute(watch)["files"]
     summaries = [summarise(read_result(path)) for path in files]
     if as_json:
         click.echo(json.dumps({"files": [str(path) for path in files], "rows": summaries}))

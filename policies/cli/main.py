@@ -27,7 +27,7 @@ except ImportError:  # pragma: no cover - the command line needs the extra
 
 from marouting import InputError, Solution, __version__, evaluate, sequential_astar
 from marouting.config import override, read_yaml
-from marouting.files import check_writable, exists, naming, write_text
+from marouting.files import check_writable, exists, naming
 from marouting.generator import GeneratorOptions
 from marouting.problem.contest import contest_cost, with_pins_covered
 from marouting.problem.ispd import FORMATS, Format
@@ -58,6 +58,7 @@ _RENAMED = {
     "animate": "view … --out FILE.svg",
     "guide": "convert PROBLEM FILE.guide --solution SOLUTION",
     "report": "evaluate --report",
+    "bench": "python -m policies.bench",
 }
 """Commands that there were before version 0.3, and what does the same."""
 
@@ -70,7 +71,9 @@ class _Commands(click.Group):
         found = super().get_command(ctx, name)
         if found is None and not ctx.resilient_parsing:
             if name in _RENAMED:
-                raise InputError(f"marouting {name}: it is now marouting {_RENAMED[name]}")
+                new = _RENAMED[name]
+                whole = new if new.startswith("python") else f"marouting {new}"
+                raise InputError(f"marouting {name}: it is now {whole}")
             raise unknown("command", name, tuple(self.list_commands(ctx)))
         return found
 
@@ -290,6 +293,7 @@ def _report(
     from policies.results.rows import solution_row
 
     fields = {"router": router, **solution_row(solution, seconds), **report}
+    del fields["open_nets"]  # their names follow
     disconnected = evaluate(solution.problem, solution).disconnected
     chip = solution.problem.chip
     if chip is not None and chip.contest is not None:
@@ -503,9 +507,9 @@ def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
 def plot(paths: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     """Draw figures of runs, experiments and files.
 
-    Draws run folders, experiment folders, metrics.jsonl files, files of marouting bench --out, and
-    problems, each with the solution files that follow it, or with sequential A*'s solution if none
-    follows. Prints the paths of the pictures.
+    Draws run folders, experiment folders, metrics.jsonl files, and problems, each with the solution
+    files that follow it, or with sequential A*'s solution if none follows. Prints the paths of the
+    pictures.
     """
     from policies.figures.plot import plot as draw
 
@@ -517,62 +521,6 @@ def plot(paths: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
 
 
 cli.add_command(view)
-
-
-@cli.command()
-@click.argument("sections", nargs=-1, metavar="[SECTION]...")
-@click.option(
-    "--repeats", type=WHOLE, default=7, show_default=True, help="Repeats of every measurement."
-)
-@click.option(
-    "--threads",
-    type=WHOLE,
-    default=2,
-    show_default=True,
-    help="Threads of the multi-threaded measurements.",
-)
-@click.option(
-    "--against",
-    type=click.Choice(["jumanji"]),
-    help="Library to compare with; without it, none.",
-)
-@click.option("--out", type=FILE, help="JSON file for the results; without it, none is written.")
-@json_option
-def bench(
-    sections: tuple[str, ...],
-    repeats: int,
-    threads: int,
-    against: str | None,
-    out: Path | None,
-    as_json: bool,
-) -> None:
-    """Measure speed, as ratios to comparators that run in turns with the code.
-
-    SECTION is one of start, batch, observation, interfaces, libraries, large, search, training and
-    scaling; without it everything is measured, which takes several minutes.
-    """
-    from policies.bench import SECTIONS, Bench, Measurement, run
-    from policies.cli.tables import number, show_speed
-
-    if out is not None:
-        check_writable(out)
-    chosen = list(sections or (name for name in SECTIONS if name != "jumanji"))
-    if against is not None and against not in chosen:
-        chosen.append(against)
-
-    def watch(section: str, row: Measurement | None) -> None:
-        if row is None:
-            click.echo(f"{section} ...", err=True)
-        else:
-            click.echo(f"  {row.name}: {number(row.value)} {row.unit}", err=True)
-
-    report = run(chosen, Bench(repeats, threads), watch)
-    if out is not None:
-        write_text(out, json.dumps(report, indent=1) + "\n")
-    if as_json:
-        click.echo(json.dumps(report))
-    else:
-        show_speed(report)
 
 
 @cli.command()
@@ -611,12 +559,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.exit(code)
 
 
-def status(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line; returns the exit status."""
+def status(
+    arguments: Sequence[str] | None = None, command: click.Command = cli, name: str = "marouting"
+) -> int:
+    """Runs a command, by default the whole command line; returns the exit status."""
     try:
         # The command itself may lie anywhere, module:Class is of the folder where it is given.
         with interruptible(), importing_from(Path.cwd()):
-            cli.main(args=arguments, prog_name="marouting", standalone_mode=False)
+            command.main(args=arguments, prog_name=name, standalone_mode=False)
     except InputError as error:
         return _complain(str(error))
     except click.ClickException as error:

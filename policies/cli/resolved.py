@@ -34,7 +34,7 @@ _COLUMN = 56
 
 def kinds() -> dict[str, type[Any]]:
     """The kinds of configuration by the command that takes them."""
-    from policies.benchmark.contenders import BenchmarkConfig
+    from policies.experiment.benchmark import BenchmarkConfig
     from policies.experiment.config import ExperimentConfig
     from policies.learned.config import Config
 

@@ -102,32 +102,15 @@ def show_benchmark(summaries: Sequence[Mapping[str, Any]]) -> None:
     """Prints rows of a benchmark, best first, a table for each scenario.
 
     Args:
-        summaries: as :func:`policies.benchmark.statistics.summarise` returns them.
+        summaries: as :func:`policies.experiment.result.summarise` returns them.
     """
+    from policies.experiment.leaderboard import cells_of  # not for the other tables
+
     for scenario in dict.fromkeys(row["scenario"] for row in summaries):
         rows = [row for row in summaries if row["scenario"] == scenario]
         rows.sort(key=lambda row: (row["score"] is None, -(row["score"] or {"mean": 0})["mean"]))
-        columns = {
-            "router": [row["name"] for row in rows],
-            "score": [score_text(row["score"]) for row in rows],
-            "open": [_known(row["open"], ".4g") for row in rows],
-            "overflow": [f"{round(row['overflow'], 1):.10g}" for row in rows],
-            "gap\n%": [
-                "?"
-                if row["open"] is None
-                else _known(row["gap"], ".2f", "")
-                + (f" ({row['gap_problems']})" if 0 < row["gap_problems"] < row["problems"] else "")
-                for row in rows
-            ],
-            "at ref.\n%": [_known(row["at_reference"], ".0f") for row in rows],
-            "A*\nW/T/L": [
-                "?"
-                if row["wins"] is None
-                else f"{row['wins']:.4g}/{row['ties']:.4g}/{row['losses']:.4g}"
-                for row in rows
-            ],
-            "seconds": [_known(row["solution_seconds"], ".3g") for row in rows],
-        }
+        columns = {"router": [row["name"] for row in rows]}
+        columns |= zip(_BENCHMARK, map(list, zip(*map(cells_of, rows), strict=True)), strict=True)
         problems, seeds = rows[0]["problems"], max(row["seeds"] for row in rows)
         of = f"{problems} {rows[0]['split']} problems"
         if seeds > 1:
@@ -135,6 +118,9 @@ def show_benchmark(summaries: Sequence[Mapping[str, Any]]) -> None:
         _print(f"{scenario}: {of}", columns, ["router"])
     click.echo(_wrapped(_BENCHMARK_NOTES))
 
+
+_BENCHMARK = ("score", "open", "overflow", "gap\n%", "at ref.\n%", "A*\nW/T/L", "seconds")
+"""The headings of a benchmark's table."""
 
 _BENCHMARK_NOTES = (
     "score: 0 as sequential A*, 1 as the reference (the proven optimum or the best known), by open "
@@ -145,17 +131,6 @@ _BENCHMARK_NOTES = (
     "seconds: median per problem. All per seed. ?: not known. docs/benchmark.md explains the "
     "protocol."
 )
-
-
-def score_text(score: Mapping[str, float] | None) -> str:
-    """A mean score and its interval."""
-    if score is None:
-        return "?"
-    return f"{score['mean']:.3f} [{score['low']:.3f}, {score['high']:.3f}]"
-
-
-def _known(value: float | None, form: str, unknown: str = "?") -> str:
-    return unknown if value is None else format(value, form)
 
 
 def show_report(found: Mapping[str, Any], title: str) -> None:
@@ -229,29 +204,6 @@ def _bin(start: int, end: int | None) -> str:
     if end is None:
         return f"> {start}"
     return str(start) if start == end else f"{start} to < {end}"
-
-
-def show_speed(report: Mapping[str, Any]) -> None:
-    """Prints what :func:`policies.bench.run` measured, a few lines for each figure."""
-    machine = report["machine"].items()
-    click.echo(_wrapped(", ".join(f"{key} {value}" for key, value in machine if value)))
-    for row in report["rows"]:
-        threads = f", {row['threads']} threads" if row["threads"] > 1 else ""
-        target = f"; target {row['target']}" if row["target"] else ""
-        click.echo(_wrapped(f"\n{row['name']}{threads}"))
-        figures = f"{number(row['value'])} {row['unit']}, best {number(row['best'])}{target}"
-        click.echo(_wrapped(figures, "    "))
-        if row["ratio"] is not None:
-            against = f"{row['ratio']:.3g} × {row['comparator']} ({number(row['against'])})"
-            click.echo(_wrapped(against, "    "))
-
-
-def number(value: float) -> str:
-    """A figure with three significant digits, thousands apart by a space that does not break."""
-    if value >= 1000:
-        digits = 3 - len(f"{value:.0f}")
-        return f"{round(value, digits):,.0f}".replace(",", "\N{NO-BREAK SPACE}")
-    return f"{value:.3g}"
 
 
 def _print(title: str, columns: Mapping[str, Sequence[str]], names: Sequence[str]) -> None:

@@ -10,29 +10,9 @@ import importlib.util
 from collections.abc import Iterator
 
 from marouting.errors import InputError
-from policies.engines.base import (
-    ENGINES,
-    THREADS,
-    Call,
-    Engine,
-    EngineName,
-    Notes,
-    cores,
-    processor,
-)
+from policies.engines.base import Call, Engine, EngineName, cores, processor
 
-__all__ = [
-    "ENGINES",
-    "THREADS",
-    "Call",
-    "Engine",
-    "EngineName",
-    "Notes",
-    "check_engine",
-    "cores",
-    "opened",
-    "processor",
-]
+__all__ = ["Call", "Engine", "EngineName", "check_engine", "cores", "opened", "processor"]
 
 
 def check_engine(name: EngineName) -> None:

@@ -3,15 +3,13 @@
 import contextlib
 import os
 import platform
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, Protocol
 
 EngineName = Literal["local", "ray"]
 """Where work is done: in processes of this machine, or as tasks of Ray."""
-
-ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 
 THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """The variables that numba, torch and the linear algebra libraries read when imported."""
@@ -33,41 +31,15 @@ class Call:
     gpus: int = 0
 
 
-class Notes(Protocol):
-    """What calls that are under way write down; it outlives the process that wrote it."""
-
-    def write(self, key: str, value: Any) -> None:
-        """Keeps a value; from a process that makes a call."""
-        ...
-
-    def read(self, key: str) -> Any:
-        """The last value written, or None; from a process that makes a call."""
-        ...
-
-    def news(self) -> Mapping[str, Any]:
-        """The last values by key that were written since this was last asked."""
-        ...
-
-
 class Engine(Protocol):
     """Runs calls."""
-
-    @property
-    def notes(self) -> Notes | None:
-        """What calls write down where they do not see our files; None where they do."""
-        ...
 
     def share(self, value: Any) -> Any:
         """An argument for many calls, which goes to every machine once where that is possible."""
         ...
 
     def run(self, calls: Sequence[Call]) -> Iterator[dict[int, Any]]:
-        """Makes calls, in the given order as far as there is room.
-
-        Calls that are left when the iteration ends early end with the engine.
-
-        Args:
-            calls: what to call.
+        """Makes calls, in order as far as there is room; they end with the engine.
 
         Yields:
             About every second what was returned since, by the call's number.

@@ -1,7 +1,8 @@
 """Calls as tasks of Ray, on this machine or on many.
 
 Ray chooses where a task runs and when, sends its arguments, and runs it again when its process or
-its machine is lost. Here calls become tasks, and a Ray is started or joined.
+its machine is lost. Here calls become tasks, and a Ray is started or joined. Files are not sent:
+all machines have to see the working folder, under the same name.
 """
 
 import contextlib
@@ -10,12 +11,12 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import ray
-from ray.exceptions import GetTimeoutError, RayError, RayTaskError
+from ray.exceptions import RayError, RayTaskError
 
 from marouting.errors import InputError
 from marouting.registry import allowing_code, code_allowed, register, registered
@@ -104,15 +105,6 @@ class RayEngine:
             raise InputError(f"threads: expected at most {most:g}, as the Ray has, found {threads}")
         self._threads = threads
         self._running: dict[Any, int] = {}
-        self._notes: RayNotes | None = None
-
-    @property
-    def notes(self) -> "RayNotes":
-        """What calls under way write down; made when it is first asked for."""
-        if self._notes is None:
-            keeper = ray.remote(num_cpus=0, max_restarts=-1, max_task_retries=-1)(_Keeper)
-            self._notes = RayNotes(keeper.remote())
-        return self._notes
 
     def share(self, value: Any) -> Any:
         """A reference to the value, which every machine fetches once."""
@@ -125,9 +117,9 @@ class RayEngine:
             raise InputError("device: expected cpu: this Ray has no GPU")
         variables = {"env_vars": dict.fromkeys(THREADS, str(self._threads))}
         task = ray.remote(max_retries=RETRIES, num_cpus=self._threads, runtime_env=variables)(_run)
-        pieces = ray.put((registered(), code_allowed()))
+        known = ray.put((str(Path.cwd()), registered(), code_allowed()))
         self._running = {
-            task.options(num_gpus=call.gpus).remote(call.function, pieces, *call.arguments): number
+            task.options(num_gpus=call.gpus).remote(call.function, known, *call.arguments): number
             for number, call in enumerate(calls)
         }
         while self._running:
@@ -143,68 +135,6 @@ class RayEngine:
             with contextlib.suppress(RayError, ValueError):
                 ray.cancel(task, force=True)
         self._running = {}
-        if self._notes is not None:
-            self._notes.end()
-
-
-class RayNotes:
-    """Values by key in a process of Ray's, which the engine and its tasks can reach.
-
-    Args:
-        keeper: that process.
-    """
-
-    def __init__(self, keeper: Any) -> None:
-        self._keeper = keeper
-        self._asked: Any = None
-
-    def write(self, key: str, value: Any) -> None:
-        """Keeps a value; without effect if the keeper's machine is lost."""
-        with contextlib.suppress(RayError):
-            ray.get(self._keeper.write.remote(key, value))
-
-    def read(self, key: str) -> Any:
-        """The last value written, or None."""
-        with contextlib.suppress(RayError):
-            return ray.get(self._keeper.read.remote(key))
-        return None
-
-    def news(self) -> Mapping[str, Any]:
-        """What was written since the last answer; nothing if the answer takes long."""
-        if self._asked is None:
-            self._asked = self._keeper.news.remote()
-        try:
-            found: Mapping[str, Any] = ray.get(self._asked, timeout=0.1)
-        except GetTimeoutError:
-            return {}
-        except RayError:
-            found = {}
-        self._asked = None
-        return found
-
-    def end(self) -> None:
-        """Ends the keeper."""
-        with contextlib.suppress(RayError):
-            ray.kill(self._keeper)
-
-
-class _Keeper:
-    """Values by key, in a process of its own."""
-
-    def __init__(self) -> None:
-        self._values: dict[str, Any] = {}
-        self._new: set[str] = set()
-
-    def write(self, key: str, value: Any) -> None:
-        self._values[key] = value
-        self._new.add(key)
-
-    def read(self, key: str) -> Any:
-        return self._values.get(key)
-
-    def news(self) -> dict[str, Any]:
-        new, self._new = self._new, set()
-        return {key: self._values[key] for key in new}
 
 
 def _nodes() -> list[dict[str, Any]]:
@@ -215,18 +145,23 @@ def _nodes() -> list[dict[str, Any]]:
 
 def _run(
     function: Any,
-    pieces: tuple[Sequence[tuple[str, str, str]], bool | frozenset[str]],
+    known: tuple[str, Sequence[tuple[str, str, str]], bool | frozenset[str]],
     *arguments: Any,
 ) -> Any:
-    """A task; it knows the same pieces by name as the process that asked for it.
+    """A task; it works in the folder of the process that asked for it, as that one would.
 
-    Files may name the same code.
+    It knows the same pieces by name, and files may name the same code.
     """
-    known, allowed = pieces
-    for piece in known:
+    folder, pieces, allowed = known
+    for piece in pieces:
         register(*piece)
-    with allowing_code(allowed):
-        return function(*arguments)
+    try:
+        with allowing_code(allowed), contextlib.chdir(folder):
+            return function(*arguments)
+    except FileNotFoundError as error:
+        if error.filename != folder:
+            raise
+        raise InputError(f"{folder}: expected this folder on every machine of the Ray") from None
 
 
 def _result(task: Any) -> Any:

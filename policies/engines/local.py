@@ -27,8 +27,6 @@ class LocalEngine:
         threads: the number of threads that each process may use.
     """
 
-    notes: None = None
-
     def __init__(self, jobs: int, threads: int) -> None:
         context = multiprocessing.get_context("spawn")
         # Nothing is ever sent: the processes wait for the only writing end to be closed.

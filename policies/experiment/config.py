@@ -1,24 +1,22 @@
-"""The configuration of an experiment: sets of problems, routers, seeds, figures."""
+"""The configuration of an experiment: sets of problems, routers, seeds."""
 
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from marouting import InputError, Problem
+from marouting import InputError, Problem, scenarios
 from marouting.config import build, check, merged, override, plain, read_yaml
 from marouting.files import is_dir, is_file_name, naming
-from marouting.generator import GeneratorOptions
 from marouting.options import PLAYED
 from marouting.registry import allowing_code
-from marouting.source import generated_name, load_problems, problems_in
+from marouting.source import load_problems, problems_in
 from policies.engines import EngineName
 from policies.learned.config import Config, for_learner
 from policies.results.rows import read_published
 from policies.results.statistics import ALL
-from policies.results.study import Study, StudyColumn
 from policies.routers.registry import (
     has_seed,
     is_learner,
@@ -30,6 +28,15 @@ from policies.routers.registry import (
 
 PUBLISHED = "published"
 """The ``router`` of an entry whose rows are read from a file."""
+
+SOLUTIONS = "solutions"
+"""The ``router`` of an entry whose solutions are read from a folder."""
+
+PARTS = ("env", "learner", "train")
+"""The parts of a training's configuration that an entry holds."""
+
+Split = Literal["test", "validation"]
+"""The problems of a scenario that can be compared on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,21 +52,20 @@ class ExperimentConfig:
         jobs: the number of processes; None stands for one per core. A Ray that runs already has
             its own.
         reference: the name of a router that all others are compared with, besides A*.
-        problems: problem sources by the set's name (as ``env.problem`` of a training); or a folder,
-            whose ``.gr`` files are a set, as are those of each folder in it.
+        problems: problem sources by the set's name (as ``env.problem`` of a training, or
+            ``{scenario: NAME, split: test}``); or a folder, whose ``.gr`` files are a set, as are
+            those of each folder in it.
         routers: the routers' options, by the name that tables give the router. The key ``router``
             says what routes: the name of a router, ``module:Class``, the name of a learner (see
-            :class:`Training`) or ``published`` (see :class:`Published`). The key ``only`` lists the
-            sets that the entry is for, by default all; ``prune: true`` takes what joins nothing
+            :class:`Training`), ``published`` (see :class:`Published`) or ``solutions`` (see
+            :class:`ExternalSolutions`). The key ``only`` lists the sets that the entry is for, by
+            default all; ``prune: true`` takes what joins nothing
             (:meth:`marouting.Solution.pruned`) from its solutions before they are judged; ``label``
-            is what figures call it. All other keys are options of the router, and those left out
-            are filled in. None in place of the options leaves a router out, as
-            ``routers.NAME=null`` does on the command line.
+            is what figures call it; ``budget`` is what it may spend (see :class:`Budget`). All
+            other keys are options of the router, and those left out are filled in. None in place of
+            the options leaves a router out, as ``routers.NAME=null`` does on the command line.
         train: keys of the run of every training, such as ``episodes``, in place of those of the
             entries. They become the entries' own.
-        studies: composed figures by name, besides the figures of every set; None leaves one out.
-            Columns of routers that are left out or not finished are left out, and so are those of
-            problems that a smaller ``count`` on the command line leaves out.
     """
 
     out: str = "runs/experiment"
@@ -70,61 +76,35 @@ class ExperimentConfig:
     problems: Any = None
     routers: dict[str, dict[str, Any] | None] = field(default_factory=dict)
     train: dict[str, Any] = field(default_factory=dict)
-    studies: dict[str, Study | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, study in self.drawn.items():
-            _check_name(f"studies.{name}", name)
-            for title, column in study.columns.items():
-                key = f"studies.{name}.columns.{title}"
-                for part, routers in (("router", (column.router,)), ("beside", column.beside)):
-                    for router in routers:
-                        if router not in self.routers:
-                            raise unknown(f"{key}.{part}", router, tuple(self.routers))
         kept = {name: raw for name, raw in self.routers.items() if raw is not None}
-        object.__setattr__(self, "routers", kept)
         check("seeds", len(self.seeds) > 0, "at least one")
         check("seeds", all(0 <= seed < 2**63 for seed in self.seeds), "numbers from 0")
         check("seeds", len(set(self.seeds)) == len(self.seeds), "every seed once")
         check("jobs", self.jobs is None or 1 <= self.jobs <= 1024, "a number from 1 to 1024")
         check("problems", isinstance(self.problems, str | dict), "a folder or sets by their name")
         check("problems", len(self.problems) > 0, "at least one set")
-        check("routers", len(self.routers) > 0, "at least one")
+        check("routers", len(kept) > 0, "at least one")
         for name in self.problems if isinstance(self.problems, dict) else ():
             _check_set(name)
-        for name in self.routers:  # in file names, a dot and the seed follow
+        for name in kept:  # in file names, a dot and the seed follow
             _check_name(f"routers.{name}", name)
-        if self.reference is not None and self.reference not in self.routers:
-            raise unknown("reference", self.reference, tuple(self.routers))
+        if self.reference is not None and self.reference not in kept:
+            raise unknown("reference", self.reference, tuple(kept))
+        entries = [Entry.of(name, raw) for name, raw in kept.items()]
         if self.train:
-            entries = {entry.name: entry for entry in self.entries}
-            trained = {name for name, entry in entries.items() if entry.trains}
+            trained = [entry.name for entry in entries if entry.trains]
             check("train", trained, "none: no router of this experiment is trained")
             told = {"train": self.train}
-            kept = {name: merged(r, told) if name in trained else r for name, r in kept.items()}
-            object.__setattr__(self, "routers", kept)
+            kept |= {name: merged(kept[name], told) for name in trained}
+            entries = [Entry.of(name, raw) for name, raw in kept.items()]
             object.__setattr__(self, "train", {})
-        studies = {}
-        for name, study in self.drawn.items():
-            columns = {
-                title: replace(column, beside=tuple(r for r in column.beside if r in kept))
-                for title, column in study.columns.items()
-                if column.router in kept
-            }
-            if columns:
-                studies[name] = replace(study, columns=columns)
-        object.__setattr__(self, "studies", studies)
-        plain = {entry.name: entry.plain for entry in self.entries}
-        object.__setattr__(self, "routers", plain)
-
-    @property
-    def drawn(self) -> dict[str, Study]:
-        """The composed figures that are not left out."""
-        return {name: study for name, study in self.studies.items() if study is not None}
+        object.__setattr__(self, "routers", {entry.name: entry.plain for entry in entries})
 
     @property
     def entries(self) -> tuple["Entry", ...]:
-        """The routers; raises InputError if one of them is wrong."""
+        """The routers."""
         return tuple(Entry.of(name, raw or {}) for name, raw in self.routers.items())
 
 
@@ -135,13 +115,72 @@ def _check_name(key: str, name: str, also: str = "") -> None:
 
 
 _SUFFIX = 48 * "."
-"""As long as what follows a set, a router or a study in names of files, at most."""
+"""As long as what follows a set or a router in names of files, at most."""
 
 
 def _check_set(name: str) -> None:
     """Raises InputError unless a set may have a name."""
     _check_name(f"problems.{name}", name, ".")
     check(f"problems.{name}", name != ALL, "another name: all sets together are called this")
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What a router may spend on a problem.
+
+    It fills in the router's option ``seconds`` or ``time_limit``, or ``best_of`` or
+    ``train.episodes``, where it has one and is not told otherwise.
+
+    Attributes:
+        seconds: time; None if the budget is of samples.
+        samples: solutions tried, or episodes of a training; None if the budget is of time.
+    """
+
+    seconds: float | None = None
+    samples: int | None = None
+
+    @staticmethod
+    def parse(text: str) -> "Budget":
+        """A budget such as ``1s``, ``2min``, ``16`` or ``500 episodes``; raises InputError."""
+        matched = re.fullmatch(
+            r"([0-9]{1,9}(?:\.[0-9]{1,6})?)\s*(s|min|samples|episodes|)", text.strip()
+        )
+        expected = "seconds such as 1s, or a number of samples such as 16"
+        if matched is None:
+            raise InputError(f"budget: expected {expected}, found {text[:80]!r}")
+        number, unit = float(matched[1]), matched[2]
+        check("budget", number > 0, f"{expected}, above 0")
+        if unit in ("s", "min"):
+            return Budget(seconds=number * (60 if unit == "min" else 1))
+        check("budget", number == int(number), expected)
+        return Budget(samples=int(number))
+
+    @property
+    def text(self) -> str:
+        """The budget as :meth:`parse` takes it."""
+        return f"{self.samples}" if self.seconds is None else f"{self.seconds:g}s"
+
+    def fill(self, router: str, options: Mapping[str, Any], where: str) -> dict[str, Any]:
+        """A router's options with the budget in them."""
+        if is_learner(router, f"{where}: router"):
+            if self.samples is None or "checkpoint" in options:
+                return dict(options)
+            return override(options, [f"train.episodes={self.samples}"])
+        seed = {"seed": 0} if has_seed(router) else {}
+        known = plain(router_piece(router, {**options, **seed}, where))
+        if self.samples is not None:
+            return {**({_TRIES: self.samples} if _TRIES in known else {}), **options}
+        time = next((option for option in _TIMES if option in known), None)
+        if time is None or known.get(_TRIES) == 1:  # a single try cannot use more time
+            return dict(options)
+        return {time: self.seconds, **options}
+
+
+_TRIES = "best_of"
+"""The option of a router that tries several solutions and takes the best."""
+
+_TIMES = ("seconds", "time_limit")
+"""The options of routers that say how long they may take."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,15 +213,7 @@ class Training:
         check("checkpoint", not (self.checkpoint and told), "nothing to train beside it")
 
     def resolved(self, learner: str, where: str) -> dict[str, Any]:
-        """The same options with every key of the training filled in.
-
-        Args:
-            learner: the learner's name, or ``module:Class``.
-            where: what an error message starts with.
-
-        Raises:
-            InputError: a key is unknown or wrong.
-        """
+        """The same options of a learner with every key of the training filled in."""
         if self.checkpoint:
             return {"checkpoint": self.checkpoint}
         raw = {} if self.config is None else read_yaml(self.config)
@@ -196,17 +227,13 @@ class Training:
         return {"stack": self.stack, **{part: config[part] for part in PARTS}}
 
 
-PARTS = ("env", "learner", "train")
-"""The parts of a training's configuration that an entry holds."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Published:
     """The options of an entry ``published``: results as others report them.
 
     Attributes:
-        file: a CSV file with the columns ``set`` and ``problem``, and a row for every problem, as
-            :func:`policies.results.rows.read_published` reads it.
+        file: a CSV file with the columns ``set`` (the set's name, or its scenario) and ``problem``,
+            and a row for every problem, as :func:`policies.results.rows.read_published` reads it.
         overflow: the name of the overflow's column.
         wirelength: the name of the wirelength's column.
         optimal: whether these are proven optima, from which gaps are measured.
@@ -222,19 +249,33 @@ class Published:
         return read_published(self.file, self.overflow, self.wirelength)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ExternalSolutions:
+    """The options of an entry ``solutions``: routes made elsewhere.
+
+    Attributes:
+        folder: holds a solution for each problem, in a file called ``PROBLEM.…``.
+    """
+
+    folder: str
+
+
 @dataclass(frozen=True)
 class Entry:
     """A router of an experiment.
 
     Attributes:
         name: the name that tables give it.
-        router: the name of a router or a learner, ``module:Class`` or ``published``.
+        router: the name of a router or a learner, ``module:Class``, ``published`` or ``solutions``.
         only: the sets that it is for; None stands for all.
         prune: whether its solutions are pruned before they are judged.
         label: what figures call it; None stands for its name.
         options: all other options as plain data, defaults included.
         trains: whether it is a learner that is trained on the problems.
         seeded: whether it is run for every seed.
+        version: of marouting, with which its rows have to be made; None for any.
+        training_seconds: what training its checkpoint took; None if not known.
+        source: the words that name it on a command line.
     """
 
     name: str
@@ -245,12 +286,31 @@ class Entry:
     options: Mapping[str, Any]
     trains: bool
     seeded: bool
+    version: str | None = None
+    training_seconds: float | None = None
+    source: str = ""
+
+    @property
+    def routes(self) -> bool:
+        """Whether it routes here; what others made is read."""
+        return self.router not in (PUBLISHED, SOLUTIONS)
 
     @property
     def plain(self) -> dict[str, Any]:
         """The entry as a configuration holds it."""
         own = {"router": self.router, "only": self.only, "prune": self.prune, "label": self.label}
-        return {**own, **self.options}
+        more = {"version": self.version, "training_seconds": self.training_seconds}
+        return {**own, **{k: v for k, v in more.items() if v is not None}, **self.options}
+
+    @property
+    def allowed(self) -> str | None:
+        """What it may spend on a problem, in words; None if its options do not bound it."""
+        if self.trains:
+            return f"{self.options['train']['episodes']} episodes"
+        tries = self.options.get(_TRIES)
+        times = [self.options[name] for name in _TIMES if self.options.get(name) is not None]
+        bounds = [f"best of {tries}"] if tries is not None and tries > 1 else []
+        return ", ".join(bounds + [f"{seconds:g} s" for seconds in times[:1]]) or None
 
     @staticmethod
     def of(name: str, raw: Mapping[str, Any]) -> "Entry":
@@ -258,33 +318,45 @@ class Entry:
         where = f"routers.{name}"
         options = dict(raw)
         router, only = options.pop("router", None), options.pop("only", None)
+        prune, label = options.pop("prune", False), options.pop("label", None)
+        budget, version = options.pop("budget", None), options.pop("version", None)
+        training = options.pop("training_seconds", None)
         if only is not None and not (
             isinstance(only, list | tuple) and only and all(isinstance(name, str) for name in only)
         ):
             raise InputError(f"{where}: only: expected a list of sets, found {only!r}")
-        prune, label = options.pop("prune", False), options.pop("label", None)
         check(f"{where}: prune", isinstance(prune, bool), "true or false")
         named = label is None or (isinstance(label, str) and label.strip() and len(label) <= _LABEL)
         check(f"{where}: label", named, f"a text of at most {_LABEL} characters")
         check(f"{where}: prune", not (prune and router == PUBLISHED), "none: there are no routes")
+        number = isinstance(training, int | float) and not isinstance(training, bool)
+        fits = training is None or (number and 0 <= training < 2**63)
+        check(f"{where}: training_seconds", fits, "a number from 0")
+        spent = None if budget is None else Budget.parse(str(budget))
         trains = seeded = False
         if router == PUBLISHED:
             options = asdict(build(Published, options, where))
+        elif router == SOLUTIONS:
+            options = asdict(build(ExternalSolutions, options, where))
         elif not isinstance(router, str):
-            raise unknown(f"{where}: router", str(router), (*router_names(), PUBLISHED))
+            raise unknown(f"{where}: router", str(router), (*router_names(), PUBLISHED, SOLUTIONS))
         elif is_learner(router, f"{where}: router"):
+            options = spent.fill(router, options, where) if spent else options
             options = build(Training, options, where).resolved(router, where)
             trains = seeded = "checkpoint" not in options
         else:
             if "seed" in options and has_seed(router):
                 raise InputError(f"{where}: seed: expected none: the experiment has its seeds")
+            options = spent.fill(router, options, where) if spent else options
             seed = {"seed": 0} if has_seed(router) else {}
             made = router_piece(router, {**options, **seed}, where)
             seeded = is_seeded(made)
             options = {key: value for key, value in plain(made).items() if key not in seed}
             del options["kind"]
         sets = None if only is None else tuple(only)
-        return Entry(name, router, sets, prune, label, options, trains, seeded)
+        return Entry(
+            name, router, sets, prune, label, options, trains, seeded, version, training
+        )  # fmt: skip
 
 
 _LABEL = 80
@@ -306,49 +378,39 @@ def load_experiment(
         InputError: names the file or key, what was expected and what was found.
     """
     with allowing_code(allow_code):
-        raw = read_yaml(path)
-        config = build(ExperimentConfig, override(raw, overrides), os.fspath(path))
-    sets = raw.get("problems")
-    return _without_those_gone(config, sets) if isinstance(sets, Mapping) else config
+        return build(ExperimentConfig, override(read_yaml(path), overrides), os.fspath(path))
 
 
-def _without_those_gone(config: ExperimentConfig, sets: Mapping[str, Any]) -> ExperimentConfig:
-    """A configuration without columns of problems that sets had before they were made smaller."""
-    problems = config.problems if isinstance(config.problems, Mapping) else {}
-    gone: dict[str, range] = {}
-    for name in problems.keys() & sets.keys():
-        now, before = (
-            source.get("count", GeneratorOptions().count) if isinstance(source, Mapping) else None
-            for source in (problems[name], sets[name])
-        )
-        if isinstance(now, int) and isinstance(before, int):
-            gone[name] = range(now, before)
-    entries = {entry.name: entry for entry in config.entries}
+@dataclass(frozen=True, kw_only=True)
+class ScenarioSet:
+    """A set that is the split of a scenario."""
 
-    def stays(column: StudyColumn) -> bool:
-        only = entries[column.router].only
-        own = [name for name in problems if only is None or name in only]
-        of = column.set or (own[0] if len(own) == 1 else "")
-        return column.problem not in [generated_name(number) for number in gone.get(of, ())]
+    scenario: str
+    split: Split = "test"
 
-    studies: dict[str, Study | None] = {}
-    for name, study in config.drawn.items():
-        columns = {title: column for title, column in study.columns.items() if stays(column)}
-        if columns:
-            studies[name] = replace(study, columns=columns)
-    return replace(config, studies=studies)
+    @staticmethod
+    def of(source: object) -> "ScenarioSet | None":
+        """The set that a source stands for; None if it is of another kind."""
+        if isinstance(source, Mapping) and "scenario" in source:
+            return build(ScenarioSet, source)
+        return None
+
+
+def load_set(name: str, source: Any) -> dict[str, Problem]:
+    """The problems of a source by name; raises InputError."""
+    try:
+        split = ScenarioSet.of(source)
+        if split is None:
+            return load_problems(source)
+        return dict(scenarios.get(split.scenario).problems(split.split))
+    except InputError as error:
+        raise InputError(f"problems.{name}: {error}") from None
 
 
 def load_sets(problems: str | Mapping[str, Any]) -> dict[str, dict[str, Problem]]:
     """The sets of an experiment: problems by name, by the set's name; raises InputError."""
     if isinstance(problems, Mapping):
-        sets = {}
-        for name, source in problems.items():
-            try:
-                sets[name] = load_problems(source)
-            except InputError as error:
-                raise InputError(f"problems.{name}: {error}") from None
-        return sets
+        return {name: load_set(name, source) for name, source in problems.items()}
     folder = Path(problems)
     with naming(folder, "cannot be read"):
         folders = [folder, *sorted(path for path in folder.glob("*") if is_dir(path))]

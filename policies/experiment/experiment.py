@@ -1,7 +1,6 @@
 """A whole experiment: its parts are distributed to processes, its results are collected."""
 
 import json
-import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -10,26 +9,32 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem, Solution
-from marouting.config import check, check_same, code_named, read_yaml, yaml_text
-from marouting.files import FILE_NAME, exists, is_file_name, naming, write_text
+from marouting.config import (
+    MOST_TEXT,
+    build,
+    check,
+    check_code,
+    check_same,
+    code_named,
+    read_yaml,
+    yaml_text,
+)
+from marouting.files import FILE_NAME, exists, is_file_name, naming, read_text, write_text
 from marouting.registry import allowing_code
 from marouting.source import load_problems
 from policies.engines import check_engine, cores
 from policies.experiment.config import (
-    PUBLISHED,
     Entry,
     ExperimentConfig,
-    load_experiment,
+    ScenarioSet,
+    load_set,
     load_sets,
 )
-from policies.experiment.part import Part
-from policies.experiment.work import work_on
-from policies.results.experiment_folder import CONFIG, RESULTS, SUMMARY, solution_file
+from policies.experiment.part import Part, work_on
 from policies.results.folder import check_own, working_in
-from policies.results.rows import Row, read_rows, to_csv
-from policies.results.run_folder import METRICS
+from policies.results.rows import RESULTS, SUMMARY, Row, read_rows, to_csv
+from policies.results.run_folder import CONFIG, METRICS
 from policies.results.statistics import ALL, add_gaps, baseline, by_set, summarise
-from policies.results.study import Study, StudyColumn
 from policies.results.utilisation import problem_type
 from policies.routers.registry import unknown
 
@@ -60,26 +65,29 @@ class Experiment:
             for name in entry.only or ():
                 if name not in self.sets:
                     raise unknown(f"routers.{entry.name}.only", name, tuple(self.sets))
-        # What can be checked before there are results.
-        for name, study in config.drawn.items():
-            taken = re.fullmatch(r"(.+)_(wirelength|overflow|decrease)", name)
-            check(f"studies.{name}", not (taken and taken[1] in {*self.sets, ALL}), "another name")
-            for title, column in study.columns.items():
-                self._check_column(f"studies.{name}.columns.{title}", study, column)
         self._keep(before)
 
     def _before(self) -> ExperimentConfig | None:
-        """The configuration of all that the folder holds; raises InputError if it does not fit."""
+        """What the folder holds, with the routers that are asked for; raises InputError."""
         kept = self.folder / CONFIG
+        self._kept: dict[str, Any] = {}
         if not exists(kept):
             check_own(self.folder, ("problems", CONFIG))
             return None
-        with allowing_code(name for _, name in code_named(self.config.routers)):
-            if "routers" not in read_yaml(kept):
-                raise InputError(f"{self.folder}: holds a training: expected another out=")
-            before = load_experiment(kept)
-        mine, theirs = (self._rows_depend_on(asked, before) for asked in (self.config, before))
-        check_same(mine, theirs, kept)
+        with allowing_code():  # of routers that are not asked for nothing is imported
+            raw = read_yaml(kept)
+        routers = raw.get("routers")
+        if not isinstance(routers, Mapping):
+            raise InputError(f"{self.folder}: holds a training: expected another out=")
+        mine = self.config.routers
+        self._kept = dict(routers)
+        own = {name: entry for name, entry in routers.items() if name in mine} or mine
+        with allowing_code(name for _, name in code_named(mine)):
+            check_code(own, str(kept))
+            raw = {**raw, "routers": own, "reference": None}
+            before = build(ExperimentConfig, raw, str(kept))
+        theirs = self._rows_depend_on(before, before)
+        check_same(self._rows_depend_on(self.config, before), theirs, kept)
         return before
 
     def _rows_depend_on(
@@ -87,7 +95,7 @@ class Experiment:
     ) -> dict[str, dict[str, Any] | str]:
         """What must not change: the problems and options of sets and routers that are in both."""
         routers = {
-            name: {k: value for k, value in (options or {}).items() if k not in ("only", "label")}
+            name: {k: value for k, value in (options or {}).items() if k not in _FREE}
             for name, options in asked.routers.items()
             if name in self.config.routers and name in before.routers
         }
@@ -96,27 +104,6 @@ class Experiment:
             both = self.config.problems.keys() & before.problems.keys()
             problems = {name: problems[name] for name in problems if name in both}
         return {"problems": problems, "routers": routers}
-
-    def _check_column(self, key: str, study: Study, column: StudyColumn) -> None:
-        entry = next(entry for entry in self.entries if entry.name == column.router)
-        sets = tuple(name for name in self.sets if entry.only is None or name in entry.only)
-        if column.set is None:
-            check(f"{key}.set", len(sets) == 1, f"one of {', '.join(sets)}")
-        elif column.set not in sets:
-            raise unknown(f"{key}.set", column.set, sets)
-        of = column.set or sets[0]
-        if column.problem is not None and column.problem not in self.sets[of]:
-            raise unknown(f"{key}.problem", column.problem, tuple(self.sets[of]))
-        check(f"{key}.router", entry.router != PUBLISHED, "one that routes here")
-        against = [
-            e for e in self.entries if e.router == "astar" and (e.only is None or of in e.only)
-        ]
-        check(key, against, f"a router of the kind astar that is for {of}")
-        learns = {"reward", "mean_reward"} & set(study.panels)
-        check(f"{key}.router", entry.trains or not learns, "one that is trained")
-        for other in (e for e in self.entries if e.name in column.beside):
-            known = other.trains and (other.only is None or of in other.only)
-            check(f"{key}.beside", known, f"routers that are trained on {of}")
 
     def _load(self, before: ExperimentConfig | None) -> dict[str, dict[str, Problem]]:
         """The sets, in the order of the configuration; what the folder holds is read from it."""
@@ -127,12 +114,18 @@ class Experiment:
             names = sorted(path.name for path in folder.iterdir() if path.is_dir())
             return {name: load_problems(str(folder / name)) for name in names}
         held = {} if before is None else before.problems
-        return {
-            name: load_problems(str(folder / name))
-            if name in held
-            else load_sets({name: source})[name]
-            for name, source in self.config.problems.items()
-        }
+        sets = {}
+        for name, source in self.config.problems.items():
+            if name not in held or ScenarioSet.of(source):
+                sets[name] = load_set(name, source)
+            if name in held:
+                kept = load_problems(str(folder / name))
+                for problem in sets.get(name, ()):
+                    if kept.get(problem) != sets[name][problem]:
+                        file = folder / name / f"{problem}.gr"
+                        raise InputError(f"{file}: expected the problem of {name}: another folder?")
+                sets[name] = kept
+        return sets
 
     def _keep(self, before: ExperimentConfig | None) -> None:
         """Writes the new problems, and then the configuration of all that the folder holds."""
@@ -151,19 +144,18 @@ class Experiment:
             if (before is None or name in new) and path.stem not in self.sets.get(name, ()):
                 raise InputError(f"{path}: expected no problems but the experiment's")
         # One part of each router and set, of those that are not finished.
-        parts = {(part.set, part.entry.name): part for part in self.parts if not part.rows.exists()}
+        parts = {(part.set, part.entry.name): part for part in self._left()}
         for part in parts.values():
             part.check(self.sets[part.set])
         for name, problems in new.items():
             for problem in problems:
                 problems[problem].write(self.folder / "problems" / name / f"{problem}.gr")
         plain = asdict(self.config)
-        if before is not None:
-            plain["routers"] = {**before.routers, **plain["routers"]}
-            if isinstance(before.problems, Mapping):
-                plain["problems"] = {**before.problems, **plain["problems"]}
-        if before is None or plain != asdict(before):
-            text = yaml_text(json.loads(json.dumps(plain)))
+        plain["routers"] = {**self._kept, **plain["routers"]}
+        if before is not None and isinstance(before.problems, Mapping):
+            plain["problems"] = {**before.problems, **plain["problems"]}
+        text = yaml_text(json.loads(json.dumps(plain)))
+        if before is None or text != read_text(self.folder / CONFIG, MOST_TEXT):
             write_text(self.folder / CONFIG, text)
 
     @cached_property
@@ -177,6 +169,10 @@ class Experiment:
             for seed in (self.config.seeds if entry.seeded else (None,))
             for share in _shares(entry, own)
         )
+
+    def _left(self) -> list[Part]:
+        """The work that is left; what others made is read again every time."""
+        return [part for part in self.parts if not (part.entry.routes and part.rows.exists())]
 
     def execute(self, watch: Callable[[float, int], Any] | None = None) -> dict[str, Any]:
         """Does the work that is left and writes the results.
@@ -193,26 +189,34 @@ class Experiment:
             What ``summary.json`` holds.
         """
         with working_in(self.folder):
-            left = [part for part in self.parts if not part.rows.exists()]
-            if left:
+            left = self._left()
+            for part in left:
+                if not part.entry.routes:
+                    part.work()
+            if left := [part for part in left if part.entry.routes]:
                 self._work(left, watch)
             return self._write(self.entries)
 
     def _write(self, entries: Sequence[Entry]) -> dict[str, Any]:
         """Writes the results of finished routers; returns what ``summary.json`` holds."""
-        rows = self._rows(entries)
+        rows = self._write_rows(entries)
         reference = self.config.reference
         if reference not in {entry.name for entry in entries}:
             reference = None
         sets = {name: summarise(own, reference) for name, own in by_set(rows).items()}
         summary = {"reference": reference, "types": self._types(rows), "sets": sets}
-        write_text(self.folder / RESULTS, json.dumps(rows, indent=1) + "\n")
-        write_text(self.folder / "results.csv", to_csv(rows))
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=1) + "\n")
         from policies.figures.plot import experiment_figures  # matplotlib: not in the processes
 
         experiment_figures(self.folder)
         return summary
+
+    def _write_rows(self, entries: Sequence[Entry]) -> list[Row]:
+        """Writes the rows of finished routers in both forms; returns them."""
+        rows = self._rows(entries)
+        write_text(self.folder / RESULTS, json.dumps(rows, indent=1) + "\n")
+        write_text(self.folder / "results.csv", to_csv(rows))
+        return rows
 
     def _types(self, rows: Sequence[Row]) -> dict[str, dict[str, int]]:
         """By set, the number of problems of each of the paper's types, told by A*'s solutions."""
@@ -224,7 +228,8 @@ class Experiment:
             first = {row["problem"]: row for row in reversed(own) if row["router"] == astar}
             types[name] = {"I": 0, "II": 0}
             for problem, row in first.items():
-                path = solution_file(self.folder, name, problem, row["router"], row["seed"])
+                entry = next(entry for entry in self.entries if entry.name == row["router"])
+                path = Part(self.folder, name, entry, row["seed"], (problem,)).solution(problem)
                 routed = self.sets[name][problem]
                 types[name][problem_type(routed, Solution.read(path, routed))] += 1
         return types
@@ -284,6 +289,10 @@ class Experiment:
         return ordered
 
 
+_FREE = ("only", "label", "training_seconds")
+"""Keys of entries that may change: no row depends on them."""
+
+
 class _Lines:
     """Counts the lines of a growing file without reading any of them twice."""
 
@@ -313,7 +322,7 @@ def _slowness(entry: Entry) -> int:
 
 def _shares(entry: Entry, problems: Mapping[str, Problem]) -> list[tuple[str, ...]]:
     """The problems of a set, in groups that one process does at a time."""
-    if entry.router == PUBLISHED:
+    if not entry.routes:
         return [tuple(problems)]
     if not entry.trains:
         return [(name,) for name in problems]

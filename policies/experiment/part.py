@@ -1,21 +1,21 @@
-"""A part of an experiment's work, which one process can do."""
+"""A part of an experiment's work, which one process can do, and the processes that do parts."""
 
 import json
-import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem, Solution
 from marouting.config import build, code_named
-from marouting.files import is_file, write_text
+from marouting.files import naming, write_text
 from marouting.registry import allowing_code
-from policies.experiment.config import PARTS, PUBLISHED, Entry, Published
-from policies.learned.burn_in import read_solutions, solution_files
+from policies.engines import Call, EngineName, opened
+from policies.experiment.config import PARTS, PUBLISHED, SOLUTIONS, Entry, Published
+from policies.learned.burn_in import read_solutions
 from policies.learned.config import Config, load_config
-from policies.results import experiment_folder, run_folder
+from policies.results import run_folder
 from policies.results.rows import COLUMNS, Row, figures_of, solution_row
 from policies.routers.base import Router, solve, warm_up
 from policies.routers.registry import is_learner, make_router
@@ -42,62 +42,36 @@ class Part:
     @property
     def label(self) -> str:
         """The router's name with the seed, as file names carry it."""
-        return experiment_folder.label(self.entry.name, self.seed)
+        return self.entry.name if self.seed is None else f"{self.entry.name}.seed{self.seed}"
 
     @property
     def rows(self) -> Path:
         """The file with the rows; it exists when the part is finished."""
-        return experiment_folder.rows_file(
-            self.folder, self.set, self.entry.name, self.seed, self.problems[0]
-        )
+        return self.folder / "rows" / self.set / self.label / f"{self.problems[0]}.json"
 
     @property
     def run(self) -> Path:
         """The run folder, if the router is trained."""
-        runs = experiment_folder.runs_folder(self.folder, self.set, self.entry.name, self.seed)
-        return runs / self.problems[0]
+        return self.folder / "runs" / self.set / self.label / self.problems[0]
 
     def problem(self, name: str) -> Path:
         """The file of a problem."""
-        return experiment_folder.problem_file(self.folder, self.set, name)
+        return self.folder / "problems" / self.set / f"{name}.gr"
 
     def solution(self, name: str) -> Path:
         """The file for the solution of a problem."""
-        return experiment_folder.solution_file(
-            self.folder, self.set, name, self.entry.name, self.seed
-        )
+        return self.folder / "solutions" / self.set / f"{name}.{self.label}.solution"
 
     @property
     def gpus(self) -> int:
         """The number of GPUs that it needs."""
         return int(self.entry.trains and self.entry.options["train"]["device"] != "cpu")
 
-    @property
-    def named(self) -> Mapping[str, tuple[Path, ...]]:
-        """The files that options name, by the option: a file, or a burn-in's folder of solutions.
-
-        Any text that looks like a file's name, and is one, is taken for it.
-        """
-        found: dict[str, tuple[Path, ...]] = {
-            text: (Path(text),)
-            for text in _texts(self.entry.options)
-            if (Path(text).suffix or os.sep in text) and is_file(text)
-        }
-        if self.entry.trains and "burn_in" in self.entry.options["learner"]:
-            burn_in = self.entry.options["learner"]["burn_in"]
-            found[burn_in] = tuple(solution_files(burn_in, self.problems))
-        return {text: files for text, files in found.items() if files}
-
-    def reads(self) -> list[Path]:
-        """The files that it reads, but for those of a training that has begun."""
-        named = (path for files in self.named.values() for path in files)
-        return list(dict.fromkeys((*map(self.problem, self.problems), *named)))
-
     def work(self) -> None:
         """Routes the problems, writes the solutions, and then the rows."""
         try:
             if self.entry.router == PUBLISHED:
-                rows = self.quote()
+                rows = self._quote()
             elif self.entry.trains:
                 rows = self._train()
             else:
@@ -115,7 +89,10 @@ class Part:
             problems: all problems of the set, by name.
         """
         if self.entry.router == PUBLISHED:
-            self.quote()
+            self._quote()
+        elif self.entry.router == SOLUTIONS:
+            for name, problem in problems.items():
+                self._external(name, problem)
         elif self.entry.trains:
             from policies.learned.trainer import Trainer  # torch: only if something learned
 
@@ -130,31 +107,57 @@ class Part:
             for name, problem in problems.items():
                 TrainedPolicy.load(self.entry.options["checkpoint"], name).check(problem)
 
-    def quote(self) -> list[Row]:
+    def _quote(self) -> list[Row]:
         """The rows of a published router; raises InputError if one is missing."""
         published = Published(**self.entry.options)
         found = published.read()
+        known = self.set, self.set.removesuffix(".validation")
         rows = []
         for name in self.problems:
-            if (self.set, name) not in found:
-                raise InputError(f"{published.file}: expected a row for {self.set},{name}")
-            overflow, wirelength = found[self.set, name]
+            key = next(((of, name) for of in known if (of, name) in found), None)
+            if key is None:
+                raise InputError(f"{published.file}: expected a row for {known[-1]},{name}")
+            overflow, wirelength = found[key]
             figures = {"overflow": overflow, "wirelength": wirelength}
             rows.append({"problem": name, **figures, "proven": published.optimal})
         return rows
 
+    def _external(self, name: str, problem: Problem) -> Solution:
+        """The solution of a problem in a folder; raises InputError if there is none."""
+        folder = Path(self.entry.options["folder"])
+        with naming(folder, "cannot be read"):
+            files = sorted(
+                path.name
+                for path in folder.iterdir()
+                if path.name.startswith(f"{name}.") and path.suffix != ".gr" and path.is_file()
+            )
+        if len(files) != 1:
+            raise InputError(
+                f"{folder}: expected one solution {name}.*, found {', '.join(files) or 'none'}"
+            )
+        return Solution.read(folder / files[0], problem)
+
     def _route(self, name: str) -> Row:
         problem = Problem.read(self.problem(name))
-        router = self._router(name)
-        self._warm_up(router)
-        started = time.perf_counter()
-        solution, report = solve(router, problem)
-        solution = solution.pruned() if self.entry.prune else solution
-        seconds = time.perf_counter() - started
+        report: Mapping[str, Any] = {}
+        seconds: float | None = None
+        if self.entry.router == SOLUTIONS:
+            solution = self._finished(self._external(name, problem))
+        else:
+            router = self._router(name)
+            self._warm_up(router)
+            started = time.perf_counter()
+            solution, report = solve(router, problem)
+            solution = self._finished(solution)
+            seconds = time.perf_counter() - started
         solution.write(self.solution(name))
         proven = report["status"] == "optimal" if "status" in report else None
         row = {"problem": name, **solution_row(solution, seconds), "proven": proven}
         return {**row, "from": report.get("from")}
+
+    def _finished(self, solution: Solution) -> Solution:
+        """A solution as it is judged."""
+        return solution.pruned() if self.entry.prune else solution
 
     def _router(self, problem: str) -> Router:
         if "checkpoint" in self.entry.options and is_learner(self.entry.router):
@@ -191,10 +194,8 @@ class Part:
             name = row["problem"]
             problem = Problem.read(self.problem(name))
             file = run_folder.solution_file(self.run, name, self.entry.router)
-            solution = Solution.read(file, problem)
-            if self.entry.prune:
-                solution = solution.pruned()
-                row |= figures_of(solution)
+            solution = self._finished(Solution.read(file, problem))
+            row |= figures_of(solution)
             solution.write(self.solution(name))
         return rows
 
@@ -208,10 +209,28 @@ _warm: set[str] = set()
 """The routers that this process has used already, and whether for large problems."""
 
 
-def _texts(value: Any) -> Iterator[str]:
-    """All texts in plain data but the keys."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, Mapping):
-        for one in value.values():
-            yield from _texts(one)
+def work_on(
+    parts: Sequence[Part], jobs: int, threads: int, engine: EngineName = "local"
+) -> Iterator[list[Part]]:
+    """Works on parts, in the given order as far as there is room.
+
+    The processes of the local engine import the main module, so a script that calls this needs the
+    usual ``if __name__ == "__main__":``. All work ends at once when the iteration ends early, by an
+    error or Ctrl-C, or when this process is killed.
+
+    Args:
+        parts: the work, one part or more.
+        jobs: the largest number of processes.
+        threads: the number of threads that each process may use.
+        engine: where the work is done.
+
+    Yields:
+        About every second, the parts that have been finished since.
+
+    Raises:
+        InputError: a process was killed.
+        Exception: whatever a part raises.
+    """
+    with opened(engine, min(jobs, len(parts)), threads) as pool:
+        for done in pool.run([Call(part.work, (), part.gpus) for part in parts]):
+            yield [parts[number] for number in done]

@@ -5,7 +5,7 @@ matplotlib, so figures can be drawn without a display and in threads. :func:`sav
 Gcell (0, 0) lies at the lower left, and layers count from 1 as in the problem files.
 """
 
-from policies.figures.charts import by_problem, decrease_histogram, reward_curves, scaling
+from policies.figures.charts import by_problem, decrease_histogram, reward_curves
 from policies.figures.congestion import congestion_map
 from policies.figures.routes import (
     comparison,
@@ -15,11 +15,9 @@ from policies.figures.routes import (
     solution_3d,
     utilisation_histogram,
 )
-from policies.figures.studies import ColumnData, study
 from policies.figures.style import save
 
 __all__ = [
-    "ColumnData",
     "by_problem",
     "comparison",
     "congestion_map",
@@ -28,9 +26,7 @@ __all__ = [
     "heat_maps",
     "reward_curves",
     "save",
-    "scaling",
     "solution_2d",
     "solution_3d",
-    "study",
     "utilisation_histogram",
 ]

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from policies.figures.style import BLUE, INK, LINES, PALE, RED, fitted, literal
-from policies.results.scaling import curves, exponent
 
 # Training ---------------------------------------------------------------------------------------
 
@@ -329,55 +327,3 @@ def decrease_note(values: NDArray[np.floating]) -> str:
         f"lower on {np.count_nonzero(known > 0)} of {len(known)} problems, "
         f"equal on {np.count_nonzero(known == 0)}, mean decrease {known.mean():.3g}{end}"
     )
-
-
-# Speed ------------------------------------------------------------------------------------------
-
-
-def scaling(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
-    """How time grows with routed edges, on logarithmic axes.
-
-    Args:
-        rows: what was measured, as :mod:`policies.results.scaling` describes them.
-        title: the title.
-
-    Returns:
-        A panel for each family of problems, side by side with the same axes. A dashed line has the
-        slope of growth in proportion.
-    """
-    panels = curves(rows)
-    if not panels:
-        raise InputError("scaling: expected at least one row")
-    figure = Figure(figsize=(4.6 * len(panels) + 0.6, 5), layout="constrained")
-    drawn = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
-    for axes, (family, works) in zip(drawn, panels.items(), strict=True):
-        for index, (work, points) in enumerate(works.items()):
-            power = exponent(points)
-            axes.loglog(
-                *points,
-                color=LINES[index % len(LINES)],
-                marker=_MARKERS[index % len(_MARKERS)],
-                markersize=5,
-                linewidth=1.4,
-                label=literal(work if np.isnan(power) else f"{work}: exponent {power:.2f}"),
-            )
-        edges, seconds = np.concatenate(list(works.values()), axis=1)
-        ends = np.array([edges.min(), edges.max()])
-        # Below all curves: half as high as the point that is lowest in proportion to its edges.
-        axes.loglog(
-            ends,
-            ends * (seconds / edges).min() / 2,
-            color=INK,
-            linewidth=1,
-            linestyle="--",
-            label="in proportion",
-        )
-        axes.grid(color=PALE, linewidth=0.6)
-        axes.set_axisbelow(True)
-        axes.set_title(literal(family), fontsize=11)
-        axes.set_xlabel("routed edges")
-        axes.set_ylabel("time [s]")
-        axes.tick_params(labelleft=True)
-        axes.legend(frameon=False, loc="upper left", fontsize=9)
-    figure.suptitle(literal(title), fontsize=12)
-    return figure

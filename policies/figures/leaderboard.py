@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator
 
-from marouting.errors import InputError
 from policies.figures.style import BLUE, INK, LINES, PALE, literal
 
 WORSE = 4
@@ -15,20 +14,11 @@ WORSE = 4
 
 
 def score_intervals(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
-    """The score of every router with its interval, the best on top.
+    """The score of every router with its interval, in the order of the rows.
 
-    Args:
-        rows: each with a ``name`` and a ``score`` (``mean``, ``low`` and ``high``).
-        title: the title.
-
-    Returns:
-        One plot; lines stand at the scores of A* and of the reference.
-
-    Raises:
-        InputError: there is no row.
+    Each has a ``name`` and a ``score`` (``mean``, ``low`` and ``high``). Lines stand at the scores
+    of A* and of the reference.
     """
-    if not rows:
-        raise InputError("scores: expected at least one row")
     figure = Figure(figsize=(9, 1.6 + 0.34 * len(rows)), layout="constrained")
     axes = figure.subplots()
     for x, label in ((0, "A*"), (1, "reference")):
@@ -72,18 +62,8 @@ def score_intervals(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figur
 def learning_curves(curves: Mapping[str, Sequence[tuple[int, float]]], title: str = "") -> Figure:
     """The score of the best routes so far over the course of trainings.
 
-    Args:
-        curves: (episodes, score) by the learner's name.
-        title: the title.
-
-    Returns:
-        One plot with a legend; the axis of episodes is logarithmic.
-
-    Raises:
-        InputError: there is no curve.
+    Points are (episodes, score), by the learner's name; the axis of episodes is logarithmic.
     """
-    if not curves:
-        raise InputError("learning curves: expected at least one")
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
     for index, (name, points) in enumerate(curves.items()):

@@ -18,6 +18,9 @@ from marouting.files import FILE_NAME, is_file_name, read_text
 MOST_BYTES = 2**30
 """The largest file of results that is read."""
 
+RESULTS, SUMMARY = "results.json", "summary.json"
+"""The files of an experiment with its rows and with their statistics."""
+
 Row = dict[str, Any]
 """One router on one problem (in an experiment: with one seed), plain data by column."""
 
@@ -48,6 +51,7 @@ ResultRow = TypedDict(
         "vias": Count,
         "pruned_overflow": NotRequired[Count],
         "pruned_wirelength": NotRequired[Count],
+        "open_nets": NotRequired[Count],
         "connected": bool,
         "joined": Count,
         "tasks": Count,
@@ -71,6 +75,7 @@ ExperimentRow = TypedDict(
         "vias": Count | None,
         "pruned_overflow": NotRequired[Count | None],
         "pruned_wirelength": NotRequired[Count | None],
+        "open_nets": NotRequired[Count | None],
         "connected": bool | None,
         "joined": Count | None,
         "tasks": Count | None,
@@ -85,8 +90,9 @@ ExperimentRow = TypedDict(
 ``router`` is the name of the experiment's entry and ``kind`` the registered name (or
 ``module:Class``) of the router behind it. Overflow and wirelength are those of the routes as they
 are; ``pruned_overflow`` and ``pruned_wirelength`` are those of :meth:`marouting.Solution.pruned`,
-which earlier results lack. ``joined`` and ``tasks`` count two-pin tasks, ``proven``
-says whether the solution is known to be optimal, ``seconds`` is the time to route the problem,
+which earlier results lack. ``open_nets`` is the number of nets that are not joined (earlier results
+lack it, too), ``joined`` and ``tasks`` count two-pin tasks, ``proven`` says whether the solution is
+known to be optimal, ``seconds`` is the time to route the problem,
 ``gap`` is the wirelength above the proven optimum in %, and ``from`` names the episode or policy
 that a learner's routes come from. A value that is not known is None: published results give only
 overflow and wirelength.
@@ -114,23 +120,18 @@ class PublishedRow(TypedDict):
     wirelength: Count
 
 
-def solution_row(solution: Solution, seconds: float) -> Row:
-    """The figures of a solution under the names that all rows use.
-
-    Args:
-        solution: the solution of a problem.
-        seconds: the time that it took.
-    """
-    return {**figures_of(solution), "seconds": round(seconds, 6)}
+def solution_row(solution: Solution, seconds: float | None) -> Row:
+    """The figures of a solution, and its time if it is known, under the names that all rows use."""
+    return {**figures_of(solution), "seconds": None if seconds is None else round(seconds, 6)}
 
 
 def figures_of(solution: Solution) -> Row:
     """The figures of a solution but its time: as it is, and without what joins nothing."""
     figures = asdict(evaluate(solution.problem, solution))
-    del figures["disconnected"]
+    figures["open_nets"] = len(figures.pop("disconnected"))
     pruned = evaluate(solution.problem, solution.pruned())
-    less = {"pruned_overflow": pruned.overflow, "pruned_wirelength": pruned.wirelength}
-    return {column: {**figures, **less}[column] for column in COLUMNS if column in figures | less}
+    figures |= {"pruned_overflow": pruned.overflow, "pruned_wirelength": pruned.wirelength}
+    return {column: figures[column] for column in COLUMNS if column in figures}
 
 
 def read_rows(path: Path, schema: type[Any] = ExperimentRow) -> list[Row]:

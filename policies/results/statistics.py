@@ -86,6 +86,41 @@ def share_interval(share: float, count: int) -> tuple[float, float]:
     return low, 1.0 if share == 1 else min(centre + half, 1.0)
 
 
+RESAMPLES = 2000
+"""Of a bootstrap."""
+
+_CUT = 0.25
+"""The share of values that an interquartile mean leaves out at each end."""
+
+
+def interquartile_mean(values: NDArray[np.float64]) -> float:
+    """The mean of the middle half of (n,) values."""
+    return float(_trimmed(values))
+
+
+def _trimmed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The means of the middle halves along the last axis."""
+    count = values.shape[-1]
+    cut = int(_CUT * count)
+    return np.asarray(np.sort(values)[..., cut : count - cut].mean(axis=-1))
+
+
+def bootstrap_interval(scores: NDArray[np.float64]) -> tuple[float, float]:
+    """The 95 % interval of the interquartile mean of (problems, seeds) scores.
+
+    It comes from a bootstrap in two stages: problems are drawn with replacement, and for each of
+    them seeds with replacement (Agarwal et al., "Deep reinforcement learning at the edge of the
+    statistical precipice", NeurIPS 2021).
+    """
+    rng = np.random.default_rng(0)
+    problems, seeds = scores.shape
+    drawn = rng.integers(problems, size=(RESAMPLES, problems, 1))
+    of = rng.integers(seeds, size=(RESAMPLES, problems, seeds))
+    means = _trimmed(scores[drawn, of].reshape(RESAMPLES, -1))
+    low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return float(low), float(high)
+
+
 def by_router(rows: Sequence[Row]) -> dict[str, dict[tuple[str, str], list[Row]]]:
     """The rows by router, and then by set and problem, one for each seed, in their order.
 

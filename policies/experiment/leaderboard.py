@@ -12,8 +12,8 @@ from typing import Any
 from marouting import InputError, scenarios
 from marouting.config import check
 from marouting.files import write_text
-from policies.benchmark.result import Result, Task, read_result
-from policies.benchmark.statistics import summarise
+from policies.experiment.result import Result, Task, read_result, summarise
+from policies.results.rows import RESULTS
 
 PICTURES = Path("pictures/leaderboard")
 """Where the plots lie, from the page's folder."""
@@ -23,14 +23,7 @@ _Group = tuple[str, str]
 
 
 def write_leaderboard(results: Path, page: Path) -> list[Path]:
-    """Writes the page and its plots.
-
-    Args:
-        results: the folder of the result files.
-        page: the page, in Markdown.
-
-    Returns:
-        All that was written, the page first.
+    """Writes the page and its plots from the result files in a folder; returns all files.
 
     Raises:
         InputError: there are no result files, one is damaged, or two do not fit together.
@@ -45,7 +38,7 @@ def write_leaderboard(results: Path, page: Path) -> list[Path]:
 
 def read_groups(results: Path) -> dict[_Group, list[Result]]:
     """The results in a folder by scenario and split, all with the same tasks, the best first."""
-    files = sorted(results.glob("*.json"))
+    files = sorted(path for path in results.glob("*.json") if path.name != RESULTS)
     if not files:
         raise InputError(f"{results}: expected result files of marouting benchmark (*.json)")
     found: dict[_Group, dict[Path, Result]] = {}
@@ -65,11 +58,8 @@ def _aligned(found: Mapping[Path, Result]) -> list[Result]:
     tasks: dict[str, Task] = dict(found[first].by_name)
     names: dict[str, Path] = {}
     for file, result in found.items():
-        check(
-            f"{file}: name",
-            result.name not in names,
-            f"another than {result.name}, as in {names.get(result.name)}",
-        )
+        twice = f"another than {result.name}, as in {names.get(result.name)}"
+        check(f"{file}: name", result.name not in names, twice)
         names[result.name] = file
         check(f"{file}: tasks", result.by_name.keys() == tasks.keys(), f"those of {first}")
         for task in result.tasks:
@@ -176,16 +166,9 @@ def _page(groups: Mapping[_Group, Sequence[Result]], drawn: set[str]) -> str:
 
 def _line(row: Mapping[str, Any]) -> str:
     """A row of a table."""
-    score, unknown = row["score"], row["open"] is None
     cells = [
         f"`{row['name']}`",
-        "?" if score is None else f"{score['mean']:.3f} [{score['low']:.3f}, {score['high']:.3f}]",
-        "?" if unknown else f"{row['open']:.4g}",
-        f"{round(row['overflow'], 1):.10g}",
-        "?" if unknown else _gap(row),
-        "?" if unknown else f"{row['at_reference']:.0f}",
-        "?" if unknown else f"{row['wins']:.3g}/{row['ties']:.3g}/{row['losses']:.3g}",
-        "?" if row["solution_seconds"] is None else f"{row['solution_seconds']:.2g}",
+        *cells_of(row),
         row["budget"] or "",
         str(row["seeds"]),
         _duration(row["seconds"]),
@@ -194,11 +177,27 @@ def _line(row: Mapping[str, Any]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _gap(row: Mapping[str, Any]) -> str:
-    if row["gap"] is None:
-        return ""
+def cells_of(row: Mapping[str, Any]) -> list[str]:
+    """Score, open, overflow, gap, at reference, W/T/L and seconds of a summary, in words.
+
+    Args:
+        row: as :func:`policies.experiment.result.summarise` returns it.
+    """
+    overflow = f"{round(row['overflow'], 1):.10g}"
+    seconds = "?" if row["solution_seconds"] is None else f"{row['solution_seconds']:.2g}"
+    if row["score"] is None:
+        return ["?", "?", overflow, "?", "?", "?", seconds]
+    score = row["score"]
     few = f" ({row['gap_problems']})" if row["gap_problems"] < row["problems"] else ""
-    return f"{row['gap']:.2f}{few}"
+    return [
+        f"{score['mean']:.3f} [{score['low']:.3f}, {score['high']:.3f}]",
+        f"{row['open']:.4g}",
+        overflow,
+        "" if row["gap"] is None else f"{row['gap']:.2f}{few}",
+        f"{row['at_reference']:.0f}",
+        "/".join(f"{row[of]:.3g}" for of in ("wins", "ties", "losses")),
+        seconds,
+    ]
 
 
 def _duration(seconds: float | None) -> str:

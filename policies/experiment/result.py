@@ -7,6 +7,7 @@ without routes do not say which nets are open, and then have no score.
 
 import json
 import re
+import statistics
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -14,19 +15,20 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
+
 from marouting.config import Meets, between, build_json, check
 from marouting.files import read_text, write_text
-from policies.benchmark.score import Figures, score
-from policies.results.rows import Count, Measure, Name, Seconds
+from policies.experiment.config import Split
+from policies.experiment.score import Figures, score
+from policies.results.rows import Count, Measure, Name, Row, Seconds
+from policies.results.statistics import bootstrap_interval, gap, interquartile_mean
 
 MOST_BYTES = 2**26
 """The largest result file that is read."""
 
 CLOSE = 1e-6
 """How far a score in a file may be from what its figures give."""
-
-Split = Literal["test", "validation"]
-"""The problems of a scenario that can be scored."""
 
 Share = Annotated[float, between(-3, 4)]
 """A score."""
@@ -68,7 +70,7 @@ class Outcome:
         wirelength: in edges.
         vias: None if not known.
         seconds: wall time, with the training if there was one for this problem; None if not known.
-        score: see :mod:`policies.benchmark.score`; None where ``open`` is.
+        score: see :mod:`policies.experiment.score`; None where ``open`` is.
     """
 
     problem: Name
@@ -79,6 +81,16 @@ class Outcome:
     vias: Count | None = None
     seconds: Seconds | None = None
     score: Share | None
+
+    @staticmethod
+    def of(row: Row, task: Task) -> "Outcome":
+        """The outcome that a row of an experiment holds."""
+        columns = ("problem", "seed", "overflow", "wirelength", "vias", "seconds")
+        figures = {column: row[column] for column in columns}
+        opened = row.get("open_nets")
+        found = None if opened is None else Figures(opened, row["overflow"], row["wirelength"])
+        score = None if found is None else round(task.score(found), 9)
+        return Outcome(**figures, open=opened, score=score)
 
     @property
     def figures(self) -> Figures | None:
@@ -180,3 +192,66 @@ class Result:
 def read_result(path: Path) -> Result:
     """Reads a result file; raises InputError naming the file, the key and what was expected."""
     return build_json(Result, read_text(path, MOST_BYTES), str(path))
+
+
+def summarise(result: Result) -> dict[str, Any]:
+    """The figures of a result, None where something is not known.
+
+    Returns:
+        ``name``, ``scenario``, ``split``, ``router``, ``budget``, the numbers of ``problems`` and
+        ``seeds``;
+        ``score``: ``mean`` (interquartile), ``low`` and ``high``;
+        ``open``: problems with open nets, and ``overflow``: the total in tracks, averaged over the
+        seeds;
+        ``gap``: mean wirelength above the reference's in %, of the solutions with as few open nets
+        and as little overflow, and ``gap_problems``, how many problems have one;
+        ``at_reference``: percent of the solutions that are as good as the reference, and
+        ``proven``: percent of the problems whose reference is proven;
+        ``wins``, ``ties`` and ``losses`` against A*, averaged over the seeds;
+        ``solution_seconds``: the median time per problem and seed, ``seconds`` and
+        ``training_seconds``: see :class:`Result`.
+    """
+    rows, tasks = result.outcomes, result.by_name
+    seeds = len(rows) // len(tasks)
+    times = [row.seconds for row in rows if row.seconds is not None]
+    summary = {
+        "name": result.name,
+        "scenario": result.scenario,
+        "split": result.split,
+        "router": result.router,
+        "budget": result.budget,
+        "problems": len(tasks),
+        "seeds": seeds,
+        "overflow": _whole(sum(row.overflow for row in rows) / seeds),
+        "proven": 100 * sum(task.proven for task in result.tasks) / len(tasks),
+        "solution_seconds": statistics.median(times) if len(times) == len(rows) else None,
+        "seconds": result.seconds,
+        "training_seconds": result.training_seconds,
+    }
+    found = [(tasks[row.problem], row.figures) for row in rows if row.figures is not None]
+    if len(found) < len(rows):
+        unknown = ("score", "open", "gap", "gap_problems", "at_reference", "wins", "ties", "losses")
+        return {**summary, **dict.fromkeys(unknown)}
+    own: dict[str, list[float]] = {task.problem: [] for task in result.tasks}
+    for row in rows:
+        own[row.problem].append(row.score or 0.0)
+    scores = np.array(list(own.values()), np.float64)
+    low, high = bootstrap_interval(scores)
+    gaps = [(task.problem, gap(figures, task.reference)) for task, figures in found]
+    known = [(problem, above) for problem, above in gaps if above is not None]
+    return {
+        **summary,
+        "score": {"mean": interquartile_mean(scores.ravel()), "low": low, "high": high},
+        "open": _whole(sum(figures.open > 0 for _, figures in found) / seeds),
+        "gap": statistics.fmean(above for _, above in known) if known else None,
+        "gap_problems": len({problem for problem, _ in known}),
+        "at_reference": 100 * sum(figures <= task.reference for task, figures in found) / len(rows),
+        "wins": _whole(sum(figures < task.astar for task, figures in found) / seeds),
+        "ties": _whole(sum(figures == task.astar for task, figures in found) / seeds),
+        "losses": _whole(sum(figures > task.astar for task, figures in found) / seeds),
+    }
+
+
+def _whole(value: float) -> float:
+    """An int if it is whole."""
+    return int(value) if value == int(value) else value

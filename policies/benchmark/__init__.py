@@ -1,1 +1,0 @@
-"""The benchmark: routers and learners scored on the problems of :mod:`marouting.scenarios`."""

@@ -1,0 +1,304 @@
+"""A benchmark: an experiment on the splits of scenarios, with a result file for each row.
+
+Beside what an experiment writes, its folder holds SCENARIO.NAME.json for every scenario and router
+(:mod:`policies.experiment.result`), of which the leaderboard is made.
+"""
+
+import json
+import os
+import platform
+import re
+import shlex
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marouting import InputError, __version__, evaluate, scenarios, sequential_astar
+from marouting.config import build, check, override, read_yaml
+from marouting.files import is_dir, is_file, stem_of, suffix_of
+from policies.engines import EngineName, cores, processor
+from policies.experiment.config import (
+    PUBLISHED,
+    SOLUTIONS,
+    Budget,
+    Entry,
+    ExperimentConfig,
+    Split,
+)
+from policies.experiment.experiment import Experiment
+from policies.experiment.result import Outcome, Result, Task
+from policies.experiment.score import Figures
+from policies.results.rows import Row
+from policies.results.run_folder import METRICS, read_episodes
+from policies.results.statistics import interquartile_mean
+from policies.routers.registry import is_learner
+
+SEEDS = 3
+"""The default number of seeds."""
+
+POINTS = 40
+"""Points of a learning curve."""
+
+
+# --- what is compared -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkConfig:
+    """Routers to compare, as a YAML file holds them; ``configs/benchmark/baselines.yaml`` has some.
+
+    Attributes:
+        routers: entries by name, as in an experiment
+            (:class:`policies.experiment.config.ExperimentConfig`); ``only`` lists the scenarios
+            that an entry is for. Beside the options, ``training_seconds`` is what training its
+            checkpoint took.
+        budget: of the entries that do not give their own, see
+            :class:`policies.experiment.config.Budget`.
+        seeds: how many seeds.
+        engine: where the work is done, as in an experiment.
+    """
+
+    routers: dict[str, dict[str, Any] | None] = field(default_factory=dict)
+    budget: str | None = None
+    seeds: int | None = None
+    engine: EngineName = "local"
+
+
+def from_text(text: str, name: str | None, budget: Budget | None) -> Entry:
+    """An entry as the command line names it.
+
+    Args:
+        text: the name of a router or a learner, or ``module:Class``, each with options after it
+            (``astar best_of=16 target=tree``); the file of a trained policy; a folder of
+            solutions; or a CSV file with overflow and wirelength of solutions that are not at
+            hand.
+        name: what tables call it; None: the router and its options, or the name of the file.
+        budget: the budget, applied to the options where they do not say otherwise.
+
+    Raises:
+        InputError: it is none of these, or an option is wrong.
+    """
+    raw: dict[str, Any]
+    path = Path(text)
+    if is_dir(path):
+        raw, called = {"router": SOLUTIONS, "folder": text}, path.resolve().name
+    elif is_file(path) and suffix_of(path) == ".csv":
+        raw, called = {"router": PUBLISHED, "file": text}, stem_of(path)
+    elif is_file(path):
+        raw, called = {"router": _learner_of(path), "checkpoint": text}, path.stem
+    else:
+        try:
+            router, *options = shlex.split(text) or [""]
+        except ValueError as error:
+            raise InputError(f"--router {text}: {error}") from None
+        if os.sep in router and ":" not in router:
+            raise InputError(f"--router {text}: expected a file or a folder, found none there")
+        is_learner(router, "--router")
+        raw = {**override({}, options), "router": router}
+        called = "-".join([router, *(option.partition("=")[2] for option in options)])
+    called = name or re.sub(r"[^\w-]+", "-", called).strip("-_") or "router"
+    source = ["--router", text, *(["--name", name] if name else [])]
+    return _entry(called, raw, budget, source)
+
+
+def _entry(name: str, raw: Mapping[str, Any], budget: Budget | None, source: list[str]) -> Entry:
+    """An entry with a budget, unless it has its own, and bound to this version."""
+    told = dict(raw)
+    if budget is not None:
+        told.setdefault("budget", budget.text)
+        source = [*source, "--budget", budget.text]
+    entry = Entry.of(name, told)
+    version = __version__ if entry.routes else None
+    return replace(entry, version=version, source=shlex.join(source))
+
+
+def _learner_of(checkpoint: Path) -> str:
+    """The learner whose policy a file holds; raises InputError if it holds none."""
+    from policies.learned.checkpoint import read_checkpoint  # torch: only if something learned
+
+    state = read_checkpoint(checkpoint, training=False)
+    learner = state.get("learner")
+    kind = learner.get("kind") if isinstance(learner, Mapping) else None
+    if not isinstance(kind, str):
+        raise InputError(f"{checkpoint}: expected a trained policy")
+    return kind
+
+
+def load_entries(
+    path: str | os.PathLike[str], overrides: Sequence[str], budget: Budget | None
+) -> tuple[list[Entry], BenchmarkConfig]:
+    """The entries of a configuration, and the configuration.
+
+    Args:
+        path: a YAML file.
+        overrides: ``key=value``, as :func:`marouting.config.override` takes them.
+        budget: what the command line says; None for the configuration's own.
+
+    Raises:
+        InputError: names the file or key, what was expected and what was found.
+    """
+    where = os.fspath(path)
+    config = build(BenchmarkConfig, override(read_yaml(path), overrides), where)
+    source = ["--config", where, *overrides]
+    if budget is None and config.budget is not None:
+        budget = Budget.parse(config.budget)
+        config = replace(config, budget=budget.text)
+    found = [
+        _entry(name, raw, budget, source) for name, raw in config.routers.items() if raw is not None
+    ]
+    check(f"{where}: routers", found, "at least one")
+    return found, config
+
+
+# --- running it -----------------------------------------------------------------------------------
+
+
+class Benchmark(Experiment):
+    """Entries on the problems of scenarios.
+
+    Args:
+        names: the scenarios' names.
+        entries: what to compare; ``only`` are names of scenarios.
+        folder: where all files go.
+        split: which problems: ``test`` or ``validation``.
+        seeds: how many seeds, from 0; None for SEEDS.
+        jobs: the largest number of processes; None for one per core.
+        engine: where the work is done, as in an experiment.
+
+    Raises:
+        InputError: there is no such scenario or entry, two have one name, a file is not one, or the
+            folder holds something else.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        entries: Sequence[Entry],
+        folder: Path,
+        *,
+        split: Split = "test",
+        seeds: int | None = None,
+        jobs: int | None = None,
+        engine: EngineName = "local",
+    ) -> None:
+        check("seeds", seeds is None or 1 <= seeds <= 1000, "a number from 1 to 1000")
+        tail = "" if split == "test" else f".{split}"
+        self.split: Split = split
+        self.scenarios = {f"{name}{tail}": scenarios.get(name) for name in names}
+        self.sources = {entry.name: entry.source for entry in entries}
+        self._tasks: dict[str, tuple[Task, ...]] = {}
+        called = [entry.name for entry in entries]
+        routers: dict[str, dict[str, Any] | None] = {}
+        for entry in entries:
+            check(
+                f"routers.{entry.name}",
+                called.count(entry.name) == 1,
+                "another name: there are two",
+            )
+            for name in entry.only or ():
+                _ = scenarios.get(name)  # or an error
+            own = [f"{name}{tail}" for name in entry.only or names if name in names]
+            if own:
+                routers[entry.name] = {**entry.plain, "only": own if entry.only else None}
+        for scenario in self.scenarios.values():
+            for problem in scenario.problems(split).values():
+                _ = scenario.reference(problem)  # or an error, before hours of work
+        super().__init__(
+            ExperimentConfig(
+                out=os.fspath(folder),
+                seeds=tuple(range(SEEDS if seeds is None else seeds)),
+                engine=engine,
+                jobs=jobs,
+                problems={
+                    name: {"scenario": scenario.name, "split": split}
+                    for name, scenario in self.scenarios.items()
+                },
+                routers=routers,
+            )
+        )
+
+    def _write(self, entries: Sequence[Entry]) -> dict[str, Any]:
+        """Writes the rows, and the result files of finished entries, whose paths are returned."""
+        rows = self._write_rows(entries)
+        files = []
+        for name in self.scenarios:
+            for entry in entries:
+                own = [row for row in rows if (row["set"], row["router"]) == (name, entry.name)]
+                if own:
+                    files.append(self._result(name, entry, own).write(self.folder))
+        return {"files": files}
+
+    def _tasks_of(self, name: str) -> tuple[Task, ...]:
+        """The problems of a set with their A* and their reference."""
+        if name not in self._tasks:
+            tasks = []
+            for of, problem in self.sets[name].items():
+                best = self.scenarios[name].reference(problem)
+                astar = Figures.of(evaluate(problem, sequential_astar(problem)))
+                reference = (0, best.overflow, best.wirelength)
+                tasks.append(Task(problem=of, astar=astar, reference=reference, proven=best.proven))
+            self._tasks[name] = tuple(tasks)
+        return self._tasks[name]
+
+    def _result(self, name: str, entry: Entry, rows: Sequence[Row]) -> Result:
+        """The result of an entry on a set."""
+        tasks = {task.problem: task for task in self._tasks_of(name)}
+        outcomes = tuple(Outcome.of(row, tasks[row["problem"]]) for row in rows)
+        times = [outcome.seconds for outcome in outcomes if outcome.seconds is not None]
+        spent = round(sum(times), 3) if len(times) == len(outcomes) else None
+        trained = spent if entry.trains else entry.training_seconds
+        if trained is None and entry.routes and "checkpoint" not in entry.options:
+            trained = 0.0
+        total = None if None in (spent, trained) else (spent or 0) + (trained or 0)
+        if entry.trains:  # which is in the time of the rows
+            total = spent
+        size = "1 core" if cores() == 1 else f"{cores()} cores"
+        scenario = self.scenarios[name].name
+        command = ["marouting", "benchmark", "--scenario", scenario]
+        command += [] if self.split == "test" else ["--split", self.split]
+        seeds = ["--seeds", str(len(self.config.seeds))] if entry.seeded else []
+        return Result(
+            scenario=scenario,
+            split=self.split,
+            name=entry.name,
+            router=entry.router,
+            options=json.loads(json.dumps(dict(entry.options))),
+            budget=entry.allowed,
+            version=__version__,
+            machine=", ".join((processor(), size, platform.system())),
+            command=" ".join([shlex.join(command), self.sources[entry.name], *seeds]),
+            date=time.strftime("%Y-%m-%d"),
+            seconds=None if total is None else round(total, 3),
+            training_seconds=trained,
+            tasks=tuple(tasks.values()),
+            outcomes=outcomes,
+            curve=self._curve(name, entry, tasks),
+        )
+
+    def _curve(
+        self, name: str, entry: Entry, tasks: Mapping[str, Task]
+    ) -> tuple[tuple[int, float], ...]:
+        """The learning curve of what was trained here."""
+        if not entry.trains:
+            return ()
+        episodes = entry.options["train"]["episodes"]
+        at = np.unique(np.geomspace(1, episodes, POINTS).round().astype(int))
+        curves = []
+        for part in self.parts:
+            if (part.set, part.entry.name) != (name, entry.name):
+                continue
+            best: dict[str, list[Figures]] = {of: [] for of in part.problems}
+            for played in read_episodes(part.run / METRICS):
+                own = best[played.problem]
+                # Two-pin tasks stand for nets here: a net is open if one of its tasks is.
+                found = Figures(played.tasks - played.joined, played.overflow, played.wirelength)
+                own.append(min(found, own[-1]) if own else found)
+            curves += [
+                [tasks[of].score(own[min(i, len(own)) - 1]) for i in at] for of, own in best.items()
+            ]
+        means = [interquartile_mean(column) for column in np.array(curves).T]
+        return tuple((int(i), round(mean, 6)) for i, mean in zip(at, means, strict=True))
