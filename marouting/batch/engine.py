@@ -394,8 +394,8 @@ class Engine:
             kept = getattr(saved, name)
             if (kept.shape, kept.dtype) != (array.shape, array.dtype):
                 raise ValueError(f"saved: expected shape {array.shape}, found {kept.shape}")
-        for array, kept in zip(self.dynamic, saved, strict=True):
-            array[...] = kept
+        for name, array in self.dynamic._asdict().items():
+            array[...] = getattr(saved, name)
 
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents, and starts all episodes.
