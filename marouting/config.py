@@ -811,9 +811,20 @@ _LISTED = 280
 """The most characters of a list of known keys."""
 
 
+_PRICES = "train.negotiation of a training: only the generalist negotiates by prices"
+
 RENAMED = {
+    "rip_up_calm": _PRICES,
+    "rip_up_patience": _PRICES,
+    "rip_up_present": _PRICES,
+    "rip_up_prices": _PRICES,
+    "copies": "num_envs",
     "give_back": "release_failed",
+    "helped": "expert_moves",
+    "mind": "policy: network, greedy or random",
     "next_task": "next_pin",
+    "taught": "expert_fraction",
+    "warmth": "temperature",
     "rip_up_rounds": "rip_up: {rounds: …}",
     "rip_up_neighbours": "rip_up: {neighbours: …}",
 }
