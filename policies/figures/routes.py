@@ -73,16 +73,19 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
     figure = Figure(figsize=size, layout="constrained")
     figure.suptitle(fitted(_heading(problem, solution, title), size[0] - 0.5, 12), fontsize=12)
     panels = figure.subplots(3, 1) if stacked else figure.subplots(1, 3)
-    vertical, horizontal = zip((maps.vertical, maps.horizontal), overflows, strict=True)
-    for axes, values, name, corner in (
-        (panels[0], (maps.via, None), "Vias\n(edges between layers)", (0, 0)),
-        (panels[1], vertical, "Vertical edges\n(between row y and y + 1)", (0, 1)),
-        (panels[2], horizontal, "Horizontal edges\n(between column x and x + 1)", (1, 0)),
+    values = maps.via, maps.vertical, maps.horizontal
+    names = (
+        "Vias\n(edges between layers)",
+        "Vertical edges\n(between row y and y + 1)",
+        "Horizontal edges\n(between column x and x + 1)",
+    )
+    # A field of one Gcell's size lies in the middle between the Gcells it joins.
+    corners = (-0.5, -0.5), (-0.5, 0.0), (0.0, -0.5)
+    for axes, own, over, name, corner in zip(
+        panels, values, (None, *overflows), names, corners, strict=True
     ):
         _prepare(axes, problem, name)
-        # A field of one Gcell's size lies in the middle between the Gcells it joins.
-        left, bottom = (0.5 * shift - 0.5 for shift in corner)
-        _draw_map(axes, *values, (left, bottom), maps.side, across, most)
+        _draw_map(axes, own, over, corner, maps.side, across, most)
         # The last fields may reach beyond the grid, which is all that is to be seen.
         axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
     notes = []
