@@ -10,12 +10,15 @@ contains the rule is compiled again; an edit of any other file compiles nothing.
 whose file on disk is damaged. Where nothing can be kept on disk, functions are compiled in every
 process, and one warning says why.
 
-Some of numba's options and attributes used here are private. If a release of numba lacks them, the
-functions are compiled without them: they are slower and give the same results.
+Numba compiles every function to machine code, with all that it calls. Of those that only kernels
+call, here it keeps LLVM's code, which is optimised once, as a part of the kernel that Python calls.
+
+Much of numba that is used here is private, so pyproject.toml names the release that it belongs to.
 """
 
 import enum
 import functools
+import gc
 import hashlib
 import os
 import pickle
@@ -27,66 +30,114 @@ from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-import llvmlite
+import llvmlite.binding
 import numba
 from numba import njit, typeof
+from numba._dispatcher import compute_fingerprint
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.extending import typeof_impl
 
-_caching: Any = sys.modules.get("numba.core.caching")
-"""Private to numba. Without it, nothing is kept on disk."""
-
-_PRIVATE = {"forceinline", "no_cpython_wrapper", "no_cfunc_wrapper", "_nrt"}
-"""Options that numba does not document."""
+from marouting.kernels import ANNOUNCED, Kernel
 
 
-def _known(options: dict[str, Any]) -> dict[str, Any]:
-    """The options, without the private ones if numba does not know all of them."""
-    try:
-        from numba.core.compiler import Flags
-        from numba.core.cpu import CPUTargetOptions
-
-        CPUTargetOptions.parse_as_flags(Flags(), options)  # type: ignore[no-untyped-call]
-    except (ImportError, AttributeError, KeyError):
-        return {name: value for name, value in options.items() if name not in _PRIVATE}
-    return options
-
-
-def compile_with(function: Callable[..., Any], options: dict[str, Any], kind: Any = None) -> Any:
+def compile_with(function: Callable[..., Any], options: dict[str, Any], *, part: bool) -> Any:
     """A function compiled by numba, with the result kept on disk.
 
     Args:
         function: as Python.
         options: numba's.
-        kind: the class of the kernels that it may call, see :class:`marouting.kernels.Kernel`.
+        part: whether it is for kernels that call it, not for Python.
     """
-    if kind is not None:
-        _make_known(kind)
-    dispatcher = njit(**_known(options))(function)
+    dispatcher: Any = njit(
+        **options,
+        no_cfunc_wrapper=True,
+        no_cpython_wrapper=part,
+        pipeline_class=_PartCompiler if part else _WholeCompiler,
+    )(function)
     try:
-        dispatcher._cache = _cache_of(function)
-    except (RuntimeError, AttributeError, TypeError, OSError) as error:
-        # Either there is nowhere to write, or numba's cache has changed, and stale code could
-        # no longer be recognised.
+        dispatcher._cache = _cache_of(function, part)
+    except (RuntimeError, OSError) as error:  # there is nowhere to write
         _not_kept(error)
     return dispatcher
 
 
-@functools.cache
-def _make_known(kind: Any) -> None:
-    """In other kernels, a kernel of this class stands for what numba makes of it."""
-    register: Any = typeof_impl.register(kind)
-    register(lambda kernel, context: typeof_impl(kernel.dispatcher, context))
+class _Part(JITCodeLibrary):  # type: ignore[misc]
+    """The code of a function that kernels call: LLVM's, which is linked into theirs.
+
+    It is optimised and made machine code there. Numba would do so here, too, and again for every
+    function on the way to the outermost one.
+    """
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+        self._get_module_for_linking()
+        module = self._final_module
+        environments = (
+            str(one) for one in module.global_variables if one.name.startswith("_ZN08NumbaEnv")
+        )
+        self._final_module = llvmlite.binding.parse_assembly("\n".join(environments))
+        self._final_module.name, self._final_module.triple = module.name, module.triple
+        super()._finalize_final_module()
 
 
-def _cache_of(function: Callable[..., Any]) -> Any:
+class _PartCompiler(Compiler):  # type: ignore[misc]
+    """Compiles a function that kernels call."""
+
+    def __init__(self, typing: Any, target: Any, library: Any, *arguments: Any) -> None:
+        library = _Part(target.codegen(), "part")
+        library.enable_object_caching()
+        super().__init__(typing, target, library, *arguments)
+
+
+class _WholeCompiler(Compiler):  # type: ignore[misc]
+    """Compiles a function that Python calls, with all that it calls; says so before."""
+
+    def compile_extra(self, function: Callable[..., Any]) -> Any:
+        _announce(function.__module__)
+        collecting = gc.isenabled()
+        gc.disable()  # looking for garbage would take a tenth of the time, and there is little
+        try:
+            return super().compile_extra(function)
+        finally:
+            if collecting:
+                gc.enable()
+
+
+def _announce(module: str) -> None:
+    """Says, once in a process, what a module's package compiles."""
+    package = module
+    while package and package not in ANNOUNCED:
+        package = package.rpartition(".")[0]
+    announced = ANNOUNCED.get(package)
+    if announced is not None and announced not in _said:
+        _said.add(announced)
+        what, seconds = announced
+        print(f"compiling {what}, once per version: about {seconds} s", file=sys.stderr, flush=True)
+
+
+_said: set[tuple[str, int]] = set()
+
+
+@typeof_impl.register(Kernel)
+def _type_of_kernel(kernel: Kernel, context: Any) -> Any:
+    """In other kernels, a kernel stands for what numba makes of it for them."""
+    return typeof_impl(kernel.part, context)
+
+
+def _cache_of(function: Callable[..., Any], part: bool) -> Any:
     """What keeps the compiled code of a function on disk."""
     cache = _Cache(function)
-    files = cache._cache_file
-    cache._cache_file = _Files(files._cache_path, cache._impl.filename_base, function)
+    name = cache._impl.filename_base + (".part" if part else "")
+    cache._cache_file = _Files(cache._cache_file._cache_path, name, function)
     return cache
 
 
-class _Cache(getattr(_caching, "FunctionCache", object)):  # type: ignore[misc]
+class _Cache(FunctionCache):  # type: ignore[misc]
     """Numba's cache of a function; a file that cannot be written is done without."""
 
     def save_overload(self, signature: Any, data: Any) -> None:
@@ -96,7 +147,7 @@ class _Cache(getattr(_caching, "FunctionCache", object)):  # type: ignore[misc]
             _not_kept(error)
 
 
-class _Files(getattr(_caching, "IndexDataCacheFile", object)):  # type: ignore[misc]
+class _Files(IndexDataCacheFile):  # type: ignore[misc]
     """The files of a function's cache, with a digest of their content and of the sources."""
 
     def __init__(self, cache_path: str, filename_base: str, function: Callable[..., Any]) -> None:
@@ -204,22 +255,14 @@ def _used(value: Any) -> Iterator[tuple[str, Any]]:
 
 def bound(kernel: Any, *examples: Any) -> Callable[..., Any]:
     """See :func:`marouting.kernels.bound`."""
-    key = _key_of(kernel, examples)
+    # A fingerprint takes microseconds, numba's type of a tuple of arrays a millisecond.
+    key = kernel, *map(compute_fingerprint, examples)
     code = _bound.get(key)
     if code is None:
         signature = tuple(map(typeof, examples))
         kernel.compile(signature)
-        code = _bound[key] = getattr(kernel.overloads[signature], "entry_point", kernel)
+        code = _bound[key] = kernel.overloads[signature].entry_point
     return code
 
 
 _bound: dict[tuple[Any, ...], Callable[..., Any]] = {}
-
-
-def _key_of(kernel: Any, examples: tuple[Any, ...]) -> tuple[Any, ...]:
-    """What is the same for arguments of the same types.
-
-    A fingerprint takes microseconds, numba's type of a tuple of arrays a millisecond.
-    """
-    fingerprint = getattr(sys.modules.get("numba._dispatcher"), "compute_fingerprint", typeof)
-    return kernel, *map(fingerprint, examples)

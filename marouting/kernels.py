@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-_NO_REFERENCE_COUNTS = {"_nrt": False}
+ANNOUNCED: dict[str, tuple[str, int]] = {}
+"""What the kernels of a package (or module) are together, and about how many seconds of processor
+time it takes to compile them: a line says so on standard error before it begins."""
 
 
 class Kernel:
@@ -26,10 +28,17 @@ class Kernel:
 
     @functools.cached_property
     def dispatcher(self) -> Any:
-        """What numba makes of the function."""
+        """What numba makes of the function, to be called from Python."""
         from marouting.compiling import compile_with
 
-        return compile_with(self.py_func, self._options, Kernel)
+        return compile_with(self.py_func, self._options, part=False)
+
+    @functools.cached_property
+    def part(self) -> Any:
+        """What numba makes of it, to be called by other kernels."""
+        from marouting.compiling import compile_with
+
+        return compile_with(self.py_func, self._options, part=True)
 
     def __call__(self, *arguments: Any) -> Any:
         """Calls it; the first time it is compiled."""
@@ -46,27 +55,15 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return lambda function: Kernel(function, options)
 
 
-compiled = kernel(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **_NO_REFERENCE_COUNTS)
+compiled = kernel(nogil=True, error_model="numpy", _nrt=False)
 """For kernels that allocate nothing: cached on disk, without the interpreter's lock, and without
 reference counts of arrays. Counting references at every call of a rule would take ten times as long
 as the rule itself."""
 
-inner = kernel(
-    nogil=True,
-    error_model="numpy",
-    no_cpython_wrapper=True,
-    no_cfunc_wrapper=True,
-    **_NO_REFERENCE_COUNTS,
-)
-"""Like ``compiled``, for functions that only kernels call. They cannot be called from Python: the
-code for that takes a fifth of the time to compile."""
+inner = compiled
 
-inlined = kernel(
-    forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **_NO_REFERENCE_COUNTS
-)
-"""For functions inside the loops of kernels, where a call would have to pass a dozen arrays. They
-cannot be called from Python: the code for that takes as long to compile as the functions
-themselves."""
+inlined = kernel(nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+"""For functions inside the loops of kernels, where a call would have to pass a dozen arrays."""
 
 allocating = kernel(nogil=True, error_model="numpy")
 """For kernels that make arrays. They divide like NumPy, because checking every divisor for zero
@@ -77,14 +74,12 @@ threaded = kernel(error_model="numpy", parallel=True)
 ignores options, so a threaded kernel has to be a separate function."""
 
 
-@inlined
-def wide(index: Any) -> int:
-    """An index from an array as int64.
+wide = np.int64
+"""An index from an array as int64.
 
-    Numba compiles a function again for every combination of integer types that it is called with,
-    and for every integer that is written out. If all indices are widened, they have the same type.
-    """
-    return np.int64(index)  # type: ignore[return-value]
+Numba compiles a function again for every combination of integer types that it is called with, and
+for every integer that is written out. If all indices are widened, they have the same type.
+"""
 
 
 @inlined

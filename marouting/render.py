@@ -496,7 +496,7 @@ class Sheet:
         along_x = np.stack((x + half, y + low, self._x[far] - half, y + high), axis=1)
         along_y = np.stack((x + low, self._y[far] + half, x + high, y - half), axis=1)
         sides: list[Any] = np.where((edges % AXES == 0)[:, None], along_x, along_y).tolist()
-        return [Box(*own, inks[n % len(inks)]) for n, own in enumerate(sides)]
+        return [Box(*own, ink=inks[n % len(inks)]) for n, own in enumerate(sides)]
 
     def around(self, gcell: int, reach: int, ink: Ink) -> Box:
         """A square around the middle of a Gcell."""

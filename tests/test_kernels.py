@@ -1,20 +1,19 @@
 """Compiled code: what is on disk is never staler than the sources, and numba's private parts."""
 
+import json
 import os
 import shutil
 import subprocess
 import sys
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import wheels
-from numba.core.cpu import CPUTargetOptions
 
 import marouting
-from marouting import compiling, kernels
+from marouting import kernels
 
 _PLAY = """
 import marouting, numpy as np
@@ -138,52 +137,13 @@ def test_a_stamp_depends_on_what_is_compiled_into_a_function(
     assert (stamp() == before) == same
 
 
-def double(x: Any) -> Any:
-    """What the tests below compile."""
-    return 2 * x
-
-
-def test_private_options_are_left_out_where_numba_lacks_them(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    options = {"nogil": True, "_nrt": False, "forceinline": True}
-    assert compiling._known(options) == options
-
-    parse = CPUTargetOptions.parse_as_flags
-
-    def older(flags: Any, given: Any) -> Any:
-        if "_nrt" in given:
-            raise KeyError("Unrecognized options")
-        return parse(flags, given)
-
-    monkeypatch.setattr(CPUTargetOptions, "parse_as_flags", older)
-    assert compiling._known(options) == {"nogil": True}
-    assert compiling.compile_with(double, options)(21) == 42
-
-
-def test_without_a_cache_functions_are_compiled_all_the_same(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def changed(*_: Any, **__: Any) -> None:
-        raise AttributeError("no such attribute")
-
-    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.__init__", changed)
-    monkeypatch.setattr(compiling, "_reasons", [])
-    with pytest.warns(RuntimeWarning, match="compiled code is not kept on disk"):
-        compiled = compiling.compile_with(double, {})
-    assert compiled(21) == 42
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert compiling.compile_with(double, {})(4) == 8  # said once
-
-
 def run_mine(
     folder: Path, cache: Path, before: str = "", source: str = "2 * x"
 ) -> tuple[list[int], str]:
     """The result of a compiled function and whether it was on disk, and standard error."""
     (folder / "mine.py").write_text(
-        "from marouting.kernels import compiled\n\n@compiled\ndef double(x):\n"
-        f"    return {source}\n"
+        "from marouting.kernels import compiled\n\n\n@compiled\ndef part(x):\n"
+        f"    return {source}\n\n\n@compiled\ndef double(x):\n    return part(x)\n"
     )
     path = os.pathsep.join((str(folder), str(Path(marouting.__file__).parents[1])))
     done = subprocess.run(
@@ -242,6 +202,34 @@ def test_older_code_under_the_name_of_newer_code_is_not_run(
     assert run_mine(folder, cache, source="3 * x")[0] == [63, 0]
 
 
+def test_compiling_is_announced_before_it_begins(tmp_path: Path) -> None:
+    """Once in a process, and not where the code is on disk."""
+    before = 'from marouting.kernels import ANNOUNCED\nANNOUNCED["mine"] = "what is mine", 7\n'
+    line = "compiling what is mine, once per version: about 7 s\n"
+    assert run_mine(tmp_path, tmp_path / "cache", before) == ([42, 0], line)
+    assert run_mine(tmp_path, tmp_path / "cache", before) == ([42, 1], "")
+    again = before + "import mine; print(mine.part(21), int(mine.double(2.0)))"
+    assert run_mine(tmp_path, tmp_path / "cache", again, "x + x") == ([42, 4, 42, 0], line)
+
+
+@pytest.mark.slow
+def test_routing_announces_what_it_compiles(tmp_path: Path) -> None:
+    problem, cache = tmp_path / "problem.gr", tmp_path / "cache"
+    marouting.generate(1, (4, 4, 2), nets=5)[0].write(problem)
+    for lines in (1, 0):
+        done = subprocess.run(
+            [sys.executable, "-m", "marouting", "route", problem, "--router", "pathfinder",
+             "--json"],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
+            capture_output=True,
+            text=True,
+            timeout=600,
+        )  # fmt: skip
+        assert json.loads(done.stdout)["connected"]
+        assert done.stderr.count("compiling the router, once per version: about ") == lines
+        assert done.stderr.count("compiling") == lines
+
+
 _FULL = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))"
 _NOWHERE = "import numba.core.caching as c; c.CacheImpl._locator_classes = []"
 
@@ -257,25 +245,6 @@ def test_where_nothing_can_be_kept_one_line_says_so(tmp_path: Path, trouble: str
         assert "compiled code is not kept on disk: " in line
 
 
-def test_bound_functions_without_machine_code() -> None:
-    class Overload:
-        """A compiled function of a numba that does not give its machine code away."""
-
-    class Kernel:
-        def __init__(self) -> None:
-            self.overloads: Any = {}
-
-        def compile(self, signature: Any) -> None:
-            self.overloads = {signature: Overload()}
-
-        def __call__(self, x: int) -> int:
-            return x + 1
-
-    assert kernels.bound(Kernel(), 1)(2) == 3
-    compiled = kernels.compiled(double)
-    assert kernels.bound(compiled, np.int64(1))(3) == 6
-
-
 @kernels.compiled
 def _sum(numbers: Any) -> Any:
     total = numbers[0]
@@ -284,13 +253,7 @@ def _sum(numbers: Any) -> Any:
     return total
 
 
-@pytest.mark.parametrize("private", [True, False])
-def test_bound_code_is_found_again_by_the_types_of_its_arguments(
-    private: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With numba's fingerprints of arguments, and without them."""
-    if not private:
-        monkeypatch.delitem(sys.modules, "numba._dispatcher")
+def test_bound_code_is_found_again_by_the_types_of_its_arguments() -> None:
     whole, parts = np.arange(4, dtype=np.int32), np.arange(4) / 2
     found = [kernels.bound(_sum, numbers) for numbers in (whole, parts, whole + 1, parts[:2])]
     assert found[0] is found[2]

@@ -53,8 +53,11 @@ Where to look:
 * :mod:`~policies.routers.pathfinder.evolved`: the same with options that were learned.
 """
 
+from marouting.kernels import ANNOUNCED
 from policies.routers.pathfinder.evolved import EvolvedOptions, EvolvedRouter
 from policies.routers.pathfinder.options import PathfinderOptions
 from policies.routers.pathfinder.router import PathfinderRouter, Routed
 
 __all__ = ["EvolvedOptions", "EvolvedRouter", "PathfinderOptions", "PathfinderRouter", "Routed"]
+
+ANNOUNCED[__name__] = "the router", 14
