@@ -827,6 +827,23 @@ RENAMED = {
     "warmth": "temperature",
     "rip_up_rounds": "rip_up: {rounds: …}",
     "rip_up_neighbours": "rip_up: {neighbours: …}",
+    "present": "present_factor",
+    "growth": "present_growth",
+    "history": "history_increment",
+    "decay": "history_decay",
+    "calm": "step_decay",
+    "stuck": "stall_passes",
+    "least_fall": "min_overflow_drop",
+    "least_gain": "min_wirelength_gain",
+    "again": "reroute_fraction",
+    "probe": "lp_after_pass",
+    "priced": "lp_passes",
+    "worth": "lp_price_scale",
+    "patience": "repair_after",
+    "worse": "overflow_stall_weight",
+    "repairs": "repair_stall_passes",
+    "least_repaired": "min_repair_fraction",
+    "persistence": "patience_factor",
 }
 """Names that keys had before version 0.3, and what they are called now."""
 
@@ -834,7 +851,7 @@ RENAMED = {
 def unknown_key(key: str, known: Sequence[str]) -> str:
     """The message about a key that is not one of those known."""
     new = RENAMED.get(key.rpartition(".")[2])
-    if new:
+    if new and new.partition(":")[0] in known:
         return f"{key}: unknown key; it is now {new}"
     close = difflib.get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
     # What follows must not lie in the middle of a long message, which is left out.

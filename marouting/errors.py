@@ -34,7 +34,19 @@ class UnknownOption(InputError, TypeError):
     """
 
 
+RENAMED = {
+    "evolved": "pathfinder with schedule=tuned",
+    "heuristic": "greedy",
+    "learned": "generalist",
+}
+"""Names of routers before version 0.3, and what they are called now."""
+
+
 def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """``did you mean …? `` with the known name that is most like another; empty if none is."""
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
+    """A hint for an unknown name: its new name or the most similar known one; may be empty."""
+    known = list(known)
+    new = RENAMED.get(name, "")
+    if new.partition(" ")[0] in known:
+        return f"it is now {new}; "
+    close = difflib.get_close_matches(name, known, n=1, cutoff=cutoff)
     return f"did you mean {close[0]}? " if close else ""

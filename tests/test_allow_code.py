@@ -138,7 +138,7 @@ COMMANDS: dict[str, tuple[tuple[str, ...], str]] = {
         )
     },
     "route learned": (
-        ("route", "p.gr", "--router", "learned", "weights=generalist.pt", "seconds=0.1"),
+        ("route", "p.gr", "--router", "generalist", "weights=generalist.pt", "seconds=0.1"),
         "generalist.pt: env.reward: names code",
     ),
     "view": (

@@ -349,7 +349,7 @@ def test_the_configurations_that_travel_with_the_package(name: str) -> None:
     assert config.seeds == 3
     names = [entry.name for entry in entries]
     if name == "baselines":
-        assert names == ["random", "heuristic", "astar", "astar-16", "pathfinder", "optimal"]
+        assert names == ["random", "greedy", "astar", "astar-16", "pathfinder", "optimal"]
         budgets = [entry.allowed for entry in entries]
         assert budgets == [None, None, None, "best of 16, 1 s", "1 s", "30 s"]
     else:

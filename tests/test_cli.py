@@ -134,9 +134,8 @@ def test_generate_writes_what_the_library_generates(
 ROUTERS: dict[str, list[str]] = {
     "astar": [],
     "random": ["--seed", "3"],
-    "heuristic": [],
+    "greedy": [],
     "pathfinder": ["--seed", "3"],
-    "evolved": ["--seed", "3"],
     "optimal": [],
     "dqn": ["--seed", "3", *FAST],
     "ppo": ["--seed", "3", "env.max_steps=12", "train.episodes=5"],

@@ -1053,7 +1053,7 @@ def test_routers_are_made_from_plain_options() -> None:
         make_router("astar", {"net_ordr": "file"}, "there")
     with pytest.raises(InputError, match="did you mean pathfinder"):
         make_router("pathfindr", {})
-    own = ("astar", "random", "heuristic", "pathfinder", "optimal")
+    own = ("astar", "random", "greedy", "pathfinder", "optimal")
     seeded = [name for name in own if is_seeded(router_piece(name, {}))]
     assert seeded == ["random", "pathfinder"]
     assert is_seeded(router_piece("astar", {"best_of": 2}))

@@ -131,8 +131,7 @@ def test_what_has_ended_the_work_does_not_come_again() -> None:
 LONG: dict[str, list[str]] = {
     "generate": ["generate", "--count", "9999", "--grid", "32", "32", "2", "--nets", "400"],
     "pathfinder": ["route", "p.gr", "--router", "pathfinder", "seconds=99"],
-    "evolved": ["route", "p.gr", "--router", "evolved", "seconds=99"],
-    "learned": ["route", "p.gr", "--router", "learned", "seconds=99"],
+    "generalist": ["route", "p.gr", "--router", "generalist", "seconds=99"],
     "optimal": ["route", "p.gr", "--router", "optimal"],
     "dqn": ["route", "p.gr", "--router", "dqn", "train.episodes=99999"],
     "astar": ["route", "p.gr", "best_of=99999"],

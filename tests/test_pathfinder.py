@@ -33,15 +33,14 @@ from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.steiner import EXACT_PINS, steiner_length
 from policies.routers.base import Router
 from policies.routers.pathfinder import (
-    EvolvedOptions,
-    EvolvedRouter,
     PathfinderOptions,
     PathfinderRouter,
     Routed,
 )
-from policies.routers.pathfinder.evolved import SHORT
 from policies.routers.pathfinder.relaxation import Relaxation
+from policies.routers.pathfinder.schedule import TUNED, scheduled
 from policies.routers.pathfinder.state import RELAX, UNIT, make_arrays, make_parameters, with_trees
+from policies.routers.registry import is_learner
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
@@ -214,7 +213,7 @@ def test_nothing_to_route() -> None:
             "exact_pins": st.sampled_from([2, 3, 5]),
             "margin": st.sampled_from([0, 1, 3]),
             "via_weight": st.sampled_from([0.0, 1.0]),
-            "patience": st.just(2),
+            "repair_after": st.just(2),
         }
     ),
 )
@@ -248,7 +247,7 @@ def test_every_net_is_joined_and_the_best_is_kept(
 def test_never_worse_than_sequential_astar(options: dict[str, Any], seed: int) -> None:
     """Observed on generated problems; the method itself does not guarantee it."""
     [problem] = generate(1, **options, seed=seed)
-    routed = router(patience=3).solve(problem)
+    routed = router(repair_after=3).solve(problem)
     check_routed(problem, routed)
     assert figures(problem, routed.solution) <= figures(problem, sequential_astar(problem))
 
@@ -488,8 +487,8 @@ def test_more_passes_are_never_worse(
 ) -> None:
     """And repairing passes make no solution worse, from the best one before them on."""
     [problem] = generate(1, **options, seed=which)
-    longer = router(seed=seed, passes=120, patience=1, repairs=5).solve(problem)
-    shorter = router(seed=seed, passes=passes, patience=1, repairs=5).solve(problem)
+    longer = router(seed=seed, passes=120, repair_after=1, repair_stall_passes=5).solve(problem)
+    shorter = router(seed=seed, passes=passes, repair_after=1, repair_stall_passes=5).solve(problem)
     assert shorter.history == longer.history[:passes]
     assert figures(problem, longer.solution) <= figures(problem, shorter.solution)
     best = (problem.topology.edges * len(problem.nets), 0.0)
@@ -528,7 +527,7 @@ def test_one_net_finds_the_way_of_least_overflow(
             walls.append(Adjustment(x, y, 1, i, j, 1, 0))
     problem = plane({"net": list(ends)}, (columns, rows), adjustments=tuple(walls))
     least = networkx.shortest_path_length(graph, *ends, weight="cost")
-    routed = router(patience=1, repairs=1).route(problem)
+    routed = router(repair_after=1, repair_stall_passes=1).route(problem)
     assert figures(problem, routed) == divmod(least, 1000)
 
 
@@ -536,7 +535,7 @@ def test_repairing_finds_shorter_ways_than_rounds_alone() -> None:
     """Two-pin nets that do not fit: rounds end some edges above the shortest wirelength."""
     before = after = 0
     for problem in generate(2, (16, 16, 2), nets=100, max_pins=2, capacity=3, seed=5):
-        routed = router(passes=300, patience=2).solve(problem)
+        routed = router(passes=300, repair_after=2).solve(problem)
         kinds = [done.kind for done in routed.history]
         if "repair" not in kinds:
             continue  # every net has its shortest tree
@@ -559,15 +558,18 @@ def hard_to_fit(seed: int) -> Problem:
 def test_prices_are_set_after_the_probe_and_in_every_round() -> None:
     """Relaxing passes at new prices come when they are due; the best solution is kept."""
     problem = hard_to_fit(3)
-    routed = router(passes=150, probe=5, priced=3, stuck=4).solve(problem)
+    routed = router(passes=150, lp_after_pass=5, lp_passes=3, stall_passes=4).solve(problem)
     check_routed(problem, routed)
     kinds = [done.kind for done in routed.history]
     assert kinds[:9] == ["pattern", "relax", *["negotiate"] * 3, *["relax"] * 3, "negotiate"]
     rounds = [i for i, kind in enumerate(kinds[1:]) if (kinds[i], kind) == ("squeeze", "relax")]
     assert rounds
     assert all(kinds[i + 1 : i + 5] == [*["relax"] * 3, "negotiate"] for i in rounds[:-1])
-    assert routed.history == router(passes=150, probe=5, priced=3, stuck=4).solve(problem).history
-    plain = router(passes=150, stuck=4).solve(problem)
+    assert (
+        routed.history
+        == router(passes=150, lp_after_pass=5, lp_passes=3, stall_passes=4).solve(problem).history
+    )
+    plain = router(passes=150, stall_passes=4).solve(problem)
     assert [done.kind for done in plain.history[5:8]] != ["relax"] * 3
 
 
@@ -576,7 +578,7 @@ def test_what_fits_needs_no_prices() -> None:
     asked = 0
     for problem in generate(4, (12, 12, 2), nets=60, max_pins=3, capacity=4, seed=2):
         plain = router().solve(problem)
-        priced = router(probe=3, priced=2).solve(problem)
+        priced = router(lp_after_pass=3, lp_passes=2).solve(problem)
         assert figures(problem, plain.solution)[0] == figures(problem, priced.solution)[0] == 0
         before = [done.kind for done in priced.history if done.overflow > 0]
         asked += len(before) > 3
@@ -635,33 +637,56 @@ def test_the_linear_program_agrees_with_highs(seed: int) -> None:
 def test_room_for_trees_is_made_when_there_is_none() -> None:
     """A long search has many times more trees than there is room for at first."""
     problem = generate(1, (9, 9, 2), nets=40, max_pins=3, capacity=2, seed=1)[0]
-    options = {"passes": 1500, "probe": 4, "priced": 2, "stuck": 3, "again": 0.5, "repairs": 3}
+    options = {
+        "passes": 1500,
+        "lp_after_pass": 4,
+        "lp_passes": 2,
+        "stall_passes": 3,
+        "reroute_fraction": 0.5,
+        "repair_stall_passes": 3,
+    }
     routed = router(**options).solve(problem)
     check_routed(problem, routed)
     assert routed.history == router(**options).solve(problem).history
 
 
-def test_evolved_is_negotiation_by_schedules_for_its_time() -> None:
+def test_the_tuned_schedule_is_that_of_its_time() -> None:
     problem = generate(1, (16, 16, 2), nets=80, max_pins=5, capacity=4, seed=7)[0]
-    usual, evolved = asdict(PathfinderOptions()), asdict(EvolvedOptions())
-    schedule = {name: value for name, value in evolved.items() if value != usual[name]}
-    assert schedule.keys() >= {"present", "growth", "history", "decay"}
-    made = EvolvedRouter(EvolvedOptions(passes=20, seconds=None)).solve(problem)
-    assert made.history == router(passes=20, **schedule).solve(problem).history
+    made = router(passes=20, schedule="tuned").solve(problem)
+    assert made.history == router(passes=20, **TUNED[np.inf]).solve(problem).history
     assert made.history != router(passes=20).solve(problem).history
-    assert EvolvedRouter().options == EvolvedOptions()
-    named = piece("router", {"kind": "evolved", "passes": 20, "seconds": None}).make()
-    assert named.route(problem) == made.solution
+    named = piece(
+        "router", {"kind": "pathfinder", "schedule": "tuned", "passes": 20, "seconds": None}
+    )
+    assert named.make().route(problem) == made.solution
+
     # Less time makes another schedule; what the user chose stays.
-    hasty = EvolvedRouter(EvolvedOptions(seconds=1e-4, seed=3)).options_for(problem)
-    assert hasty == replace(min(SHORT.items())[1], seconds=1e-4, seed=3)
-    assert hasty.growth != EvolvedOptions().growth
+    def tuned(seconds: float, **options: Any) -> PathfinderOptions:
+        chosen = PathfinderOptions(schedule="tuned", seconds=seconds, **options)
+        return scheduled(chosen, problem)
+
+    least = min(TUNED.items())[1]
+    assert tuned(1e-4, seed=3) == PathfinderOptions(seconds=1e-4, seed=3, **least)
+    assert tuned(1e-4, present_growth=3.0).present_growth == 3
     asked = [seconds * 10.0**power for power in range(-5, 3) for seconds in (1, 3)]
-    made_for = {EvolvedRouter(EvolvedOptions(seconds=s)).options_for(problem) for s in asked}
-    assert len({replace(options, seconds=None) for options in made_for}) == len(SHORT) + 1
-    assert EvolvedRouter(EvolvedOptions(seconds=1e-4, growth=3.0)).options_for(problem).growth == 3
+    assert len({replace(tuned(seconds), seconds=None) for seconds in asked}) == len(TUNED)
     alone = plane({"a": [(0, 0)]}, (3, 3))
-    assert figures(alone, EvolvedRouter(EvolvedOptions(seconds=1e-4)).route(alone)) == (0, 0)
+    assert figures(alone, router(schedule="tuned", seconds=1e-4).route(alone)) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("evolved", "pathfinder with schedule=tuned"),
+        ("heuristic", "greedy"),
+        ("learned", "generalist"),
+    ],
+)
+def test_old_names_of_routers_are_refused_with_the_new(old: str, new: str) -> None:
+    with pytest.raises(InputError, match=f"'{old}'; it is now {new}; expected"):
+        piece("router", {"kind": old}).make()
+    with pytest.raises(InputError, match=f"'{old}'; it is now {new}; expected"):
+        is_learner(old)
 
 
 def test_is_a_router() -> None:
@@ -682,18 +707,18 @@ def test_is_a_router() -> None:
         ({"exact_pins": 1}, "exact_pins: expected a number from 2 to 9"),
         ({"exact_pins": 10}, "exact_pins: expected a number from 2 to 9"),
         ({"margin": -1}, "margin: expected a number from 0"),
-        ({"present": 0.0}, "present: expected a number above 0"),
-        ({"growth": 0.9}, "growth: expected a number from 1"),
-        ({"history": -0.1}, "history: expected a number from 0"),
-        ({"decay": 1.1}, "decay: expected a number from 0 to 1"),
-        ({"stuck": 0}, "stuck: expected a number from 1"),
-        ({"least_gain": 2.0}, "least_gain: expected a number from 0 to 1"),
-        ({"again": -0.5}, "again: expected a number from 0 to 1"),
-        ({"least_fall": 1.5}, "least_fall: expected a number from 0 to 1"),
-        ({"patience": 0}, "patience: expected a number from 1"),
-        ({"calm": -0.1}, "calm: expected a number from 0"),
-        ({"repairs": 0}, "repairs: expected a number from 1"),
-        ({"persistence": 0}, "persistence: expected a number from 1"),
+        ({"present_factor": 0.0}, "present_factor: expected a number above 0"),
+        ({"present_growth": 0.9}, "present_growth: expected a number from 1"),
+        ({"history_increment": -0.1}, "history_increment: expected a number from 0"),
+        ({"history_decay": 1.1}, "history_decay: expected a number from 0 to 1"),
+        ({"stall_passes": 0}, "stall_passes: expected a number from 1"),
+        ({"min_wirelength_gain": 2.0}, "min_wirelength_gain: expected a number from 0 to 1"),
+        ({"reroute_fraction": -0.5}, "reroute_fraction: expected a number from 0 to 1"),
+        ({"min_overflow_drop": 1.5}, "min_overflow_drop: expected a number from 0 to 1"),
+        ({"repair_after": 0}, "repair_after: expected a number from 1"),
+        ({"step_decay": -0.1}, "step_decay: expected a number from 0"),
+        ({"repair_stall_passes": 0}, "repair_stall_passes: expected a number from 1"),
+        ({"patience_factor": 0}, "patience_factor: expected a number from 1"),
         ({"passes": 0}, "passes: expected a number from 1"),
         ({"seconds": -1.0}, "seconds: expected a number from 0, or null"),
         ({"seed": -1}, "seed: expected a number from 0"),
@@ -709,9 +734,12 @@ def test_options_out_of_range(options: dict[str, Any], message: str) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"grow": 2.0}, "grow: unknown key; did you mean growth?"),
-        ({"stuck": "often"}, "stuck: expected a whole number, found 'often'"),
-        ({"decay": float("nan")}, "decay: expected a finite number"),
+        ({"present_grow": 2.0}, "present_grow: unknown key; did you mean present_growth?"),
+        ({"growth": 2.0}, "growth: unknown key; it is now present_growth"),
+        ({"patience": 2}, "patience: unknown key; it is now repair_after"),
+        ({"schedule": "evolved"}, "schedule: expected"),
+        ({"stall_passes": "often"}, "stall_passes: expected a whole number, found 'often'"),
+        ({"history_decay": float("nan")}, "history_decay: expected a number, found nan"),
     ],
 )
 def test_options_of_wrong_form(options: dict[str, Any], message: str) -> None:

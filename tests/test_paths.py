@@ -62,7 +62,7 @@ READ: dict[str, tuple[str, ...]] = {
     "route dqn --config": ("route", "p.gr", "--router", "dqn", "--config", "PATH"),
     "route --checkpoint": ("route", "p.gr", "--router", "dqn", "--checkpoint", "PATH"),
     "route start=": ("route", "p.gr", "--router", "pathfinder", "start=PATH"),
-    "route weights=": ("route", "p.gr", "--router", "learned", "weights=PATH"),
+    "route weights=": ("route", "p.gr", "--router", "generalist", "weights=PATH"),
     "route burn_in=": ("route", "p.gr", "--router", "dqn", "learner.burn_in=PATH"),
     "route --lef": ("route", "p.def", "--lef", "PATH"),
     "route --net": ("route", "p.cap", "--net", "PATH"),
@@ -166,7 +166,7 @@ FROM_PYTHON: dict[str, Callable[[str], Any]] = {
     "read_rows": lambda path: read_rows(Path(path)),
     "plot": lambda path: plot([path]),
     "start": lambda path: make_router("pathfinder", {"start": path}).route(Problem.read("p.gr")),
-    "weights": lambda path: make_router("learned", {"weights": path}),
+    "weights": lambda path: make_router("generalist", {"weights": path}),
     "burn_in": lambda path: Run(load_config(None, ["env.problem=p.gr", f"learner.burn_in={path}"])),
     "experiment": lambda path: Experiment(load_experiment("e.yaml", [f"problems.a={path}"])),
 }

@@ -143,7 +143,7 @@ def test_what_is_installed_runs_outside_the_checkout(
     if name != "wheel":
         return  # it holds the same
     run("generate", "--count", "2", "--nets", "10", "--out", "problems")
-    run("route", "problems/problem_000.gr", "--router", "learned", "--out", "a.solution")
+    run("route", "problems/problem_000.gr", "--router", "generalist", "--out", "a.solution")
     run("evaluate", "problems/problem_000.gr", "a.solution", "--json")
     run("view", "problems/problem_000.gr", "a.solution", "--out", "page.html")
     run("quickstart")

@@ -39,7 +39,7 @@ from policies.learned.router import LearnedRouter
 from policies.learned.trainer import Episode, Trainer
 from policies.routers.astar import AStarRouter
 from policies.routers.base import Policy, warm_up
-from policies.routers.heuristic import HeuristicRouter
+from policies.routers.greedy import GreedyRouter
 from policies.routers.random import RandomPolicy, RandomRouter
 
 
@@ -387,11 +387,11 @@ def test_astar_router_is_sequential_astar() -> None:
         assert evaluate(problem, up).connected
 
 
-# --- the heuristic --------------------------------------------------------------------------------
+# --- the greedy router ----------------------------------------------------------------------------
 
 
-def by_heuristic(problem: Problem, **options: Any) -> tuple[Solution, int]:
-    """The heuristic in plain Python, and how many moves it made along detours."""
+def greedily(problem: Problem, **options: Any) -> tuple[Solution, int]:
+    """The greedy router in plain Python, and how many moves it made along detours."""
     engine = Engine([problem], turn_order="sequential", **options)
     astar, detour = AStar(engine), 0
     users: dict[Edge, set[int]] = {}
@@ -428,8 +428,8 @@ def test_the_heuristic_is_its_plain_version() -> None:
     for seed in range(12):
         problem = problem_of(seed, nets=8 + seed % 5, max_pins=2 + seed % 3)
         options: dict[str, Any] = {"decomposition": "steiner"} if seed % 4 == 3 else {}
-        expected, detour = by_heuristic(problem, **options)
-        routed = HeuristicRouter(**options).route(problem)
+        expected, detour = greedily(problem, **options)
+        routed = GreedyRouter(**options).route(problem)
         assert routed == expected
         found = evaluate(problem, routed)
         assert found.overflow == 0
@@ -472,9 +472,9 @@ print([one.__name__ for one in kernels if len(one.signatures) != before.get(one,
     [
         ("astar", {}),
         ("random", {}),
-        ("heuristic", {}),
+        ("greedy", {}),
         ("pathfinder", {"seconds": 0.5}),  # ends in the middle of a pass
-        ("evolved", {"seconds": 0.5}),
+        ("pathfinder", {"seconds": 0.5, "schedule": "tuned"}),
         ("regions", {"seconds": 0.5}),
     ],
 )

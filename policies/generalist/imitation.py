@@ -60,7 +60,12 @@ _SURE = 1e3
 """By how much the score of a move that is to be made exceeds all others."""
 
 _SCHEDULE = PathfinderOptions(
-    patience=5, worse=1, repairs=30, least_repaired=1.0, persistence=8, seconds=None
+    repair_after=5,
+    overflow_stall_weight=1,
+    repair_stall_passes=30,
+    min_repair_fraction=1.0,
+    patience_factor=8,
+    seconds=None,
 )
 """How the teacher negotiates. It is that of the training of the shipped weights: another one has
 other solutions, and weights."""

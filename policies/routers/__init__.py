@@ -4,8 +4,7 @@ from marouting.registry import register
 
 register("router", "astar", "policies.routers.astar:AStarRouter")
 register("router", "random", "policies.routers.random:RandomRouter")
-register("router", "heuristic", "policies.routers.heuristic:HeuristicRouter")
+register("router", "greedy", "policies.routers.greedy:GreedyRouter")
 register("router", "pathfinder", "policies.routers.pathfinder:PathfinderRouter")
-register("router", "evolved", "policies.routers.pathfinder:EvolvedRouter")
 register("router", "regions", "policies.routers.regions:RegionsRouter")
 register("router", "optimal", "policies.routers.optimal:OptimalRouter")

@@ -24,11 +24,9 @@ def router_names() -> tuple[str, ...]:
 _LABELS = {
     "astar": "A*",
     "pathfinder": "negotiated congestion",
-    "evolved": "negotiated congestion, evolved",
     "regions": "negotiated congestion in regions",
     "optimal": "optimum",
     "random": "random walks",
-    "learned": "generalist",
 }
 
 

@@ -50,14 +50,13 @@ Where to look:
 * :mod:`~policies.routers.pathfinder.batches`: passes in batches, and their threads.
 * :mod:`~policies.routers.pathfinder.relaxation`: prices from a linear program.
 * :mod:`~policies.routers.pathfinder.router`: the router, and what it reports.
-* :mod:`~policies.routers.pathfinder.evolved`: the same with options that were learned.
+* :mod:`~policies.routers.pathfinder.schedule`: the options of ``schedule: tuned``.
 """
 
 from marouting.kernels import ANNOUNCED
-from policies.routers.pathfinder.evolved import EvolvedOptions, EvolvedRouter
 from policies.routers.pathfinder.options import PathfinderOptions
 from policies.routers.pathfinder.router import PathfinderRouter, Routed
 
-__all__ = ["EvolvedOptions", "EvolvedRouter", "PathfinderOptions", "PathfinderRouter", "Routed"]
+__all__ = ["PathfinderOptions", "PathfinderRouter", "Routed"]
 
 ANNOUNCED[__name__] = "the router", 14

@@ -61,55 +61,62 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
         return more
     gained = progress.overflow < progress.last_overflow or (
         progress.overflow == progress.last_overflow == progress.best_overflow
-        and progress.last_length - progress.length > parameters.least_gain * progress.length
+        and progress.last_length - progress.length
+        > parameters.min_wirelength_gain * progress.length
     )
     progress.last_overflow, progress.last_length = progress.overflow, progress.length
-    if progress.overflow < progress.fewest * (1.0 - parameters.least_fall):
+    if progress.overflow < progress.fewest * (1.0 - parameters.min_overflow_drop):
         progress.fewest, progress.stuck = progress.overflow, 0
     else:
         progress.stuck += 1
-    step = 1.0 / (1.0 + parameters.calm * progress.rounds)
+    step = 1.0 / (1.0 + parameters.step_decay * progress.rounds)
     round_over = progress.kind == SQUEEZE and not gained
     if progress.kind == REPAIR:
         progress.since = 0 if better else progress.since + 1
     elif round_over:
-        counts = parameters.worse if progress.overflow > progress.best_overflow else 1
+        counts = (
+            parameters.overflow_stall_weight if progress.overflow > progress.best_overflow else 1
+        )
         progress.since = 0 if progress.found > progress.began else progress.since + counts
-    if round_over and progress.since >= parameters.patience:
+    if round_over and progress.since >= parameters.repair_after:
         progress.kind, progress.since = REPAIR, 0
         load_best(problem, routing, parameters.via)
         link_all(routing)
-    elif round_over or (progress.kind == REPAIR and progress.since >= parameters.repairs):
+    elif round_over or (
+        progress.kind == REPAIR and progress.since >= parameters.repair_stall_passes
+    ):
         if progress.kind == REPAIR:
             found = max(progress.found, EARLY)
-            more = more and progress.passes < parameters.persistence * found
+            more = more and progress.passes < parameters.patience_factor * found
             progress.since = progress.linked = 0
         progress.kind, progress.began = RELAX, progress.passes
-        progress.present = parameters.present
+        progress.present = parameters.present_factor
         progress.fewest, progress.stuck = np.iinfo(np.int64).max, 0
         for edge in range(len(routing.price)):
-            routing.price[edge] *= 1.0 - step * (1.0 - parameters.decay)
+            routing.price[edge] *= 1.0 - step * (1.0 - parameters.history_decay)
         progress.rounds += 1
-        progress.pricing = parameters.priced - 1 if progress.best_overflow > 0 else 0
+        progress.pricing = parameters.lp_passes - 1 if progress.best_overflow > 0 else 0
     elif progress.kind == RELAX and progress.pricing > 0:
         progress.pricing -= 1
     elif (
         progress.kind == NEGOTIATE
-        and progress.passes == parameters.probe
+        and progress.passes == parameters.lp_after_pass
         and progress.best_overflow > 0
-        and parameters.priced > 0
+        and parameters.lp_passes > 0
     ):
-        progress.kind, progress.pricing = RELAX, parameters.priced - 1
+        progress.kind, progress.pricing = RELAX, parameters.lp_passes - 1
         progress.fewest, progress.stuck = np.iinfo(np.int64).max, 0
     elif progress.kind < SQUEEZE or progress.kind == PATTERN:
         progress.kind = SQUEEZE
-        if progress.overflow > 0 and progress.stuck < parameters.stuck:
+        if progress.overflow > 0 and progress.stuck < parameters.stall_passes:
             progress.kind = NEGOTIATE
             first = progress.present == 0  # until then nets have shared edges freely
-            progress.present = parameters.present if first else progress.present * parameters.growth
+            progress.present = (
+                parameters.present_factor if first else progress.present * parameters.present_growth
+            )
             for edge in range(len(routing.price)):
                 if routing.remaining[edge] < 0:
-                    routing.price[edge] += step * parameters.history * UNIT
+                    routing.price[edge] += step * parameters.history_increment * UNIT
     for i in range(len(routing.order) - 1, 0, -1):
         j = draw(progress) % (i + 1)
         routing.order[i], routing.order[j] = routing.order[j], routing.order[i]
@@ -119,7 +126,7 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
         shortest += routing.ideal[net]
     shortest_of_all = progress.length == shortest and progress.unproven == 0
     if progress.kind == REPAIR:
-        least = wide(np.ceil(parameters.least_repaired * len(routing.order)))
+        least = wide(np.ceil(parameters.min_repair_fraction * len(routing.order)))
         progress.next = len(routing.order) - max(least, repairable(parameters, routing))
     progress.proven = progress.overflow == 0 and shortest_of_all
     return more and not progress.proven
@@ -172,5 +179,9 @@ def advance(
             progress.next += routed
         if not _next_pass(problem, parameters, routing):
             return DONE
-        if parameters.priced > 0 or progress.most > 1 or progress.history == len(routing.history):
+        if (
+            parameters.lp_passes > 0
+            or progress.most > 1
+            or progress.history == len(routing.history)
+        ):
             return PAUSED

@@ -261,7 +261,7 @@ class Relaxation:
         if self._iterations == 0:
             if overflow >= _LEAST:
                 routing.price[:] = self._dual.total * (self._worth * UNIT / self._averaged)
-                progress["present"] = self._parameters.present
+                progress["present"] = self._parameters.present_factor
             else:
                 progress["pricing"] = 0
                 if progress["rounds"] == 0:

@@ -13,6 +13,7 @@ from marouting import Problem, Solution
 from policies.routers.pathfinder.batches import Crew
 from policies.routers.pathfinder.options import PathfinderOptions
 from policies.routers.pathfinder.relaxation import Relaxation
+from policies.routers.pathfinder.schedule import scheduled
 from policies.routers.pathfinder.state import (
     KINDS,
     UNIT,
@@ -96,27 +97,26 @@ class PathfinderRouter:
             nobody watches.
     """
 
-    Options: type[PathfinderOptions] = PathfinderOptions
+    Options = PathfinderOptions
 
     def __init__(self, options: PathfinderOptions | None = None) -> None:
-        self.options = self.Options() if options is None else options
+        self.options = PathfinderOptions() if options is None else options
         self.watch: Callable[[str], bool] | None = None
         self._best: Callable[[], Solution] | None = None
 
     def warm_up(self, problem: Problem) -> None:
         """Compiles what routing needs, by a problem to which ``start`` is no solution."""
         passes = min(self.options.passes, _WARM)
-        type(self)(replace(self.options, start=None, passes=passes)).route(problem)
+        options = replace(self.options, start=None, passes=passes, schedule="standard")
+        PathfinderRouter(options).route(problem)
+        if self.options.schedule == "tuned":  # which may use the linear program
+            PathfinderRouter(replace(options, lp_passes=1)).route(problem)
         # A search calls this one from Python only if its time ends in the middle of a pass.
-        keep_best(make_arrays(problem, self.options_for(problem))[1])
+        keep_best(make_arrays(problem, options)[1])
 
     def best(self) -> Solution | None:
         """The best solution so far, for who watches; None if there is none yet."""
         return None if self._best is None else self._best()
-
-    def options_for(self, problem: Problem) -> PathfinderOptions:  # noqa: ARG002
-        """The options by which a problem is routed."""
-        return self.options
 
     def route(self, problem: Problem) -> Solution:
         """Routes a problem.
@@ -141,13 +141,13 @@ class PathfinderRouter:
             problem: the problem.
             start: a solution to begin with; None: the one of the option ``start``, if there is one.
             prices: (E,) prices to begin with, as in :class:`Routed`; None: 0 everywhere.
-            present: factor to go on from, as in :class:`Routed`; 0: the option ``present``.
+            present: factor to go on from, as in :class:`Routed`; 0: the option ``present_factor``.
                 With another one negotiating begins with ``start``, however few nets there are.
             taken: (E,) tracks that others use of every edge; None: none. The overflow of a pass
                 leaves out what they cause alone.
         """
         began, worked = time.perf_counter(), time.thread_time()
-        options = self.options_for(problem)
+        options = scheduled(self.options, problem)
         limit = options.seconds
         parameters = make_parameters(options)
         arrays, routing = make_arrays(problem, options)
@@ -163,10 +163,10 @@ class PathfinderRouter:
         if taken is not None:
             routing.remaining[:] -= taken
         if progress["most"] > 1:
-            parameters = parameters._replace(priced=0)
+            parameters = parameters._replace(lp_passes=0)
         relaxation = None
-        if parameters.priced > 0:
-            relaxation = Relaxation(arrays, parameters, routing, options.worth)
+        if parameters.lp_passes > 0:
+            relaxation = Relaxation(arrays, parameters, routing, options.lp_price_scale)
         passes: list[Pass] = []
         ended = len(routing.order) == 0
         stop: Stop = "optimal" if ended else "settled"

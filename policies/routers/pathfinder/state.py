@@ -124,22 +124,22 @@ class Parameters(NamedTuple):
     via: int  # in units of cost
     exact_pins: int
     margin: int
-    present: float
-    growth: float
-    history: float
-    decay: float
-    calm: float
-    stuck: int
-    least_fall: float
-    least_gain: float
-    again: int  # in parts of 2^20
-    probe: int
-    priced: int
-    patience: int
-    worse: int
-    repairs: int
-    least_repaired: float
-    persistence: int
+    present_factor: float
+    present_growth: float
+    history_increment: float
+    history_decay: float
+    step_decay: float
+    stall_passes: int
+    min_overflow_drop: float
+    min_wirelength_gain: float
+    reroute_fraction: int  # in parts of 2^20
+    lp_after_pass: int
+    lp_passes: int
+    repair_after: int
+    overflow_stall_weight: int
+    repair_stall_passes: int
+    min_repair_fraction: float
+    patience_factor: int
     passes: int
 
 
@@ -179,7 +179,7 @@ class NetBuffers(NamedTuple):
 def make_parameters(options: PathfinderOptions) -> Parameters:
     """The options as numbers for the compiled code."""
     values = {name: getattr(options, name) for name in Parameters._fields if name != "via"}
-    values["again"] = round(options.again * (1 << 20))
+    values["reroute_fraction"] = round(options.reroute_fraction * (1 << 20))
     return Parameters(via=round(options.via_weight * UNIT), **values)
 
 

@@ -177,7 +177,7 @@ def is_settled(problem: ProblemArrays, parameters: Parameters, routing: Routing,
     """Whether a net keeps its tree without a search: none can be cheaper, and no lot fell on it."""
     if routing.ideal[net] < present_cost(problem, routing, parameters.via, net, wide(1)):
         return False
-    return draw(routing.progress[0]) % (1 << 20) >= parameters.again
+    return draw(routing.progress[0]) % (1 << 20) >= parameters.reroute_fraction
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""The heuristic that plays the game without planning: nearer to the target, where most is free."""
+"""The greedy router plays the game without planning: nearer to the target, where most is free."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +17,7 @@ from marouting.trees.decomposition import Decomposition
 
 
 @dataclass(frozen=True)
-class HeuristicRouter:
+class GreedyRouter:
     """Every net walks to the neighbour nearer to its target with the most remaining capacity.
 
     Distances are Manhattan distances over x, y and layer. Of the moves that lead nearer than the
