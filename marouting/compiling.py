@@ -39,17 +39,19 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.extending import typeof_impl
 
-from marouting.kernels import ANNOUNCED, Kernel
 
-
-def compile_with(function: Callable[..., Any], options: dict[str, Any], *, part: bool) -> Any:
+def compile_with(
+    function: Callable[..., Any], options: dict[str, Any], kind: Any, *, part: bool
+) -> Any:
     """A function compiled by numba, with the result kept on disk.
 
     Args:
         function: as Python.
         options: numba's.
+        kind: the class of the kernels that it may call, see :class:`marouting.kernels.Kernel`.
         part: whether it is for kernels that call it, not for Python.
     """
+    _make_known(kind)
     dispatcher: Any = njit(
         **options,
         no_cfunc_wrapper=True,
@@ -109,24 +111,25 @@ class _WholeCompiler(Compiler):  # type: ignore[misc]
 
 
 def _announce(module: str) -> None:
-    """Says, once in a process, what a module's package compiles."""
-    package = module
-    while package and package not in ANNOUNCED:
-        package = package.rpartition(".")[0]
-    announced = ANNOUNCED.get(package)
-    if announced is not None and announced not in _said:
-        _said.add(announced)
-        what, seconds = announced
-        print(f"compiling {what}, once per version: about {seconds} s", file=sys.stderr, flush=True)
+    """Says, once in a process, what a module or its package compiles, and for how long."""
+    while module:
+        compiles = getattr(sys.modules.get(module), "COMPILES", None)
+        if compiles is not None and compiles not in _said:
+            _said.add(compiles)
+            what, seconds = compiles
+            text = f"compiling {what}, once per version: about {seconds} s"
+            print(text, file=sys.stderr, flush=True)
+        module = "" if compiles else module.rpartition(".")[0]
 
 
 _said: set[tuple[str, int]] = set()
 
 
-@typeof_impl.register(Kernel)
-def _type_of_kernel(kernel: Kernel, context: Any) -> Any:
-    """In other kernels, a kernel stands for what numba makes of it for them."""
-    return typeof_impl(kernel.part, context)
+@functools.cache
+def _make_known(kind: Any) -> None:
+    """In other kernels, a kernel of this class stands for what numba makes of it for them."""
+    register: Any = typeof_impl.register(kind)
+    register(lambda kernel, context: typeof_impl(kernel.part, context))
 
 
 def _cache_of(function: Callable[..., Any], part: bool) -> Any:

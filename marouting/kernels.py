@@ -2,6 +2,10 @@
 
 Only then is numba imported (:mod:`marouting.compiling`). So whoever needs no kernel waits neither
 for numba nor for a compiler: the plain game (:mod:`marouting.game`) and the interfaces on it.
+
+A module or package may have a constant ``COMPILES``: what its kernels are together, and about how
+many seconds of processor time it takes to compile them, as in ``COMPILES = "the router", 14``. A
+line on standard error says so before it begins.
 """
 
 import functools
@@ -9,10 +13,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-
-ANNOUNCED: dict[str, tuple[str, int]] = {}
-"""What the kernels of a package (or module) are together, and about how many seconds of processor
-time it takes to compile them: a line says so on standard error before it begins."""
 
 
 class Kernel:
@@ -31,14 +31,14 @@ class Kernel:
         """What numba makes of the function, to be called from Python."""
         from marouting.compiling import compile_with
 
-        return compile_with(self.py_func, self._options, part=False)
+        return compile_with(self.py_func, self._options, Kernel, part=False)
 
     @functools.cached_property
     def part(self) -> Any:
         """What numba makes of it, to be called by other kernels."""
         from marouting.compiling import compile_with
 
-        return compile_with(self.py_func, self._options, part=True)
+        return compile_with(self.py_func, self._options, Kernel, part=True)
 
     def __call__(self, *arguments: Any) -> Any:
         """Calls it; the first time it is compiled."""

@@ -52,6 +52,8 @@ from marouting.problem.grid import MOVES
 from marouting.rewards import KNOWN, PaperReward, Reward
 from marouting.source import ProblemSampler
 
+COMPILES = "the batch of games", 8
+
 
 class StepBuffers(NamedTuple):
     """The input and output of a step of M problems.

@@ -204,11 +204,11 @@ def test_older_code_under_the_name_of_newer_code_is_not_run(
 
 def test_compiling_is_announced_before_it_begins(tmp_path: Path) -> None:
     """Once in a process, and not where the code is on disk."""
-    before = 'from marouting.kernels import ANNOUNCED\nANNOUNCED["mine"] = "what is mine", 7\n'
+    before = 'import mine\nmine.COMPILES = "what is mine", 7\n'
     line = "compiling what is mine, once per version: about 7 s\n"
     assert run_mine(tmp_path, tmp_path / "cache", before) == ([42, 0], line)
     assert run_mine(tmp_path, tmp_path / "cache", before) == ([42, 1], "")
-    again = before + "import mine; print(mine.part(21), int(mine.double(2.0)))"
+    again = before + "print(mine.part(21), int(mine.double(2.0)))"
     assert run_mine(tmp_path, tmp_path / "cache", again, "x + x") == ([42, 4, 42, 0], line)
 
 

@@ -31,14 +31,14 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.game import NetOrder, Target
-from marouting.kernels import ANNOUNCED, compiled, inlined, inner, place, wide
+from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.memory import SEARCH, TABLES, check_memory
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_problem
 from marouting.problem.solution import Solution
 from marouting.trees.decomposition import Decomposition, two_pin_tasks
 
-ANNOUNCED[__name__] = "A*", 8
+COMPILES = "A*", 8
 
 STEP_COST = 1
 FULL_COST = 1000

@@ -53,10 +53,9 @@ Where to look:
 * :mod:`~policies.routers.pathfinder.schedule`: the options of ``schedule: tuned``.
 """
 
-from marouting.kernels import ANNOUNCED
 from policies.routers.pathfinder.options import PathfinderOptions
 from policies.routers.pathfinder.router import PathfinderRouter, Routed
 
 __all__ = ["PathfinderOptions", "PathfinderRouter", "Routed"]
 
-ANNOUNCED[__name__] = "the router", 14
+COMPILES = "the router", 14

@@ -119,18 +119,6 @@ def _plan_some(
 ) -> int:
     """Plans some nets of a batch, in a thread of its own.
 
-    Args:
-        problem: the problem.
-        parameters: the options.
-        routing: its ``progress`` is the thread's own; ``next`` is the net to begin with, and
-            afterwards the net to go on with. Nothing else is changed.
-        lattice: the thread's working memory, like the two that follow.
-        search: likewise.
-        buffers: likewise.
-        batch: gets the plans.
-        row: the number of the thread.
-        last: the net to end before.
-
     Returns:
         DONE; BOX_TOO_SMALL; or POOL_TOO_SMALL if the thread's row of ``batch.edge`` is full.
     """

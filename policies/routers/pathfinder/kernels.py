@@ -47,38 +47,20 @@ def draw(progress: Any) -> int:
 
 
 @compiled
-def edge_cost(
-    capacity: Any,
-    remaining: Any,
-    price: Any,
-    edge: int,
-    demand: int,
-    own: int,
-    present: float,
-    kind: int,
-) -> int:
-    """The cost of an edge inside a layer to a net.
+def edge_cost(problem: ProblemArrays, routing: Routing, edge: int, demand: int, own: int) -> int:
+    """The cost of an edge inside a layer to a net that would take ``demand`` tracks of it.
 
-    Args:
-        capacity: ``ProblemArrays.capacity``.
-        remaining: ``Routing.remaining``.
-        price: ``Routing.price``.
-        edge: the edge's number.
-        demand: tracks that the net would take.
-        own: tracks of these that it takes at the moment.
-        present: factor for one net too many.
-        kind: kind of the current pass, or DISPLACE.
-
-    Returns:
-        FULL or more if the net should avoid the edge at all costs.
+    Of these it takes ``own`` at the moment. The cost is FULL or more if the net should avoid the
+    edge at all costs.
     """
-    over = demand - own - remaining[edge]
+    kind = routing.progress[0].kind
+    over = demand - own - routing.remaining[edge]
     if kind >= SQUEEZE:
         return UNIT + FULL * min(max(over, 0), min(demand, _MOST_OVERFLOW))
-    cost = UNIT + (0.0 if kind == DISPLACE else price[edge])
+    cost = UNIT + (0.0 if kind == DISPLACE else routing.price[edge])
     if over > 0 and demand > 0:
-        cost *= 1.0 + present * over / demand
-    blocked = demand > capacity[edge]
+        cost *= 1.0 + routing.progress[0].present * over / demand
+    blocked = demand > problem.capacity[edge]
     return wide(min(cost, FULL - 1.0)) + (FULL if blocked else 0)
 
 
@@ -94,20 +76,10 @@ def tree_cost(
     last: int,
     own: int,
 ) -> int:
-    """The present cost of a tree to a net.
+    """The present cost of a tree, ``edges[row, first:last]``, to a net.
 
-    Args:
-        problem: the problem.
-        routing: holds remaining capacities and prices.
-        via: cost of a via.
-        net: the net.
-        edges: (rows, size) int32, edges of trees.
-        row: the row of this tree.
-        first: where it begins in the row.
-        last: where it ends.
-        own: 1 if it is the net's tree at the moment; 0 if the net is ripped up.
+    ``own`` is 1 if it is the net's tree at the moment, 0 if the net is ripped up.
     """
-    progress = routing.progress[0]
     cost = wide(0)
     for i in range(first, last):
         edge = wide(edges[row, i])
@@ -116,16 +88,7 @@ def tree_cost(
             cost += via
         else:
             demand = wide(problem.demand[net, problem.position[gcell, VIA_AXIS]])
-            cost += edge_cost(
-                problem.capacity,
-                routing.remaining,
-                routing.price,
-                edge,
-                demand,
-                own * demand,
-                progress.present,
-                progress.kind,
-            )
+            cost += edge_cost(problem, routing, edge, demand, own * demand)
     return cost
 
 
@@ -134,15 +97,6 @@ def set_box(
     problem: ProblemArrays, routing: Routing, net: int, margin: int, low: Any, size: Any
 ) -> int:
     """Puts a box around a net's pins and its current tree.
-
-    Args:
-        problem: the problem.
-        routing: holds the net's tree.
-        net: the net.
-        margin: Gcells by which the box is larger on each side in x and y. In z it always
-            contains all layers.
-        low: (3,) int64, gets x, y, z of the box's first point.
-        size: (3,) int64, gets the number of points along each axis.
 
     Returns:
         The number of points in the box.
@@ -170,14 +124,7 @@ def set_box(
 
 @inner
 def point_of(position: Any, low: Any, size: Any, gcell: int) -> int:
-    """The point of a box that a Gcell is.
-
-    Args:
-        position: (G, 3) int32, ``ProblemArrays.position``.
-        low: (3,) int64, x, y, z of the box's first point.
-        size: (3,) int64, the box's points along each axis.
-        gcell: a Gcell in the box.
-    """
+    """The point of a box that a Gcell is."""
     x, y = position[gcell, 0] - low[0], position[gcell, 1] - low[1]
     return (x * size[1] + y) * size[2] + position[gcell, 2] - low[2]
 
@@ -198,22 +145,11 @@ def set_costs(
     between them costs. Searches know by that how much a tree must still cost at least. Where
     everything overflows, that is far more than the number of edges, and searches stay short. The
     tracks of the net's present tree are free for a new one.
-
-    Args:
-        problem: the problem.
-        routing: holds remaining capacities and prices.
-        lattice: its ``size`` is that of the box; everything else is overwritten.
-        low: (3,) int64, x, y, z of the box's first point.
-        via: cost of a via.
-        net: the net.
-        limit: moves that cost this much or more are closed.
     """
     nx, ny, nz = lattice.size[0], lattice.size[1], lattice.size[2]
     set_size(lattice, nx, ny, nz)
     begin_lines(lattice, wide(via))
-    present, kind = routing.progress[0].present, routing.progress[0].kind
     # Fields are read once: every access makes the compiler handle the whole tuple.
-    capacity, remaining, price = problem.capacity, routing.remaining, routing.price
     costs, line, layers = lattice.cost, lattice.line, problem.size[2]
     point = wide(0)
     for x in range(nx):
@@ -236,10 +172,8 @@ def set_costs(
                     cost = wide(via)
                     if axis < VIA_AXIS:
                         edge = AXES * (gcell + z) + axis
-                        cost = edge_cost(
-                            capacity, remaining, price, edge, demand, wide(0), present, kind
-                        )
-                        if cost >= limit or capacity[edge] < 0:
+                        cost = edge_cost(problem, routing, edge, demand, wide(0))
+                        if cost >= limit or problem.capacity[edge] < 0:
                             cost = wide(CLOSED)
                         else:
                             line[axis, at + 1] = min(line[axis, at + 1], cost)
@@ -254,9 +188,7 @@ def set_costs(
         if axis == VIA_AXIS:
             continue
         demand = wide(problem.demand[net, problem.position[gcell, VIA_AXIS]])
-        cost = edge_cost(
-            problem.capacity, routing.remaining, routing.price, edge, demand, demand, present, kind
-        )
+        cost = edge_cost(problem, routing, edge, demand, demand)
         if cost < limit:
             at = problem.position[gcell, axis] - low[axis] + 1
             lattice.line[axis, at] = min(lattice.line[axis, at], cost)
@@ -428,15 +360,6 @@ def _other_end(
 ) -> int:
     """The key to which a path of the tree leads that leaves another key by a move.
 
-    Args:
-        problem: the problem.
-        remaining: ``Routing.remaining``.
-        lattice: holds the tree.
-        buffers: marks the net's pins, and holds the box.
-        key: where the path begins.
-        move: by which it leaves.
-        worn: whether only paths count that use an overflowed edge.
-
     Returns:
         The key, or -1 if the path does not count.
     """
@@ -508,15 +431,6 @@ def mend(
     """Replaces each path between two keys of a tree, once, by a cheapest one.
 
     Keys are pins and the points where the tree branches.
-
-    Args:
-        problem: the problem.
-        routing: holds the state of the random numbers, and tells which edges overflow.
-        lattice: its tree is changed.
-        search: working memory.
-        buffers: ``pin`` marks the net's pins.
-        root: a point of the tree.
-        worn: whether to replace only paths that use an overflowed edge.
 
     Returns:
         By how much the tree's cost fell.

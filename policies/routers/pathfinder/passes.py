@@ -143,14 +143,6 @@ def advance(
 ) -> int:
     """Carries the search on for a while, from where the last call left it.
 
-    Args:
-        problem: the problem.
-        parameters: the options.
-        routing: where the search stands; changed.
-        lattice: working memory, like the two that follow.
-        search: likewise.
-        buffers: likewise.
-
     Returns:
         Why it returned: DONE when the search has ended; PAUSED to let the caller look at the clock,
         after ``routing.progress["work"]`` labels, empty ``routing.history``, plan nets in batches

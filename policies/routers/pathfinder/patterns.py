@@ -17,7 +17,6 @@ from policies.routers.pathfinder.kernels import edge_cost, point_of, set_box
 from policies.routers.pathfinder.state import (
     BOX_TOO_SMALL,
     DONE,
-    PATTERN,
     POOL_TOO_SMALL,
     UNIT,
     NetBuffers,
@@ -41,18 +40,7 @@ def _straight(
     across: int,
     cost: Any,
 ) -> None:
-    """What a straight wire costs a net in every layer; more than :data:`_NEVER` if it must not be.
-
-    Args:
-        problem: the problem.
-        routing: holds remaining capacities.
-        net: the net.
-        axis: along which the wire goes.
-        begin: where it begins along the axis.
-        end: where it ends.
-        across: its place along the other axis.
-        cost: (Z,) int64, filled.
-    """
+    """What a straight wire costs a net in every layer; over :data:`_NEVER` if it must not be."""
     low, high = min(begin, end), max(begin, end)
     step = problem.size[2] * (problem.size[1] if axis == 0 else 1)
     x, y = (low, across) if axis == 0 else (across, low)
@@ -63,16 +51,7 @@ def _straight(
             edge = AXES * gcell + axis
             if problem.capacity[edge] < 0:
                 total += _NEVER
-            total += edge_cost(
-                problem.capacity,
-                routing.remaining,
-                routing.price,
-                edge,
-                demand,
-                wide(0),
-                0.0,
-                PATTERN,
-            )
+            total += edge_cost(problem, routing, edge, demand, wide(0))
             gcell += step
         cost[z] = total
 
@@ -80,13 +59,6 @@ def _straight(
 @inner
 def _best_layers(along: Any, across: Any, first: int, last: int, via: int) -> tuple[int, int, int]:
     """The cheapest pair of layers of an L, with the vias from one layer to another.
-
-    Args:
-        along: (Z,) what its first wire costs in every layer.
-        across: (Z,) likewise its second.
-        first: the layer that it begins in.
-        last: the layer that it ends in.
-        via: cost of a via.
 
     Returns:
         The cost and both layers.
@@ -106,14 +78,6 @@ def _draw_line(
     lattice: Lattice, buffers: NetBuffers, point: int, axis: int, steps: int, size: int
 ) -> tuple[int, int]:
     """Adds a straight line to the tree, up to the first point of the tree that it meets.
-
-    Args:
-        lattice: its tree is extended.
-        buffers: marks the points of the tree, and lists them in ``key``.
-        point: where the line begins; in the tree it is not continued.
-        axis: along which it goes.
-        steps: how far, negative if downwards.
-        size: number of points of the new path so far, which are listed.
 
     Returns:
         Where it ends, and the new number of points.

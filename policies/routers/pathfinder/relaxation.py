@@ -198,14 +198,7 @@ def _relax(columns: Columns, dual: Dual, iterations: int) -> float:
 
 
 class Relaxation:
-    """The linear program over the trees of a search.
-
-    Args:
-        problem: the problem.
-        parameters: the options.
-        routing: the search, before its first pass.
-        worth: what a price of 1 adds to the cost of an edge, in edges.
-    """
+    """The linear program over the trees of a search."""
 
     def __init__(
         self, problem: ProblemArrays, parameters: Parameters, routing: Routing, worth: float

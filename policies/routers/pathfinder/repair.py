@@ -62,11 +62,6 @@ def _choose(parameters: Parameters, routing: Routing) -> int:
 def _displaced(routing: Routing, together: int, last: int) -> int:
     """Another net than the last one on an overflowed edge of those in ``routing.together``.
 
-    Args:
-        routing: holds the nets.
-        together: how many there are in ``routing.together``.
-        last: the net that was rerouted last.
-
     Returns:
         The net; -1 if there is none.
     """
@@ -105,14 +100,6 @@ def repair(
 
     They negotiate without prices: it is these that have made the first one take its detour. When
     nothing overflows beyond what did before, each is squeezed.
-
-    Args:
-        problem: the problem.
-        parameters: the options.
-        routing: where the search stands; changed.
-        lattice: working memory, like the two that follow.
-        search: likewise.
-        buffers: likewise.
 
     Returns:
         How many were rerouted before they were squeezed; and DONE, or BOX_TOO_SMALL or

@@ -23,7 +23,6 @@ from policies.routers.pathfinder.state import (
     make_parameters,
     with_trees,
 )
-from policies.routers.pathfinder.trees import keep_best
 
 _LABELS = 5_000_000
 """Labels that a search opens in a second, about."""
@@ -111,8 +110,6 @@ class PathfinderRouter:
         PathfinderRouter(options).route(problem)
         if self.options.schedule == "tuned":  # which may use the linear program
             PathfinderRouter(replace(options, lp_passes=1)).route(problem)
-        # A search calls this one from Python only if its time ends in the middle of a pass.
-        keep_best(make_arrays(problem, options)[1])
 
     def best(self) -> Solution | None:
         """The best solution so far, for who watches; None if there is none yet."""
@@ -201,10 +198,6 @@ class PathfinderRouter:
                     stop = _reason(progress, parameters.passes)
                 elif passes and (asked or left() <= 0):  # the first pass has made a whole solution
                     stop, ended = "asked" if asked else "seconds", True
-                    # These passes never make a solution worse. What others have found in mid-pass
-                    # could be lost with more time, and more time must not be worse than less.
-                    if KINDS[progress["kind"]] in ("squeeze", "repair"):
-                        keep_best(routing)
         self._best = None
         solution = _best(problem, routing)
         prices = routing.price / UNIT
@@ -213,9 +206,22 @@ class PathfinderRouter:
 
 
 def _best(problem: Problem, routing: Routing) -> Solution:
-    """The best solution of a search so far."""
-    net = np.repeat(np.arange(len(problem.nets)), np.diff(routing.best_first))
-    return Solution.of_uses(problem, net, routing.best[: len(net)].astype(np.int64))
+    """The best solution of a search so far.
+
+    It may be that in the middle of a pass that never makes a solution worse. What other passes have
+    found in the middle could be lost with more time, and more time must not be worse than less.
+    """
+    progress = routing.progress[0]
+    now, best = (
+        [progress[f"{when}{what}"] for what in ("overflow", "length")] for when in ("", "best_")
+    )
+    if KINDS[progress["kind"]] in ("squeeze", "repair") and now < best:
+        edges, first, length = routing.edge[progress["pool"]], routing.start, routing.length
+    else:
+        edges, first, length = routing.best, routing.best_first[:-1], np.diff(routing.best_first)
+    net = np.repeat(np.arange(len(length)), length)
+    place = np.arange(len(net)) + (first - np.cumsum(length) + length)[net]
+    return Solution.of_uses(problem, net, edges[place].astype(np.int64))
 
 
 def _reason(progress: Any, most: int) -> Stop:

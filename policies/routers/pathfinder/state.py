@@ -273,12 +273,7 @@ def with_larger_pool(routing: Routing, size: int) -> Routing:
 
 
 def with_trees(routing: Routing, solution: Solution) -> Routing:
-    """The routing with the trees of a solution, for the first pass to put in place.
-
-    Args:
-        routing: one without any trees.
-        solution: of the same problem; of nets that it does not join, nothing is taken.
-    """
+    """The routing with the trees of a solution, for the first pass to put in place."""
     tree = solution.pruned()
     net, edge = tree.uses
     open_nets = set(evaluate(solution.problem, tree).disconnected)

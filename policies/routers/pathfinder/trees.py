@@ -254,16 +254,6 @@ def adopt(
 ) -> int:
     """Carries out a plan: gives a net its new tree, unless that costs more than the present one.
 
-    Args:
-        problem: the problem.
-        routing: changed.
-        via: cost of a via.
-        net: the net.
-        plan: (2,) int64, like ``NetBuffers.plan``.
-        edges: (rows, size) int32, holds the new tree.
-        row: the row of the new tree.
-        first: where it begins in the row.
-
     Returns:
         DONE; or POOL_TOO_SMALL, in which case the net is left as it was.
     """
