@@ -28,9 +28,7 @@ _FLOAT, _INDEX, _LANE = ir.FloatType(), ir.IntType(64), ir.IntType(32)
 _FUSED = ("contract",)
 """A product and its sum may be one instruction, where there is one."""
 
-fused = kernel(
-    nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False, fastmath={*_FUSED}
-)
+fused = kernel(nogil=True, error_model="numpy", _nrt=False, fastmath={*_FUSED})
 """Like ``compiled``, for loops that round like the tiles."""
 
 
