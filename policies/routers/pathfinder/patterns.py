@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from marouting.kernels import compiled, inner, wide
+from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.lattice import Lattice, set_size
 from policies.routers.pathfinder.kernels import edge_cost, point_of, set_box
@@ -56,7 +56,7 @@ def _straight(
         cost[z] = total
 
 
-@inner
+@compiled
 def _best_layers(along: Any, across: Any, first: int, last: int, via: int) -> tuple[int, int, int]:
     """The cheapest pair of layers of an L, with the vias from one layer to another.
 
@@ -73,7 +73,7 @@ def _best_layers(along: Any, across: Any, first: int, last: int, via: int) -> tu
     return least, one, two
 
 
-@inner
+@compiled
 def _draw_line(
     lattice: Lattice, buffers: NetBuffers, point: int, axis: int, steps: int, size: int
 ) -> tuple[int, int]:
@@ -119,7 +119,7 @@ def _nearest(
     return nearest, least
 
 
-@inner
+@compiled
 def route_pattern(
     problem: ProblemArrays,
     parameters: Parameters,
