@@ -13,7 +13,6 @@ from dataclasses import fields
 from docstrings import ROOT, markdown
 
 from marouting import global_routing_v0
-from marouting.batch.options import RuleOptions
 from marouting.config import attributes
 from marouting.game import RipUp, Rules
 from marouting.options import GameOptions
@@ -40,7 +39,7 @@ def page() -> str:
 
 def _arguments() -> Iterator[str]:
     """A row for every option: what its docstring says of it, and its default."""
-    for cls, prefix in ((GameOptions, ""), (Rules, ""), (RipUp, "rip_up."), (RuleOptions, "")):
+    for cls, prefix in ((GameOptions, ""), (Rules, ""), (RipUp, "rip_up.")):
         defaults = {field.name: field for field in fields(cls if prefix else GameOptions)}
         for name, about in attributes(cls).items():
             field = defaults[name]

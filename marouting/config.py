@@ -221,10 +221,6 @@ def code_named(data: Any, above: Keys = ()) -> Iterator[tuple[Keys, str]]:
     """The pieces that data calls by ``module:Class``, which is code, and the keys that lead there.
 
     Names of pieces stand under the key ``kind``, or under that of their kind, such as ``reward``.
-
-    Args:
-        data: plain data, or a configuration that is made of it.
-        above: the keys that lead to the data.
     """
     if isinstance(data, Piece):
         if ":" in data.name:
@@ -250,11 +246,6 @@ def check_code(data: Any, file: str, lines: Mapping[Keys, int] | None = None) ->
     """Raises InputError if a file names code that files may not name here.
 
     What reads a file in which names of pieces can stand calls this before it makes anything of it.
-
-    Args:
-        data: what the file holds.
-        file: its name.
-        lines: where its values stand, if it has lines.
     """
     allowed = code_allowed()
     for keys, name in () if allowed is True else code_named(data):
@@ -279,12 +270,6 @@ def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
     that includes it, or one of those that the package brings (``configs/…``). What a file says
     replaces what those say that it includes, and later ones in a list replace earlier ones: see
     :func:`merged`.
-
-    Args:
-        path: a path as :func:`config_file` takes it.
-
-    Raises:
-        InputError: names the file and the line.
     """
     whole: dict[str, Any] = {}
     for file in _files(path):
@@ -294,9 +279,6 @@ def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def origins_of(path: str | os.PathLike[str]) -> dict[Keys, tuple[str, int]]:
     """The file and the line of every value that :func:`read_yaml` reads.
-
-    Args:
-        path: a path as :func:`config_file` takes it.
 
     Returns:
         The file's name and the line, from 1, by the keys that lead to the value; of mappings only
@@ -449,9 +431,6 @@ def taken(value: Any, hint: Any) -> Any:
     Args:
         value: plain data; NumPy's numbers and paths will do as well.
         hint: the type. What is neither a dataclass nor a type of plain data takes any value.
-
-    Raises:
-        InputError: it does not fit the type.
     """
     if hasattr(value, "tolist"):  # NumPy's
         value = value.tolist()
@@ -676,9 +655,6 @@ def take_pieces(options: Any) -> None:
     """Replaces names, mappings and objects in the piece fields of a schema by pieces.
 
     A schema's ``__post_init__`` calls this.
-
-    Raises:
-        InputError: a value is not a piece; the message names the key and what was expected.
     """
     for f in fields(options):
         if "kind" in f.metadata:
@@ -701,10 +677,6 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> P
             object.
         default: the name if none is given; None: the first one registered.
         where: the start of error messages.
-
-    Raises:
-        InputError: the value is not a piece; the message names the key, what was expected and what
-            was found.
     """
     if isinstance(raw, Piece):
         return raw
@@ -768,9 +740,6 @@ def plain(value: Any) -> Any:
     """A configuration as plain data, such as YAML and JSON hold.
 
     A piece becomes a mapping of its options, with its name under ``kind``.
-
-    Raises:
-        InputError: a piece was given as an object whose options are unknown.
     """
     if isinstance(value, Piece):
         options = value.options
@@ -806,9 +775,6 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
     Args:
         raw: plain data, as from YAML.
         overrides: ``key=value``, with dots between the parts of a key and the value as in YAML.
-
-    Raises:
-        InputError: an override does not have this form.
     """
     changed = dict(raw)
     for given in overrides:
@@ -827,13 +793,7 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
 
 
 def check_same(mine: Mapping[str, Any], kept: Mapping[str, Any], where: Path) -> None:
-    """Raises InputError, naming the key, if two configurations in plain data differ.
-
-    Args:
-        mine: the present configuration.
-        kept: the configuration at the start.
-        where: the file that holds it.
-    """
+    """Raises InputError, naming the key, if two configurations in plain data differ."""
     found, expected = ({".".join(keys): v for keys, v in leaves(plain(c))} for c in (mine, kept))
     # Some keys may be in only one of them, such as those of a problem's files or its generator.
     for key in dict.fromkeys((*expected, *found)):
@@ -851,9 +811,20 @@ _LISTED = 280
 """The most characters of a list of known keys."""
 
 
+_PRICES = "train.negotiation of a training: only the generalist negotiates by prices"
+
 RENAMED = {
+    "rip_up_calm": _PRICES,
+    "rip_up_patience": _PRICES,
+    "rip_up_present": _PRICES,
+    "rip_up_prices": _PRICES,
+    "copies": "num_envs",
     "give_back": "release_failed",
+    "helped": "expert_moves",
+    "mind": "policy: network, greedy or random",
     "next_task": "next_pin",
+    "taught": "expert_fraction",
+    "warmth": "temperature",
     "rip_up_rounds": "rip_up: {rounds: …}",
     "rip_up_neighbours": "rip_up: {neighbours: …}",
     "present": "present_factor",

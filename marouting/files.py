@@ -35,9 +35,6 @@ def reading(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
     What gzip has compressed is read as if it were not, whatever the file is called; a byte order
     mark of UTF-8 is passed over.
-
-    Raises:
-        InputError: it cannot be read, is damaged or UTF-16, or it is a device, which may never end.
     """
     try:
         try:
@@ -107,10 +104,6 @@ def is_zipped(path: str | os.PathLike[str]) -> bool:
 def beside(path: str | os.PathLike[str], suffix: str) -> Path:
     """The file that is named as another one, but for the suffix.
 
-    Args:
-        path: the other file.
-        suffix: in small letters, as :func:`suffix_of` gives it.
-
     Returns:
         The file with just this suffix; if there is none, one with the suffix in capitals or with
         ``.gz`` after it, should there be one.
@@ -126,15 +119,7 @@ def beside(path: str | os.PathLike[str], suffix: str) -> Path:
 
 
 def read_text(path: str | os.PathLike[str], most: int) -> str:
-    """The UTF-8 text in a file.
-
-    Args:
-        path: the file.
-        most: the largest size accepted, in bytes.
-
-    Raises:
-        InputError: it cannot be read, is larger, or is not UTF-8 text.
-    """
+    """The UTF-8 text in a file of at most so many bytes; raises InputError for any other."""
     with reading(path) as file:
         content = file.read(most + 1)
     if len(content) > most:
@@ -152,15 +137,8 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
     A symbolic link stays one: the file that it leads to is written. Readers see the old file or the
     new one, never half a file, even if the process is killed.
 
-    Args:
-        path: the file to write; its folder is made if it is missing.
-
     Yields:
         The temporary file to write into.
-
-    Raises:
-        InputError: the folder cannot be made or written to, or ``path`` is a folder, a device or
-            something else that is not a file.
     """
     target = Path(path)
     try:
@@ -208,12 +186,7 @@ _UNFIT = re.compile(rf"[/{re.escape(os.sep)}\x00-\x1f\x7f-\x9f\u2028\u2029\ud800
 
 
 def is_file_name(name: str, suffix: str = "") -> bool:
-    """Whether a file can have a name: it stays in its folder and is none of our hidden files.
-
-    Args:
-        name: of a problem, a set, a router.
-        suffix: the longest text that follows it in names of files.
-    """
+    """Whether a file can have a name: it stays in its folder and is none of our hidden files."""
     if not name or name.startswith(".") or _UNFIT.search(name):
         return False
     return len((name + suffix).encode()) <= _LONGEST

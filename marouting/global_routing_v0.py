@@ -85,7 +85,7 @@ The paper's 12 numbers, in Gcells and tracks:
 | 10–11 | the same for moves 4 and 5, the vias | 10, or 0 off the grid |
 
 The observations `window` (:class:`marouting.batch.window.WindowObservation`) and `outlook`
-(:class:`marouting.batch.outlook.OutlookObservation`) show more, in numbers of order 1, with the
+(:class:`policies.generalist.outlook.OutlookObservation`) show more, in numbers of order 1, with the
 same shape on every grid.
 
 ## State

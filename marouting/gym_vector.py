@@ -19,14 +19,14 @@ from marouting.env.base import METADATA
 from marouting.game import NOBODY
 from marouting.options import game_options
 from marouting.render import ansi, rgb_array, scene_of
-from marouting.source import OwnDraws, Source
+from marouting.source import OwnProblemSampler, Source
 from marouting.vector import BatchEnv, Info
 
 
 class _Games(BatchEnv):
     """Games with seeds of their own."""
 
-    _draws_of = OwnDraws
+    _draws_of = OwnProblemSampler
 
 
 class GlobalRoutingVector(VectorEnv[Any, Any, Any]):

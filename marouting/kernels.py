@@ -10,7 +10,7 @@ line on standard error says so before it begins.
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -73,13 +73,17 @@ threaded = kernel(error_model="numpy", parallel=True)
 """Like ``allocating``, with loops over ``numba.prange`` shared among numba's threads. Numba's cache
 ignores options, so a threaded kernel has to be a separate function."""
 
+if TYPE_CHECKING:
 
-wide = np.int64
-"""An index from an array as int64.
+    def wide(index: Any) -> int:
+        """An index from an array as int64.
 
-Numba compiles a function again for every combination of integer types that it is called with, and
-for every integer that is written out. If all indices are widened, they have the same type.
-"""
+        Numba compiles a function again for every combination of integer types that it is called
+        with, and for every integer that is written out. Widened, all indices have the same type.
+        """
+
+else:
+    wide = np.int64
 
 
 @inlined

@@ -302,4 +302,4 @@ def has_form(piece: object, plain: str, columns: str) -> bool:
 
 register("observation", "paper", PaperObservation)
 register("observation", "window", "marouting.batch.window:WindowObservation")
-register("observation", "outlook", "marouting.batch.outlook:OutlookObservation")
+register("observation", "outlook", "policies.generalist.outlook:OutlookObservation")

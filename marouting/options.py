@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
-from marouting.batch.options import RuleOptions
 from marouting.config import Named, build, check, piece_field, take_pieces, unknown_key
 from marouting.errors import UnknownOption
-from marouting.game import TurnOrder
+from marouting.game import Rules, TurnOrder
 from marouting.generator import GeneratorOptions
 from marouting.scenarios import Split, get
 
@@ -29,10 +28,10 @@ ProblemSource = str | tuple[str, ...] | GeneratorOptions
 
 
 @dataclass(frozen=True, kw_only=True)
-class GameOptions(RuleOptions):
+class GameOptions(Rules):
     """The options of every interface of the environment; the defaults are the paper's.
 
-    The options of the rules come from :class:`marouting.batch.options.RuleOptions`.
+    The options of the rules come from :class:`marouting.game.Rules`.
 
     Attributes:
         problem: a ``.gr`` file, a folder of them, a list of both, or options of the generator

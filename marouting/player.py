@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import byte_of, copy_row, set_byte, swap_rows
+from marouting.batch.bits import copy_row, swap_rows
 from marouting.batch.engine import Engine
 from marouting.batch.observation import paper_reward, see_paper, write_paper
 from marouting.batch.rules import (
@@ -46,16 +46,11 @@ from marouting.errors import InputError
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import bound, compiled, inlined, place, wide
 from marouting.memory import check_memory
-from marouting.observations import (
-    Observation,
-    PaperObservation,
-    has_move_order,
-    move_order_of,
-)
+from marouting.observations import Observation, PaperObservation, has_move_order, move_order_of
 from marouting.options import FORMS
 from marouting.problem.grid import MOVES
 from marouting.rewards import KNOWN, PaperReward, Reward
-from marouting.source import Draws
+from marouting.source import ProblemSampler
 
 COMPILES = "the batch of games", 8
 
@@ -117,7 +112,7 @@ class StepBuffers(NamedTuple):
         )
 
 
-class Known(NamedTuple):
+class FastPath(NamedTuple):
     """What the compiled step has to know about the pieces."""
 
     everyone: bool  # whether all agents have a row, or only the one whose turn it is
@@ -128,12 +123,20 @@ class Known(NamedTuple):
     overflow_price: float  # see PaperReward
 
 
+class Earlier(NamedTuple):
+    """The games before a move, as rewards see them; see :class:`marouting.columns.Before`."""
+
+    agents: NDArray[Any]  # (M, N) AGENT
+    games: NDArray[Any]  # (M,) GAME
+    remaining: NDArray[np.int32]  # (M, E)
+
+
 class Saved(NamedTuple):
     """A saved state of a player's games."""
 
     dynamic: Dynamic
     buffers: StepBuffers
-    counts: NDArray[np.int64] | None = None  # (M,) see Draws; None where problems stay
+    counts: NDArray[np.int64] | None = None  # (M,) see ProblemSampler; None where problems stay
     seeds: NDArray[np.object_] | None = None  # (M,) likewise
 
 
@@ -157,10 +160,11 @@ class Player:
         observation: what agents see.
         reward: what moves pay.
         everyone: whether all agents have a row.
+        played: (M, K) the moves on the grid of the last step.
         buffers: see :class:`StepBuffers`.
         draws: what the games play; None: the engine's problems stay.
         turned: whether actions and masks are in the order of the observation's own moves.
-        known: what the compiled step knows about the pieces.
+        fast: what the compiled step knows about the pieces.
         paid: (M, N) float32, what the last step paid every agent. None with the paper's reward,
             which pays only the agent that moves.
     """
@@ -173,7 +177,7 @@ class Player:
         *,
         everyone: bool = True,
         buffers: StepBuffers | None = None,
-        draws: Draws | None = None,
+        draws: ProblemSampler | None = None,
         turned: bool = False,
     ) -> None:
         for name, piece in (("observation", observation), ("reward", reward)):
@@ -194,7 +198,7 @@ class Player:
         pays = PaperReward()
         if isinstance(reward, PaperReward) and type(reward) in KNOWN:
             pays = reward
-        self.known = Known(
+        self.fast = FastPath(
             everyone,
             looks is observation,
             pays is reward,
@@ -210,26 +214,28 @@ class Player:
 
         It is with the paper's observation, reward and six actions.
         """
-        return self.known.observation and self.known.reward and self.engine.actions == MOVES
+        return self.fast.observation and self.fast.reward and self.engine.actions == MOVES
 
     def _bind(self) -> None:
         """Prepares the calls after the arrays have been replaced."""
         engine, buffers = self.engine, self.buffers
+        self.played = buffers.actions
         if self.everyone:
             buffers.agents[:] = engine.pairs(everyone=True)[1].reshape(engine.nets.shape)
-        own_reward = not self.known.reward
+        own_reward = not self.fast.reward
         self.paid = np.zeros(engine.nets.shape, np.float32) if own_reward else None
-        self._before = _copy(engine.dynamic) if own_reward else None
+        self._before: Earlier | None = None
         self.kernel_buffers = buffers
         if engine.actions == MOVES:  # masks are written in pairs of bytes, which is faster
             self.kernel_buffers = buffers._replace(
                 mask=buffers.mask.view(np.int16), final_mask=buffers.final_mask.view(np.int16)
             )
-        self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.known
+        self._arguments = engine.static, engine.dynamic, self.kernel_buffers, self.fast
         if own_reward:
-            dynamic = engine.dynamic
-            agents, sets = dynamic.agents.copy(), dynamic.sets.copy()
-            self._arrived = dynamic._replace(agents=agents, sets=sets)
+            now = engine.dynamic
+            self._before = Earlier(now.agents.copy(), now.games.copy(), now.remaining.copy())
+            # Where movers arrived, before their next tasks began.
+            self._arrived = now._replace(agents=now.agents.copy(), sets=now.sets.copy())
             self._mirror_games()
         if self.compiled:
             kernel = _play_everyone if self.everyone else _play_player
@@ -272,7 +278,8 @@ class Player:
             self._step(*self._arguments, True, restart)
         elif self.turned:
             chosen = self.buffers.actions.copy()
-            self.buffers.actions[:] = self._on_the_grid(chosen)
+            self.played = self._on_the_grid(chosen)
+            self.buffers.actions[:] = self.played
             self._step_in_parts(restart)
             self.buffers.actions[:] = chosen  # learners remember what they chose
             self._turn_masks()
@@ -301,7 +308,7 @@ class Player:
 
         Args:
             counts: (M,) how many.
-            seeds: (M,) see :class:`marouting.source.Draws`; None: those that the games have.
+            seeds: (M,) of the games, see :class:`marouting.source.ProblemSampler`; None: as now.
 
         Raises:
             ValueError: the problems of these games stay, or the shape does not fit.
@@ -309,33 +316,6 @@ class Player:
         if self.draws is None or counts.shape != self.draws.counts.shape:
             raise ValueError(f"counts: expected those of other games, found shape {counts.shape}")
         self._replace(self.draws.go_to(counts, seeds))
-
-    def check_saved(self, saved: Saved) -> None:
-        """Raises ValueError unless a state can be one of these games, wherever it is from.
-
-        Where games draw their problems, those of the state have to be in place; see :meth:`go_to`.
-        """
-        self.engine.check_saved(saved.dynamic)
-        b = saved.buffers
-        if self.everyone:
-            rows, active = self.buffers.agents, saved.dynamic.agents["status"] == Status.ACTIVE
-        else:
-            rows = saved.dynamic.games["agent"][:, None]
-            active = rows != NOBODY
-        holds = {
-            "agents": b.agents == rows,
-            "active": b.active == active,
-            "actions": (b.actions >= NOBODY) & (b.actions < self.engine.actions),
-            "ending": (b.ending >= 0) & (b.ending <= max(Ending)),
-        }
-        for name in ("mask", "final_mask"):
-            mask = getattr(b, name)
-            holds[name] = ((mask == 0) | (mask == 1)) & mask.any(axis=2, keepdims=True)
-        for name in ("obs", "final_obs", "reward", "total"):
-            holds[name] = np.isfinite(getattr(b, name))
-        for name, hold in holds.items():
-            if not np.all(hold):
-                raise ValueError(f"{name}: expected that of a game of these problems")
 
     def restore(self, saved: Saved) -> None:
         """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
@@ -396,11 +376,8 @@ class Player:
     def _mirror(self, which: Any) -> None:
         """Copies the games of some problems to ``before``, which rewards are given."""
         if self._before is not None:
-            dynamic = self.engine.dynamic
-            for name, array in dynamic._asdict().items():
-                mirrored = getattr(self._before, name)
-                if name != "games":
-                    mirrored[which] = array[which]
+            self._before.agents[which] = self.engine.agents[which]
+            self._before.remaining[which] = self.engine.remaining[which]
             self._mirror_games()
 
     def _mirror_games(self) -> None:
@@ -443,19 +420,13 @@ class Player:
         self._look(None)
 
     def _move_by_turns(
-        self, before: Dynamic, begins: NDArray[np.bool_], asked: NDArray[np.int32]
+        self, before: Earlier, begins: NDArray[np.bool_], asked: NDArray[np.int32]
     ) -> None:
-        """Makes the moves, each with a call of the reward, and writes what came of them.
-
-        Args:
-            before: the games as they were before the last move.
-            begins: (M,) episodes that have just begun, in which nobody moves.
-            asked: (M,) whose turn it is.
-        """
+        """Makes the moves, each with a call of the reward, and writes what came of them."""
         b, engine, paid = self.buffers, self.engine, self.paid
         assert paid is not None
         _forget(engine.dynamic)
-        _forget(before)
+        before.agents[...] = engine.agents
         paid[:] = 0
         for movers, moves in self._turns(begins):
             _move(engine.static, engine.dynamic, movers, moves)
@@ -498,7 +469,7 @@ class Player:
             ):
                 yield movers, moves
 
-    def _pay(self, before: Dynamic, movers: NDArray[np.int32]) -> NDArray[np.float32]:
+    def _pay(self, before: Earlier, movers: NDArray[np.int32]) -> NDArray[np.float32]:
         """(M, N) float32, what moves pay; raises InputError for a wrong shape, NaN or infinity."""
         paid = np.asarray(self.reward(self.engine, before, movers), np.float32)
         if paid.shape != self.engine.nets.shape:
@@ -516,11 +487,7 @@ class Player:
         return np.where(playing & (movers != NOBODY)[:, None], paid, np.float32(0))
 
     def _look_back(self, asked: NDArray[np.int32]) -> None:
-        """Writes what agents saw where they arrived: whose tasks have ended, or who pass the turn.
-
-        Args:
-            asked: (M,) whose turn it was.
-        """
+        """Writes what agents saw where they arrived, whose tasks ended or who pass the turn."""
         b, engine = self.buffers, self.engine
         rows = b.ending != Ending.NONE
         if not (self.everyone or engine.static.sequential):
@@ -559,11 +526,20 @@ class Player:
         self, problems: NDArray[np.integer], agents: NDArray[np.integer], out: NDArray[np.float32]
     ) -> None:
         """Writes what K agents see."""
-        engine, known = self.engine, self.known
-        if known.observation:
-            see_paper(engine.static, engine.dynamic, known.via_capacity, problems, agents, out)
+        engine, fast = self.engine, self.fast
+        if fast.observation:
+            see_paper(engine.static, engine.dynamic, fast.via_capacity, problems, agents, out)
         else:
             self.observation.write(engine, problems, agents, out)
+
+    def show(self) -> None:
+        """Writes what agents see now, after the games have been changed from outside."""
+        b, engine = self.buffers, self.engine
+        problems = engine.pairs(self.everyone)[0]
+        b.mask[:] = engine.masks(problems, b.agents.reshape(-1)).reshape(b.mask.shape)
+        self._look(None)
+        self._turn_masks()
+        self._mirror(slice(None))
 
     def _look(self, which: NDArray[np.bool_] | None) -> None:
         """Writes what agents see now, in all problems or where ``which`` (M,) is true."""
@@ -577,11 +553,6 @@ class Player:
         out = np.empty((int(rows.sum()), *obs.shape[1:]), np.float32)
         self._see(problems[rows], agents[rows], out)
         obs[rows] = out
-
-
-def _copy(dynamic: Dynamic) -> Dynamic:
-    """A copy of a state."""
-    return Dynamic._make(array.copy() for array in dynamic)
 
 
 def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.int8]:
@@ -633,12 +604,7 @@ def _move(static: Static, dynamic: Dynamic, movers: Any, moves: Any) -> None:
 
 @compiled
 def _settle_movers(
-    static: Static,
-    dynamic: Dynamic,
-    before: Dynamic,
-    movers: Any,
-    moves: Any,
-    arrived: Dynamic,
+    static: Static, dynamic: Dynamic, before: Earlier, movers: Any, moves: Any, arrived: Dynamic
 ) -> None:
     """Settles the agents that moved, records where they arrived, and updates ``before``."""
     for m in range(len(movers)):
@@ -651,11 +617,8 @@ def _settle_movers(
             if static.options[option] >= 0 and option != Option.KEPT:
                 row = place(static.options[option] + n)
                 copy_row(arrived.sets, m, row, dynamic.sets, m, row)
-                copy_row(before.sets, m, row, dynamic.sets, m, row)
         settle_agent(static, dynamic, m, n)
         before.remaining[m, edge] = dynamic.remaining[m, edge]
-        byte = byte_of(dynamic.used, m, n, edge >> 3)
-        set_byte(before.used, m, n, edge >> 3, byte)
         before.agents[m, n] = dynamic.agents[m, n]
         before.games[m] = dynamic.games[m]
 
@@ -700,28 +663,30 @@ def _write_mask(mask: Any, m: int, row: int, free: int) -> None:
 
 @inlined
 def _look(
-    static: Static, dynamic: Dynamic, known: Known, m: int, n: int, obs: Any, mask: Any, row: int
+    static: Static, dynamic: Dynamic, fast: FastPath, m: int, n: int, obs: Any, mask: Any, row: int
 ) -> None:
     """Writes what an agent sees; zeros and a mask of ones for NOBODY."""
     free = _free(static, dynamic, m, n)
-    write_paper(static, dynamic, known.via_capacity, m, n, obs[m], row)
+    write_paper(static, dynamic, fast.via_capacity, m, n, obs[m], row)
     _write_mask(mask, m, row, free)
 
 
 @inlined
-def _look_at_player(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+def _look_at_player(
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int
+) -> None:
     """Writes what the agent whose turn it is sees."""
     player = wide(dynamic.games[m].agent)
     b.agents[m, 0] = player
     b.active[m, 0] = player != NOBODY
-    _look(static, dynamic, known, m, player, b.obs, b.mask, wide(0))
+    _look(static, dynamic, fast, m, player, b.obs, b.mask, wide(0))
 
 
 @inlined
-def _take_stock(dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int, row: int) -> Any:
+def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int) -> Any:
     """Writes the result of an agent's move; returns the reward."""
     agent = dynamic.agents[m, n]
-    reward = paper_reward(known.prices, known.overflow_price, agent)
+    reward = paper_reward(fast.prices, fast.overflow_price, agent)
     b.acted[m, row] = agent.crossing != Crossing.NONE
     b.reward[m, row] = reward
     b.ending[m, row] = agent.ending
@@ -752,17 +717,19 @@ def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
 
 
 @inlined
-def _show(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int, n: int) -> None:
+def _show(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int) -> None:
     """Writes an agent's status and what it sees now."""
     status = dynamic.agents[m, n].status
     b.terminated[m, n] = status == Status.TERMINATED
     b.truncated[m, n] = status == Status.TRUNCATED
     b.active[m, n] = status == Status.ACTIVE
-    _look(static, dynamic, known, m, n, b.obs, b.mask, n)
+    _look(static, dynamic, fast, m, n, b.obs, b.mask, n)
 
 
 @inlined
-def _step_everyone(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+def _step_everyone(
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int
+) -> None:
     """A step of one problem in which all agents have a row."""
     game = dynamic.games[m]
     playing = game.active > 0
@@ -773,22 +740,22 @@ def _step_everyone(static: Static, dynamic: Dynamic, b: StepBuffers, known: Know
         agent = dynamic.agents[m, n]
         if agent.status == Status.ABSENT:
             continue
-        total += _take_stock(dynamic, b, known, m, n, n)
+        total += _take_stock(dynamic, b, fast, m, n, n)
         if agent.ending != Ending.NONE:
-            _look(static, dynamic, known, m, n, b.final_obs, b.final_mask, n)
+            _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, n)
             settle_agent(static, dynamic, m, n)
-        _show(static, dynamic, b, known, m, n)
+        _show(static, dynamic, b, fast, m, n)
     settle_turns(static, dynamic, m)
     if static.extended is not None and (game.ripped or game.active == 0):
         for n in range(b.agents.shape[1]):
             if dynamic.agents[m, n].status != Status.ABSENT:
-                _show(static, dynamic, b, known, m, n)
+                _show(static, dynamic, b, fast, m, n)
     b.total[m] = total
     _finish(b, m, playing, game)
 
 
 @inlined
-def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
+def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """A step of one problem in which only the agent whose turn it is has a row."""
     game = dynamic.games[m]
     playing = game.active > 0
@@ -800,34 +767,26 @@ def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known,
         b.ending[m, 0] = Ending.NONE
     else:
         n = place(mover)
-        b.total[m] += _take_stock(dynamic, b, known, m, n, row)
+        b.total[m] += _take_stock(dynamic, b, fast, m, n, row)
         passes = game.active > 1 and not static.sequential
         if b.ending[m, 0] != Ending.NONE or (b.acted[m, 0] and passes):
-            _look(static, dynamic, known, m, n, b.final_obs, b.final_mask, row)
+            _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, row)
         settle_agent(static, dynamic, m, n)
         pass_turn(static, dynamic, m)
         status = dynamic.agents[m, n].status
         b.terminated[m, 0] = status == Status.TERMINATED
         b.truncated[m, 0] = status == Status.TRUNCATED
-    _look_at_player(static, dynamic, b, known, m)
+    _look_at_player(static, dynamic, b, fast, m)
     _finish(b, m, playing, game)
 
 
 @inlined
-def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, m: int) -> None:
-    """A step of one problem, with the paper's observation and reward.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        b: the buffers, with masks in pairs of bytes, (M, K, 3) int16.
-        known: what is known about the pieces.
-        m: the problem.
-    """
-    if known.everyone:
-        _step_everyone(static, dynamic, b, known, m)
+def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
+    """A step of one problem, with the paper's observation and reward."""
+    if fast.everyone:
+        _step_everyone(static, dynamic, b, fast, m)
     else:
-        _step_player(static, dynamic, b, known, m)
+        _step_player(static, dynamic, b, fast, m)
 
 
 # --- any observation ------------------------------------------------------------------------------
@@ -835,32 +794,24 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, known: Known,
 
 @compiled
 def _move_and_pay(
-    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, begins: Any
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, begins: Any
 ) -> None:
-    """The moves of a step and what the paper's reward pays for them, before anybody settles.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        b: the buffers.
-        known: what is known about the pieces.
-        begins: (M,) episodes that have just begun, in which nobody moves.
-    """
+    """The moves of a step and what the paper's reward pays for them, before anybody settles."""
     for m in range(len(begins)):
         if begins[m]:
             continue
-        if known.everyone:
+        if fast.everyone:
             move_everyone(static, dynamic, m, b.actions)
         else:
             move_player(static, dynamic, m, wide(b.actions[m, 0]))
         for row in range(b.agents.shape[1]):
-            n = wide(row) if known.everyone else wide(dynamic.games[m].agent)
+            n = wide(row) if fast.everyone else wide(dynamic.games[m].agent)
             if n == NOBODY or dynamic.agents[m, place(n)].status == Status.ABSENT:
                 b.acted[m, row] = False
                 b.reward[m, row] = 0
                 b.ending[m, row] = Ending.NONE
             else:
-                b.total[m] += _take_stock(dynamic, b, known, m, place(n), row)
+                b.total[m] += _take_stock(dynamic, b, fast, m, place(n), row)
 
 
 _NOT, _TURNS, _ALL = 0, 1, 2
@@ -872,26 +823,16 @@ def _settle_and_show(
     static: Static,
     dynamic: Dynamic,
     b: StepBuffers,
-    known: Known,
+    fast: FastPath,
     begins: Any,
     asked: Any,
     what: int,
 ) -> None:
-    """The end of a step: next tasks start, the turn passes; writes all but what agents see.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        b: the buffers, with masks in pairs of bytes.
-        known: what is known about the pieces.
-        begins: (M,) episodes that have just begun, where there is nothing to settle.
-        asked: (M,) whose turn it was, or NOBODY.
-        what: is to be settled.
-    """
+    """The end of a step: next tasks start, the turn passes; writes all but what agents see."""
     for m in range(len(begins)):
         game = dynamic.games[m]
         if what != _NOT and not begins[m]:
-            if known.everyone:
+            if fast.everyone:
                 if what == _ALL:
                     settle_everyone(static, dynamic, m)
                 else:
@@ -905,10 +846,10 @@ def _settle_and_show(
             for row in range(b.agents.shape[1]):
                 acted |= b.acted[m, row]
             _finish(b, m, acted, game)
-        if not known.everyone:
+        if not fast.everyone:
             b.agents[m, 0] = game.agent
         for row in range(b.agents.shape[1]):
-            n = wide(row) if known.everyone else wide(asked[m])
+            n = wide(row) if fast.everyone else wide(asked[m])
             if n != NOBODY:  # once a game is over, these stay as its last move left them
                 status = dynamic.agents[m, place(n)].status
                 b.terminated[m, row] = status == Status.TERMINATED
@@ -925,37 +866,28 @@ def _settle_and_show(
 
 @compiled
 def _play_everyone(
-    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, steps: bool, restarts: bool
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, steps: bool, restarts: bool
 ) -> None:
-    """Steps and restarts of all problems, where all agents have a row.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        b: the buffers, with masks in pairs of bytes.
-        known: what is known about the pieces.
-        steps: whether problems make a step.
-        restarts: whether those whose episode is over start the next one instead.
-    """
+    """Steps and restarts of all problems, where all agents have a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
             _start(static, dynamic, b, m)
             for n in range(b.agents.shape[1]):
                 b.active[m, n] = dynamic.agents[m, n].status == Status.ACTIVE
                 if b.active[m, n]:
-                    _look(static, dynamic, known, m, n, b.obs, b.mask, n)
+                    _look(static, dynamic, fast, m, n, b.obs, b.mask, n)
         elif steps:
-            _step_everyone(static, dynamic, b, known, m)
+            _step_everyone(static, dynamic, b, fast, m)
 
 
 @compiled
 def _play_player(
-    static: Static, dynamic: Dynamic, b: StepBuffers, known: Known, steps: bool, restarts: bool
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, steps: bool, restarts: bool
 ) -> None:
     """:func:`_play_everyone` where only the agent whose turn it is has a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
             _start(static, dynamic, b, m)
-            _look_at_player(static, dynamic, b, known, m)
+            _look_at_player(static, dynamic, b, fast, m)
         elif steps:
-            _step_player(static, dynamic, b, known, m)
+            _step_player(static, dynamic, b, fast, m)

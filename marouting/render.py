@@ -496,7 +496,7 @@ class Sheet:
         along_x = np.stack((x + half, y + low, self._x[far] - half, y + high), axis=1)
         along_y = np.stack((x + low, self._y[far] + half, x + high, y - half), axis=1)
         sides: list[Any] = np.where((edges % AXES == 0)[:, None], along_x, along_y).tolist()
-        return [Box(*own, inks[n % len(inks)]) for n, own in enumerate(sides)]
+        return [Box(a, b, c, d, inks[n % len(inks)]) for n, (a, b, c, d) in enumerate(sides)]
 
     def around(self, gcell: int, reach: int, ink: Ink) -> Box:
         """A square around the middle of a Gcell."""
@@ -595,15 +595,21 @@ class Window:
         if not self._works:
             return
         try:
-            if self._figure is None:
-                self._open(rgb)
             self._draw(rgb, fps)
+            return
         except ImportError as error:
-            self._give_up(f"{error}; matplotlib comes with marouting[learn]")
+            reason = f"{error}; matplotlib comes with marouting[learn]"
         except Exception as error:
             # Toolkits raise their own exceptions when a display is missing or disappears, and a
             # game must not end because it cannot be shown.
-            self._give_up(f"there is no display: {error}")
+            reason = f"there is no display: {error}"
+        self._works = False
+        self._figure = self._image = None
+        warnings.warn(
+            f'render_mode="human" cannot open a window: {reason} '
+            '(render_mode="rgb_array" or "ansi" works without one)',
+            stacklevel=2,
+        )
 
     def close(self) -> None:
         """Closes the window, if there is one; the next :meth:`show` opens a new one."""
@@ -615,7 +621,7 @@ class Window:
                 pyplot.close(self._figure)
         self._figure = self._image = None
 
-    def _open(self, rgb: NDArray[np.uint8]) -> None:
+    def _draw(self, rgb: NDArray[np.uint8], fps: float) -> None:
         # Some toolkits abort the program if there is no display, so this is checked first.
         if sys.platform.startswith("linux") and not (
             os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -623,22 +629,17 @@ class Window:
             raise RuntimeError("DISPLAY is not set")
         from matplotlib import pyplot
 
-        dpi = 100
-        figure = pyplot.figure(figsize=(rgb.shape[1] / dpi, rgb.shape[0] / dpi), dpi=dpi)
-        if figure.canvas.required_interactive_framework is None:
-            pyplot.close(figure)
-            raise RuntimeError(f"matplotlib's backend {pyplot.get_backend()} opens no windows")
-        axes = figure.add_axes((0, 0, 1, 1))
-        axes.set_axis_off()
-        self._figure, self._image = figure, axes.imshow(rgb)
-        figure.show()
-
-    def _draw(self, rgb: NDArray[np.uint8], fps: float) -> None:
-        from matplotlib import pyplot
-
-        if self._figure is None or self._image is None:
-            return
-        if not pyplot.fignum_exists(self._figure.number):
+        if self._figure is None:
+            dpi = 100
+            figure = pyplot.figure(figsize=(rgb.shape[1] / dpi, rgb.shape[0] / dpi), dpi=dpi)
+            if figure.canvas.required_interactive_framework is None:
+                pyplot.close(figure)
+                raise RuntimeError(f"matplotlib's backend {pyplot.get_backend()} opens no windows")
+            axes = figure.add_axes((0, 0, 1, 1))
+            axes.set_axis_off()
+            self._figure, self._image = figure, axes.imshow(rgb)
+            figure.show()
+        if self._image is None or not pyplot.fignum_exists(self._figure.number):
             return
         self._image.set_data(rgb)
         self._figure.canvas.draw_idle()
@@ -646,12 +647,3 @@ class Window:
             self._figure.canvas.start_event_loop(1 / fps)
         else:
             self._figure.canvas.flush_events()
-
-    def _give_up(self, reason: str) -> None:
-        self._works = False
-        self._figure = self._image = None
-        warnings.warn(
-            f'render_mode="human" cannot open a window: {reason} '
-            '(render_mode="rgb_array" or "ansi" works without one)',
-            stacklevel=3,
-        )

@@ -71,9 +71,6 @@ def load_problems(source: Source) -> dict[str, Problem]:
     Returns:
         The problems by name. The name is the file's stem, preceded by its folder's name if stems
         repeat; others are named problem_000 and so on, or problem if there is only one.
-
-    Raises:
-        InputError: the source is not one, a file cannot be read, or a folder holds no ``.gr`` file.
     """
     source = checked_source(source)
     if isinstance(source, GeneratorOptions):
@@ -102,11 +99,7 @@ def problems_in(folder: Path) -> list[Path]:
 
 
 def fixed_problems(options: GameOptions) -> dict[str, Problem]:
-    """The problems that the options of a game name, by name.
-
-    Raises:
-        InputError: they cannot be read, or there is no end of them.
-    """
+    """The problems that the options of a game name, by name."""
     if options.scenario is None:
         return load_problems(options.problem)
     if options.split == "train":
@@ -134,7 +127,7 @@ def load_problem(source: Source) -> Problem:
     return next(iter(problems.values()))
 
 
-class Episodes:
+class ProblemStream:
     """The problems that an environment plays, one per episode.
 
     Every problem that may be drawn has a number, from which it can be made again.
@@ -209,7 +202,7 @@ class Episodes:
             self.room = Room(self._drawn.nets, self._drawn.nets * self._drawn.max_pins)
 
     @classmethod
-    def of(cls, problems: Mapping[str, Problem]) -> "Episodes":
+    def of(cls, problems: Mapping[str, Problem]) -> "ProblemStream":
         """Episodes that each play one of some problems, which have names; raises InputError."""
         found = cls(list(problems.values()))
         found.problems = dict(problems)
@@ -239,7 +232,7 @@ class Episodes:
         return self.problem(self.number(rng))
 
 
-class Draws:
+class ProblemSampler:
     """The problems of M games that may all play another one in each of their episodes.
 
     What a game plays in an episode depends on the seed, on the game's place and on the number of
@@ -257,7 +250,7 @@ class Draws:
         InputError: the seed or the number of games is none.
     """
 
-    def __init__(self, episodes: Episodes, seed: int, games: int) -> None:
+    def __init__(self, episodes: ProblemStream, seed: int, games: int) -> None:
         whole = is_whole(games) and 1 <= games <= MOST_PROBLEMS
         check("games", whole, f"a number from 1 to {MOST_PROBLEMS}, found {games!r}")
         self.episodes = episodes
@@ -269,7 +262,7 @@ class Draws:
         for m, number in enumerate(self._numbers.tolist()):
             self.names[m], self.problems[m] = episodes.problem(number)
 
-    def part(self, which: NDArray[np.integer] | slice) -> "Draws":
+    def part(self, which: NDArray[np.integer] | slice) -> "ProblemSampler":
         """The draws of some of the games (indices); with a slice, the two share their arrays."""
         part = copy.copy(self)
         for name in ("seeds", "counts", "names", "problems", "_games", "_numbers"):
@@ -322,13 +315,13 @@ class Draws:
         return self.episodes.number(rng)
 
 
-class OwnDraws(Draws):
+class OwnProblemSampler(ProblemSampler):
     """Draws of games that have a seed of their own: each draws as an environment of its own does.
 
     The first seed of game m is ``seed + m``, as in Gymnasium's vectors.
     """
 
-    def __init__(self, episodes: Episodes, seed: int, games: int) -> None:
+    def __init__(self, episodes: ProblemStream, seed: int, games: int) -> None:
         # By place: the seed, what draws, the number of the last episode, and that of its problem.
         self._last: dict[int, tuple[int, np.random.Generator, int, int]] = {}
         super().__init__(episodes, seed, games)

@@ -24,7 +24,7 @@ from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 from marouting.scenarios import get
-from marouting.source import Draws, Episodes, Source
+from marouting.source import ProblemSampler, ProblemStream, Source
 
 _FIGURES = ("overflow", "wirelength", "joined", "steps")
 
@@ -83,7 +83,7 @@ class BatchEnv(EzPickle):
         InputError: the problems do not fit together, or an option is out of range.
     """
 
-    _draws_of: ClassVar[type[Draws]] = Draws
+    _draws_of: ClassVar[type[ProblemSampler]] = ProblemSampler
 
     def __init__(
         self,
@@ -333,12 +333,12 @@ class BatchEnv(EzPickle):
 
 
 def _draws(
-    kind: type[Draws],
+    kind: type[ProblemSampler],
     problems: Sequence[Problem] | int | None,
     source: Source,
     options: GameOptions,
     seed: int,
-) -> Draws | None:
+) -> ProblemSampler | None:
     """What the games of a batch draw their problems from; None if they stay, see `BatchEnv`."""
     if not is_whole(problems):
         check("problem", source is None, "a number of games beside it")
@@ -346,7 +346,7 @@ def _draws(
     if options.scenario is None:
         what = f"a list of problems, or a problem or scenario beside it; found {problems}"
         check("problems", source is not None, what)
-    return kind(Episodes(source, options.scenario, options.split), seed, cast(int, problems))
+    return kind(ProblemStream(source, options.scenario, options.split), seed, cast(int, problems))
 
 
 def _batch(problems: Sequence[Problem] | int | None, options: GameOptions) -> Sequence[Problem]:

@@ -13,4 +13,4 @@ DISTRIBUTION = "marouting"
 """Whose package this is: its name is a common one."""
 
 # Here, because routers that do not learn come first.
-register("router", "generalist", "policies.learned.generalist:GeneralistRouter")
+register("router", "generalist", "policies.generalist.router:GeneralistRouter")

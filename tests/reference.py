@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from marouting import Adjustment, Engine, Evaluation, Net, Pin, Problem, Solution
+from marouting.batch.prices import Negotiation
 from marouting.trees.decomposition import two_pin_tasks
 
 Gcell = tuple[int, int, int]
@@ -162,10 +163,7 @@ class Game:
     mask_visited: bool = False
     release_failed: bool = False
     rip_up: dict[str, Any] | None = None
-    rip_up_patience: int = 0
-    rip_up_prices: bool = False
-    rip_up_present: float = 0.1
-    rip_up_calm: float = 0.0
+    negotiation: Negotiation = field(default_factory=lambda: Negotiation(prices=False))
     agents: list[Agent] = field(init=False)
     rounds: int = field(init=False)
     choose: str = field(init=False)
@@ -297,8 +295,8 @@ class Game:
         counts = {o: len(edges & self.edges_of(o)) for o in range(len(self.agents)) if o != n}
         weights = {o: count * lot(self.round, n, o) for o, count in counts.items() if count}
         most = self.neighbours
-        if self.rip_up_patience:
-            most = min(most, (self.plain - 1) // self.rip_up_patience)
+        if self.negotiation.patience:
+            most = min(most, (self.plain - 1) // self.negotiation.patience)
         if self.priced():
             most = 0
         return sorted(weights, key=lambda o: (-weights[o], o))[:most]
@@ -340,17 +338,17 @@ class Game:
 
     def priced(self) -> bool:
         """Whether edges have prices in the present round."""
-        return self.rip_up_prices and self.rounds > 0 and self.plain == 0
+        return self.negotiation.prices and self.rounds > 0 and self.plain == 0
 
     def first_present(self) -> int:
         """What one net too many adds to the cost of an edge at first, in 1024ths."""
-        return round(1024 * self.rip_up_present)
+        return round(1024 * self.negotiation.present)
 
     def calm(self) -> int:
         """What steps of the prices are divided by, in hundredths."""
         if self.best is not None and self.best[0][1] > 0:
             return 100
-        return 100 + round(100 * self.rip_up_calm) * self.negotiations
+        return 100 + round(100 * self.negotiation.calm) * self.negotiations
 
     def cost(self, n: int) -> int:
         """What a net's edges cost it at the prices, in sixteenths."""
@@ -386,7 +384,7 @@ class Game:
 
     def choose_kind(self) -> None:
         """Whether the next round is priced."""
-        if not self.rip_up_prices:
+        if not self.negotiation.prices:
             self.plain += 1
             return
         self.note_best()
@@ -430,7 +428,7 @@ class Game:
         while True:
             if not self.line:
                 if self.round == self.rounds or (self.round and not self.picked):
-                    if self.rip_up_prices:
+                    if self.negotiation.prices:
                         self.put_best()
                     for agent in self.agents:
                         all_joined = agent.joined == len(agent.tasks)

@@ -48,7 +48,7 @@ def open_tasks(engine: Engine, m: int, n: int) -> list[tuple[Gcell, Gcell]]:
 
 def is_priced(engine: Engine, m: int) -> bool:
     game = engine.games[m]
-    return engine.rules.rip_up_prices and engine.rules.rip_up and game["plain"] == 0
+    return engine.priced and bool(game["plain"] == 0)
 
 
 def edge_costs(

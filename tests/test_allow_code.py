@@ -16,8 +16,9 @@ from marouting.config import build, code_named, piece_field, read_yaml, take_pie
 from marouting.registry import allowing_code, code_allowed, importing_from
 from policies.cli.main import status
 from policies.experiment import Experiment, load_experiment
+from policies.generalist import SHIPPED
 from policies.learned.config import Config, load_config
-from policies.learned.policy import SHIPPED, TrainedPolicy
+from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run
 
 CODE = """

@@ -47,7 +47,7 @@ def sign(x: float) -> int:
     return (x > 0) - (x < 0)
 
 
-@settings(max_examples=2000, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(FIGURES, FIGURES, FIGURES, FIGURES)
 def test_scores_are_in_the_order_of_open_nets_overflow_and_wirelength(
     one: Figures, other: Figures, astar: Figures, reference: Figures

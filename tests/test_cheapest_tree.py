@@ -10,10 +10,11 @@ from reference import contested, edge_number
 from seeing import cheapest_tree, edge_costs, gcell, is_priced
 
 from marouting import Engine, Problem, evaluate, generate
+from marouting.batch.prices import Negotiation
 from marouting.config import InputError, build
 from marouting.game import NOBODY
-from marouting.search.cheapest_tree import make_trees, move_on_tree, plan_tree
-from policies.learned.generalist import GeneralistOptions, GeneralistRouter
+from policies.generalist.cheapest_tree import make_trees, move_on_tree, plan_tree
+from policies.generalist.router import GeneralistOptions, GeneralistRouter
 
 RULES: dict[str, Any] = {
     "turn_order": "sequential",
@@ -21,7 +22,7 @@ RULES: dict[str, Any] = {
     "mask_visited": True,
     "overflow": "allowed",
     "rip_up": {"rounds": 6, "choose": "conflicts"},
-    "rip_up_prices": True,
+    "negotiation": Negotiation(),
     "max_steps": 1000,
 }
 
@@ -84,7 +85,7 @@ def test_the_search_gains_from_them() -> None:
     problems = generate(6, (8, 8, 2), nets=40, max_pins=5, capacity=7, seed=11)
     total = {}
     for exact_pins in (0, 6):
-        options = GeneralistOptions(mind="ways", seconds=None, rounds=40, exact_pins=exact_pins)
+        options = GeneralistOptions(policy="greedy", seconds=None, rounds=40, exact_pins=exact_pins)
         figures = [evaluate(p, GeneralistRouter(options).route(p)) for p in problems]
         assert all(each.connected for each in figures)
         total[exact_pins] = np.sum([(each.overflow, each.wirelength) for each in figures], axis=0)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from reference import Game, contested, edge_number, gcell_of, random_moves
 
 from marouting import Adjustment, Engine, InputError, Move, Net, Pin, Problem, evaluate, generate
+from marouting.batch.prices import Negotiation
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.problem.problem import UNLIMITED
 from marouting.search.guides import AStar
@@ -40,10 +41,13 @@ extensions = st.fixed_dictionaries(
                 "neighbours": st.sampled_from([0, 1, 2]),
             }
         ),
-        "rip_up_patience": st.sampled_from([0, 1]),
-        "rip_up_prices": st.booleans(),
-        "rip_up_present": st.sampled_from([0.1, 0.6, 2]),
-        "rip_up_calm": st.sampled_from([0, 0.3, 2]),
+        "negotiation": st.builds(
+            Negotiation,
+            prices=st.booleans(),
+            patience=st.sampled_from([0, 1]),
+            present=st.sampled_from([0.1, 0.6, 2]),
+            calm=st.sampled_from([0, 0.3, 2]),
+        ),
     }
 )
 seeds = st.integers(0, 2**32)
@@ -124,7 +128,7 @@ def test_engine_plays_by_the_options(
 ) -> None:
     if more["next_pin"] == "nearest":
         chosen = {**chosen, "decomposition": "mst"}
-    if more["rip_up_prices"]:
+    if more["negotiation"].prices:
         chosen = {**chosen, "overflow": "allowed"}
     test_engine_plays_by_the_rules.hypothesis.inner_test(problem, {**chosen, **more}, seed, form)
 
@@ -139,8 +143,7 @@ def test_nets_negotiate_again_and_again(calm: float) -> None:
             "turn_order": "sequential",
             "overflow": "allowed",
             "rip_up": {"rounds": 60},
-            "rip_up_prices": True,
-            "rip_up_calm": calm,
+            "negotiation": Negotiation(calm=calm),
             "max_steps": 8,
         }
         engine, game = Engine([problem], **rules), Game(problem, **rules)

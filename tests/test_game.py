@@ -15,7 +15,6 @@ import pytest
 
 from marouting import Adjustment, Engine, Net, Pin, Problem
 from marouting import game as source
-from marouting.batch.options import RuleOptions
 from marouting.game import NOBODY, Game, RipUp, Rules, Status
 
 SEEDS = range(40)
@@ -156,7 +155,7 @@ def play_alike(seed: int, *, everyone: bool, plain: type[Game] = Game) -> int:
     """Plays two episodes of a random game both ways; returns the number of moves."""
     rng = np.random.default_rng(seed)
     problem, rules = random_problem(rng), random_rules(rng)
-    game, engine = plain(problem, Rules(**rules)), Engine([problem], RuleOptions(**rules))
+    game, engine = plain(problem, Rules(**rules)), Engine([problem], Rules(**rules))
     moves = 0
     for _ in range(2):
         assert_same(game, engine, everyone=everyone)

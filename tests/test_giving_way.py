@@ -11,10 +11,12 @@ from pettingzoo.test import api_test, parallel_api_test
 
 from marouting import Engine, InputError, Move, Net, Pin, Problem, evaluate, generate
 from marouting import global_routing_v0 as game
+from marouting.batch.prices import Negotiation
 from marouting.env.single import GlobalRoutingSingle
-from marouting.game import NOBODY, RipUp
+from marouting.game import NOBODY
 from marouting.search.guides import AStar
 from marouting.vector import BatchEnv
+from policies.learned.config import load_config
 
 E, W, N, S, U, D = Move
 GIVE_WAY = 6
@@ -114,7 +116,8 @@ def test_agents_are_asked() -> None:
 def test_neighbours_come_by_and_by() -> None:
     problem = generate(1, grid=(4, 4, 2), nets=12, max_pins=3, capacity=1, seed=3)[0]
     rip_up = {"rounds": 8, "neighbours": 3}
-    engine = Engine([problem], rip_up=rip_up, rip_up_patience=2, max_steps=9)
+    patient = Negotiation(prices=False, patience=2)
+    engine = Engine([problem], rip_up=rip_up, negotiation=patient, max_steps=9)
     rng = np.random.default_rng(0)
     most = np.zeros(9, int)
     while engine.games[0]["agent"] != NOBODY:
@@ -131,7 +134,7 @@ rounds = st.fixed_dictionaries(
         "rip_up": st.fixed_dictionaries(
             {"rounds": st.just(3), "choose": CHOICES, "neighbours": st.sampled_from([0, 2])}
         ),
-        "rip_up_patience": st.sampled_from([0, 0, 1]),
+        "negotiation": st.sampled_from([None, Negotiation(prices=False, patience=1)]),
         "turn_order": st.sampled_from(["sequential", "round_robin"]),
         "overflow": st.sampled_from(["forbidden", "allowed"]),
         "target": st.sampled_from(["pin", "tree"]),
@@ -164,7 +167,6 @@ def test_no_round_makes_anything_worse(options: dict[str, Any], seed: int) -> No
             kept = (-now["kept_joined"], now["kept_overflow"], now["kept_wirelength"])
             assert best is None or kept <= best
             best = kept
-        engine.check_saved(engine.save())
     _ = judged(engine, best)
     ended = evaluate(problem[0], engine.solution())
     now = engine.metrics()
@@ -191,7 +193,7 @@ def test_nets_negotiate_and_end_with_the_best_routes(
         max_steps=14,
         overflow="allowed",
         rip_up={"rounds": 12, "choose": choose, "neighbours": 1},
-        rip_up_prices=True,
+        negotiation=Negotiation(),
     )
     guide, rng = AStar(engine), np.random.default_rng(seed)
     scores, number, over = [], 0, np.zeros(engine.grid.edges, np.bool_)
@@ -202,7 +204,6 @@ def test_nets_negotiate_and_end_with_the_best_routes(
         if rng.random() < 0.3 or engine.games[0]["asked"]:
             move = rng.choice(np.flatnonzero(engine.masks(problems, agents)[0]), 1)
         engine.step(np.asarray(move, np.int8))
-        engine.check_saved(engine.save())
         game = engine.games[0]
         if game["round"] > number:
             number = game["round"]
@@ -224,7 +225,7 @@ def test_prices_part_two_nets() -> None:
     """Two nets on one track: the one that finds the free way nearly as short leaves, by itself."""
     wide_ = replace(CROSSING, nets=CROSSING.nets[:2])
     engine = Engine(
-        [wide_], rip_up={"rounds": 40}, rip_up_prices=True, overflow="allowed", max_steps=6
+        [wide_], rip_up={"rounds": 40}, negotiation=Negotiation(), overflow="allowed", max_steps=6
     )
     walk(engine, E, E, E, E)
     assert engine.games[0]["began_overflow"] == 2
@@ -249,9 +250,8 @@ def test_how_cheaply_nets_share_at_first(present: float, overflow: int) -> None:
     """
     problem = replace(CROSSING, nets=CROSSING.nets[:2])
     options: dict[str, Any] = {
-        "rip_up_prices": True,
+        "negotiation": Negotiation(present=present),
         "overflow": "allowed",
-        "rip_up_present": present,
     }
     engine = Engine([problem], rip_up={"rounds": 2}, max_steps=6, **options)
     walk(engine, E, E, E, E)
@@ -270,7 +270,7 @@ def test_agents_that_are_not_there_have_no_routes() -> None:
         [few, many, few],
         target="tree",
         rip_up={"rounds": 5},
-        rip_up_prices=True,
+        negotiation=Negotiation(),
         overflow="allowed",
         max_steps=6,
     )
@@ -278,7 +278,6 @@ def test_agents_that_are_not_there_have_no_routes() -> None:
     while (engine.games["agent"] != NOBODY).any():
         masks = engine.masks(*engine.pairs(everyone=False))
         engine.step(np.array([rng.choice(np.flatnonzero(mask)) for mask in masks]))
-    engine.check_saved(engine.save())
     assert engine.more.tree[:, :3].any(axis=2).all()
     assert engine.more.tree[1].any(axis=1).all()
     assert not engine.more.tree[[0, 2], 3:].any()
@@ -355,17 +354,17 @@ def test_pettingzoo_accepts_rounds(choose: str, more: dict[str, Any]) -> None:
     api_test(game.env(PROBLEM, **options), 300)
 
 
-def test_only_the_batch_knows_prices() -> None:
-    options: list[dict[str, Any]] = [
-        {"rip_up_prices": True, "overflow": "allowed"}, {"rip_up_patience": 1},
-    ]  # fmt: skip
-    for option in options:
+def test_only_the_generalist_negotiates() -> None:
+    said = r"rip_up_\w+: unknown key; .*only the generalist negotiates by prices"
+    for name in ("prices", "patience", "present", "calm"):
+        option: dict[str, Any] = {f"rip_up_{name}": 1}
         for make in (game.env, game.parallel_env, GlobalRoutingSingle):
-            with pytest.raises(InputError, match=r"rip_up_\w+: expected none here: only marouting"):
-                make(PROBLEM, rip_up={"rounds": 2}, **option)
-        assert BatchEnv([PROBLEM], rip_up={"rounds": 2}, **option).engine.rules.rip_up == RipUp(
-            rounds=2
-        )
+            with pytest.raises(TypeError, match=said):
+                make(PROBLEM, **option)
+        with pytest.raises(TypeError, match=said):
+            BatchEnv([PROBLEM], **option)
+        with pytest.raises(InputError, match=rf"env\.{said}"):
+            load_config(None, [f"env.rip_up_{name}=1"])
 
 
 @pytest.mark.parametrize(
@@ -382,13 +381,7 @@ def test_only_the_batch_knows_prices() -> None:
         ({"rip_up": {"round": 1}}, "rip_up.round: unknown key; did you mean rounds"),
         ({"rip_up": {"rounds": -1}}, "rip_up.rounds: expected 0 to"),
         ({"rip_up": {"neighbours": 1000}}, "rip_up.neighbours: expected 0 to"),
-        ({"rip_up_patience": -1}, "rip_up_patience: expected 0 to"),
-        ({"rip_up_prices": True}, "rip_up_prices: expected false, unless overflow is allowed"),
-        ({"rip_up_prices": 1}, "rip_up_prices: expected true or false"),
-        ({"rip_up_present": 0}, "rip_up_present: expected 0.01 to 2, found 0"),
-        ({"rip_up_present": float("nan")}, "rip_up_present: expected a number, found nan"),
-        ({"rip_up_present": True}, "rip_up_present: expected a number, found True"),
-        ({"rip_up_calm": -0.1}, "rip_up_calm: expected 0 to 1000, found -0.1"),
+        ({"negotiation": Negotiation()}, "prices: expected false, unless overflow is allowed"),
         ({"release_failed": 2}, "release_failed: expected true or false"),
         ({"mask_visited": "no"}, "mask_visited: expected true or false"),
     ],
@@ -396,3 +389,16 @@ def test_only_the_batch_knows_prices() -> None:
 def test_bad_options(bad: dict[str, Any], expected: str) -> None:
     with pytest.raises(InputError, match=expected):
         Engine([PROBLEM], **bad)
+
+
+def test_bad_options_of_negotiation() -> None:
+    for bad, expected in [
+        ({"patience": -1}, "patience: expected 0 to"),
+        ({"prices": 1}, "prices: expected true or false"),
+        ({"present": 0}, "present: expected 0.01 to 2, found 0"),
+        ({"present": float("nan")}, "present: expected 0.01 to 2, found nan"),
+        ({"present": True}, "present: expected 0.01 to 2, found True"),
+        ({"calm": -0.1}, "calm: expected 0 to 1000, found -0.1"),
+    ]:
+        with pytest.raises(InputError, match=expected):
+            Negotiation(**bad)  # type: ignore[arg-type]

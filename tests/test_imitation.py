@@ -12,10 +12,11 @@ import torch
 
 from marouting import InputError, evaluate, generate
 from marouting.config import build
-from policies.learned.algorithms.imitation import imitation_loss
+from policies.generalist import SHIPPED
+from policies.generalist.imitation import imitation_loss
+from policies.generalist.router import GeneralistOptions, GeneralistRouter
 from policies.learned.config import Config
-from policies.learned.generalist import GeneralistOptions, GeneralistRouter
-from policies.learned.policy import SHIPPED, TrainedPolicy
+from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run, problems_of
 from policies.learned.trainer import Trainer
 from policies.results.run_folder import POLICY
@@ -68,14 +69,17 @@ def finish(training: Trainer) -> list[Any]:
     return [episode for episodes in training.run() for episode in episodes]
 
 
-PRICED: dict[str, Any] = {"rip_up_prices": True, "rip_up": {"rounds": 3, "choose": "conflicts"}}
+PRICED: dict[str, Any] = {
+    "env": {"rip_up": {"rounds": 3, "choose": "conflicts"}},
+    "train": {"negotiation": {}},
+}
 
 
-@pytest.mark.parametrize("env", [{}, PRICED])
-def test_it_goes_on_from_a_state(env: dict[str, Any]) -> None:
-    whole = trainer(config(env=env))
+@pytest.mark.parametrize("more", [{}, PRICED])
+def test_it_goes_on_from_a_state(more: dict[str, Any]) -> None:
+    whole = trainer(config(**more))
     expected = finish(whole)
-    first, found = trainer(config(env=env)), []
+    first, found = trainer(config(**more)), []
     for episodes in first.run():
         found += episodes
         if len(found) >= 17:
@@ -83,7 +87,7 @@ def test_it_goes_on_from_a_state(env: dict[str, Any]) -> None:
     state = first.state()
     for part in ("training", "trainer"):
         state[part] = {name: tensor.clone() for name, tensor in state[part].items()}
-    second = trainer(config(env=env))
+    second = trainer(config(**more))
     second.load_state(state, "memory")
     assert found + finish(second) == expected
     assert torch.equal(second.learner.networks.flat, whole.learner.networks.flat)
@@ -99,21 +103,21 @@ def test_what_it_learns_routes_larger_problems(tmp_path: Path) -> None:
     weights = str(tmp_path / "run" / POLICY)
     problems = generate(4, (8, 8, 2), nets=20, max_pins=4, seed=5)
     total = {}
-    for mind in ("network", "ways"):
+    for policy in ("network", "greedy"):
         # In no time, so that nobody walks along Steiner trees.
-        given_ = {"weights": weights, "mind": mind, "rounds": 0, "seconds": 0}
+        given_ = {"weights": weights, "policy": policy, "rounds": 0, "seconds": 0}
         options = build(GeneralistOptions, given_)
         figures = [evaluate(p, GeneralistRouter(options).route(p)) for p in problems]
         assert all(each.connected for each in figures)
-        total[mind] = np.sum([(each.overflow, each.wirelength) for each in figures], axis=0)
-    assert tuple(total["network"]) < tuple(total["ways"])
+        total[policy] = np.sum([(each.overflow, each.wirelength) for each in figures], axis=0)
+    assert tuple(total["network"]) < tuple(total["greedy"])
 
 
 @pytest.mark.parametrize("plain", [0.0, 0.5, 1.0])
 def test_a_share_of_the_episodes_begins_plain(plain: float) -> None:
     """The others begin at prices."""
-    train = {"games": 64, "episodes": 64}
-    training = trainer(config(env=PRICED, learner={"plain": plain}, train=train))
+    train = {"games": 64, "episodes": 64, **PRICED["train"]}
+    training = trainer(config(env=PRICED["env"], learner={"plain": plain}, train=train))
     next(training.run())
     games = training.player.engine.games
     first = (games["round"] == 0) & (games["steps"] > 0)
@@ -136,7 +140,7 @@ def test_a_share_of_the_episodes_begins_plain(plain: float) -> None:
         ({"env": {"rip_up": {"choose": "agents"}}}, "rip_up.choose"),
         ({"learner": {"masking": False}}, "masking"),
         ({"learner": {"batch": 10_000}}, "batch"),
-        ({"learner": {"taught": 2}}, "taught"),
+        ({"learner": {"expert_fraction": 2}}, "expert_fraction"),
         ({"learner": {"plain": 2}}, "plain"),
     ],
 )
@@ -158,11 +162,11 @@ def test_the_loss_by_hand() -> None:
     assert loss.item() == pytest.approx(-np.log(2 / 3) + 0.5 * 4 / 3)
 
 
-@pytest.mark.parametrize("mind", ["ways", "chance"])
-def test_the_search_without_learning(mind: str) -> None:
+@pytest.mark.parametrize("policy", ["greedy", "random"])
+def test_the_search_without_learning(policy: str) -> None:
     problem = generate(1, nets=40, max_pins=4, seed=5)[0]
-    single = GeneralistOptions(mind=mind, rounds=0, copies=1, keep=1)  # type: ignore[arg-type]
-    longer = GeneralistOptions(mind=mind, rounds=40, copies=3, seconds=None)  # type: ignore[arg-type]
+    single = GeneralistOptions(policy=policy, rounds=0, copies=1, keep=1)  # type: ignore[arg-type]
+    longer = GeneralistOptions(policy=policy, rounds=40, copies=3, seconds=None)  # type: ignore[arg-type]
     first, more, again = (
         GeneralistRouter(options).solve(problem) for options in (single, longer, longer)
     )
@@ -182,7 +186,7 @@ def test_the_search_without_learning(mind: str) -> None:
         {"copies": 0},
         {"keep": 9},
         {"seconds": -1},
-        {"warmth": -1},
+        {"temperature": -1},
         {"neighbours": -1},
         {"patience": -1},
     ],
@@ -197,7 +201,7 @@ def test_options_out_of_range(given: dict[str, Any]) -> None:
 
 def test_who_watches_may_end_the_rip_ups() -> None:
     problem = generate(1, nets=30, max_pins=5, seed=3)[0]
-    router = GeneralistRouter(GeneralistOptions(mind="ways", seconds=60.0))
+    router = GeneralistRouter(GeneralistOptions(policy="greedy", seconds=60.0))
     lines: list[str] = []
 
     def watch(line: str) -> bool:
@@ -230,6 +234,6 @@ def test_the_shipped_weights_route_what_they_never_saw() -> None:
 
 def test_the_card_of_the_shipped_weights_is_theirs() -> None:
     assert SHIPPED.stat().st_size < 2_000_000
-    card = SHIPPED.with_suffix(".md").read_text(encoding="utf-8")
+    card = SHIPPED.with_name("README.md").read_text(encoding="utf-8")
     assert hashlib.sha256(SHIPPED.read_bytes()).hexdigest() in card
     assert TrainedPolicy.load(SHIPPED).origin.split()[2] in card  # after so many episodes

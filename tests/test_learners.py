@@ -26,9 +26,11 @@ from marouting.problem.grid import MOVES
 from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.algorithms.fused_dqn import FusedDQN, obstacle
 from policies.learned.algorithms.ppo import PPO, PPOOptions, losses
-from policies.learned.compiled.small_gemm import small_gemm, sparse_row
+from policies.learned.compiled.products import product, product_row
+from policies.learned.counter_rng import keys, uniform, uniforms
 from policies.learned.exploration import Exploration
-from policies.learned.learner import Before, Learner, Setup
+from policies.learned.learner import Learner, Setup
+from policies.learned.memory.pre_step import PreStep
 from policies.learned.memory.prioritised import Prioritised, SumTree
 from policies.learned.memory.replay import Batch, Replay
 from policies.learned.memory.rollout import Rollout, shuffled
@@ -37,7 +39,6 @@ from policies.learned.networks.conv import Conv
 from policies.learned.networks.graph import WARM_UP, Recorded
 from policies.learned.networks.mlp import MLP
 from policies.learned.networks.stack import Stack
-from policies.learned.streams import keys, uniform, uniforms
 
 FEATURES = 12
 CPU = torch.device("cpu")
@@ -110,7 +111,7 @@ SMALL_PPO: dict[str, Any] = {
     "network": piece("network", {"kind": "mlp", "hidden": [8]}),
     "rollout": 64,
     "minibatch": 16,
-    "copies": 2,
+    "num_envs": 2,
 }
 
 
@@ -284,10 +285,7 @@ def test_products_of_matrices(
     held = np.ascontiguousarray(a.T if turned else a).ravel()
     strides = (1, rows) if turned else (depth, 1)
     out = np.full(rows * columns + 1, 7, np.float32)
-    small_gemm(
-        np.append(np.float32(9), held), 1, *strides, b.ravel(), 0, start, 0, out,
-        rows, depth, columns, np.float32(floor),
-    )  # fmt: skip
+    product(held, *strides, b.ravel(), 0, start, 0, out, rows, depth, columns, np.float32(floor))
     expected = np.maximum(a.astype(float) @ b.astype(float) + start, floor)
     np.testing.assert_allclose(out[:-1].reshape(rows, columns), expected, atol=1e-4)
     assert out[-1] == 7
@@ -296,15 +294,15 @@ def test_products_of_matrices(
 @settings(deadline=None, max_examples=30)
 @given(st.integers(1, 70), st.sampled_from([1, 6, 16, 64, 100, 160]), st.integers(0, 9999))
 def test_a_row_with_zeros_comes_out_the_same(depth: int, columns: int, seed: int) -> None:
-    """To the last bit, whatever is passed over."""
+    """To the last bit, whatever is passed over, and as in a tile of many rows."""
     rng = np.random.default_rng(seed)
     a = (rng.normal(size=depth) * (rng.random(depth) < rng.random())).astype(np.float32)
     b = rng.normal(size=(depth + 1) * columns + 1).astype(np.float32)
     start, floor = 1 + depth * columns, np.float32(rng.choice([0, -np.inf]))
-    dense, sparse = np.full((2, columns + 1), 7, np.float32)
-    small_gemm(a, 0, depth, 1, b, 1, b, start, dense, 1, depth, columns, floor)
-    sparse_row(a, b, 1, start, sparse, columns, floor, np.zeros(depth, np.int64))
-    np.testing.assert_array_equal(sparse, dense)
+    sparse, tiled = np.full(columns, 7, np.float32), np.full(8 * columns, 7, np.float32)
+    product_row(a, 0, 1, depth, b, 1, b, start, sparse, floor)
+    product(np.tile(a, 8), depth, 1, b, 1, b, start, tiled, 8, depth, columns, floor)
+    np.testing.assert_array_equal(tiled.reshape(8, columns), np.tile(sparse, (8, 1)))
 
 
 # --- memory ---------------------------------------------------------------------------------------
@@ -312,7 +310,7 @@ def test_a_row_with_zeros_comes_out_the_same(depth: int, columns: int, seed: int
 
 def step_of(
     games: int, rows: int, rng: np.random.Generator, numbers: NDArray[np.float32] | None = None
-) -> tuple[Before, StepBuffers]:
+) -> tuple[PreStep, StepBuffers]:
     """A step of random transitions; with ``numbers`` (M, K) each carries its number everywhere."""
     after = StepBuffers.of(games, rows, (FEATURES,))
     shape = (games, rows)
@@ -326,7 +324,7 @@ def step_of(
         mask[..., 0] |= ~mask.any(axis=2)
     for obs in (after.obs, after.final_obs):
         obs[:] = rng.normal(size=obs.shape)
-    before = Before(after.agents.copy(), after.obs.copy(), after.mask.copy())
+    before = PreStep(after.agents.copy(), after.obs.copy(), after.mask.copy())
     before.obs[:] = rng.normal(size=before.obs.shape)
     if numbers is not None:
         before.obs[:] = numbers[..., None]
@@ -1051,7 +1049,7 @@ def test_saved_networks_are_ordinary_modules_that_walk_alike(name: str, multi: b
 
 
 @pytest.mark.parametrize("masking", [False, True])
-@pytest.mark.parametrize("critic", ["own", "central"])
+@pytest.mark.parametrize("critic", ["local", "central"])
 def test_the_clipped_loss(masking: bool, critic: Any) -> None:
     torch.manual_seed(0)
     count, o = 50, PPOOptions(clip=0.1, entropy=0.3, masking=masking, critic=critic)

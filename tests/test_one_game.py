@@ -74,16 +74,6 @@ def rules(draw: st.DrawFn) -> dict[str, Any]:
     return options
 
 
-@st.composite
-def negotiation(draw: st.DrawFn) -> dict[str, Any]:
-    """Options of the batch alone."""
-    options: dict[str, Any] = {"rip_up_patience": draw(st.sampled_from([0, 0, 1, 2]))}
-    if draw(st.booleans()):
-        options |= {"rip_up_prices": True, "overflow": "allowed"}
-        options["rip_up_present"] = draw(st.sampled_from([0.1, 1.0]))
-    return options
-
-
 def same(found: Any, expected: Any) -> None:
     """Asserts that two results are equal, arrays with their types."""
     assert type(found) is type(expected)
@@ -355,7 +345,6 @@ BATCHES = ("batch", "rows", "vector")
 @given(
     contested(max_nets=5),
     rules(),
-    negotiation(),
     st.one_of(rewards, st.just(f"{__name__}:Digest"), st.builds(Digest)),
     st.integers(1, 60),
     seeds,
@@ -364,13 +353,12 @@ def test_copies_pay_what_the_original_pays(
     interface: str,
     problem: Problem,
     options: dict[str, Any],
-    more: dict[str, Any],
     reward: Any,
     steps: int,
     seed: int,
 ) -> None:
     make, step = INTERFACES[interface]
-    options = {**options, **(more if interface in BATCHES else {}), "reward": reward}
+    options = {**options, "reward": reward}
     env, rng = make(problem, **options), np.random.default_rng(seed)
     env.reset()
     for _ in range(steps):

@@ -569,7 +569,7 @@ def test_is_a_router_that_reports() -> None:
     ("options", "message"),
     [
         ({"time_limit": -1.0}, "time_limit: expected seconds from 0, found -1"),
-        ({"time_limit": math.nan}, "time_limit: expected seconds from 0, found nan"),
+        ({"time_limit": math.nan}, "time_limit: expected a number or null, found nan"),
         ({"bound": "best"}, "bound: expected one of optimum, relaxation, found 'best'"),
         ({"bond": "optimum"}, "bond: unknown key; did you mean bound?"),
     ],

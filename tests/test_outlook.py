@@ -15,14 +15,16 @@ from torch import nn
 
 import marouting
 from marouting import Engine, EnvOptions, InputError, Problem, evaluate
-from marouting.batch.outlook import OutlookObservation
+from marouting.batch.prices import Negotiation
 from marouting.batch.rules import GIVE_WAY
 from marouting.batch.window import mirrored
 from marouting.game import NOBODY, RipUp, Status
-from policies.learned.compiled import greedy
-from policies.learned.compiled.walk import Walker
+from policies.generalist import SHIPPED
+from policies.generalist.outlook import OutlookObservation
+from policies.generalist.walk import Walker
+from policies.learned import greedy
 from policies.learned.learner import play_steps
-from policies.learned.policy import SHIPPED, TrainedPolicy, player_of
+from policies.learned.policy import TrainedPolicy, player_of
 
 STEPS = (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)
 
@@ -179,7 +181,7 @@ rules = st.fixed_dictionaries(
         "target": st.sampled_from(["pin", "tree"]),
         "next_pin": st.sampled_from(["listed", "nearest"]),
         "rip_up": st.sampled_from([None, {"rounds": 4}]),
-        "rip_up_prices": st.booleans(),
+        "negotiation": st.sampled_from([None, Negotiation()]),
         "mask_visited": st.booleans(),
     }
 )
@@ -196,7 +198,8 @@ rules = st.fixed_dictionaries(
 def test_every_number_is_as_the_oracle_says(
     problem: Problem, seen: OutlookObservation, rules: dict[str, Any], order: str, seed: int
 ) -> None:
-    rules = rules | {"rip_up_prices": rules["rip_up_prices"] and rules["overflow"] == "allowed"}
+    if rules["overflow"] == "forbidden":
+        rules = rules | {"negotiation": None}
     engine = Engine([problem, problem], turn_order=order, max_steps=7, **rules)
     rng = np.random.default_rng(seed)
     space = seen.space([problem], rules["overflow"] == "allowed")
@@ -230,7 +233,8 @@ def test_rows_do_not_depend_on_what_was_seen_before(
     rng = np.random.default_rng(seed)
     problems = marouting.generate(2, grid=(5, 5, 2), nets=5, max_pins=3, capacity=2, seed=seed)
     order: Any = "sequential" if own else "round_robin"
-    rounds: dict[str, Any] = {"rip_up": {"rounds": 4}, "rip_up_prices": prices}
+    negotiation = Negotiation(prices=prices)
+    rounds: dict[str, Any] = {"rip_up": {"rounds": 4}, "negotiation": negotiation}
     engine = Engine(problems, turn_order=order, overflow="allowed", target=target, **rounds)
     seen = [OutlookObservation(margin=1), OutlookObservation(margin=2)]
     saved = engine.save()
@@ -296,7 +300,7 @@ GAME: dict[str, Any] = {
 def test_the_loop_walks_as_the_network_does(choose: str, rounds: int) -> None:
     """The same moves as by the observation, a product of matrices and the engine's steps."""
     more: dict[str, Any] = {"rip_up": {"rounds": rounds, "choose": choose, "neighbours": 1}}
-    more["rip_up_prices"] = rounds > 2
+    more["negotiation"] = Negotiation(prices=rounds > 2)
     problems = marouting.generate(2, nets=15, max_pins=4, capacity=4, seed=3)
     seen = OutlookObservation(radius=1)
     sizes = (seen.size, 16, 6)
@@ -374,14 +378,15 @@ def test_the_loop_walks_as_the_network_does(choose: str, rounds: int) -> None:
 def test_games_with_many_rounds_are_played_out_as_step_by_step(prices: bool) -> None:
     """Two networks, two games each: the moves are those of the plain player."""
     problems = marouting.generate(4, nets=12, max_pins=4, capacity=2, seed=1)
-    rounds: dict[str, Any] = {"rip_up": RipUp(rounds=6, neighbours=1), "rip_up_prices": prices}
+    rounds: dict[str, Any] = {"rip_up": RipUp(rounds=6, neighbours=1)}
+    negotiation = Negotiation(prices=prices)
     # So few steps that agents are slow, and some tasks fail.
     few: dict[str, Any] = {"max_steps": 14, "agents": "single", "observation": {"kind": "outlook"}}
     options = EnvOptions(**few, **GAME, **rounds)
     module = TrainedPolicy.load(SHIPPED).module
     own = nn.utils.parameters_to_vector(module.parameters()).detach()
     weights = torch.stack((own, own + torch.linspace(-0.02, 0.02, len(own))))
-    player, other = player_of(options, problems), player_of(options, problems)
+    player, other = (player_of(options, problems, negotiation) for _ in range(2))
     player.reset()
     other.reset()
     layers = greedy.layers_of(player, module, masking=True)

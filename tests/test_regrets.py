@@ -10,9 +10,9 @@ from reference import contested, edge_number
 from seeing import cheapest_tree, edge_costs, gcell, is_priced
 
 from marouting import Engine, InputError, Net, Pin, Problem, Solution, evaluate
-from marouting.batch.prices import UNIT
+from marouting.batch.prices import UNIT, Negotiation
 from marouting.game import NOBODY
-from marouting.search.regrets import MASKED, Regrets
+from policies.generalist.regrets import MASKED, Regrets
 from policies.routers.optimal import OptimalRouter
 
 RULES: dict[str, Any] = {
@@ -72,7 +72,7 @@ def test_moves_without_regret_are_as_good_as_the_optimum(
 @settings(deadline=None, max_examples=15)
 @given(contested(max_nets=4), st.integers(0, 1000))
 def test_in_priced_rounds_a_net_gets_its_cheapest_tree(problem: Problem, seed: int) -> None:
-    rules = RULES | {"rip_up_prices": True, "rip_up": {"rounds": 6, "choose": "conflicts"}}
+    rules = RULES | {"rip_up": {"rounds": 6, "choose": "conflicts"}, "negotiation": Negotiation()}
     engine = Engine([problem], overflow="allowed", max_steps=1000, **rules)
     regrets, out = Regrets(engine, margin=100), np.zeros((1, 6), np.int32)
     rng, priced = np.random.default_rng(seed), 0

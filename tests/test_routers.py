@@ -31,8 +31,8 @@ from marouting import (
 from marouting.config import build
 from marouting.env.single import GlobalRoutingSingle
 from marouting.search.guides import AStar
+from policies.generalist.router import GeneralistOptions, GeneralistRouter
 from policies.learned.config import Config
-from policies.learned.generalist import GeneralistOptions, GeneralistRouter
 from policies.learned.networks.mlp import MLP
 from policies.learned.policy import TrainedPolicy
 from policies.learned.router import LearnedRouter
@@ -289,7 +289,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
         **{"burn_in_size": 100, "buffer_size": 500, "network": {"hidden": [8]}, "epsilon": 0.3},
         "fused": False,
     },
-    "ppo": {"kind": "ppo", "copies": 2, "rollout": 48, "minibatch": 16},
+    "ppo": {"kind": "ppo", "num_envs": 2, "rollout": 48, "minibatch": 16},
 }
 
 

@@ -247,14 +247,14 @@ def valid(draw: st.DrawFn) -> list[dict[str, Any]]:
     return rows
 
 
-@drawing(150)
+@drawing(100)
 @given(rows=valid())
 def test_any_rows_have_statistics(rows: list[dict[str, Any]], tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text(json.dumps(rows))
     summarised(tmp_path / "results.json")
 
 
-@drawing(15)
+@drawing(6)
 @given(rows=valid())
 def test_any_rows_are_drawn(rows: list[dict[str, Any]], tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text(json.dumps(rows))

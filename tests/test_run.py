@@ -26,17 +26,18 @@ from marouting.config import build, plain
 from marouting.player import Player
 from marouting.source import load_problems
 from policies.cli.main import status
+from policies.generalist import SHIPPED
 from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.algorithms.fused_dqn import FusedDQN
 from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT
 from policies.learned.config import Config, TrainOptions, load_config
 from policies.learned.learner import Setup
 from policies.learned.logs import Logs
-from policies.learned.policy import SHIPPED, TrainedPolicy
+from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run, clear
 from policies.learned.trainer import Episode, Trainer
 from policies.results.rows import COLUMNS
-from policies.results.run_folder import Walk
+from policies.results.run_folder import GreedyEvaluation
 from policies.routers.astar import AStarRouter
 
 PROBLEMS: dict[str, Any] = {"count": 2, "grid": [4, 4, 2], "nets": 3, "capacity": 2, "seed": 5}
@@ -48,7 +49,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "epsilon_final": None,
         "target_period": 7,
     },
-    "ppo": {"copies": 2, "rollout": 48, "minibatch": 16},
+    "ppo": {"num_envs": 2, "rollout": 48, "minibatch": 16},
 }
 """Options of learners whose trainings take a moment."""
 
@@ -300,7 +301,10 @@ def test_tensorboard_shows_gaps_to_a_reference(tmp_path: Path) -> None:
         replace(first, problem="r", wirelength=20),
         replace(first, problem="r", episode=1, wirelength=20, best=False),
     ]
-    walked = [Walk("p", 2, 3, 3, 0, 20, 9, True), Walk("q", 2, 2, 3, 0, 9, 9, True)]
+    walked = [
+        GreedyEvaluation("p", 2, 3, 3, 0, 20, 9, True),
+        GreedyEvaluation("q", 2, 2, 3, 0, 9, 9, True),
+    ]
     reference = {"p": (0, 20), "q": (0, 20)}  # of r nothing is known
     with Logs(tmp_path, (0, 0), True, ("p", "q", "r"), reference) as logs:
         logs.write(episodes, walked)
@@ -436,7 +440,7 @@ class Untaught(DQN):
 
     def __init__(self, setup: Setup, options: DQNOptions) -> None:
         super().__init__(setup, options)
-        self.fill = 0
+        self.learning_starts = 0
 
     @property
     def stored(self) -> NDArray[np.int64]:
@@ -806,7 +810,7 @@ LONGER: dict[str, dict[str, Any]] = {
     "multi, masked": {**STEADY, "agents": "multi", "masking": True},
     "shared": {**STEADY, "shared": True, "problem": {**PROBLEMS, "count": 1}},
     "torch": {**STEADY, "fused": False, "n_step": 3},
-    "ppo": {"kind": "ppo", "anneal": False, "copies": 1, "problem": {**PROBLEMS, "count": 1}},
+    "ppo": {"kind": "ppo", "anneal": False, "num_envs": 1, "problem": {**PROBLEMS, "count": 1}},
     "drawn": {**STEADY, "shared": True, "games": 1, "problem": DRAWN},
 }
 
@@ -1115,8 +1119,12 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
         for key in ("problems", "training", "trainer", "seconds", "logged", "evaluated")
     },
     "no policies": changed(lambda state: state["trainer"].pop("policies")),
-    "no state of the game": changed(lambda state: state["trainer"].pop("game.used")),
-    "no buffers": changed(lambda state: state["trainer"].pop("buffers.obs")),
+    "no moves": changed(lambda state: state["trainer"].pop("moves")),
+    "moves that are none": changed(lambda state: state["trainer"]["moves"].fill_(9)),
+    "more moves than there are": changed(lambda state: state["trainer"]["made"].fill_(10**6)),
+    "no routes": changed(lambda state: state.update(routes=[None, None])),
+    "routes off the grid": changed(lambda state: state["routes"][0].fill_(10**6)),
+    "routes of no net": changed(lambda state: state["routes"][0][0].fill_(99)),
     "no number of episodes": changed(lambda state: state.pop("in_all")),
     "more episodes": changed(lambda state: state.update(in_all=4)),
     "fewer episodes": changed(lambda state: state.update(in_all=2)),
@@ -1136,7 +1144,7 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "no mapping": changed(lambda state: state.update(training=[1, 2])),
     "no best episode": changed(lambda state: state["trainer"]["best_episode"].fill_(-1)),
     "a best episode to come": changed(lambda state: state["trainer"]["episodes"].fill_(1)),
-    "an impossible reward": changed(lambda state: state["trainer"]["buffers.total"].fill_(1e30)),
+    "an impossible reward": changed(lambda state: state["trainer"]["total"].fill_(1e30)),
     "a parameter": changed(
         lambda state: state["training"].update(
             {"networks.flat": torch.nn.Parameter(state["training"]["networks.flat"])}

@@ -787,8 +787,8 @@ SWITCHES: dict[str, dict[str, Any]] = {
 }
 KINDS: dict[str, dict[str, Any]] = {
     **SWITCHES,
-    "ppo": {"kind": "ppo", "copies": 2, "network": {"hidden": [8]}},
-    "ppo, central": {"kind": "ppo", "copies": 2, "critic": "central", "network": {"hidden": [8]}},
+    "ppo": {"kind": "ppo", "num_envs": 2, "network": {"hidden": [8]}},
+    "ppo, central": {"kind": "ppo", "num_envs": 2, "critic": "central", "network": {"hidden": [8]}},
 }
 
 
@@ -848,7 +848,7 @@ def test_the_papers_training_writes_what_it_always_wrote(tmp_path: Path) -> None
 
 def test_a_step_may_fill_several_rollouts() -> None:
     """A network that 64 games share gets up to 192 transitions a step; 48 are a rollout."""
-    learner = {"kind": "ppo", "copies": 32, "rollout": 48, "minibatch": 16}
+    learner = {"kind": "ppo", "num_envs": 32, "rollout": 48, "minibatch": 16}
     raw = {
         "env": {"max_steps": 12, "agents": "multi"},
         "learner": {**learner, "network": {"hidden": [8]}},

@@ -20,7 +20,7 @@ from policies.cli.tables import show
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner
-from policies.learned.memory.before import Before
+from policies.learned.memory.pre_step import PreStep
 from policies.learned.networks.adam import Adam
 from policies.learned.networks.stack import Stack
 from policies.learned.run import Run
@@ -32,7 +32,7 @@ class SarsaOptions:
 
     network: Named = piece_field("network", "mlp")  # these three names are known to the trainer
     masking: bool = True  # whether only moves that cross an edge are chosen
-    copies: int = 8  # games of every problem that are played side by side
+    num_envs: int = 8  # games of every problem that are played side by side
     gamma: float = 0.95
     epsilon: float = 0.05  # the chance of a random move
     learning_rate: float = 1e-3
@@ -69,7 +69,7 @@ class ExpectedSarsa(Learner):
         """Acts and learns for some steps, or until an episode ends."""
         now = player.buffers  # (M, K, …): M games, K rows each
         for _ in range(steps):
-            before = Before.of(player)
+            before = PreStep.of(player)
             with torch.no_grad():
                 values = self.networks.view(self._stacked(before.obs)).cpu().numpy()
             values = values.reshape(now.mask.shape)

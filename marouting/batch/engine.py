@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from marouting.batch.bits import forget, has, numbers_of
 from marouting.batch.observation import write_states
-from marouting.batch.options import RuleOptions
+from marouting.batch.prices import Negotiation
 from marouting.batch.rules import (
     is_agent,
     move_everyone,
@@ -24,7 +24,6 @@ from marouting.batch.rules import (
     settle_player,
     write_mask,
 )
-from marouting.batch.saved import check_saved
 from marouting.batch.setup import (
     More,
     Room,
@@ -34,7 +33,8 @@ from marouting.batch.setup import (
     static_state,
 )
 from marouting.batch.state import Dynamic, Static
-from marouting.game import NOBODY
+from marouting.config import check
+from marouting.game import NOBODY, Rules
 from marouting.kernels import compiled, place, wide
 from marouting.observations import CHANNELS
 from marouting.problem.grid import Grid
@@ -146,11 +146,13 @@ class Engine:
         rules: the options of the rules; None: those of the paper.
         room: how large problems are that may take the place of these, see :meth:`replace`; None:
             they stay.
-        **changes: fields of :class:`marouting.batch.options.RuleOptions` that differ from
-            ``rules``.
+        negotiation: how nets negotiate by prices, as only the generalist's do; None: they do not.
+        **changes: fields of :class:`marouting.game.Rules` that differ from ``rules``.
 
     Attributes:
         rules: the options of the rules.
+        negotiation: how nets negotiate, or None.
+        priced: whether there are priced rounds.
         room: how large problems may be that take the place of others.
         grid: the grid that all problems share.
         nets: (M, N) int32, the net of every agent; NOBODY where there is no agent.
@@ -166,16 +168,25 @@ class Engine:
     def __init__(
         self,
         problems: Sequence[Problem],
-        rules: RuleOptions | None = None,
+        rules: Rules | None = None,
         *,
         room: Room | None = None,
+        negotiation: Negotiation | None = None,
         **changes: Any,
     ) -> None:
-        rules = rules or RuleOptions()
+        rules = rules or Rules()
         # Options are checked whenever they are made, which takes as long as a dozen moves.
         self.rules, self.room = replace(rules, **changes) if changes else rules, room
         problems = tuple(problems)
-        self.static, self.nets = static_state(problems, self.rules, room=room)
+        self.negotiation = negotiation
+        prices = negotiation is not None and negotiation.prices
+        allowed = not prices or self.rules.overflow == "allowed"
+        check("negotiation.prices", allowed, "false, unless overflow is allowed")
+        rip_up = self.rules.rip_up
+        self.priced = prices and rip_up is not None and rip_up.rounds > 0
+        self.static, self.nets = static_state(
+            problems, self.rules, room=room, negotiation=negotiation
+        )
         # An array, like all that parts of an engine share.
         self._held = np.empty(len(problems), object)
         self._held[:] = problems
@@ -240,7 +251,7 @@ class Engine:
 
     @property
     def actions(self) -> int:
-        """How many actions an agent has; see :class:`marouting.batch.options.RuleOptions`."""
+        """How many actions an agent has; see :class:`marouting.game.Rules`."""
         return self.rules.actions
 
     @property
@@ -265,7 +276,7 @@ class Engine:
         _reset(self.static, self.dynamic, which)
 
     def begin_plain(self, which: NDArray[np.bool_]) -> None:
-        """With ``rip_up_prices``: makes the first walk of some problems a plain one.
+        """In games with prices: makes the first walk of some problems a plain one.
 
         Args:
             which: (M,) of which. They are to stand at the beginning of their episodes.
@@ -273,7 +284,7 @@ class Engine:
         Raises:
             ValueError: one of them does not, or no walk is priced.
         """
-        if not self.rules.rip_up_prices or self.games["steps"][which].any():
+        if not self.priced or self.games["steps"][which].any():
             raise ValueError("which: expected problems at the beginning of a priced first walk")
         self.games["plain"][which] = 1
 
@@ -369,10 +380,6 @@ class Engine:
         """A copy of the state of all games, for :meth:`restore`."""
         return Dynamic._make(array.copy() for array in self.dynamic)
 
-    def check_saved(self, saved: Dynamic) -> None:
-        """Raises ValueError unless a state can be one of these games, wherever it is from."""
-        check_saved(self.static, self._fitting(saved))
-
     def restore(self, saved: Dynamic) -> None:
         """Puts all games back into a saved state.
 
@@ -383,17 +390,12 @@ class Engine:
         Raises:
             ValueError: its shapes do not fit.
         """
-        saved = self._fitting(saved)
-        for array, kept in zip(self.dynamic, saved, strict=True):
-            array[...] = kept
-
-    def _fitting(self, saved: Dynamic) -> Dynamic:
-        """A saved state with arrays like those of the state; raises ValueError if they differ."""
         for name, array in self.dynamic._asdict().items():
             kept = getattr(saved, name)
             if (kept.shape, kept.dtype) != (array.shape, array.dtype):
                 raise ValueError(f"saved: expected shape {array.shape}, found {kept.shape}")
-        return saved
+        for name, array in self.dynamic._asdict().items():
+            array[...] = getattr(saved, name)
 
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Sets the turn order of each problem's agents, and starts all episodes.

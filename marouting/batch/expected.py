@@ -108,17 +108,7 @@ def _begin_maps(static: Static, maps: Maps, new: Any) -> None:
 
 @inlined
 def share_of(static: Static, maps: Maps, m: int, n: int, axis: int, z: int, across: int) -> int:
-    """What a net is expected to take of each edge along an axis in a layer of a task's box.
-
-    Args:
-        static: the static state of the games.
-        maps: see :class:`Maps`.
-        m: the problem.
-        n: the agent.
-        axis: 0 or 1.
-        z: the layer.
-        across: the size of the box across the axis, in Gcells.
-    """
+    """What a net is expected to take of each edge along an axis in a layer of a task's box."""
     demand = wide(maps.lanes[m, axis, z]) * wide(static.demand[m, n, z])
     return (demand << _BITS) // (across * wide(maps.lane_count[m, axis]))
 
@@ -167,16 +157,7 @@ def count_agent(static: Static, maps: Maps, m: int, n: int, later: bool, sign: i
 
 @inner
 def recount(static: Static, dynamic: Dynamic, maps: Maps, m: int, n: int, counts: bool) -> None:
-    """Counts an agent again if it has moved; afterwards :func:`sum_up` has to be called.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        maps: see :class:`Maps`.
-        m: the problem.
-        n: the agent.
-        counts: whether it is counted, if it is active.
-    """
+    """Counts an agent again if it has moved; afterwards :func:`sum_up` has to be called."""
     agent = dynamic.agents[m, n]
     active = agent.status == Status.ACTIVE and counts
     cell = wide(agent.cell) if active else wide(NOBODY)
@@ -227,15 +208,7 @@ def sum_up(static: Static, maps: Maps, m: int) -> None:
 
 @inner
 def refresh(static: Static, dynamic: Dynamic, maps: Maps, m: int, without: int) -> None:
-    """Brings the maps of a problem up to date: agents that have moved are counted again.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        maps: see :class:`Maps`.
-        m: the problem.
-        without: an agent that is not counted, or NOBODY.
-    """
+    """Brings the maps of a problem up to date: agents that have moved are counted again."""
     for n in range(dynamic.agents.shape[1]):
         # Most are done, and stand in no map: they are passed over without a call.
         if dynamic.agents[m, n].status == Status.ACTIVE or maps.counted[m, n, 0] != NOBODY:

@@ -5,16 +5,13 @@ them, its plain game (:mod:`marouting.game`) is copied into an engine of one pro
 are read; of its sets only those that have changed since.
 """
 
-from dataclasses import fields
-
 import numpy as np
 
 from marouting.batch.bits import put_numbers
 from marouting.batch.engine import Engine
-from marouting.batch.options import RuleOptions
 from marouting.batch.state import Option
 from marouting.columns import Columns, Games
-from marouting.game import Game, Rules
+from marouting.game import Game
 
 _SETS = {"tree": Option.TREE, "visited": Option.VISITED, "begun": Option.TRIED}
 
@@ -37,8 +34,7 @@ class _Mirror:
 
     def __init__(self, game: Game) -> None:
         self.game = game
-        rules = {field.name: getattr(game.rules, field.name) for field in fields(Rules)}
-        self.engine = Engine([game.problem], RuleOptions(**rules))
+        self.engine = Engine([game.problem], game.rules)
         options = self.engine.static.options
         self._options = {name: int(options[at]) for name, at in _SETS.items() if options[at] >= 0}
         # Sets that are in the engine, and how large they were then: sets only grow in their place.

@@ -1,18 +1,19 @@
 """Prices of edges: how nets learn from each other, round by round, which edges are in demand.
 
-With ``rip_up_prices`` the first walk and most rip-up rounds (:mod:`marouting.batch.rounds`) are
+Only the generalist (policies/generalist) plays such games: an engine that is given a
+:class:`Negotiation`. The first walk and most rip-up rounds (:mod:`marouting.batch.rounds`) are then
 **priced**. In them an edge inside a layer costs a net
 
     (1 + price) · (1 + present · over / demand),
 
 where ``price`` is what the edge's past overflow has added; ``over`` is what the net would be over
-the remaining capacity, in tracks; and ``present``, at first ``rip_up_present``, grows from one
+the remaining capacity, in tracks; and ``present``, at first an option, grows from one
 priced round to the next. So nets share edges cheaply at first, and those that find another way
 nearly as short leave. The longer overflow lasts, the more it adds to a price: that grows along with
 ``present``, up to a limit. A via costs 1. An edge that can never hold the net costs the most.
 
 When priced rounds follow plain ones, nets negotiate again: ``present`` is as small as at first, but
-grows more slowly, and prices have fallen. With ``rip_up_calm`` prices come to rest: as soon as
+grows more slowly, and prices have fallen. With ``calm`` prices come to rest: as soon as
 there are routes without overflow, they rise and fall by less each time. Such steps are usual in
 subgradient methods (Held, Wolfe and Crowder, "Validation of subgradient optimization", Mathematical
 Programming 6, 1974).
@@ -22,13 +23,15 @@ performance-driven router for FPGAs", FPGA 1995, with nets that walk. Costs are 
 which an edge without a price has :data:`UNIT`; what prices rise by is finer.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 from marouting.batch.best import note_best, put_best
 from marouting.batch.bits import byte_of
-from marouting.batch.options import MOST_PRESENT
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_on
+from marouting.checks import check_fields
+from marouting.game import MOST_ROUNDS
 from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 
@@ -41,8 +44,15 @@ MOST = 60 * UNIT
 WHOLE = 1024
 """``GAME.present`` and prices count in parts of this."""
 
+LEAST_PRESENT, MOST_PRESENT = 0.01, 2.0
+"""The bounds of ``present``: a smaller one would not grow, being counted in whole parts, and a
+larger one would hide what prices say."""
+
 LARGEST = int(MOST_PRESENT * WHOLE)
-"""The largest ``present``."""
+"""The largest ``present``, in parts of ``WHOLE``."""
+
+MOST_CALM = 1000.0
+"""The largest ``calm``: from the second negotiation on prices no longer rise."""
 
 _RISE, MOST_RISE = 192, 640
 """What overflow adds to the price of an edge before a priced round, in parts of ``WHOLE``: as long
@@ -56,6 +66,40 @@ _PRICED, _PLAIN = 10, 2
 
 _GROWTH, _LATER_GROWTH = 25, 15  # per cent by which present grows, at first and after plain rounds
 _FALL = 10  # per cent by which prices fall after plain rounds
+
+
+@dataclass(frozen=True, kw_only=True)
+class Negotiation:
+    """The rules beyond those of :class:`marouting.game.Rules` in games of the generalist.
+
+    Attributes:
+        prices: whether nets negotiate by prices, if there are rip-up rounds; with ``overflow:
+            allowed`` only.
+        patience: rounds after which one more net of ``rip_up_neighbours`` is ripped up with a net,
+            from none in the first rounds; 0: all of them from the first round on.
+        present: what one net too many adds to the cost of an edge in the first walk, as a part of
+            it, 0.01 to 2. The more there is of it, the sooner there is no overflow, and the longer
+            routes are.
+        calm: how soon prices come to rest: when nets negotiate for the r-th time after the first,
+            prices rise and fall by 1 / (1 + calm · r) of what they did, once there are routes
+            without overflow. 0 to 1000, in hundredths.
+
+    Raises:
+        InputError: an option is out of range.
+    """
+
+    prices: bool = True
+    patience: int = 0
+    present: float = 0.1
+    calm: float = 0.0
+
+    def __post_init__(self) -> None:
+        bounds = {
+            "patience": (0, MOST_ROUNDS),
+            "present": (LEAST_PRESENT, MOST_PRESENT),
+            "calm": (0.0, MOST_CALM),
+        }
+        check_fields(self, **bounds)
 
 
 @inlined
@@ -79,16 +123,7 @@ def price_of(static: Static, dynamic: Dynamic, m: int, edge: int) -> int:
 
 @inlined
 def edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int, room: int) -> int:
-    """What an edge inside a layer costs a net in a priced round.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        m: the problem.
-        edge: the edge.
-        demand: tracks that the net takes of it.
-        room: its remaining capacity if the net does not use it.
-    """
+    """What an edge inside a layer costs a net in a priced round."""
     if demand > static.capacity[m, edge]:
         return wide(MOST)
     cost = UNIT + price_of(static, dynamic, m, edge)
@@ -102,17 +137,7 @@ def edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int, 
 def net_cost(
     static: Static, dynamic: Dynamic, m: int, n: int, rows: Any, row: int, own: int
 ) -> int:
-    """What a net's edges cost it in a priced round.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        m: the problem.
-        n: the agent.
-        rows: of bits, one of which says what the edges are.
-        row: this one.
-        own: 1 if the net uses these edges at the moment, 0 if it has given them back.
-    """
+    """What a net's edges cost it in a priced round."""
     cost = wide(0)
     for byte in range(rows.shape[2]):
         bits = byte_of(rows, m, row, byte)

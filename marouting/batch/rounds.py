@@ -1,38 +1,22 @@
-"""Giving way: nets that have routed give their edges back and walk again, for the others' sake.
+"""Rip-up and reroute: after all nets have routed, some are routed again around the others.
 
-After all nets have routed there are ``rip_up_rounds`` rounds. In a round one net after the other
-gives its edges back and walks again, with all the others in place. Which nets do so, and in which
-order, is the option ``rip_up``:
+:class:`marouting.game.RipUp` has the options, and :mod:`marouting.game` the same rules in plain
+Python. A net's price, for ``choose: history``, is the number of rounds, this one included, at whose
+start its edges were full, summed over its edges; a net with an open task costs more than any other.
 
-* ``all``: every net, in turn order;
-* ``conflicts``: in turn order, every net that at its turn has a task open or uses a full edge;
-* ``price``: every net with a price at its turn, the highest first. A net's price is the number of
-  rounds, this one included, at whose start its edges were full, summed over its edges; a net with
-  an open task costs more than any other;
-* ``agents``: in turn order, every net is asked. Its agent has a seventh action, to give way; any of
-  the six moves keeps the routes as they are.
+A net stands in another's way by the number of full edges that it uses: of those that the other uses
+too, and of those in the box around the other's pins (and one Gcell beyond, if the other has a task
+open). Of all such nets those with the largest product of this number and a lot are taken
+(:func:`lot`), so that a net is ripped up with others in every round.
 
-With ``rip_up_neighbours: K`` up to K nets that stand in a net's way give their edges back with it.
-In the turn order ``sequential`` they walk again after it, the next in ``net_order`` first; in
-``round_robin`` all of them take steps in turns, in ``net_order``, as in the first walk. A net
-stands in its way by the number of full edges that it uses: of those that the other uses too, and of
-those in the box around the other's pins (and one Gcell beyond, if the other has a task open). Of
-all such nets those with the largest product of this number and a lot are taken. Lots are numbers
-from 1 to 1024 that follow from the round and the two nets (:func:`lot`), so that a net walks again
-with others in every round. With ``rip_up_patience: R`` there are more of them as rounds go by: none
-in the first R rounds, at most one in the next R, and so on up to K. What one net can repair is
-repaired first; what takes several comes later.
+When all of them have routed again, the problem is judged by its open tasks, its overflow and its
+wirelength, in this order. If it is worse than before, they get their edges back.
 
-When all of them have walked, the problem is judged by its open tasks, its overflow and its
-wirelength, in this order. If it is worse than before they gave their edges back, they get them all
-back: no connection is ever lost, and the routes are always the best so far. A round in which no net
-walks again is the last one.
-
-With ``rip_up_prices`` nets negotiate as well. The first walk and some of the rounds are **priced**:
-edges cost what :mod:`marouting.batch.prices` says. In such a round every net walks again alone, and
-it keeps its new routes if they join as many tasks and cost it no more than the old ones, whatever
-becomes of the whole problem. So nets part that share an edge with others. In rounds that are not
-priced, the **plain** ones, all is as without the option, but patience counts plain rounds in a row.
+Where nets negotiate (:class:`marouting.batch.prices.Negotiation`) the first walk and some rounds
+are **priced**. In such a round every net walks again alone, in an order drawn by lots unless
+``choose: history`` says in which. It keeps its new routes if they join as many tasks and cost it no
+more than the old ones, whatever becomes of the whole problem. So nets part that share an edge. In
+the other rounds, the **plain** ones, all is as without prices; patience counts them in a row.
 
 * After the first walk, and after a priced round, the next round is priced if there is overflow,
   unless ten priced rounds in a row have not lowered it by one per cent of the least since the last
@@ -40,13 +24,9 @@ priced, the **plain** ones, all is as without the option, but patience counts pl
   nets take the best of them first.
 * After a plain round the next one is plain, unless two in a row have gained nothing: no task, not
   one per cent of the overflow, not a two-thousandth of the wirelength. Otherwise it is priced.
-* In a priced round nets come in an order drawn by lots, unless ``rip_up: price`` says in which.
 * With the end of the last round nets take the best routes that they had after any round.
 
 No move is made, and no reward paid, when nets take earlier routes.
-
-An edge is full if it has no remaining capacity. In rip-up rounds agents wait
-(:attr:`marouting.batch.state.Status.WAITING`), and all are terminated or truncated with the last.
 """
 
 from marouting.batch.best import put_best, take_routes

@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.options import RuleOptions
-from marouting.batch.prices import WHOLE
+from marouting.batch.prices import WHOLE, Negotiation
 from marouting.batch.state import AGENT, GAME, Choice, Dynamic, Option, Static
 from marouting.errors import InputError
-from marouting.game import NOBODY, NetOrder, RipUp
+from marouting.game import NOBODY, NetOrder, RipUp, Rules
 from marouting.kernels import compiled, wide
 from marouting.memory import PLAYED, TABLES, check_memory
 from marouting.problem.grid import VIA_AXIS, Grid
@@ -39,9 +38,10 @@ class Room(NamedTuple):
 
 def static_state(
     problems: Sequence[Problem],
-    rules: RuleOptions,
+    rules: Rules,
     ranks: NDArray[np.integer] | None = None,
     room: Room | None = None,
+    negotiation: Negotiation | None = None,
 ) -> tuple[Static, NDArray[np.int32]]:
     """The constant arrays of a batch of problems with one grid shape.
 
@@ -50,6 +50,7 @@ def static_state(
         rules: the options of the rules.
         ranks: (nets,) numbers; the net with the lowest one comes first. None: ``rules.net_order``.
         room: the size of the arrays; None: what these problems need.
+        negotiation: how nets negotiate; None: they do not.
 
     Returns:
         The arrays, and (M, N) int32, the net of every agent (NOBODY where there is no agent). Nets
@@ -127,7 +128,9 @@ def static_state(
         overflow_allowed=overflow,
         max_steps=rules.steps_per_task(problems[0].grid),
         extended=True if extended else None,
-        options=_options(rules, (int(shape[1]), grid.gcells, grid.edges)) if extended else _PLAIN,
+        options=_options(rules, (int(shape[1]), grid.gcells, grid.edges), negotiation)
+        if extended
+        else _PLAIN,
     )
     return static, agent_net
 
@@ -146,7 +149,7 @@ def replace_problem(
     nets: NDArray[np.int32],
     m: int,
     problem: Problem,
-    rules: RuleOptions,
+    rules: Rules,
     room: Room,
 ) -> None:
     """Puts another problem in the place of one, in arrays that have room for it.
@@ -176,12 +179,15 @@ def replace_problem(
     nets[m], nets[m, :agents] = NOBODY, own_nets[0]
 
 
-def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int64]:
+def _options(
+    rules: Rules, shape: tuple[int, int, int], negotiation: Negotiation | None = None
+) -> NDArray[np.int64]:
     """(len(Option),) int64, what the options say, for N agents, G Gcells and E edges."""
     agents, gcells, edges = shape
     rip_up = rules.rip_up or RipUp(rounds=0)
     rounds = rip_up.rounds > 0
-    prices = rounds and rules.rip_up_prices
+    negotiation = negotiation or Negotiation(prices=False)
+    prices = rounds and negotiation.prices
     nearest = rules.next_pin == "nearest"
     tree = rules.target == "tree" or nearest
     again = (1 + rip_up.neighbours) * rounds
@@ -193,9 +199,9 @@ def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int6
     options[Option.ROUNDS] = rip_up.rounds
     options[Option.RIP_UP] = Choice[rip_up.choose.upper()]
     options[Option.AGAIN_MOST] = again
-    options[Option.PATIENCE] = rules.rip_up_patience
-    options[Option.PRESENT] = round(rules.rip_up_present * WHOLE)
-    options[Option.CALM] = round(rules.rip_up_calm * 100)
+    options[Option.PATIENCE] = negotiation.patience
+    options[Option.PRESENT] = round(negotiation.present * WHOLE)
+    options[Option.CALM] = round(negotiation.calm * 100)
     rows = {
         Option.TREE: agents * tree,
         Option.VISITED: agents * rules.mask_visited,
@@ -222,7 +228,7 @@ def _options(rules: RuleOptions, shape: tuple[int, int, int]) -> NDArray[np.int6
     return options
 
 
-_PLAIN = _options(RuleOptions(), (0, 0, 0))
+_PLAIN = _options(Rules(), (0, 0, 0))
 """The options of the paper's game: all are switched off."""
 
 

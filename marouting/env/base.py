@@ -15,7 +15,6 @@ from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 
 from marouting.columns import Columns
-from marouting.config import check
 from marouting.errors import InputError
 from marouting.game import ACTIVE, NOBODY, WAITING, Game, Rules, TurnOrder
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
@@ -25,7 +24,7 @@ from marouting.problem.grid import MOVES, OFF_GRID, Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Window, ansi, rgb_array, scene_of
-from marouting.source import Episodes, Source
+from marouting.source import ProblemStream, Source
 
 METADATA: dict[str, Any] = {
     "name": "global_routing_v0",
@@ -41,7 +40,7 @@ class BaseGame:
     """A game of one problem with its observation, reward, masks, state and pictures.
 
     Args:
-        problem: what to play, see :class:`marouting.source.Episodes`.
+        problem: what to play, see :class:`marouting.source.ProblemStream`.
         turn_order: the turn order if the options give none.
         options: the fields of :class:`marouting.options.GameOptions`; ``observation`` and
             ``reward`` may also be any object of their protocol.
@@ -81,8 +80,6 @@ class BaseGame:
         kind: type[Game] = Game,
     ) -> None:
         checked = game_options(options)
-        for name in ("rip_up_prices", "rip_up_patience"):
-            check(name, not getattr(checked, name), "none here: only marouting.vector.BatchEnv has")
         rules = {field.name: getattr(checked, field.name) for field in fields(Rules)}
         self._rules = Rules(**{**rules, "turn_order": checked.turn_order or turn_order})
         self._kind = kind
@@ -101,7 +98,7 @@ class BaseGame:
         self._window = Window()
         self.rng, _ = seeding.np_random(0)
 
-        self._episodes = Episodes(problem, checked.scenario, checked.split)
+        self._episodes = ProblemStream(problem, checked.scenario, checked.split)
         self.many = self._episodes.many
         problems = self._episodes.bounds
         grid = Grid.of(problems[0].grid)

@@ -1,16 +1,15 @@
 """Routes as boxes of a chip's layers, which is how routing guides give them, and back."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled
 from marouting.memory import USED
 from marouting.problem.chip import Chip, Places
 from marouting.problem.grid import AXES, VIA_AXIS, gcells_of_boxes, neighbours
 from marouting.problem.net import FieldError
-from marouting.problem.parts import root_of
+from marouting.problem.parts import mark_joins
 from marouting.problem.problem import Problem
 from marouting.problem.segments import longest_runs
 
@@ -87,19 +86,9 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
     kept = needed == 0
     part = np.arange(len(covered))
     for level in range(3):
-        _mark_joins(near, far, np.flatnonzero(needed == level), part, kept)
+        mark_joins(near, far, np.flatnonzero(needed == level), part, kept)
     uses = np.sort(AXES * covered[near[kept]] + np.concatenate(axes)[kept])
     return np.divmod(uses, AXES * size)
-
-
-@compiled
-def _mark_joins(near: Any, far: Any, order: Any, part: Any, kept: Any) -> None:
-    """Joins vertices by edges and marks the edges that joined two parts."""
-    for edge in order:
-        a, b = root_of(part, near[edge]), root_of(part, far[edge])
-        if a != b:
-            part[max(a, b)] = min(a, b)
-            kept[edge] = True
 
 
 def boxes_of(problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]) -> Boxes:

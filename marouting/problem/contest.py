@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from marouting.errors import InputError
 from marouting.problem.chip import Contest, Places
 from marouting.problem.grid import AXES, VIA_AXIS, neighbours
+from marouting.problem.parts import joined_parts
 from marouting.problem.problem import Problem
-from marouting.problem.solution import Solution, joined_parts
+from marouting.problem.solution import Solution
 
 SLOPE = 0.5
 """Of the exponential in the cost of overflow."""

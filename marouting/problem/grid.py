@@ -205,9 +205,6 @@ def gcells_of_boxes(
         last: column and row behind the last ones.
         each: bytes that will be taken by the Gcell.
         what: what takes them, for the error, as for :func:`marouting.memory.check_memory`.
-
-    Raises:
-        InputError: they would take too much memory: a line of text may cover millions.
     """
     high = last[1] - first[1]
     sizes = (last[0] - first[0]) * high

@@ -84,10 +84,6 @@ class Adjustment(NamedTuple):
 def check_net(net: Net, row: int = 0) -> None:
     """Checks what must hold for a net in any problem.
 
-    Args:
-        net: the net.
-        row: its index among the problem's nets, for the error.
-
     Raises:
         FieldError: the name, the id or the minimum width cannot be used, or there is no pin.
     """
@@ -126,11 +122,6 @@ def records(name: str, kind: Any, rows: Any) -> tuple[Any, ...]:
     A row of another length stays a tuple, and a number that is no integer as it is: a problem
     refuses both.
 
-    Args:
-        name: what is expected, for the error.
-        kind: the class of the records, a named tuple.
-        rows: any iterable of such records or of other iterables of numbers.
-
     Raises:
         FieldError: it is none.
     """
@@ -148,13 +139,7 @@ def records(name: str, kind: Any, rows: Any) -> tuple[Any, ...]:
 
 
 def whole_numbers(name: str, values: Any, count: int | None = None) -> tuple[int, ...]:
-    """Integers of any type as a tuple of Python's; raises FieldError for anything else.
-
-    Args:
-        name: the field that they are for.
-        values: the integers.
-        count: how many there have to be.
-    """
+    """Integers of any type as a tuple of Python's; raises FieldError for anything else."""
     try:
         numbers = tuple(int(operator.index(value)) for value in values)
     except TypeError:

@@ -2,18 +2,42 @@
 
 from typing import Any
 
-from marouting.kernels import inner
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.kernels import compiled
 
 
-@inner
-def root_of(part: Any, vertex: int) -> int:
-    """The root of a vertex's part; ways to it get shorter.
+def joined_parts(
+    near: NDArray[np.int64], far: NDArray[np.int64], vertices: int
+) -> NDArray[np.int64]:
+    """(vertices,) for each vertex the lowest one in its part, given the ends of all edges."""
+    part = np.arange(vertices)
+    mark_joins(near, far, np.arange(len(near)), part, np.zeros(len(near), np.bool_))
+    while (lower := part[part]).sum() < part.sum():
+        part = lower
+    return part
+
+
+@compiled
+def mark_joins(near: Any, far: Any, order: Any, part: Any, kept: Any) -> None:
+    """Joins vertices by edges and marks the edges that joined two parts.
 
     Args:
-        part: (vertices,) leads from each vertex towards the root of its part; changed.
-        vertex: the vertex.
+        near: (n,) one end of every edge.
+        far: (n,) the other.
+        order: the edges to be looked at, in this order.
+        part: (vertices,) leads from each vertex to a lower one of its part; changed.
+        kept: (n,) receives True for edges that joined two parts.
     """
-    while part[vertex] != vertex:
-        part[vertex] = part[part[vertex]]
-        vertex = part[vertex]
-    return vertex
+    for edge in order:
+        a, b = near[edge], far[edge]
+        while part[a] != a:  # to the root; ways to it get shorter
+            part[a] = part[part[a]]
+            a = part[a]
+        while part[b] != b:
+            part[b] = part[part[b]]
+            b = part[b]
+        if a != b:
+            part[max(a, b)] = min(a, b)
+            kept[edge] = True

@@ -20,7 +20,7 @@ from marouting.problem.boxes import Boxes, boxes_of, edges_in_boxes
 from marouting.problem.chip import Places
 from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS
 from marouting.problem.net import FieldError
-from marouting.problem.parts import root_of
+from marouting.problem.parts import joined_parts
 from marouting.problem.problem import Problem, check_problem
 from marouting.problem.segments import (
     covered_edges,
@@ -463,21 +463,6 @@ def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64],
     return pin_net, part[index[2 * edges :]]
 
 
-def joined_parts(
-    near: NDArray[np.int64], far: NDArray[np.int64], vertices: int
-) -> NDArray[np.int64]:
-    """(vertices,) for each vertex of a graph the lowest one in its connected part.
-
-    Args:
-        near: (n,) one end of every edge.
-        far: (n,) the other.
-        vertices: how many there are.
-    """
-    part = np.arange(vertices)
-    _join(near, far, part)
-    return part
-
-
 def _graph(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """One graph that holds the routes of all nets.
 
@@ -492,16 +477,6 @@ def _graph(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDA
     pairs = np.concatenate((net, net, pin_net)) * problem.topology.gcells
     pairs += np.concatenate((near, far, pins))
     return pin_net, np.unique(pairs, return_inverse=True)[1]
-
-
-@compiled
-def _join(near: Any, far: Any, part: Any) -> None:
-    """Joins vertices to connected parts."""
-    for edge in range(len(near)):
-        a, b = root_of(part, near[edge]), root_of(part, far[edge])
-        part[max(a, b)] = min(a, b)
-    for vertex in range(len(part)):  # the number there is lower, and has been through this
-        part[vertex] = part[part[vertex]]
 
 
 @compiled

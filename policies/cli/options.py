@@ -58,12 +58,15 @@ def options_of(schema: Any, but: Collection[str] = ()) -> Callable[[Any], Any]:
     def add(command: Any) -> Any:
         for own in reversed(fields(schema)):
             if own.name not in but:
+                told = about[own.name].replace("`", "")
+                if own.default is None:
+                    told = told.replace("None: ", "without it, ")
                 command = click.option(
                     f"--{own.name.replace('_', '-')}",
                     type=_type_of(hints[own.name]),
                     default=own.default,
                     show_default=own.default is not None,
-                    help=about[own.name].replace("`", ""),
+                    help=told.partition("; None:")[0],
                 )(command)
         return command
 

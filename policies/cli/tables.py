@@ -18,7 +18,7 @@ HEADINGS = (
     ("overflow", "overflow"),
     ("wirelength", "wirelength"),
     ("pruned_wirelength", "pruned"),
-    ("joined", "tasks joined"),
+    ("joined", "tasks connected"),
     ("seconds", "seconds"),
     ("from", "routes from"),
 )
@@ -31,9 +31,8 @@ _NAME = 24
 def show(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Prints rows of results.
 
-    Less wirelength is no merit where nets stayed open, so the number of tasks joined stands beside
-    it; and beside the wirelength of the routes as they are the pruned one, without dead ends and
-    loops, where a row has any. A learner's row says which episode or policy its routes come from. A
+    Beside the wirelength stand the tasks connected, as less of it is no merit where nets stayed
+    open, and the pruned wirelength, without dangling branches and loops, where a row has any. A
     column that all rows lack is left out.
     """
     shown = [
@@ -86,15 +85,15 @@ def show_experiment(summary: Mapping[str, Any]) -> None:
 
 
 _NOTES = (
-    "overflow, open (two-pin tasks not joined): totals over the problems. problems without: those "
-    "with neither. wirelength, gap: means over the problems ± half the 95 % interval (Student's "
-    "t). pruned: the mean wirelength without dead ends and loops, where routes have any; all other "
-    "columns count them. The gap is to the proven optimum, on the problems (their number in "
-    "brackets) that have the optimum's overflow and open tasks. less WL: share of problems with "
-    "less wirelength than A* and no more open tasks [95 % interval, Wilson]. W/T/L: wins, ties and "
-    "losses by open tasks, then overflow, then wirelength. seconds: median time per problem. "
-    "Everything is averaged over the seeds first. Type II: A* uses up the capacity of an edge (the "
-    "paper's partial edge depletion)."
+    "overflow, open (two-pin tasks not connected): totals over the problems. problems without: "
+    "those with neither. wirelength, gap: means over the problems ± half the 95 % interval "
+    "(Student's t). pruned: the mean wirelength without dangling branches and loops, where "
+    "routes have any; all other columns count them. The gap is to the proven optimum, on the "
+    "problems (their number in brackets) that have the optimum's overflow and open tasks. less "
+    "WL: share of problems with less wirelength than A* and no more open tasks [95 % interval, "
+    "Wilson]. W/T/L: wins, ties and losses by open tasks, then overflow, then wirelength. "
+    "seconds: median time per problem. Everything is averaged over the seeds first. Type II: A* "
+    "uses up the capacity of an edge (the paper's partial edge depletion)."
 )
 
 
@@ -270,7 +269,7 @@ def _estimate(estimate: Mapping[str, Any], digits: int) -> str:
 
 
 def _pruned(row: Mapping[str, Any]) -> str:
-    """The mean wirelength without what joins nothing, if that is less."""
+    """The mean wirelength without dangling branches and loops, if that is less."""
     pruned = row["pruned_wirelength"]
     less = pruned is not None and pruned["mean"] < row["wirelength"]["mean"]
     return _estimate(pruned, 1) if less else ""

@@ -2,7 +2,7 @@
 
 Ray chooses where a task runs and when, sends its arguments, and runs it again when its process or
 its machine is lost. Here calls become tasks, and a Ray is started or joined. Files are not sent:
-all machines have to see the working folder, under the same name.
+what tasks read and write has to lie on storage that all machines see.
 """
 
 import contextlib

@@ -59,7 +59,7 @@ class ExperimentConfig:
             says what routes: the name of a router, ``module:Class``, the name of a learner (see
             :class:`Training`), ``published`` (see :class:`Published`) or ``solutions`` (see
             :class:`ExternalSolutions`). The key ``only`` lists the sets that the entry is for, by
-            default all; ``prune: true`` takes what joins nothing
+            default all; ``prune: true`` takes dangling branches and loops
             (:meth:`marouting.Solution.pruned`) from its solutions before they are judged; ``label``
             is what figures call it; ``budget`` is what it may spend (see :class:`Budget`). All
             other keys are options of the router, and those left out are filled in. None in place of

@@ -99,7 +99,7 @@ class Part:
             first = self.problems[0]
             trainer = Trainer({first: problems[first]}, self._training())
             learner, _ = trainer.learner, trainer.start
-            if learner.fill:
+            if learner.learning_starts:
                 _ = read_solutions(learner.burn_in, problems)
         elif "checkpoint" in self.entry.options and is_learner(self.entry.router):
             from policies.learned.policy import TrainedPolicy

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -48,33 +49,6 @@ def reward_curves(
         raise InputError(f"smoothing: expected a number of episodes from 1, found {smoothing}")
     figure = Figure(figsize=(9, 5.5), layout="constrained")
     axes = figure.subplots()
-    draw_rewards(axes, curves, log, smoothing)
-    title = literal("\n".join(filter(None, (title or "Rewards of a training", note(smoothing)))))
-    axes.set_title(fitted(title, 8), fontsize=11)
-    figure.legend(frameon=False, loc="outside lower center", fontsize=9, ncols=_across(axes, 6))
-    return figure
-
-
-def _across(axes: Axes, most: int) -> int:
-    """How many columns the legend of a plot may have, below it and no wider."""
-    _, labels = axes.get_legend_handles_labels()
-    longest = max(map(len, labels), default=0)
-    return max(1, min(len(labels), most, int(110 / (longest + 6))))
-
-
-def note(smoothing: int) -> str:
-    """What the lines of :func:`draw_rewards` mean."""
-    pale = "pale: every episode, " if smoothing > 1 else ""
-    return f"{pale}dark: mean of the last {smoothing} episodes" if smoothing > 1 else ""
-
-
-def draw_rewards(
-    axes: Axes,
-    curves: Mapping[str, Sequence[float] | NDArray[np.floating]],
-    log: bool,
-    smoothing: int,
-) -> None:
-    """Draws :func:`reward_curves` without title and legend."""
     many = len(curves) > _NAMED
     if many:
         _draw_alike(axes, curves, smoothing)
@@ -82,20 +56,12 @@ def draw_rewards(
     for index, (name, rewards) in enumerate(() if many else curves.items()):
         values = np.asarray(rewards, np.float64)
         episode = np.arange(1, len(values) + 1)
-        colour = LINES[index % len(LINES)]
-        style = ("-", "--", ":")[index // len(LINES) % 3]
+        look: dict[str, Any] = {"color": LINES[index % len(LINES)]}
         if smoothing > 1:
-            axes.plot(episode, values, color=colour, linewidth=0.6, alpha=0.25, zorder=1)
+            axes.plot(episode, values, linewidth=0.6, alpha=0.25, zorder=1, **look)
+        look["linestyle"] = ("-", "--", ":")[index // len(LINES) % 3]
         mean = _running_mean(values, smoothing)
-        axes.plot(
-            episode,
-            mean,
-            color=colour,
-            linewidth=1.6,
-            linestyle=style,
-            label=literal(name),
-            zorder=2,
-        )
+        axes.plot(episode, mean, linewidth=1.6, label=literal(name), zorder=2, **look)
     scale = ""
     if log:
         axes.set_yscale("symlog", linthresh=_TASK_REWARD, linscale=0.5)
@@ -104,12 +70,28 @@ def draw_rewards(
         )
         axes.yaxis.set_major_formatter("{x:g}")
         scale = f", signed logarithm, linear within ±{_TASK_REWARD}"
+    _style(axes, "episode", f"reward of an episode{scale}")
+    axes.set_xlim(left=0)
+    note = f"pale: every episode, dark: mean of the last {smoothing} episodes"
+    lines = [title or "Rewards of a training", *([note] if smoothing > 1 else [])]
+    axes.set_title(fitted(literal("\n".join(lines)), 8), fontsize=11)
+    figure.legend(frameon=False, loc="outside lower center", fontsize=9, ncols=_across(axes, 6))
+    return figure
+
+
+def _style(axes: Axes, across: str, up: str) -> None:
+    """A pale grid, and the names of the axes, of which the first counts things."""
     axes.grid(color=PALE, linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.set_xlabel("episode")
-    axes.set_ylabel(f"reward of an episode{scale}")
+    axes.set(xlabel=across, ylabel=up)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_xlim(left=0)
+
+
+def _across(axes: Axes, most: int) -> int:
+    """How many columns the legend of a plot may have, below it and no wider."""
+    _, labels = axes.get_legend_handles_labels()
+    longest = max(map(len, labels), default=0)
+    return max(1, min(len(labels), most, int(110 / (longest + 6))))
 
 
 def _draw_alike(
@@ -144,6 +126,7 @@ def _running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float6
 # Experiments ------------------------------------------------------------------------------------
 
 _MARKERS = "os^Dv<>"
+_MARKS = 7.0  # points
 
 
 def by_problem(
@@ -174,22 +157,6 @@ def by_problem(
         raise InputError("by problem: expected the values of at least one router")
     figure = Figure(figsize=(9, 5.5), layout="constrained")
     axes = figure.subplots()
-    draw_by_problem(axes, values, order, quantity, order_by, open_values=open_values)
-    axes.set_title(fitted(literal(title), 8, 12), fontsize=12)
-    figure.legend(frameon=False, loc="outside lower center", ncols=_across(axes, 4))
-    return figure
-
-
-def draw_by_problem(
-    axes: Axes,
-    values: Mapping[str, NDArray[np.floating]],
-    order: NDArray[np.integer],
-    quantity: str,
-    order_by: str,
-    marks: float = 7.0,
-    open_values: Mapping[str, NDArray[np.floating]] = MappingProxyType({}),
-) -> None:
-    """Draws :func:`by_problem` without title and legend; ``marks`` is the marks' size in points."""
     rank = np.arange(1, len(order) + 1)
     whole = {name: np.asarray(own, np.float64)[order] for name, own in values.items()}
     nothing = np.full(len(order), np.nan)
@@ -204,32 +171,29 @@ def draw_by_problem(
     ends = np.nanmin(every[:, some], axis=0), np.nanmax(every[:, some], axis=0)
     axes.vlines(rank[some], *ends, color=PALE, linewidth=1.2, zorder=1)
     for index, name in enumerate(values):
-        look = {
+        # Smaller from router to router, so that all of them show where they agree.
+        size = max(0.3 * _MARKS, _MARKS - 1.2 * index) * min(1.0, (60 / len(order)) ** 0.5)
+        look: dict[str, Any] = {
             "color": LINES[index % len(LINES)],
             "linestyle": "none",
             "marker": _MARKERS[index % len(_MARKERS)],
-            # Smaller from router to router, so that all of them show where they agree.
-            "markersize": max(0.3 * marks, marks - 1.2 * index)
-            * min(1.0, (60 / len(order)) ** 0.5),
         }
         label = _label(name, whole[name], hollow[name], shown[name])
         full = not np.isnan(whole[name]).all()
-        axes.plot(rank, whole[name], label=label if full else None, **look)
+        axes.plot(rank, whole[name], label=label if full else None, markersize=size, **look)
         if not np.isnan(shown[name]).all() or not full:
-            large = max(1.3 * float(look["markersize"]), 4.5)
-            hollow_look = {**look, "markerfacecolor": "none", "markersize": large}
-            axes.plot(rank, shown[name], label=None if full else label, **hollow_look)
-    axes.grid(color=PALE, linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.set_xlabel(literal(f"problems, sorted by {order_by} [rank]"))
-    axes.set_ylabel(quantity)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+            look |= {"markerfacecolor": "none", "markersize": max(1.3 * size, 4.5)}
+            axes.plot(rank, shown[name], label=None if full else label, **look)
+    _style(axes, literal(f"problems, sorted by {order_by} [rank]"), quantity)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlim(0, len(order) + 1)
     low, high = axes.get_ylim()
     if high - low < 1:  # all values alike, such as no overflow at all: show this one and the next
         value = round((low + high) / 2)
         axes.set_ylim(min(low, value - 0.5), max(high, value + 1.5))
+    axes.set_title(fitted(literal(title), 8, 12), fontsize=12)
+    figure.legend(frameon=False, loc="outside lower center", ncols=_across(axes, 4))
+    return figure
 
 
 def _most(whole: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -280,12 +244,25 @@ def decrease_histogram(
         One panel per router, all with the same axes. To the right of the dashed line the router's
         wirelength is lower.
     """
-    bins = decrease_bins(list(decreases.values()))
+    together = np.concatenate([np.empty(0), *decreases.values()])
+    together = together[~np.isnan(together)]
+    if not together.size:
+        raise InputError("decrease: expected the values of at least one problem")
+    low, high = min(0, np.floor(together.min())), max(0, np.ceil(together.max()))
+    # The bars' width is a whole number of edges, and 0 lies in the middle of one.
+    width = int(max(1, -(-(high - low) // 40)))
+    bins = width * (np.arange(low // width - 1, high // width + 3) - 0.5)
     figure = Figure(figsize=(9, 1.4 + 1.8 * len(decreases)), layout="constrained")
     panels = figure.subplots(len(decreases), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, (name, values) in zip(panels, decreases.items(), strict=True):
-        draw_decreases(axes, values, bins)
-        note = literal(f"{name}: {decrease_note(values)}")
+        # No outline: it would hide the bar of a single problem.
+        axes.hist(values[~np.isnan(values)], bins=bins.tolist(), color=RED)
+        axes.axvline(0, color=INK, linewidth=1, linestyle="--")
+        axes.set_ylabel("problems [count]")
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True, min_n_ticks=1))
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.tick_params(labelbottom=True)
+        note = literal(f"{name}: {_decrease_note(values)}")
         axes.set_title(fitted(note, 8, 10), fontsize=10)
     less = f"decrease in wirelength = {baseline}'s minus the router's [edges]"
     panels[-1].set_xlabel(literal(less))
@@ -293,30 +270,7 @@ def decrease_histogram(
     return figure
 
 
-def decrease_bins(decreases: Sequence[NDArray[np.floating]]) -> NDArray[np.floating]:
-    """The limits of bars that cover all decreases; raises InputError if there are none."""
-    together = np.concatenate([np.empty(0), *decreases])
-    together = together[~np.isnan(together)]
-    if not together.size:
-        raise InputError("decrease: expected the values of at least one problem")
-    low, high = min(0, np.floor(together.min())), max(0, np.ceil(together.max()))
-    # The bars' width is a whole number of edges, and 0 lies in the middle of one.
-    width = int(max(1, -(-(high - low) // 40)))
-    return np.asarray(width * (np.arange(low // width - 1, high // width + 3) - 0.5), np.float64)
-
-
-def draw_decreases(axes: Axes, values: NDArray[np.floating], bins: NDArray[np.floating]) -> None:
-    """Draws a panel of :func:`decrease_histogram` without its title."""
-    # No outline: it would hide the bar of a single problem.
-    axes.hist(values[~np.isnan(values)], bins=bins.tolist(), color=RED)
-    axes.axvline(0, color=INK, linewidth=1, linestyle="--")
-    axes.set_ylabel("problems [count]")
-    axes.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True, min_n_ticks=1))
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.tick_params(labelbottom=True)
-
-
-def decrease_note(values: NDArray[np.floating]) -> str:
+def _decrease_note(values: NDArray[np.floating]) -> str:
     """A note that sums up some decreases; those that are NaN are of problems with open nets."""
     known = values[~np.isnan(values)]
     left_out = len(values) - len(known)

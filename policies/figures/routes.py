@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -35,7 +35,6 @@ from policies.figures.style import (
     literal,
 )
 from policies.results.utilisation import (
-    UtilisationMaps,
     histogram_counts,
     overflowed_edges,
     routable_edges,
@@ -55,171 +54,42 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
     red: the more tracks, the darker, with the number where there is room. Where a few Gcells have
     far more vias than all others, the scale of vias ends below them and says so.
 
-    Args:
-        problem: the problem, which gives the capacities.
-        solution: the routes.
-        title: text before wirelength and overflow in the title.
-
     Returns:
         Three panels with colour bars: number of vias, demand / capacity in %, and overflow.
     """
     columns, rows, _ = problem.grid
+    maps = utilisation_maps(problem, solution)
+    overflows = maps.vertical_overflow, maps.horizontal_overflow
+    most = max(int(overflow.max(initial=0)) for overflow in overflows)
     # Side by side; one above the other where the grid is wide. In inches.
     stacked = columns > 2 * rows
     across = 9 if stacked else float(np.clip(3.4 * columns / rows, 0.8, 3.4))
     height = across * rows / columns
     height = max(height, 1) if stacked else min(height, 9)
-    beside = 1.2 + SECOND_BAR * bool(map_scale([utilisation_maps(problem, solution)]).overflow)
+    beside = 1.2 + _SECOND_BAR * bool(most)
     size = (across + beside + 0.4, 3 * height + 4)
     if not stacked:
         size = (3 * max(across + beside, 3), height + 1.5)
     figure = Figure(figsize=size, layout="constrained")
     figure.suptitle(fitted(_heading(problem, solution, title), size[0] - 0.5, 12), fontsize=12)
     panels = figure.subplots(3, 1) if stacked else figure.subplots(1, 3)
-    for axes, (direction, of) in zip(panels, _DIRECTIONS.items(), strict=True):
-        draw_map(axes, problem, solution, direction, across)
-        axes.set_title(f"{axes.get_title()}\n({of})", fontsize=11)
-    notes = map_notes(problem, solution)
-    if notes:
-        figure.legend(handles=notes, loc="outside lower center", ncols=2, frameon=False)
-    return figure
-
-
-Direction = Literal["vias", "vertical", "horizontal"]
-"""The edges that a heat map shows."""
-
-_DIRECTIONS: dict[Direction, str] = {
-    "vias": "edges between layers",
-    "vertical": "between row y and y + 1",
-    "horizontal": "between column x and x + 1",
-}
-
-
-class MapScale(NamedTuple):
-    """The colours of heat maps that are to be compared.
-
-    Attributes:
-        vias: the number of vias at the end of the scale.
-        most_vias: the largest number in any map.
-        overflow: the largest overflow in any map, in tracks.
-    """
-
-    vias: int
-    most_vias: int
-    overflow: int
-
-
-def map_scale(maps: Sequence[UtilisationMaps]) -> MapScale:
-    """One scale for some maps, which a few outliers do not spoil.
-
-    Vias are scaled to their largest number, or to the 98th percentile of the fields with any if the
-    largest is more than twice as much and two.
-    """
-    counts = np.concatenate([own.via.ravel() for own in maps])
-    most = int(counts.max(initial=0))
-    usual = int(np.quantile(counts[counts > 0], 0.98, method="lower")) if most else 0
-    over = max(
-        int(direction.max(initial=0))
-        for own in maps
-        for direction in (own.vertical_overflow, own.horizontal_overflow)
+    values = maps.via, maps.vertical, maps.horizontal
+    names = (
+        "Vias\n(edges between layers)",
+        "Vertical edges\n(between row y and y + 1)",
+        "Horizontal edges\n(between column x and x + 1)",
     )
-    return MapScale(usual if most > 2 * usual + 2 else most, most, over)
-
-
-SECOND_BAR = 0.75
-"""The width that the colour bar of the overflow takes beside the other one, in inches."""
-
-_OVERFLOW = LinearSegmentedColormap.from_list("overflow", ["#FF8060", RED, "#5A0A00"])
-"""Colours of overflow, the darker the more; none of them is on the scale of utilisation."""
-
-
-def draw_map(
-    axes: Axes,
-    problem: Problem,
-    solution: Solution,
-    direction: Direction,
-    across: float,
-    scale: MapScale | None = None,
-) -> None:
-    """Draws one of the :func:`heat_maps`; ``across`` is about the width of the grid in inches."""
-    maps = utilisation_maps(problem, solution)
-    scale = scale or map_scale([maps])
-    overflow = None
-    if direction == "vias":
-        values = maps.via.astype(np.float64)
-    elif direction == "vertical":
-        values, overflow = maps.vertical, maps.vertical_overflow
-    else:
-        values, overflow = maps.horizontal, maps.horizontal_overflow
-    columns, rows, _ = problem.grid
-    _prepare(axes, problem, "Vias" if direction == "vias" else f"{direction.title()} edges")
-    if not values.size:
-        turn = "horizontal" if columns > 2 * rows else "vertical"
-        middle: Any = {"ha": "center", "va": "center", "transform": axes.transAxes}
-        axes.text(0.5, 0.5, "no such edges", rotation=turn, **middle)
-        return
     # A field of one Gcell's size lies in the middle between the Gcells it joins.
-    side = maps.side
-    left, bottom = -0.5 * (direction != "horizontal"), -0.5 * (direction != "vertical")
-    place: dict[str, Any] = {
-        "origin": "lower",
-        "extent": (left, left + side * len(values), bottom, bottom + side * values.shape[1]),
-    }
-    colours = matplotlib.colormaps["viridis"].with_extremes(over=MAGENTA, bad=_NO_CAPACITY)
-    top = max(1, scale.vias) if overflow is None else 100
-    # Demand without capacity is infinite, which matplotlib would take for missing.
-    image = axes.imshow(np.minimum(values, 1e9).T, cmap=colours, vmin=0, vmax=top, **place)
-    beyond = overflow is None and scale.most_vias > scale.vias
-    # Inside the panel's own axes, so that it is as high as the map.
-    inside = axes.inset_axes((1 + 0.1 / across, 0, 0.18 / across, 1))
-    bar = axes.figure.colorbar(image, cax=inside, extend="max" if beyond else "neither")
-    if overflow is None:
-        bar.set_label(f"vias [count], at most {scale.most_vias}" if beyond else "vias [count]")
-        bar.locator = MaxNLocator(nbins=8, integer=True)
-        return
-    bar.set_label("demand / capacity [%]")
-    # The last fields may reach beyond the grid, which is all that is to be seen.
-    axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
-    if overflow.any():
-        levels = min(scale.overflow, 256)
-        # From pale to dark; a single level is in between.
-        shades = _OVERFLOW(np.linspace(0, 1, levels) if levels > 1 else [0.5])
-        over = axes.imshow(
-            np.ma.masked_equal(overflow, 0).T,
-            cmap=ListedColormap(shades),
-            norm=Normalize(0.5, scale.overflow + 0.5),
-            **place,
-        )
-        inside = axes.inset_axes((1 + (0.1 + SECOND_BAR) / across, 0, 0.18 / across, 1))
-        bar = axes.figure.colorbar(over, cax=inside)
-        bar.set_label("overflow [tracks]")
-        bar.locator = MaxNLocator(nbins=8, integer=True, min_n_ticks=1)
-        field = 72 * across / columns * side
-        if field >= _ROOM:
-            for x, y in np.argwhere(overflow).tolist():
-                axes.text(
-                    left + (x + 0.5) * side,
-                    bottom + (y + 0.5) * side,
-                    str(overflow[x, y]),
-                    ha="center",
-                    va="center",
-                    color=INK if 2 * overflow[x, y] <= scale.overflow else "white",
-                    fontsize=min(8, 0.6 * field),
-                    clip_on=True,
-                )
-
-
-_ROOM = 10
-"""Points across a field from which on a number is drawn in it."""
-
-_NO_CAPACITY = "#BBBBBB"
-
-
-def map_notes(problem: Problem, solution: Solution) -> list[Patch]:
-    """Legend entries for the marks that the :func:`heat_maps` of a solution have."""
-    maps = utilisation_maps(problem, solution)
+    corners = (-0.5, -0.5), (-0.5, 0.0), (0.0, -0.5)
+    for axes, own, over, name, corner in zip(
+        panels, values, (None, *overflows), names, corners, strict=True
+    ):
+        _prepare(axes, problem, name)
+        _draw_map(axes, own, over, corner, maps.side, across, most)
+        # The last fields may reach beyond the grid, which is all that is to be seen.
+        axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
     notes = []
-    if maps.vertical_overflow.any() or maps.horizontal_overflow.any():
+    if most:
         label = "overflow: each layer's demand above its capacity, summed"
         notes.append(Patch(facecolor=RED, label=label))
     if np.isnan(maps.vertical).any() or np.isnan(maps.horizontal).any():
@@ -227,7 +97,94 @@ def map_notes(problem: Problem, solution: Solution) -> list[Patch]:
     if maps.side > 1:
         label = f"a field shows {maps.side}x{maps.side} Gcells"
         notes.append(Patch(facecolor="none", edgecolor=INK, label=label))
-    return notes
+    if notes:
+        figure.legend(handles=notes, loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+_SECOND_BAR = 0.75
+"""The width that the colour bar of the overflow takes beside the other one, in inches."""
+
+_ROOM = 10
+"""Points across a field from which on a number is drawn in it."""
+
+_NO_CAPACITY = "#BBBBBB"
+
+_OVERFLOW = LinearSegmentedColormap.from_list("overflow", ["#FF8060", RED, "#5A0A00"])
+"""Colours of overflow, the darker the more; none of them is on the scale of utilisation."""
+
+
+def _draw_map(
+    axes: Axes,
+    values: NDArray[Any],
+    overflow: NDArray[np.int64] | None,
+    corner: tuple[float, float],
+    side: int,
+    across: float,
+    most: int,
+) -> None:
+    """Draws one of the :func:`heat_maps`, with fields of ``side`` Gcells from a corner on.
+
+    ``across`` is about the width of the grid in inches, ``most`` the largest overflow in any map.
+    """
+    low, high = axes.get_xlim()
+    if not values.size:
+        turn = "horizontal" if high - low > 2 * np.ptp(axes.get_ylim()) else "vertical"
+        middle: Any = {"ha": "center", "va": "center", "transform": axes.transAxes}
+        axes.text(0.5, 0.5, "no such edges", rotation=turn, **middle)
+        return
+    left, bottom = corner
+    place: dict[str, Any] = {
+        "origin": "lower",
+        "extent": (left, left + side * len(values), bottom, bottom + side * values.shape[1]),
+    }
+    colours = matplotlib.colormaps["viridis"].with_extremes(over=MAGENTA, bad=_NO_CAPACITY)
+    top, largest = 100, 0
+    if overflow is None:
+        # Of vias the 98th percentile of the fields with any, if the largest is more than twice as
+        # much and two: a few outliers do not spoil the scale.
+        largest = int(values.max(initial=0))
+        top = int(np.quantile(values[values > 0], 0.98, method="lower")) if largest else 1
+        top = top if largest > 2 * top + 2 else max(largest, 1)
+    # Demand without capacity is infinite, which matplotlib would take for missing.
+    image = axes.imshow(np.minimum(values, 1e9).T, cmap=colours, vmin=0, vmax=top, **place)
+    # Inside the panel's own axes, so that it is as high as the map.
+    inside = axes.inset_axes((1 + 0.1 / across, 0, 0.18 / across, 1))
+    bar = axes.figure.colorbar(image, cax=inside, extend="max" if largest > top else "neither")
+    if overflow is None:
+        bar.set_label(f"vias [count], at most {largest}" if largest > top else "vias [count]")
+        bar.locator = MaxNLocator(nbins=8, integer=True)
+        return
+    bar.set_label("demand / capacity [%]")
+    if not overflow.any():
+        return
+    levels = min(most, 256)
+    # From pale to dark; a single level is in between.
+    shades = _OVERFLOW(np.linspace(0, 1, levels) if levels > 1 else [0.5])
+    over = axes.imshow(
+        np.ma.masked_equal(overflow, 0).T,
+        cmap=ListedColormap(shades),
+        norm=Normalize(0.5, most + 0.5),
+        **place,
+    )
+    inside = axes.inset_axes((1 + (0.1 + _SECOND_BAR) / across, 0, 0.18 / across, 1))
+    bar = axes.figure.colorbar(over, cax=inside)
+    bar.set_label("overflow [tracks]")
+    bar.locator = MaxNLocator(nbins=8, integer=True, min_n_ticks=1)
+    field = 72 * across / (high - low) * side
+    if field < _ROOM:
+        return
+    for x, y in np.argwhere(overflow).tolist():
+        axes.text(
+            left + (x + 0.5) * side,
+            bottom + (y + 0.5) * side,
+            str(overflow[x, y]),
+            ha="center",
+            va="center",
+            color=INK if 2 * overflow[x, y] <= most else "white",
+            fontsize=min(8, 0.6 * field),
+            clip_on=True,
+        )
 
 
 def utilisation_histogram(problem: Problem, solution: Solution, title: str = "") -> Figure:
@@ -244,24 +201,6 @@ def utilisation_histogram(problem: Problem, solution: Solution, title: str = "")
     """
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
-    note = draw_histogram(axes, problem, solution)
-    axes.text(
-        10.5,
-        0.985,
-        note,
-        ha="center",
-        va="top",
-        color=RED,
-        fontsize=9,
-        transform=axes.get_xaxis_transform(),
-    )
-    axes.set_title(fitted(_heading(problem, solution, title), 8, 12), fontsize=12)
-    axes.legend(frameon=False, loc="upper center")
-    return figure
-
-
-def draw_histogram(axes: Axes, problem: Problem, solution: Solution) -> str:
-    """Draws :func:`utilisation_histogram` without title and legend; returns a note for it."""
     counts = histogram_counts(problem, solution)
     bins = np.arange(12)
     for row, (label, colour, hatch) in enumerate(
@@ -280,15 +219,17 @@ def draw_histogram(axes: Axes, problem: Problem, solution: Solution) -> str:
     axes.axvspan(9.5, 11.5, color=RED, alpha=0.12, zorder=0)
     axes.set_xticks(bins, [*(f"{10 * n}–{10 * n + 10}" for n in range(10)), "100", "> 100"])
     axes.tick_params(axis="x", labelsize=9)
-    axes.set_xlim(-0.6, 11.5)
-    axes.set_ylim(0, max(1.0, 1.3 * counts.max()))
+    axes.set(xlim=(-0.6, 11.5), ylim=(0, max(1.0, 1.3 * counts.max())), ylabel="edges [count]")
     axes.set_xlabel("utilisation = demand / capacity [%], a range without its upper end")
-    axes.set_ylabel("edges [count]")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     note = f"{int(counts[:, 10:].sum())} of {_edges(int(counts.sum()))}\nat or above 100 %"
     if stray := stray_edges(problem, solution):
         note += f"\n(and {_edges(stray)} used\nwithout capacity)"
-    return note
+    place: Any = {"ha": "center", "va": "top", "transform": axes.get_xaxis_transform()}
+    axes.text(10.5, 0.985, note, color=RED, fontsize=9, **place)
+    axes.set_title(fitted(_heading(problem, solution, title), 8, 12), fontsize=12)
+    axes.legend(frameon=False, loc="upper center")
+    return figure
 
 
 def edges_before_after(problem: Problem, solution: Solution, title: str = "") -> Figure:
@@ -306,16 +247,6 @@ def edges_before_after(problem: Problem, solution: Solution, title: str = "") ->
     """
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
-    draw_edges(axes, problem, solution)
-    kind = axes.get_title()
-    title = literal(f"{title}: {kind}" if title else kind)
-    axes.set_title(fitted(title, 8, 12), fontsize=12)
-    axes.legend(frameon=False, loc="upper left", ncols=3)
-    return figure
-
-
-def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
-    """Draws :func:`edges_before_after`; the title names the type of the problem."""
     _, _, before, demand, count = routable_edges(problem, solution)
     after = before - demand
     edges = int(count.sum())
@@ -329,14 +260,11 @@ def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
             values[np.searchsorted(borders, common[:-1], "right") - 1] for values, borders in curves
         )
         axes.stairs(upper, common, baseline=lower, fill=True, color=BLUE, alpha=0.1)
-    for (remaining, borders), look in zip(
-        curves,
-        (
-            {"color": BLUE, "linestyle": "-", "label": "before routing"},
-            {"color": RED, "linestyle": "--", "label": "after routing"},
-        ),
-        strict=True,
-    ):
+    looks: list[dict[str, Any]] = [
+        {"color": BLUE, "linestyle": "-", "label": "before routing"},
+        {"color": RED, "linestyle": "--", "label": "after routing"},
+    ]
+    for (remaining, borders), look in zip(curves, looks, strict=True):
         axes.stairs(remaining, borders, baseline=None, linewidth=2, **look)
     if over:
         axes.plot(
@@ -370,7 +298,9 @@ def draw_edges(axes: Axes, problem: Problem, solution: Solution) -> None:
     kind = f"Type II: {_edges(full)} fully used" if full else "Type I: no edge fully used"
     if stray := stray_edges(problem, solution):
         kind += f" (and {_edges(stray)} used without capacity)"
-    axes.set_title(kind)
+    axes.set_title(fitted(literal(f"{title}: {kind}" if title else kind), 8, 12), fontsize=12)
+    axes.legend(frameon=False, loc="upper left", ncols=3)
+    return figure
 
 
 def _descending(
@@ -447,10 +377,6 @@ def _tracks(problem: Problem, solutions: Sequence[Solution]) -> NDArray[np.int64
 def shifts(problem: Problem, solutions: Sequence[Solution]) -> tuple[NDArray[np.float64], float]:
     """How far to shift nets along x = y so that no two lie upon each other, in Gcells.
 
-    Args:
-        problem: the problem.
-        solutions: at least one; in all of them every net has the same place.
-
     Returns:
         (nets,) float64, and the distance between two tracks.
     """
@@ -501,11 +427,6 @@ def solution_2d(problem: Problem, solution: Solution, title: str = "") -> Figure
     Nets that pass through the same Gcell are drawn on tracks side by side, so that they can be
     told apart. Of more than 1000 nets, a map of the congestion is drawn instead.
 
-    Args:
-        problem: the problem.
-        solution: the routes.
-        title: text before wirelength and overflow in the title.
-
     Returns:
         One drawing, with pins, vias and overflowed edges marked.
     """
@@ -514,12 +435,12 @@ def solution_2d(problem: Problem, solution: Solution, title: str = "") -> Figure
     size = (side * min(1, max(columns / rows, 0.5)), side * min(1, max(rows / columns, 0.3)) + 1.2)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
-    draw_routes(axes, problem, solution, title, side / max(columns, rows))
+    _draw_routes(axes, problem, solution, title, side / max(columns, rows))
     _legend(figure, problem, [solution], 3 if size[0] < 7 else 6)
     return figure
 
 
-def draw_routes(
+def _draw_routes(
     axes: Axes,
     problem: Problem,
     solution: Solution,
@@ -618,14 +539,8 @@ def solution_3d(problem: Problem, solution: Solution, title: str = "") -> Figure
 def comparison(solutions: Mapping[str, Solution]) -> Figure:
     """The solutions of several routers for one problem, drawn side by side as :func:`solution_2d`.
 
-    Args:
-        solutions: the solutions by router's name, all of one problem.
-
     Returns:
         One drawing per router, with wirelength and overflow in its title.
-
-    Raises:
-        InputError: there is no solution, or one belongs to another problem.
     """
     if not solutions:
         raise InputError("comparison: expected at least one solution")
@@ -644,7 +559,7 @@ def comparison(solutions: Mapping[str, Solution]) -> Figure:
     panels = figure.subplots(down, across, squeeze=False).ravel()
     for axes, (name, solution) in zip(panels, solutions.items(), strict=False):
         gcell = 0.8 * side / max(columns, rows)
-        draw_routes(axes, problem, solution, name, gcell, list(solutions.values()))
+        _draw_routes(axes, problem, solution, name, gcell, list(solutions.values()))
     for axes in panels[len(solutions) :]:
         axes.set_axis_off()
     _legend(figure, problem, list(solutions.values()), 3 if across == 1 else 6)
@@ -703,24 +618,6 @@ def _legend(
     """Adds a legend of lines and marks; vias are upright lines in three dimensions."""
     if crowded(problem):
         return
-    figure.legend(
-        handles=route_notes(problem, solutions, upright),
-        loc="outside lower center",
-        ncols=ncols,
-        frameon=False,
-        title=SHIFTED,
-        title_fontsize=9,
-    )
-
-
-SHIFTED = "nets are shifted within their Gcells to be told apart"
-"""A note for the legend of every drawing of routes."""
-
-
-def route_notes(
-    problem: Problem, solutions: Sequence[Solution], upright: bool = False
-) -> list[Line2D | Patch]:
-    """Legend entries for the lines and marks of a drawing of routes."""
     layers = problem.grid[2]
     mark: Any = {"color": INK, "linestyle": "none"}
     upright_via = Line2D([], [], color=VIA, label="via")
@@ -735,4 +632,11 @@ def route_notes(
     ]
     if any(len(overflowed_edges(problem, solution)) for solution in solutions):
         handles.append(Patch(color=BAND, label="overflowed edge"))
-    return handles
+    figure.legend(
+        handles=handles,
+        loc="outside lower center",
+        ncols=ncols,
+        frameon=False,
+        title="nets are shifted within their Gcells to be told apart",
+        title_fontsize=9,
+    )

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from marouting.batch.prices import Negotiation
 from marouting.config import (
     MOST,
     Named,
@@ -46,6 +47,8 @@ class TrainOptions:
         start: the networks that the training begins with: a file of trained ones (``policy.pt`` or
             a checkpoint), of the problem of the same name if it holds several, or ``generalist``,
             the one that is shipped; None: random weights. They must be of the same shape.
+        negotiation: how nets negotiate by prices in the games, for the generalist
+            (:class:`marouting.batch.prices.Negotiation`); None: they do not.
         policy: which network is saved: ``best``, that of the best evaluation, or ``last``, for a
             learner whose steps get smaller to the end.
         device: ``cpu``, or ``cuda`` for the networks.
@@ -64,6 +67,7 @@ class TrainOptions:
     best: Literal["routes", "reward"] = "routes"
     evaluate_every: int = 10
     start: str | None = None
+    negotiation: Negotiation | None = None
     policy: Literal["best", "last"] = "best"
     device: str = "cpu"
     threads: int = 1

@@ -1,7 +1,7 @@
 """How moves are chosen in play: greedily but for a random share, or at random by their scores.
 
 Every game has its own random numbers, functions of a key and of the number of the step (see
-:mod:`policies.learned.streams`): its moves do not depend on what else is played beside it.
+:mod:`policies.learned.counter_rng`): its moves do not depend on what else is played beside it.
 """
 
 from typing import Any
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from marouting.game import NOBODY
 from marouting.kernels import compiled
 from marouting.player import StepBuffers
-from policies.learned.rows import COUNT, Rows
-from policies.learned.streams import uniform
+from policies.learned.counter_rng import uniform
+from policies.learned.per_network import COUNT, PerNetworkState
 
 
-class Exploration(Rows):
+class Exploration(PerNetworkState):
     """The random numbers of all games.
 
     Args:
@@ -35,7 +35,7 @@ class Exploration(Rows):
         self.epsilon = np.ones(keys.shape)
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
+        """See :meth:`.PerNetworkState.limits`."""
         return {**super().limits(), "counters": COUNT, "epsilon": (0.0, 1.0)}
 
     def epsilon_greedy(self, now: StepBuffers, values: NDArray[np.float32], masking: bool) -> None:
@@ -86,19 +86,7 @@ def choose(
     keys: Any, counters: Any, epsilon: Any, active: Any, masks: Any, values: Any, masking: bool,
     actions: Any, m: int,
 ) -> None:  # fmt: skip
-    """ε-greedy moves of game m; the arrays are those of all M games.
-
-    Args:
-        keys: (M,) uint64.
-        counters: (M,); the game's counts on.
-        epsilon: (M,) chance of a random move.
-        active: (M, K) rows whose agents may move.
-        masks: (M, K, A) action masks.
-        values: (M, K, A) what the network expects of each move.
-        masking: whether only moves that cross an edge are chosen.
-        actions: (M, K) filled, NOBODY for rows that are not active.
-        m: the game.
-    """
+    """ε-greedy moves of game m; the arrays are those of all M games."""
     asked = False
     for k in range(active.shape[1]):
         actions[m, k] = NOBODY

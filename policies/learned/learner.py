@@ -19,11 +19,11 @@ from torch import Tensor, nn
 from marouting.game import NOBODY
 from marouting.player import Player
 from marouting.problem.grid import MOVES
-from policies.learned.compiled import greedy
-from policies.learned.memory.before import Before
+from policies.learned import greedy
+from policies.learned.counter_rng import keys
+from policies.learned.memory.pre_step import PreStep
 from policies.learned.networks.stack import Stack
-from policies.learned.rows import COUNT, Rows
-from policies.learned.streams import keys
+from policies.learned.per_network import COUNT, PerNetworkState
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Setup:
         return keys(self.seed, self.game_names or made, purpose).reshape(-1, each)
 
 
-class Learner(Rows, abc.ABC):
+class Learner(PerNetworkState, abc.ABC):
     """L networks that learn, and all that they learn with.
 
     A subclass is a piece of the kind ``learner``: its attribute ``Options`` is a dataclass with
@@ -90,14 +90,14 @@ class Learner(Rows, abc.ABC):
         updates: (L,) int64 gradient steps taken.
         loss: (L,) float64 sum of the losses of all gradient steps.
         path: how it computes, for the log.
-        fill: transitions that each network must have been shown before it plays.
+        learning_starts: transitions that each network must have been shown before it plays.
         burn_in: who plays until then, see :func:`policies.learned.burn_in.guide`.
     """
 
     Options: ClassVar[type[Any]]
     rows: ClassVar[tuple[str, ...]] = ("updates", "loss")
     path: str = "torch"
-    fill: int = 0
+    learning_starts: int = 0
     burn_in: str = "random"
     networks: Stack
     updates: NDArray[np.int64]
@@ -110,7 +110,7 @@ class Learner(Rows, abc.ABC):
         self.loss = torch.zeros(count, dtype=torch.float64, device=setup.device)
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
+        """See :meth:`.PerNetworkState.limits`."""
         return {**super().limits(), "updates": COUNT}
 
     @classmethod
@@ -155,8 +155,14 @@ class Learner(Rows, abc.ABC):
         for row, of in enumerate(weights):
             self.networks.take(row, of)
 
+    def resume(self, player: Player, which: NDArray[np.bool_]) -> None:
+        """Does again what it did to games (M,) whose episodes have begun, before their first moves.
+
+        A checkpoint holds the moves of games; whoever goes on from it makes them again.
+        """
+
     @abc.abstractmethod
-    def observe(self, player: Player, before: Before) -> None:
+    def observe(self, player: Player, before: PreStep) -> None:
         """Takes in what came of the player's last step, whoever chose the moves."""
 
     @abc.abstractmethod

@@ -37,9 +37,9 @@ from policies.results.run_folder import (
     EVALUATIONS,
     METRICS,
     Episode,
-    Walk,
+    GreedyEvaluation,
     read_episodes,
-    read_walks,
+    read_evaluations,
 )
 from policies.results.statistics import gap
 
@@ -92,16 +92,16 @@ class Logs:
             self._events = Events(folder / "tensorboard", problems, reference, drawn=drawn)
             for episode in read_episodes(folder / METRICS):
                 self._events.show(episode)
-            for walk in read_walks(folder / EVALUATIONS):
+            for walk in read_evaluations(folder / EVALUATIONS):
                 self._events.show(walk)
             self._events.start_clock()
 
-    def write(self, episodes: Sequence[Episode], walks: Sequence[Walk] = ()) -> None:
+    def write(self, episodes: Sequence[Episode], walks: Sequence[GreedyEvaluation] = ()) -> None:
         """Logs finished episodes, and evaluations."""
         self._episodes.write(episodes)
         self._walks.write(walks)
         if self._events is not None:
-            lines: list[Episode | Walk] = [*episodes, *walks]
+            lines: list[Episode | GreedyEvaluation] = [*episodes, *walks]
             for line in lines:
                 self._events.show(line)
             self._events.show_speed(_SECONDS)
@@ -149,7 +149,7 @@ class _Lines:
                 raise InputError(f"{path}: expected at least {logged} bytes, as when it was saved")
             self._file.truncate(logged)
 
-    def write(self, lines: Sequence[Episode | Walk]) -> None:
+    def write(self, lines: Sequence[Episode | GreedyEvaluation]) -> None:
         with self._named():
             self._file.writelines(json.dumps(asdict(line)) + "\n" for line in lines)
 
@@ -213,7 +213,7 @@ class Events:
                 self._writer.add_scalar(SPEED, speed, self._moves)
             self.start_clock()
 
-    def show(self, line: Episode | Walk) -> None:
+    def show(self, line: Episode | GreedyEvaluation) -> None:
         """Adds an episode or an evaluation; raises InputError."""
         with self._named():
             if isinstance(line, Episode):
@@ -238,7 +238,7 @@ class Events:
         if len(waiting) == len(self._problems):
             self._add_means(self._waiting.pop(episode.episode), episode.episode)
 
-    def _show_walk(self, walk: Walk) -> None:
+    def _show_walk(self, walk: GreedyEvaluation) -> None:
         values = self._figures("greedy", walk)
         self._add(values, walk.problem, walk.episodes)
         self._walked[walk.problem] = walk.episodes, values
@@ -247,7 +247,7 @@ class Events:
             self._add_means(figures, min(episodes))
             self._walked.clear()
 
-    def _figures(self, prefix: str, of: Episode | Walk) -> dict[str, float]:
+    def _figures(self, prefix: str, of: Episode | GreedyEvaluation) -> dict[str, float]:
         """Open tasks, overflow, wirelength, and the gap where it is known."""
         found = (of.tasks - of.joined, of.overflow, of.wirelength)
         names = (f"{prefix}_open", f"{prefix}_overflow", f"{prefix}_wirelength")

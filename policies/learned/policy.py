@@ -6,7 +6,6 @@ import os
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,37 +15,48 @@ from torch import nn
 
 from marouting import EnvOptions, InputError, Problem, Solution
 from marouting.batch.engine import Engine
+from marouting.batch.prices import Negotiation
 from marouting.config import MOST, build, piece
 from marouting.observations import has_move_order, move_order_of
 from marouting.options import ORDERS
 from marouting.player import Player
 from marouting.registry import allowing_code
-from marouting.source import Draws
+from marouting.source import ProblemSampler
+from policies.learned import greedy
 from policies.learned.checkpoint import checked, read_checkpoint
-from policies.learned.compiled import greedy
 from policies.learned.learner import best_moves, play_steps
 
-SHIPPED = Path(__file__).with_name("generalist.pt")
-"""The weights of the generalist that are shipped."""
 
-
-def player_of(env: EnvOptions, problems: Sequence[Problem] | Draws) -> Player:
+def player_of(
+    env: EnvOptions,
+    problems: Sequence[Problem] | ProblemSampler,
+    negotiation: Negotiation | None = None,
+    kind: type[Player] = Player,
+) -> Player:
     """What plays problems as a configuration's ``env`` says, by the observation's own moves.
 
     Args:
         env: the options.
         problems: the problems, or what games draw theirs from.
+        negotiation: how nets negotiate; None: they do not.
+        kind: the class of the player.
 
     Raises:
         InputError: the problems do not go together.
     """
-    draws = problems if isinstance(problems, Draws) else None
+    draws = problems if isinstance(problems, ProblemSampler) else None
     room = draws.episodes.room if draws else None
-    held = problems.problems.tolist() if isinstance(problems, Draws) else problems
-    engine = Engine(held, env, room=room, turn_order=env.turn_order or ORDERS[env.agents])
+    held = problems.problems.tolist() if isinstance(problems, ProblemSampler) else problems
+    engine = Engine(
+        held,
+        env,
+        room=room,
+        negotiation=negotiation,
+        turn_order=env.turn_order or ORDERS[env.agents],
+    )
     observation, reward = env.observation.make(), env.reward.make()
     everyone = env.agents == "multi"
-    return Player(engine, observation, reward, everyone=everyone, draws=draws, turned=True)
+    return kind(engine, observation, reward, everyone=everyone, draws=draws, turned=True)
 
 
 def check_weights(weights: Mapping[str, Any], module: nn.Module) -> None:
@@ -80,6 +90,7 @@ class TrainedPolicy:
         obs_shape: S.
         env: the game that it was trained in.
         origin: where it is from, for reports.
+        negotiation: how nets negotiate in it; None: they do not.
     """
 
     def __init__(
@@ -89,9 +100,11 @@ class TrainedPolicy:
         obs_shape: tuple[int, ...],
         env: EnvOptions,
         origin: str = "",
+        negotiation: Negotiation | None = None,
     ) -> None:
         self.module, self.masking = module, masking
         self.obs_shape, self.env, self.origin = obs_shape, env, origin
+        self.negotiation = negotiation
         self._observation = env.observation.make()
 
     @staticmethod
@@ -123,6 +136,8 @@ class TrainedPolicy:
             if not all(type(size) is int and 0 < size <= MOST for size in obs_shape):
                 raise ValueError("obs_shape: expected whole numbers above 0")
             env = build(EnvOptions, state["env"], f"{where}: env")
+            told = state.get("negotiation")
+            negotiation = told and build(Negotiation, told, f"{where}: negotiation")
             learner = piece("learner", state["learner"], where=f"{where}: learner")
             if not names or len({len(names), len(weights), len(episodes)}) > 1:
                 raise ValueError(f"{len(names)} names, {len(weights)} networks")
@@ -146,7 +161,8 @@ class TrainedPolicy:
         except (InputError, RuntimeError, AttributeError, TypeError, ArithmeticError) as error:
             reason = " ".join(str(error).split())[:120]
             raise InputError(f"{where}: weights do not fit the network: {reason}") from None
-        return TrainedPolicy(module, masking, obs_shape, env, policy_origin(episodes[row]))
+        origin = policy_origin(episodes[row])
+        return TrainedPolicy(module, masking, obs_shape, env, origin, negotiation)
 
     def act(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> int:
         """The best move; see :class:`policies.routers.base.Policy`."""
@@ -174,7 +190,7 @@ class TrainedPolicy:
             InputError: the game shows observations of another shape than the network was trained
                 on.
         """
-        player = player_of(self.env, [problem])
+        player = player_of(self.env, [problem], self.negotiation)
         shape = player.buffers.obs.shape[2:]
         if shape != self.obs_shape:
             raise InputError(

@@ -24,7 +24,7 @@ from marouting.files import FILE_NAME, exists, is_file_name, naming, write_text,
 from marouting.generator import GeneratorOptions
 from marouting.registry import allowing_code
 from marouting.scenarios import get
-from marouting.source import Draws, Episodes, fixed_problems, load_problems
+from marouting.source import ProblemSampler, ProblemStream, fixed_problems, load_problems
 from policies.interrupts import interrupt
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
@@ -90,7 +90,7 @@ def _save(state: Mapping[str, Any], path: Path) -> None:
 
 def problems_of(
     config: Config, kept: Mapping[str, Problem] | None = None
-) -> tuple[dict[str, Problem], Draws | None]:
+) -> tuple[dict[str, Problem], ProblemSampler | None]:
     """The problems of a training by name, and what its games draw theirs from.
 
     Args:
@@ -115,16 +115,16 @@ def problems_of(
         what = f"at most {len(found)}, those of the split, found {shown}"
         check("train.validation", shown <= len(found), what)
         found = dict(list(found.items())[:shown])
-        episodes = Episodes(None, env.scenario)
+        episodes = ProblemStream(None, env.scenario)
     elif env.scenario is None and generated:
         shown = _GENERATED if train.validation is None else train.validation
-        episodes = Episodes(env.problem, held_out=shown)
+        episodes = ProblemStream(env.problem, held_out=shown)
         found = dict(map(episodes.problem, range(shown)))
     else:
         check("train.validation", train.validation is None, "null: it is the set itself")
         found = fixed_problems(env) if kept is None else kept
-        episodes = Episodes.of(dict(sorted(found.items())))
-    draws = None if episodes is None else Draws(episodes, config.seed, train.games or 1)
+        episodes = ProblemStream.of(dict(sorted(found.items())))
+    draws = None if episodes is None else ProblemSampler(episodes, config.seed, train.games or 1)
     return dict(sorted((found if kept is None else kept).items())), draws
 
 

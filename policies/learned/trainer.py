@@ -12,7 +12,7 @@ import functools
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,33 +21,26 @@ from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
 from marouting.batch.engine import Metrics
-from marouting.batch.saved import checked_demand
-from marouting.batch.state import Dynamic
 from marouting.config import check, code_named, plain
 from marouting.game import NOBODY
 from marouting.observations import state_space_of
 from marouting.options import PLAYED
-from marouting.player import Saved, StepBuffers
 from marouting.registry import allowing_code
-from marouting.source import Draws
+from marouting.source import ProblemSampler
+from policies.generalist import SHIPPED
 from policies.learned.burn_in import GUIDES, guide, read_solutions
 from policies.learned.checkpoint import ANY, FINITE, POLICY_FORMAT, TRAINING_FORMAT, checked
 from policies.learned.config import Config
+from policies.learned.counter_rng import keys
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
-from policies.learned.memory.before import Before
-from policies.learned.policy import (
-    SHIPPED,
-    TrainedPolicy,
-    check_weights,
-    player_of,
-    policy_origin,
-)
-from policies.learned.rows import COUNT
-from policies.learned.streams import keys
+from policies.learned.logged_player import LoggedPlayer
+from policies.learned.memory.pre_step import PreStep
+from policies.learned.per_network import COUNT
+from policies.learned.policy import TrainedPolicy, check_weights, player_of, policy_origin
 from policies.learned.threads import use_threads
 from policies.results.rows import LARGEST
-from policies.results.run_folder import Episode, Walk
+from policies.results.run_folder import Episode, GreedyEvaluation
 
 SHARED = ("all",)
 """The name of the network that all problems share, where there is one."""
@@ -84,7 +77,7 @@ class Trainer:
     """
 
     def __init__(
-        self, problems: Mapping[str, Problem], config: Config, draws: Draws | None = None
+        self, problems: Mapping[str, Problem], config: Config, draws: ProblemSampler | None = None
     ) -> None:
         self.config, self.problems, self.names = config, dict(problems), tuple(problems)
         train, learner = config.train, config.learner
@@ -98,15 +91,17 @@ class Trainer:
             )
         drawn = draws is not None
         check("train.games", drawn or train.games is None, "null: this training's problems stay")
-        self._whole = player_of(config.env, list(problems.values()))
+        self._whole = player_of(config.env, list(problems.values()), config.train.negotiation)
         engine, count = self._whole.engine, 1 if drawn else len(self.names)
+        source: Any = draws
         if draws is not None:
             self._copies = len(draws.counts)
-            self.player = player_of(config.env, draws)
         else:
-            self._copies = int(getattr(learner.options, "copies", 1))
-            each = [problem for problem in problems.values() for _ in range(self._copies)]
-            self.player = player_of(config.env, each)
+            self._copies = int(getattr(learner.options, "num_envs", 1))
+            source = [problem for problem in problems.values() for _ in range(self._copies)]
+        player = player_of(config.env, source, train.negotiation, LoggedPlayer)
+        assert isinstance(player, LoggedPlayer)
+        self.player = player
         b = self.player.buffers
         shapes = [p.buffers.obs.shape[2:] for p in (self._whole, self.player)]
         what = f"the same shape for all problems, found {shapes[0]} and {shapes[1]}"
@@ -134,20 +129,20 @@ class Trainer:
             learner.options,
         )
         guide_ = self.learner.burn_in
-        alone = not drawn or self.learner.fill == 0 or guide_ in GUIDES
+        alone = not drawn or self.learner.learning_starts == 0 or guide_ in GUIDES
         check("burn_in", alone, f"{' or '.join(GUIDES)} with train.games, found {guide_}")
         self.episodes = np.zeros(count, np.int64)
         # What stays of each problem, unless each is played once, and of each network.
         best = 0 if drawn else count
         self.score = np.full((best, 3), np.inf)  # of the best episode: less is better
         self.best_episode = np.full(best, NOBODY, np.int64)
-        self.best_used = engine.dynamic.used[:best].copy()
+        self.best: list[Solution | None] = [None] * best
         networks = 1 if train.shared else count
         self.policy_score = np.full((networks, 3), np.inf)  # of the best network
         self.policy_episode = np.zeros(networks, np.int64)  # after which it was evaluated
         self._policies = self.learner.networks.flat.detach().cpu().clone()
         self._evaluated = np.zeros(networks, np.int64)  # episodes at the last evaluation
-        self.walks: list[Walk] = []
+        self.walks: list[GreedyEvaluation] = []
         self.places = np.arange(count)
         self._before = np.zeros((len(b.over), 2))  # of the network before the episode: loss, steps
         self._left: list[tuple[NDArray[np.int64], dict[str, dict[str, Tensor]]]] = []
@@ -193,7 +188,11 @@ class Trainer:
     @functools.cached_property
     def replayed(self) -> list[Solution]:
         """The solutions that the burn-in replays; raises InputError if they cannot be used."""
-        return read_solutions(self.learner.burn_in, self.problems) if self.learner.fill else []
+        return (
+            read_solutions(self.learner.burn_in, self.problems)
+            if self.learner.learning_starts
+            else []
+        )
 
     @functools.cached_property
     def start(self) -> list[Mapping[str, Tensor]]:
@@ -225,7 +224,7 @@ class Trainer:
     def burn_in(self) -> None:
         """Shows the learner the moves of a guide until every network has seen enough of them."""
         player, learner, config = self.player, self.learner, self.config
-        if learner.fill == 0:
+        if learner.learning_starts == 0:
             return
         b, games = player.buffers, self.games
         moves = guide(learner.burn_in, self.problems, player.engine, config.seed, self.replayed)
@@ -242,10 +241,10 @@ class Trainer:
                 asked = moves.moves(game, b.agents.reshape(-1))
                 b.actions[:] = player.actions_of(asked.reshape(b.actions.shape))
             b.actions[filled] = NOBODY
-            before = Before.of(player)
+            before = PreStep.of(player)
             player.step()
             learner.observe(player, before)
-            enough = learner.stored >= learner.fill
+            enough = learner.stored >= learner.learning_starts
             filled |= np.repeat(enough, len(games) // len(enough))
             if b.over.any():
                 player.reset(b.over.copy())
@@ -289,8 +288,7 @@ class Trainer:
             if best:
                 self.score[problem] = score
                 self.best_episode[problem] = self.episodes[problem]
-                now = player.engine.dynamic.used
-                self.best_used[problem] = now[g]
+                self.best[problem] = player.engine.solution(g)
             steps = updates[g] - self._before[g, 1]
             loss = (float(losses[g]) - float(self._before[g, 0])) / max(int(steps), 1)
             finished.append(
@@ -333,18 +331,18 @@ class Trainer:
             return
         self._evaluated[networks] = episodes
         rows = np.zeros(1, np.int64) if train.shared else np.searchsorted(self.places, networks)
-        taught = np.flatnonzero(np.isin(of, networks)).reshape(len(networks), -1)
-        player = self._whole.part(taught.ravel())
+        shown = np.flatnonzero(np.isin(of, networks)).reshape(len(networks), -1)
+        player = self._whole.part(shown.ravel())
         player.reset()
         self.learner.walk(player, rows)
-        walked = np.array([player.engine.metrics(m) for m in range(taught.size)], object)
+        walked = np.array([player.engine.metrics(m) for m in range(shown.size)], object)
         for network, row, now, places, metrics in zip(
-            networks, rows, episodes, taught, walked.reshape(taught.shape), strict=True
+            networks, rows, episodes, shown, walked.reshape(shown.shape), strict=True
         ):
             score = tuple(np.sum([_score(one, None) for one in metrics], axis=0).tolist())
             best = bool(score < tuple(self.policy_score[network].tolist()))
             self.walks += [
-                Walk(self.names[m], int(played[m]), best=best, **asdict(one))
+                GreedyEvaluation(self.names[m], int(played[m]), best=best, **asdict(one))
                 for m, one in zip(places, metrics, strict=True)
             ]
             if best:
@@ -358,10 +356,7 @@ class Trainer:
 
         There are none where games draw their problems.
         """
-        return {
-            self.names[m]: self._whole.engine.solution(m, self.best_used[m])
-            for m in np.flatnonzero(self.best_episode != NOBODY).tolist()
-        }
+        return {name: best for name, best in zip(self.names, self.best, strict=False) if best}
 
     def policy_of(self, problem: str) -> TrainedPolicy:
         """The saved network of a problem: that of the best evaluation, or of the last."""
@@ -371,7 +366,10 @@ class Trainer:
         module.load_state_dict(self._state_dict(self._policies[row]))
         masking = learner.cls.masks(learner.options)
         origin = policy_origin(int(self.policy_episode[row]))
-        return TrainedPolicy(module, masking, setup.obs_shape, self.config.env, origin)
+        config = self.config
+        return TrainedPolicy(
+            module, masking, setup.obs_shape, config.env, origin, config.train.negotiation
+        )
 
     def origin(self, problem: str) -> str:
         """Which episode a problem's solution is from."""
@@ -381,22 +379,11 @@ class Trainer:
     # --- checkpoints --------------------------------------------------------------------------
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        """What changes in training but the learner, as arrays to copy from or into."""
+        """What changes in training but the learner and the games; to copy from or into."""
         return {
             **{name: getattr(self, name) for name in _OWN},
             "policies": self._policies.numpy(),
             **({"draws": self.player.draws.counts} if self.player.draws else {}),
-            **self._game_arrays(),
-        }
-
-    def _game_arrays(self) -> dict[str, NDArray[Any]]:
-        """What changes in the games in play, a row each."""
-        engine, buffers = self.player.engine, self.player.buffers
-        return {
-            "before": self._before,
-            # Records have no counterpart in torch: their bytes do.
-            **{f"game.{k}": _bytes(v) for k, v in engine.dynamic._asdict().items()},
-            **{f"buffers.{k}": _bytes(v) for k, v in buffers._asdict().items()},
         }
 
     def _rows(self) -> dict[str, dict[str, Tensor]]:
@@ -405,31 +392,34 @@ class Trainer:
         Where problems share a network, none of them leaves, and there is a row for all.
         """
         rows = 1 if self.config.train.shared else len(self.places)
-        games = {
-            name: torch.from_numpy(array.reshape(rows, len(array) // rows, *array.shape[1:]))
-            for name, array in self._game_arrays().items()
-        }
-        return {"training": self.learner.state(), "trainer": games}
+        before = torch.from_numpy(self._before.reshape(rows, -1, 2))
+        return {"training": self.learner.state(), "games": {"before": before}}
 
     def _all_rows(self) -> dict[str, dict[str, Tensor]]:
         """The same of all problems, also of those that have left."""
-        now = self._rows()
-        if not self._left:
-            return now
-        parts = [(self.places, now), *self._left]
-        count = len(self.episodes)
-        whole: dict[str, dict[str, Tensor]] = {part: {} for part in now}
-        for part, of in now.items():
-            for name, rows in of.items():
-                # Hashed rows of bits may be longer for some than for others.
-                shapes = [state[part][name].shape[1:] for _, state in parts]
-                longest = [max(sizes) for sizes in zip(*shapes, strict=True)]
-                whole[part][name] = rows.new_zeros((count, *longest))
-                for places, state in parts:
-                    for row, place in enumerate(places.tolist()):
-                        kept = state[part][name][row]
-                        whole[part][name][place, *map(slice, kept.shape)] = kept
+        whole = self._rows()
+        if self._left:
+            parts = [(self.places, whole), *self._left]
+            order = np.argsort(np.concatenate([places for places, _ in parts]))
+            whole = {
+                part: {
+                    name: torch.cat([state[part][name] for _, state in parts])[order] for name in of
+                }
+                for part, of in whole.items()
+            }
         return whole
+
+    def _under_way(self) -> dict[str, Tensor]:
+        """The moves and rewards of the episodes under way; none in games that have left."""
+        player, count = self.player, len(self.episodes) * self._copies
+        moves, made, total = player.moves, np.zeros(count, np.int64), np.zeros(count)
+        games = (self.places[:, None] * self._copies + np.arange(self._copies)).ravel()
+        made[games], total[games] = player.made, player.buffers.total
+        log = np.full((count, int(made.max()), moves.shape[2]), NOBODY, np.int8)
+        for game, own, steps in zip(games, moves, player.made, strict=True):
+            log[game, :steps] = own[:steps]
+        arrays = {"moves": log, "made": made, "total": total}
+        return {name: torch.from_numpy(array) for name, array in arrays.items()}
 
     def policy(self) -> dict[str, Any]:
         """What it takes to play with the best networks: plain data and tensors."""
@@ -443,6 +433,7 @@ class Trainer:
             "learner": plain(self.config.learner),
             "obs_shape": list(self.learner.setup.obs_shape),
             "env": env,
+            "negotiation": plain(self.config.train.negotiation),
             "weights": [self._state_dict(row) for row in self._policies],
         }
 
@@ -458,15 +449,18 @@ class Trainer:
     def state(self) -> dict[str, Any]:
         """Everything that it takes to go on as if never stopped."""
         rows = self._all_rows()
-        games = {name: row.flatten(0, 1) for name, row in rows["trainer"].items()}
-        own = self._arrays().keys() - games.keys()
         return {
             **self.policy(),
             "format": TRAINING_FORMAT,
             "problems": list(self.names),
             "in_all": self.config.train.episodes,
             "training": rows["training"],
-            "trainer": {name: torch.from_numpy(self._arrays()[name]) for name in own} | games,
+            "trainer": {
+                **{name: torch.from_numpy(array) for name, array in self._arrays().items()},
+                **{name: row.flatten(0, 1) for name, row in rows["games"].items()},
+                **self._under_way(),
+            },
+            "routes": [best and torch.from_numpy(np.stack(best.uses)) for best in self.best],
         }
 
     def load_state(self, state: Mapping[str, Any], where: str) -> None:
@@ -486,47 +480,51 @@ class Trainer:
         then, most = state["in_all"], self.config.train.episodes
         if not (type(then) is int and 1 <= then <= most):
             raise InputError(f"{where}: in_all: expected a number from 1 to {most}")
-        own: dict[str, NDArray[Any]] = self._arrays()
-        for part, names in (("training", self.learner.state().keys()), ("trainer", own.keys())):
+        player, kept = self.player, state["trainer"]
+        own = self._arrays()
+        shaped = {**own, "before": self._before, "total": player.buffers.total, "made": player.made}
+        known = {"training": self.learner.state().keys(), "trainer": {*shaped, "moves"}}
+        for part, names in known.items():
             if more := state[part].keys() - names:
                 raise InputError(f"{where}: {min(more)}: expected nothing of that name")
+        moves = kept.get("moves")
+        steps = moves.shape[1] if isinstance(moves, Tensor) and moves.ndim == 3 else 0
+        shaped["moves"] = np.zeros((len(player.made), steps, player.moves.shape[2]), np.int8)
         limits = {
             **dict.fromkeys(("score", "policy_score"), ANY),
             **dict.fromkeys(("episodes", "policy_episode", "_evaluated"), (0, then)),
-            **dict.fromkeys(("buffers.reward", "buffers.total"), (-LARGEST, LARGEST)),
+            "total": (-LARGEST, LARGEST),
             "best_episode": (NOBODY, then - 1),
             "draws": COUNT,
+            "made": (0, steps),
+            "moves": (NOBODY, player.engine.actions - 1),
         }
         arrays = {
             name: checked(
-                state["trainer"].get(name),
+                kept.get(name),
                 torch.from_numpy(array),
                 f"{where}: {name}",
                 limits.get(name, FINITE),
             ).numpy()
-            for name, array in own.items()
+            for name, array in shaped.items()
         }
         best, played = arrays["best_episode"], arrays["episodes"]
         if (best >= played).any() or ((best == NOBODY) != (played == 0)).any():
             raise InputError(f"{where}: best_episode: expected one of the episodes")
-        dynamic, buffers = self.player.engine.dynamic, self.player.buffers
-        game, seen = _records("game", dynamic, arrays), _records("buffers", buffers, arrays)
-        saved = Saved(game, seen, arrays.get("draws"))
-        try:
-            if saved.counts is not None:
-                self.player.go_to(saved.counts)
-            self.player.check_saved(saved)
-            for m in range(len(self.best_used)):
-                _ = checked_demand(self._whole.engine.static, arrays["best_used"][m : m + 1], m)
-        except ValueError as error:
-            raise InputError(f"{where}: {error}") from None
+        held = zip(state["routes"], self.problems.values(), strict=False)
+        routes = [_routes(uses, problem, where) for uses, problem in held]
+        if [solution is None for solution in routes] != (best == NOBODY).tolist():
+            raise InputError(f"{where}: routes: expected those of every best episode")
         self.learner.load_state(state["training"], f"{where}: ")
-        self.player.restore(saved)
-        self.best_used = arrays["best_used"]
-        for name in (*_OWN, "policies", "before"):
-            if name != "best_used":
-                own[name][...] = arrays[name]
-        over = (saved.dynamic.games["active"] == 0).reshape(-1, self._copies)
+        if "draws" in arrays:
+            player.go_to(arrays["draws"])
+        resume = functools.partial(self.learner.resume, player)
+        player.replay(arrays["moves"], arrays["made"], resume)
+        player.buffers.total[:], self.best = arrays["total"], routes
+        for name in (*_OWN, "policies"):
+            own[name][...] = arrays[name]
+        self._before[...] = arrays["before"]
+        over = player.buffers.over.reshape(-1, self._copies)
         if ((self.episodes < then)[:, None] & over).any():
             raise InputError(f"{where}: expected games of all problems with episodes to train")
         running = self.running
@@ -538,29 +536,29 @@ class Trainer:
         self._tell_episodes()
 
 
-_OWN = (
-    "episodes", "score", "best_episode", "best_used",
-    "policy_score", "policy_episode", "_evaluated",
-)  # fmt: skip
-"""Attributes of a trainer that a checkpoint holds, beside the learner and the games."""
-
-Tuple = TypeVar("Tuple", Dynamic, StepBuffers)
+_OWN = "episodes", "score", "best_episode", "policy_score", "policy_episode", "_evaluated"
+"""Attributes of a trainer that a checkpoint holds, beside the learner, the games and the routes."""
 
 
-def _records(part: str, like: Tuple, arrays: Mapping[str, NDArray[Any]]) -> Tuple:
-    """Arrays from a checkpoint, with the types and names of others."""
-    names = like._asdict().items()
-    return type(like)(*(arrays[f"{part}.{k}"].view(array.dtype) for k, array in names))
+def _routes(kept: Any, problem: Problem, where: str) -> Solution | None:
+    """The routes of a best episode from a checkpoint, None where there is none yet."""
+    if kept is None:
+        return None
+    uses = kept.shape[1] if isinstance(kept, Tensor) and kept.ndim == 2 else 0
+    like = torch.zeros((2, uses), dtype=torch.int64)
+    net, edge = checked(kept, like, f"{where}: routes", COUNT).numpy()
+    nets = len(problem.nets)
+    if (net >= nets).any():
+        raise InputError(f"{where}: routes: expected nets of the problem")
+    order = np.argsort(net, kind="stable")
+    ends = np.searchsorted(net[order], np.arange(1, nets))
+    return Solution(problem, np.split(edge[order], ends))
 
 
 def _score(metrics: Metrics, reward: float | None) -> tuple[float, ...]:
     """What makes an episode better: less is better."""
     by = (metrics.overflow, metrics.wirelength) if reward is None else (-reward, 0.0)
     return (metrics.tasks - metrics.joined, *by)
-
-
-def _bytes(array: NDArray[Any]) -> NDArray[Any]:
-    return array.view(np.uint8) if array.dtype.names else array
 
 
 def _device(name: str) -> torch.device:

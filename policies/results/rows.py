@@ -126,7 +126,7 @@ def solution_row(solution: Solution, seconds: float | None) -> Row:
 
 
 def figures_of(solution: Solution) -> Row:
-    """The figures of a solution but its time: as it is, and without what joins nothing."""
+    """The figures of a solution but its time: as it is, and without dangling branches and loops."""
     figures = asdict(evaluate(solution.problem, solution))
     figures["open_nets"] = len(figures.pop("disconnected"))
     pruned = evaluate(solution.problem, solution.pruned())

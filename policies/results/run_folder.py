@@ -89,7 +89,7 @@ class Episode:
 
 
 @dataclass(frozen=True)
-class Walk:
+class GreedyEvaluation:
     """An episode that a network played without exploration, as ``evaluations.jsonl`` holds it.
 
     Attributes:
@@ -122,9 +122,9 @@ def read_episodes(metrics: Path, size: int | None = None) -> list[Episode]:
     return _read_lines(metrics, Episode, size)
 
 
-def read_walks(evaluations: Path) -> list[Walk]:
+def read_evaluations(evaluations: Path) -> list[GreedyEvaluation]:
     """The evaluations in an ``evaluations.jsonl``; raises InputError naming the line."""
-    return _read_lines(evaluations, Walk)
+    return _read_lines(evaluations, GreedyEvaluation)
 
 
 def _read_lines(path: Path, schema: type[Line], size: int | None = None) -> list[Line]:

@@ -225,7 +225,7 @@ def summarise(rows: Sequence[Row], reference: str | None = None) -> list[dict[st
         ``overflow``, the total in tracks; ``zero_overflow``, the number of problems without
         overflow and without open tasks; ``open``, the total of open tasks;
         ``wirelength``: ``mean``, ``low`` and ``high`` (95 % by Student's t over the problems);
-        ``pruned_wirelength``: the same without what joins nothing, None if a row lacks it;
+        ``pruned_wirelength``: the same without dangling branches and loops, None if a row lacks it;
         ``gap``: the same for the gap to the optimum in %, and ``problems``, on how many it is
         known;
         ``lower_wirelength``: ``percent`` of the problems with less wirelength than A* and no more

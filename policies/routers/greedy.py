@@ -28,7 +28,7 @@ class GreedyRouter:
     finds it, until there is one again. Where every way is full, it stays until the task fails.
 
     Attributes:
-        net_order: which nets come first, see :class:`marouting.batch.options.RuleOptions`.
+        net_order: which nets come first, see :class:`marouting.game.Rules`.
         decomposition: how nets are cut into two-pin tasks, see there.
         max_steps: steps after which a task fails; None for the default of
             :class:`marouting.Engine`.

@@ -29,8 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.problem.capacities import as_adjustments
-from marouting.problem.chip import Chip, Contest, Places
+from marouting.problem.chip import Chip, Contest, Places, as_adjustments
 from marouting.problem.grid import MAX_GCELLS
 from marouting.problem.ispd.lines import (
     Lines,

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from marouting import files
 from marouting.errors import InputError
 from marouting.memory import NET, PIN, check_memory
-from marouting.problem.capacities import as_adjustments
-from marouting.problem.chip import Chip, Places
+from marouting.problem.chip import Chip, Places, as_adjustments
 from marouting.problem.grid import MAX_GCELLS, gcells_of_boxes
 from marouting.problem.ispd.problem_text import ProblemRecord
 from marouting.problem.lefdef.def_text import Design, Tracks, read_def

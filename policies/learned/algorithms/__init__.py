@@ -5,4 +5,4 @@ from marouting.registry import register
 # The first is the default. It is algorithms.dqn, in compiled code where that applies.
 register("learner", "dqn", "policies.learned.algorithms.fused_dqn:FusedDQN")
 register("learner", "ppo", "policies.learned.algorithms.ppo:PPO")
-register("learner", "imitation", "policies.learned.algorithms.imitation:Imitation")
+register("learner", "imitation", "policies.generalist.imitation:Imitation")

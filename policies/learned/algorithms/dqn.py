@@ -26,7 +26,7 @@ from marouting.config import MOST, Named, check, piece_field, take_pieces
 from marouting.player import Player
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
-from policies.learned.memory.before import Before
+from policies.learned.memory.pre_step import PreStep
 from policies.learned.memory.prioritised import Prioritised
 from policies.learned.memory.replay import Replay
 from policies.learned.networks.adam import Adam
@@ -108,7 +108,7 @@ class DQN(Learner):
     """DQN in torch, on any device, for any network, observation and reward."""
 
     Options = DQNOptions
-    rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "target", "owed")
+    rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "target", "pending_updates")
     parts: ClassVar[tuple[str, ...]] = ("networks", "adam", "memory", "explore")
 
     def __init__(self, setup: Setup, options: DQNOptions) -> None:
@@ -119,13 +119,15 @@ class DQN(Learner):
             o.buffer_size >= setup.games // len(names) * setup.rows,
             f"at least {setup.games // len(names) * setup.rows}, the moves of one step",
         )
-        self.fill, self.burn_in = o.burn_in_size, o.burn_in
+        self.learning_starts, self.burn_in = o.burn_in_size, o.burn_in
         self.path = "torch, CUDA graph" if device.type == "cuda" else f"torch, batched on {device}"
         self.networks = self._stack()
         self.adam = Adam(self.networks.flat)
         self.memory = self._memory()
         self.explore = Exploration(setup.game_keys("explore"))
-        self.owed = np.zeros(len(names), np.int64)  # moves not yet answered by a gradient step
+        self.pending_updates = np.zeros(
+            len(names), np.int64
+        )  # moves not yet answered by a gradient step
         # Without a target network there are no weights to keep for it.
         self.target = self.networks.flat[:, : None if o.target_period else 0].clone()
         self._burning_in = False
@@ -137,8 +139,8 @@ class DQN(Learner):
         self.target.copy_(self.networks.flat[:, : self.target.shape[1]])
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
-        return {**super().limits(), "owed": (0, self.options.steps_per_update - 1)}
+        """See :meth:`.PerNetworkState.limits`."""
+        return {**super().limits(), "pending_updates": (0, self.options.steps_per_update - 1)}
 
     def _stack(self) -> Stack:
         seeds = self.setup.network_keys("weights").astype(np.int64).tolist()
@@ -174,20 +176,20 @@ class DQN(Learner):
             self.memory.cut()
             self._burning_in = False
         for _ in range(steps):
-            before = Before.of(player)
+            before = PreStep.of(player)
             self.explore.epsilon_greedy(
                 player.buffers, self._values(before.obs), self.options.masking
             )
             player.step()
             self.memory.add(before, player.buffers)
-            self.owed += self._games(player.buffers.acted).sum(axis=(1, 2))
-            due = self.owed // self.options.steps_per_update
-            self.owed -= due * self.options.steps_per_update
+            self.pending_updates += self._games(player.buffers.acted).sum(axis=(1, 2))
+            due = self.pending_updates // self.options.steps_per_update
+            self.pending_updates -= due * self.options.steps_per_update
             self.learn(due)
             if player.buffers.over.any():
                 return
 
-    def observe(self, player: Player, before: Before) -> None:
+    def observe(self, player: Player, before: PreStep) -> None:
         """See :meth:`policies.learned.learner.Learner.observe`."""
         self.memory.add(before, player.buffers)
         self._burning_in = True

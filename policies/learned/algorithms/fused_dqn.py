@@ -1,10 +1,10 @@
 """The fused DQN: play and gradient steps of the paper's setting in one compiled loop.
 
-It gives the same results as :class:`policies.learned.algorithms.dqn.DQN` up to rounding, several
-times as fast. :func:`obstacle` says where it applies.
+It gives the same results as :class:`policies.learned.algorithms.dqn.DQN` up to rounding, many times
+as fast. :func:`obstacle` says where it applies.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import prange
@@ -15,7 +15,7 @@ from marouting.batch.state import Dynamic, Static
 from marouting.config import check
 from marouting.game import Ending
 from marouting.kernels import allocating, threaded
-from marouting.player import Known, Player, StepBuffers, step_problem
+from marouting.player import FastPath, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
 from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.compiled.gradient import (
@@ -29,6 +29,7 @@ from policies.learned.compiled.gradient import (
 )
 from policies.learned.exploration import choose
 from policies.learned.learner import Learner, Setup
+from policies.learned.logged_player import LoggedPlayer
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
 from policies.learned.networks.mlp import MLP
 
@@ -39,8 +40,8 @@ def obstacle(setup: Setup, options: DQNOptions) -> str | None:
     given = network.options
     reasons = {
         f"device {setup.device}": setup.device.type != "cpu",
-        "an observation other than the paper's": not setup.player.known.observation,
-        "a reward other than the paper's": not setup.player.known.reward,
+        "an observation other than the paper's": not setup.player.fast.observation,
+        "a reward other than the paper's": not setup.player.fast.reward,
         f"network {network.name}": network.cls is not MLP or network.given,
         "a dueling network": network.cls is MLP and given["dueling"],
         "an activation other than relu": network.cls is MLP and given["activation"] != "relu",
@@ -53,26 +54,23 @@ def obstacle(setup: Setup, options: DQNOptions) -> str | None:
 
 
 class Play(NamedTuple):
-    """What the compiled loop plays."""
+    """What is played beside the games."""
 
-    static: Static
-    dynamic: Dynamic
-    buffers: StepBuffers
-    kernel_buffers: StepBuffers  # the same, with masks in pairs of bytes
-    known: Known
     values: NDArray[np.float32]  # (M, K, 6) what the networks expect of each move
     before: NDArray[np.float32]  # (M, K, F) what agents saw before the step
     keys: NDArray[np.uint64]  # (M,) of the random moves
     counters: NDArray[np.int64]  # (M,)
     epsilon: NDArray[np.float64]  # (M,)
-    owed: NDArray[np.int64]  # (L,) moves not yet answered by a gradient step
-    steps_per_update: int
+    pending: NDArray[np.int64]  # (L,) moves not yet answered by a gradient step
+    moves: NDArray[np.int8]  # (M, S, K) see LoggedPlayer; without room where nothing is logged
+    made: NDArray[np.int64]  # (M,) likewise
 
 
 @allocating
-def _remember(play: Play, nets: Networks, n: int, m: int, k: int, mover: int) -> None:
+def _remember(
+    b: StepBuffers, play: Play, nets: Networks, n: int, m: int, k: int, mover: int
+) -> None:
     """Stores the transition of a row that acted."""
-    b = play.buffers
     rows, row, features = nets.store[n], nets.stored[n] % nets.store.shape[1], nets.sizes[0]
     ended = b.ending[m, k] != Ending.NONE or b.agents[m, k] != mover
     for f in range(features):
@@ -90,9 +88,12 @@ def _remember(play: Play, nets: Networks, n: int, m: int, k: int, mover: int) ->
 
 
 @allocating
-def _play_network(n: int, steps: int, play: Play, nets: Networks, rule: StepRule) -> None:
+def _play_network(
+    n: int, steps: int, static: Static, dynamic: Dynamic, b: StepBuffers,
+    kernel_buffers: StepBuffers, fast: FastPath, play: Play, nets: Networks, rule: StepRule,
+    steps_per_update: int,
+) -> None:  # fmt: skip
     """:meth:`FusedDQN.play` for network n and its games."""
-    b = play.buffers
     each = len(b.over) // len(nets.updates)
     first, end = n * each, (n + 1) * each
     rows = b.agents.shape[1]
@@ -106,56 +107,54 @@ def _play_network(n: int, steps: int, play: Play, nets: Networks, rule: StepRule
                 play.keys, play.counters, play.epsilon, b.active, b.mask, play.values, nets.masks,
                 b.actions, m,
             )  # fmt: skip
+            if dynamic.games[m].active > 0 and play.made[m] < play.moves.shape[1]:
+                for k in range(rows):
+                    play.moves[m, play.made[m], k] = b.actions[m, k]
+                play.made[m] += 1
             mover = b.agents[m, 0]
             for k in range(rows):
                 for f in range(b.obs.shape[2]):
                     play.before[m, k, f] = b.obs[m, k, f]
-            step_problem(play.static, play.dynamic, play.kernel_buffers, play.known, m)
+            step_problem(static, dynamic, kernel_buffers, fast, m)
             over |= b.over[m]
             for k in range(rows):
                 if b.acted[m, k]:
-                    _remember(play, nets, n, m, k, b.agents[m, k] if play.known.everyone else mover)
-                    play.owed[n] += 1
-        while play.owed[n] >= play.steps_per_update:
-            play.owed[n] -= play.steps_per_update
+                    who = b.agents[m, k] if fast.everyone else mover
+                    _remember(b, play, nets, n, m, k, who)
+                    play.pending[n] += 1
+        while play.pending[n] >= steps_per_update:
+            play.pending[n] -= steps_per_update
             gradient_step(n, nets, rule, buffers)
         if over:
             return
 
 
 @allocating
-def _play(steps: int, play: Play, nets: Networks, rule: StepRule) -> None:
+def _play(
+    steps: int, static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers,
+    fast: FastPath, play: Play, nets: Networks, rule: StepRule, steps_per_update: int,
+) -> None:  # fmt: skip
     """One network after the other, each with as many steps as it makes."""
     for n in range(len(nets.updates)):
-        _play_network(n, steps, play, nets, rule)
+        _play_network(
+            n, steps, static, dynamic, b, kernel_buffers, fast, play, nets, rule, steps_per_update
+        )
 
 
 @threaded
 def _play_threaded(
-    steps: int,
-    static: Static,
-    dynamic: Dynamic,
-    buffers: StepBuffers,
-    kernel_buffers: StepBuffers,
-    known: Known,
-    rest: tuple[Any, ...],
-    steps_per_update: int,
-    nets: Networks,
-    rule: StepRule,
-) -> None:
+    steps: int, static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers,
+    fast: FastPath, play: Play, nets: Networks, rule: StepRule, steps_per_update: int,
+) -> None:  # fmt: skip
     """:func:`_play`, with the networks shared out among numba's threads.
 
     Each network and its games belong to one thread: the results do not depend on how many there
-    are. Numba's cache does not look at options, so this has to be a function of its own; and its
-    threads take no tuples inside tuples, so the parts of :class:`Play` come one by one.
+    are. Numba's cache does not look at options, so this has to be a function of its own.
     """
     for n in prange(len(nets.updates)):
-        values, before, keys, counters, epsilon, owed = rest
-        play = Play(
-            static, dynamic, buffers, kernel_buffers, known, values, before, keys, counters,
-            epsilon, owed, steps_per_update,
-        )  # fmt: skip
-        _play_network(n, steps, play, nets, rule)
+        _play_network(
+            n, steps, static, dynamic, b, kernel_buffers, fast, play, nets, rule, steps_per_update
+        )
 
 
 class FusedDQN(DQN):
@@ -184,17 +183,22 @@ class FusedDQN(DQN):
         """Renews what refers to the rows."""
         super().bind()
         o, flat = self.options, self.networks.flat.numpy()
-        module = self.networks.module
+        adam = self.adam
         self._rule = StepRule(
-            o.batch_size, o.gamma, o.target_period, o.learning_rate, self.adam.beta1,
-            self.adam.beta2, self.adam.eps,
-        )  # fmt: skip
+            o.batch_size,
+            o.gamma,
+            o.target_period,
+            o.learning_rate,
+            adam.beta1,
+            adam.beta2,
+            adam.eps,
+        )
         self._nets = Networks(
-            sizes=np.array(module.sizes, np.int64),
+            sizes=np.array(self.networks.module.sizes, np.int64),
             weights=flat,
             target=self.target.numpy() if o.target_period else flat,
-            mean=self.adam.mean.numpy(),
-            square=self.adam.square.numpy(),
+            mean=adam.mean.numpy(),
+            square=adam.square.numpy(),
             loss=self.loss.numpy(),
             updates=self.updates,
             store=self.memory.store.numpy(),
@@ -205,33 +209,32 @@ class FusedDQN(DQN):
 
     def play(self, player: Player, steps: int) -> None:
         """See :meth:`policies.learned.learner.Learner.play`; one network after the other."""
-        b, explore = player.buffers, self.explore
+        b, explore, engine = player.buffers, self.explore, player.engine
+        moves, made = np.empty((1, 0, 1), np.int8), np.zeros(len(b.over), np.int64)
+        if isinstance(player, LoggedPlayer):
+            player.make_log(steps)
+            moves, made = player.moves, player.made
         play = Play(
-            player.engine.static,
-            player.engine.dynamic,
-            b,
-            player.kernel_buffers,
-            player.known,
             np.empty((*b.agents.shape, MOVES), np.float32),
             np.empty(b.obs.shape, np.float32),
             explore.keys.reshape(-1),
             explore.counters.reshape(-1),
             explore.epsilon.reshape(-1),
-            self.owed,
-            self.options.steps_per_update,
+            self.pending_updates,
+            moves,
+            made,
         )
-        if self.setup.threads > 1:
-            *parts, steps_per_update = play
-            games, rest = parts[:5], tuple(parts[5:])
-            _play_threaded(steps, *games, rest, steps_per_update, self._nets, self._rule)
-        else:
-            _play(steps, play, self._nets, self._rule)
+        run = _play_threaded if self.setup.threads > 1 else _play
+        run(
+            steps, engine.static, engine.dynamic, b, player.kernel_buffers, player.fast, play,
+            self._nets, self._rule, self.options.steps_per_update,
+        )  # fmt: skip
 
     def learn(self, due: NDArray[np.int64]) -> None:
         """See :meth:`policies.learned.algorithms.dqn.DQN.learn`."""
         learn(self._nets, due, self._rule)
 
     def state(self) -> dict[str, Tensor]:
-        """See :meth:`policies.learned.rows.Rows.state`; with the counts that torch works with."""
+        """See :meth:`.PerNetworkState.state`; with the counts that torch works with."""
         self.adam.count.numpy()[:] = self.updates
         return super().state()

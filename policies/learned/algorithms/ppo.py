@@ -1,6 +1,6 @@
 """Proximal policy optimisation (Schulman et al., 2017), with one actor for all agents.
 
-With ``critic: own`` the critic sees what the agent sees: independent PPO (de Witt et al., 2020).
+With ``critic: local`` the critic sees what the agent sees: independent PPO (de Witt et al., 2020).
 With ``critic: central`` it also sees the game's global state: MAPPO (Yu et al., 2022).
 
 Deviations from the papers and from CleanRL's implementation:
@@ -27,7 +27,7 @@ from marouting.observations import state_of
 from marouting.player import Player
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
-from policies.learned.memory.before import Before
+from policies.learned.memory.pre_step import PreStep
 from policies.learned.memory.rollout import LONGEST, Rollout, shuffled
 from policies.learned.networks.adam import Adam
 from policies.learned.networks.stack import Stack, View
@@ -41,8 +41,8 @@ class PPOOptions:
         network: gives the scores of the six moves (the actor), and made again with one output,
             the value of what it sees (the critic). By default a multilayer perceptron with two
             layers of 64.
-        critic: ``own``, it sees what the agent sees, or ``central``, the game's state as well.
-        copies: games of every problem that are played side by side.
+        critic: ``local``, it sees what the agent sees, or ``central``, the game's state as well.
+        num_envs: games of every problem that are played side by side.
         gamma: discount factor.
         gae_lambda: λ of the advantage estimates: 0 trusts the critic, 1 the rewards.
         learning_rate: Adam's.
@@ -58,8 +58,8 @@ class PPOOptions:
     """
 
     network: Named = piece_field("network", "mlp", hidden=(64, 64))
-    critic: Literal["own", "central"] = "own"
-    copies: int = 32
+    critic: Literal["local", "central"] = "local"
+    num_envs: int = 32
     gamma: float = 0.95
     gae_lambda: float = 0.9
     learning_rate: float = 1e-3
@@ -75,7 +75,7 @@ class PPOOptions:
 
     def __post_init__(self) -> None:
         take_pieces(self)
-        check("copies", 1 <= self.copies <= 65536, "a number from 1 to 65536")
+        check("num_envs", 1 <= self.num_envs <= 65536, "a number from 1 to 65536")
         check("gamma", 0 <= self.gamma <= 1, "a number from 0 to 1")
         check("gae_lambda", 0 <= self.gae_lambda <= 1, "a number from 0 to 1")
         check("learning_rate", self.learning_rate > 0, "a number above 0")
@@ -108,7 +108,7 @@ class PPO(Learner):
             "sequential, for ppo with agents: single",
         )
         self.central = o.critic == "central"
-        check("critic", not self.central or setup.state_shape, "own: this game shows no state")
+        check("critic", not self.central or setup.state_shape, "local: this game shows no state")
         features = int(np.prod(setup.obs_shape)) + int(np.prod(setup.state_shape))
         sees = (features,) if self.central else setup.obs_shape
         self.path = f"torch, batched on {setup.device}"
@@ -126,7 +126,7 @@ class PPO(Learner):
         self.progress = np.zeros(count)  # episodes played, as a share of all
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
+        """See :meth:`.PerNetworkState.limits`."""
         return {**super().limits(), "progress": (0.0, 1.0)}
 
     def _stack(self, purpose: str, sees: tuple[int, ...], outputs: int) -> Stack:
@@ -154,7 +154,7 @@ class PPO(Learner):
         now = player.buffers
         chance = np.zeros(now.acted.shape, np.float32)
         for _ in range(steps):
-            before = Before.of(player)
+            before = PreStep.of(player)
             states = self._states(player)
             scores, values = self._look(now.obs, now.active, states)
             self.explore.sample(now, scores, self.options.masking, chance)
@@ -172,7 +172,7 @@ class PPO(Learner):
         """(M, …) what the critic sees of the games beside what agents see, if it is central."""
         return state_of(player.observation, player.engine) if self.central else None
 
-    def observe(self, player: Player, before: Before) -> None:
+    def observe(self, player: Player, before: PreStep) -> None:
         """Learns nothing from moves that are not its own."""
 
     def _look(

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.kernels import allocating, inner
-from policies.learned.compiled.small_gemm import small_gemm, sparse_row
+from policies.learned.compiled.products import product, product_row
+from policies.learned.counter_rng import uniform
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
-from policies.learned.streams import uniform
 
 NO_FLOOR = np.float32(-np.inf)
 """The floor of a product that has none."""
@@ -56,7 +56,6 @@ class GradientBuffers(NamedTuple):
     slopes: NDArray[np.float32]  # (B U,)
     turned: NDArray[np.float32]  # (P,) weights of a layer, columns as rows
     zeros: NDArray[np.float32]  # (U,)
-    ones: NDArray[np.float32]  # (B,)
     gradient: NDArray[np.float32]  # (P,)
     places: NDArray[np.int64]  # (B,) rows of the sample
     wanted: NDArray[np.float32]  # (B,) what the network should have expected
@@ -82,7 +81,6 @@ def gradient_buffers(nets: Networks, batch: int) -> GradientBuffers:
         np.empty(batch * units, np.float32),
         np.empty(weights, np.float32),
         np.zeros(units, np.float32),
-        np.ones(batch, np.float32),
         np.empty(weights, np.float32),
         np.empty(batch, np.int64),
         np.empty(batch, np.float32),
@@ -91,17 +89,10 @@ def gradient_buffers(nets: Networks, batch: int) -> GradientBuffers:
 
 @inner
 def forward(sizes: Any, weights: Any, x: Any, batch: int, activations: Any) -> int:
-    """The network for a batch of inputs.
+    """The network for ``batch`` inputs ``x`` (batch · F,), row after row.
 
-    Args:
-        sizes: see :class:`Networks`.
-        weights: (P,) one network's.
-        x: (batch · F,) the inputs, row after row.
-        batch: how many.
-        activations: filled with the outputs of each layer (batch rows each), one after the other.
-
-    Returns:
-        The place of the Q values in ``activations``.
+    Fills ``activations`` with the outputs of each layer (batch rows each), one after the other, and
+    returns the place of the last ones.
     """
     at, place = 0, 0
     last = len(sizes) - 2
@@ -110,7 +101,10 @@ def forward(sizes: Any, weights: Any, x: Any, batch: int, activations: Any) -> i
         y = activations[place : place + batch * outputs]
         bias = at + inputs * outputs
         floor = np.float32(0) if i < last else NO_FLOOR
-        small_gemm(x, 0, inputs, 1, weights, at, weights, bias, y, batch, inputs, outputs, floor)
+        if batch == 1:  # many inputs and activations are zero
+            product_row(x, 0, 1, inputs, weights, at, weights, bias, y, floor)
+        else:
+            product(x, inputs, 1, weights, at, weights, bias, y, batch, inputs, outputs, floor)
         if i < last:
             place += batch * outputs
         at += (inputs + 1) * outputs
@@ -119,36 +113,11 @@ def forward(sizes: Any, weights: Any, x: Any, batch: int, activations: Any) -> i
 
 
 @inner
-def forward_one(sizes: Any, weights: Any, x: Any, activations: Any, places: Any) -> int:
-    """:func:`forward` for a single row (F,), of which and of whose activations many are zero.
-
-    ``places`` is int64, working, as long as the widest layer.
-    """
-    at, place = 0, 0
-    last = len(sizes) - 2
-    for i in range(last + 1):
-        inputs, outputs = sizes[i], sizes[i + 1]
-        y = activations[place : place + outputs]
-        floor = np.float32(0) if i < last else NO_FLOOR
-        sparse_row(x, weights, at, at + inputs * outputs, y, outputs, floor, places)
-        if i < last:
-            place += outputs
-        at += (inputs + 1) * outputs
-        x = y
-    return place
-
-
-@inner
 def _backward(sizes: Any, weights: Any, batch: int, b: GradientBuffers) -> None:
-    """The derivatives of a loss by the weights of a network.
+    """Fills ``b.gradient``: the derivatives of a loss by the weights (P,) of a network.
 
-    Args:
-        sizes: see :class:`Networks`.
-        weights: (P,) one network's.
-        batch: how many transitions.
-        b: the activations as :func:`forward` left them for ``obs``, and like them the slopes: the
-            derivatives by the outputs of each layer. Those by the Q values are given; the others
-            are filled, and so is the gradient.
+    ``b`` holds the activations that :func:`forward` left for ``obs``. Like them lie the slopes, the
+    derivatives by the outputs of each layer; those by the last ones are given.
     """
     at = len(weights)
     place = batch * units_of(sizes)
@@ -159,23 +128,23 @@ def _backward(sizes: Any, weights: Any, batch: int, b: GradientBuffers) -> None:
         before = place - batch * inputs
         slope = b.slopes[place : place + batch * outputs]
         below = b.obs if i == 0 else b.activations[before:place]
-        bias = at + inputs * outputs
-        small_gemm(
-            below, 0, 1, inputs, slope, 0, b.zeros, 0, b.gradient[at:],
-            inputs, batch, outputs, NO_FLOOR,
-        )  # fmt: skip
-        small_gemm(
-            b.ones, 0, 1, 1, slope, 0, b.zeros, 0, b.gradient[bias:], 1, batch, outputs, NO_FLOOR
+        by_weights = b.gradient[at : at + inputs * outputs]
+        product(
+            below, 1, inputs, slope, 0, b.zeros, 0, by_weights, inputs, batch, outputs, NO_FLOOR
         )
+        by_biases = b.gradient[at + inputs * outputs : at + (inputs + 1) * outputs]
+        for o in range(outputs):
+            by_biases[o] = 0
+            for k in range(batch):
+                by_biases[o] += slope[k * outputs + o]
         if i > 0:
             for o in range(outputs):
                 for j in range(inputs):
                     b.turned[o * inputs + j] = weights[at + j * outputs + o]
             onward = b.slopes[before:place]
-            small_gemm(
-                slope, 0, outputs, 1, b.turned, 0, b.zeros, 0, onward,
-                batch, outputs, inputs, NO_FLOOR,
-            )  # fmt: skip
+            product(
+                slope, outputs, 1, b.turned, 0, b.zeros, 0, onward, batch, outputs, inputs, NO_FLOOR
+            )
             for j in range(batch * inputs):
                 onward[j] = onward[j] if below[j] > 0 else np.float32(0)
 
@@ -196,14 +165,7 @@ def _adam(weights: Any, gradient: Any, mean: Any, square: Any, step: int, rule: 
 
 @inner
 def gradient_step(n: int, nets: Networks, rule: StepRule, b: GradientBuffers) -> None:
-    """A gradient step of network n on a sample of its memory.
-
-    Args:
-        n: the network.
-        nets: all of them; changed.
-        rule: how the step is taken.
-        b: working arrays.
-    """
+    """A gradient step of network n on a sample of its memory."""
     sizes, weights, target, rows = nets.sizes, nets.weights[n], nets.target[n], nets.store[n]
     features, moves, batch = sizes[0], sizes[-1], rule.batch
     rest = 2 * features

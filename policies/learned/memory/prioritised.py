@@ -6,15 +6,15 @@ import torch
 from torch import Tensor
 
 from policies.learned.checkpoint import FINITE
+from policies.learned.counter_rng import uniforms
 from policies.learned.memory.replay import Batch, Replay
-from policies.learned.rows import Rows
-from policies.learned.streams import uniforms
+from policies.learned.per_network import PerNetworkState
 
 _TINY = 1e-3
 """Added to errors, so that a transition without any can be drawn again."""
 
 
-class SumTree(Rows):
+class SumTree(PerNetworkState):
     """Numbers of which one is drawn with a chance in proportion to it, for each of L networks.
 
     The tree has three levels below its root, each node with as many children as the cube root of
@@ -38,7 +38,7 @@ class SumTree(Rows):
         )
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
+        """See :meth:`.PerNetworkState.limits`."""
         return {**super().limits(), **dict.fromkeys(self.rows, (0.0, FINITE[1]))}
 
     def set(self, place: Tensor, number: Tensor) -> None:
@@ -109,7 +109,7 @@ class Prioritised(Replay):
         self.beta = torch.full((networks, 1), beta, device=self.device)
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
+        """See :meth:`.PerNetworkState.limits`."""
         return {**super().limits(), "most": (0.0, FINITE[1]), "beta": (0.0, 1.0)}
 
     def _added(self, place: Tensor) -> None:

@@ -29,9 +29,9 @@ from marouting.kernels import compiled
 from marouting.player import StepBuffers
 from marouting.problem.grid import MOVES
 from policies.learned.checkpoint import checked
-from policies.learned.memory.before import Before
-from policies.learned.rows import COUNT, Rows
-from policies.learned.streams import uniforms
+from policies.learned.counter_rng import uniforms
+from policies.learned.memory.pre_step import PreStep
+from policies.learned.per_network import COUNT, PerNetworkState
 
 MOVE, REWARD, GOES_ON, MASK = range(4)
 """Where these stand in a row after the two observations."""
@@ -70,7 +70,7 @@ class Batch:
     weight: Tensor | None = None
 
 
-class Replay(Rows):
+class Replay(PerNetworkState):
     """A ring of transitions for each of L networks, sampled uniformly.
 
     Args:
@@ -122,7 +122,7 @@ class Replay(Rows):
         self.bind()
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
+        """See :meth:`.PerNetworkState.limits`."""
         waiting = (0.0, max(self.n_step - 1.0, 0.0))
         return {**super().limits(), "stored": COUNT, "waiting": waiting}
 
@@ -141,7 +141,7 @@ class Replay(Rows):
         """Renews the device's counts, which on the processor are the same numbers."""
         self._stored = torch.from_numpy(self.stored).to(self.device)
 
-    def add(self, before: Before, after: StepBuffers) -> None:
+    def add(self, before: PreStep, after: StepBuffers) -> None:
         """Stores the transitions of a step, those of agents that moved.
 
         Args:
@@ -222,29 +222,6 @@ def _add(
     place: Any, here: bool, rows: Any,
 ) -> int:  # fmt: skip
     """Makes rows of what a step finished.
-
-    Args:
-        agents: (M, K) and
-        obs: (M, K, F), before the step; the next nine are the player's buffers after it.
-        next_agents: (M, K).
-        next_obs: (M, K, F).
-        next_mask: (M, K, A).
-        actions: (M, K).
-        acted: (M, K).
-        reward: (M, K).
-        ending: (M, K).
-        final_obs: (M, K, F).
-        final_mask: (M, K, A).
-        masks: whether rows hold masks.
-        n_step: see :class:`Replay`.
-        gamma: likewise.
-        waiting: likewise; changed.
-        unfinished: likewise; changed.
-        capacity: of a network's store.
-        stored: (L,) counts on.
-        place: filled with the places of the rows in the store, counted through all networks.
-        here: whether ``rows`` is the store; otherwise the rows are written one after another.
-        rows: (…, width) filled.
 
     Returns:
         How many rows there are.

@@ -16,15 +16,15 @@ from torch import Tensor
 from marouting.game import Ending
 from marouting.kernels import compiled
 from marouting.player import StepBuffers
-from policies.learned.memory.before import Before
-from policies.learned.rows import Rows
-from policies.learned.streams import uniform
+from policies.learned.counter_rng import uniform
+from policies.learned.memory.pre_step import PreStep
+from policies.learned.per_network import PerNetworkState
 
 LONGEST = 65536
 """The most transitions of a rollout: as many random numbers belong to one counter."""
 
 
-class Rollout(Rows):
+class Rollout(PerNetworkState):
     """The rollouts of L networks.
 
     Args:
@@ -81,7 +81,7 @@ class Rollout(Rows):
         self.count = np.zeros(networks, np.int64)
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
+        """See :meth:`.PerNetworkState.limits`."""
         return {
             **super().limits(),
             "mask": (0, 1),
@@ -93,7 +93,7 @@ class Rollout(Rows):
 
     def add(
         self,
-        before: Before,
+        before: PreStep,
         after: StepBuffers,
         chance: NDArray[np.float32],
         value: NDArray[np.float32],
@@ -110,16 +110,20 @@ class Rollout(Rows):
             final_value: (M, K) what it expects where a task failed.
             states: (M, *state_shape) what else the critic saw, or None.
         """
-        games, rows = after.acted.shape
-        seen = np.zeros((games, 0), np.float32) if states is None else states.reshape(games, -1)
-        _add(
-            before.agents, before.obs.reshape(games, rows, -1), before.mask, after.actions,
-            after.acted, after.reward, after.ending, chance, value, final_value, seen,
-            self.agents, self.scale, self.count,
-            self.obs.reshape(*self.action.shape, -1), self.mask,
-            self.action, self.chance, self.value, self.reward, self.ending, self.after,
-            self.stream, self.state_.reshape(*self.action.shape, -1),
-        )  # fmt: skip
+        m, k = np.nonzero(after.acted)
+        games = len(after.acted) // len(self.count)
+        n = m // games
+        # Behind the network's earlier transitions, and those of this step that come first.
+        at = self.count[n] + np.arange(len(n)) - np.searchsorted(n, n)
+        self.count += np.bincount(n, minlength=len(self.count))
+        self.obs[n, at], self.mask[n, at] = before.obs[m, k], before.mask[m, k]
+        self.action[n, at], self.ending[n, at] = after.actions[m, k], after.ending[m, k]
+        self.reward[n, at] = self.scale * after.reward[m, k].astype(np.float64)
+        self.chance[n, at], self.value[n, at] = chance[m, k], value[m, k]
+        self.after[n, at] = final_value[m, k]
+        self.stream[n, at] = m % games * self.agents + before.agents[m, k]
+        if states is not None:
+            self.state_[n, at] = states[m]
 
     def full(self) -> NDArray[np.int64]:
         """(D,) the networks that have a rollout's worth."""
@@ -178,53 +182,11 @@ def _shuffle(order: Any, key: Any, counter: int) -> None:
 
 
 @compiled
-def _add(
-    agents: Any, obs: Any, mask: Any, actions: Any, acted: Any, rewards: Any, endings: Any,
-    chances: Any, values: Any, final_values: Any, states: Any, most: int, scale: float,
-    count: Any, to_obs: Any, to_mask: Any, action: Any, chance: Any, value: Any, reward: Any,
-    ending: Any, after: Any, stream: Any, state: Any,
-) -> None:  # fmt: skip
-    games = len(acted) // len(count)
-    for m in range(acted.shape[0]):
-        n = m // games
-        for k in range(acted.shape[1]):
-            if not acted[m, k]:
-                continue
-            i = count[n]
-            for f in range(obs.shape[2]):
-                to_obs[n, i, f] = obs[m, k, f]
-            for move in range(mask.shape[2]):
-                to_mask[n, i, move] = mask[m, k, move]
-            action[n, i], reward[n, i] = actions[m, k], scale * rewards[m, k]
-            chance[n, i], value[n, i] = chances[m, k], values[m, k]
-            ending[n, i], after[n, i] = endings[m, k], final_values[m, k]
-            stream[n, i] = m % games * most + agents[m, k]
-            for f in range(states.shape[1]):
-                state[n, i, f] = states[m, f]
-            count[n] += 1
-
-
-@compiled
 def _advantages(
     stream: Any, ending: Any, reward: Any, value: Any, after: Any, count: int, last: Any,
     gamma: float, lam: float, ahead: Any, gain: Any, advantage: Any,
 ) -> None:  # fmt: skip
-    """Advantages of one network's transitions, from the last to the first.
-
-    Args:
-        stream: (C,) and the next four: what the rollout holds.
-        ending: (C,).
-        reward: (C,).
-        value: (C,).
-        after: (C,).
-        count: how many there are.
-        last: (streams,) values of what comes after the rollout.
-        gamma: discount factor.
-        lam: λ.
-        ahead: (streams,) overwritten: the value of what comes next in each stream.
-        gain: (streams,) overwritten: the advantage of what comes next.
-        advantage: (C,) filled.
-    """
+    """Advantages of one network's transitions, from the last to the first."""
     for s in range(len(ahead)):
         ahead[s], gain[s] = last[s], 0
     for i in range(count - 1, -1, -1):

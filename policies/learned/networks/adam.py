@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 from policies.learned.checkpoint import FINITE
-from policies.learned.rows import COUNT, Rows
+from policies.learned.per_network import COUNT, PerNetworkState
 
 _NOTHING = 1e-18
 """A gradient too small to matter."""
 
 
-class Adam(Rows):
+class Adam(PerNetworkState):
     """The optimiser's averages, a row per network.
 
     Networks that are not due stay exactly as they are. The arithmetic runs over the whole stack,
@@ -41,7 +41,7 @@ class Adam(Rows):
         self.bind()
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
+        """See :meth:`.PerNetworkState.limits`."""
         return {**super().limits(), "square": (0.0, FINITE[1]), "count": COUNT}
 
     def bind(self) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.func import functional_call, stack_module_state, vmap
 
-from policies.learned.rows import Rows
+from policies.learned.per_network import PerNetworkState
 
 
 class View:
@@ -70,7 +70,7 @@ class View:
         torch.cat([part.reshape(len(out), -1) for part in parts], dim=1, out=out)
 
 
-class Stack(Rows):
+class Stack(PerNetworkState):
     """L networks.
 
     Args:

@@ -307,7 +307,7 @@ def negotiate(piece: Piece, present: float, passes: int, seconds: float | None, 
         seconds = max(seconds - (time.thread_time() - began), 0.0)
     # The first pass puts in place what is there, and the factor grows behind it.
     options = PathfinderOptions(passes=min(passes + 1, MOST), seconds=seconds, seed=seed)
-    present /= options.growth
+    present /= options.present_growth
     found = PathfinderRouter(options).solve(problem, now, prices, present, taken)
     net, edge = (part.astype(np.int32) for part in found.solution.uses)
     priced = np.flatnonzero(found.prices)

@@ -2,8 +2,8 @@
 
 The teacher knows a solution of every problem, from negotiated congestion, and the **regret** of
 every move: by how much the cheapest routing that begins with it is dearer than the cheapest of all
-(:mod:`marouting.search.regrets`). It answers for any state, also where the pupil has gone wrong, so
-the pupil learns in states that it gets into by itself (Ross, Gordon, Bagnell, "A reduction of
+(:mod:`policies.generalist.regrets`). It answers for any state, also where the pupil has gone wrong,
+so the pupil learns in states that it gets into by itself (Ross, Gordon, Bagnell, "A reduction of
 imitation learning and structured prediction to no-regret online learning", AISTATS 2011).
 
 For a state with the regrets r the network's chances p of the moves have the loss
@@ -13,8 +13,9 @@ For a state with the regrets r the network's chances p of the moves have the los
 All best moves are as good as each other: which of them it prefers, the network is not told. Moves
 that are dearer by a small part of an edge, as there are at prices, are nearly as good.
 
-Games with ``rip_up_prices`` teach both kinds of rounds: a share of the episodes (``plain``) begins
-with a first walk that is not priced, and leaves the nets to come the room that they need.
+Games with prices (``train.negotiation``) teach both kinds of rounds: a share of the episodes
+(``plain``) begins with a first walk that is not priced, and leaves the nets to come the room that
+they need.
 
 The network is meant to be shared by nets and problems: ``train.shared: true``, and ``train.games``
 to draw a new problem for every episode. The games: ``agents: single``, ``target: tree``.
@@ -36,14 +37,14 @@ from marouting.kernels import compiled
 from marouting.observations import has_move_order, move_order_of
 from marouting.player import Player
 from marouting.problem.grid import MOVES
-from marouting.search.regrets import MASKED, Regrets
+from policies.generalist.regrets import MASKED, Regrets
+from policies.learned.counter_rng import uniform, uniforms
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
-from policies.learned.memory.before import Before
+from policies.learned.memory.pre_step import PreStep
 from policies.learned.networks.adam import Adam
 from policies.learned.networks.stack import Stack, View
-from policies.learned.rows import COUNT
-from policies.learned.streams import uniform, uniforms
+from policies.learned.per_network import COUNT
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 _MOST_REGRET = 100.0
@@ -83,12 +84,12 @@ class ImitationOptions:
         batch: states of a gradient step.
         reuse: how often a state is learned from, on average.
         regret: weight of the expected regret in the loss.
-        taught: share of the episodes that the teacher plays, and in which the pupil looks on. Until
-            ``batch`` states are known the teacher plays them all.
+        expert_fraction: share of the episodes that the teacher plays, and in which the pupil looks
+            on. Until ``batch`` states are known the teacher plays them all.
         drawn: share of the episodes in which the pupil draws its moves by their chances. In the
             rest it makes those with the highest.
-        helped: share of the moves in its own episodes that the teacher makes for it.
-        plain: share of the episodes that begin with plain rounds. Without ``rip_up_prices`` all do.
+        expert_moves: share of the moves in its own episodes that the teacher makes for it.
+        plain: share of the episodes that begin with plain rounds. Without prices all do.
         passes: of negotiated congestion over the nets of a problem, for the teacher's solution.
         masking: whether only moves that cross an edge are chosen.
     """
@@ -100,9 +101,9 @@ class ImitationOptions:
     batch: int = 1024
     reuse: float = 3.0
     regret: float = 0.1
-    taught: float = 0.15
+    expert_fraction: float = 0.15
     drawn: float = 0.4
-    helped: float = 0.05
+    expert_moves: float = 0.05
     plain: float = 0.5
     passes: int = 200
     masking: bool = True
@@ -114,7 +115,7 @@ class ImitationOptions:
         check("batch", 1 <= self.batch <= self.memory, f"a number from 1 to memory, {self.memory}")
         check("reuse", self.reuse >= 0, "a number from 0")
         check("regret", self.regret >= 0, "a number from 0")
-        for name in ("taught", "drawn", "helped", "plain"):
+        for name in ("expert_fraction", "drawn", "expert_moves", "plain"):
             check(name, 0 <= getattr(self, name) <= 1, "a number from 0 to 1")
         check("passes", 1 <= self.passes <= MOST, f"a number from 1 to {MOST}")
         check("masking", self.masking, "true: the teacher knows no other moves")
@@ -125,8 +126,8 @@ class Imitation(Learner):
 
     Options = ImitationOptions
     rows: ClassVar[tuple[str, ...]] = (
-        *Learner.rows, "store", "kept", "owed", "progress", "begun", "last", "keys",
-        "coming", "table", "attach", "pins", "many", "low", "high",
+        *Learner.rows, "store", "kept", "pending_updates", "progress", "begun", "plain", "last",
+        "keys", "coming", "table", "attach", "pins", "many", "low", "high",
     )  # fmt: skip
     parts: ClassVar[tuple[str, ...]] = ("networks", "adam", "explore")
 
@@ -148,9 +149,10 @@ class Imitation(Learner):
         store = np.zeros((1, o.memory, self.features + MOVES), np.float16)
         self.store = torch.from_numpy(store)
         self.kept = np.zeros(1, np.int64)
-        self.owed = np.zeros(1)  # gradient steps
+        self.pending_updates = np.zeros(1)  # gradient steps
         self.progress = np.zeros(1)  # episodes played, as a share of all
         self.begun = np.zeros((1, games), np.int64)  # episodes that each game has begun
+        self.plain = np.zeros((1, games), np.bool_)  # whether the episode began with a plain walk
         self.last = np.full((1, games), NOBODY, np.int64)  # who moved last in each game
         self.regrets = Regrets(player.engine)
         for name, array in self.regrets.lessons._asdict().items():
@@ -161,12 +163,12 @@ class Imitation(Learner):
         self._out = np.zeros((games, MOVES), np.int32)
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """See :meth:`policies.learned.rows.Rows.limits`."""
+        """See :meth:`.PerNetworkState.limits`."""
         engine = self.setup.player.engine
         agents, cells = engine.nets.shape[1], engine.grid.gcells
         return {
             **super().limits(),
-            **dict.fromkeys(("kept", "owed", "begun", "coming"), COUNT),
+            **dict.fromkeys(("kept", "pending_updates", "begun", "coming"), COUNT),
             **dict.fromkeys(("table", "attach"), (0.0, float(MASKED))),
             "progress": (0.0, 1.0),
             "last": (NOBODY, agents - 1.0),
@@ -188,7 +190,7 @@ class Imitation(Learner):
         """See :meth:`policies.learned.learner.Learner.set_episodes`."""
         self.progress[:] = min(float(episodes.mean()) / self.setup.episodes, 1.0)
 
-    def observe(self, player: Player, before: Before) -> None:
+    def observe(self, player: Player, before: PreStep) -> None:
         """Learns nothing from moves of which it does not know the regret."""
 
     # --- play ---------------------------------------------------------------------------------
@@ -207,9 +209,9 @@ class Imitation(Learner):
             self._remember(now.obs[:, 0], regrets, learns)
             self.last[0] = now.agents[:, 0]
             player.step()
-            while self.owed[0] >= 1:
+            while self.pending_updates[0] >= 1:
                 self.learn()
-                self.owed -= 1
+                self.pending_updates -= 1
             if now.over.any():
                 return
 
@@ -221,16 +223,16 @@ class Imitation(Learner):
         """
         engine, last = player.engine, self.last[0]
         games, learns = engine.games, player.buffers.active[:, 0].copy()
-        priced, begins = engine.rules.rip_up_prices, games["steps"] == 0
+        priced, begins = engine.priced, games["steps"] == 0
         if begins.any():
             self.begun[0] += begins
             self.regrets.lessons.coming[begins] = 0
             if priced:
                 kinds = np.zeros(len(games))
                 _draw(self.explore.keys[0], self.begun[0], _PLAIN, kinds)
-                plain = begins & (kinds < self.options.plain)
-                player.engine.begin_plain(plain)
-                learns[plain] = False  # the first agent has seen prices
+                self.plain[0, begins] = kinds[begins] < self.options.plain
+                self.resume(player, begins)
+                learns[begins & self.plain[0]] = False  # the first agent has seen prices
         new = (games["agent"] != last) & (games["agent"] != NOBODY) & (games["round"] == 0)
         waits = (new | begins) & ((games["plain"] == 1) | (not priced))
         for m in np.flatnonzero(waits).tolist():
@@ -239,6 +241,11 @@ class Imitation(Learner):
                 self.regrets.expect(m, np.flatnonzero(engine.tasks[m]), solution, 1)
             self.regrets.expect(m, np.array([n]), solution, -1)
         return learns
+
+    def resume(self, player: Player, which: NDArray[np.bool_]) -> None:
+        """See :meth:`policies.learned.learner.Learner.resume`."""
+        if player.engine.priced:
+            player.engine.begin_plain(which & self.plain[0])
 
     def _solution(self, m: int, problem: Problem) -> Solution:
         """The teacher's solution of the problem that game m plays."""
@@ -262,12 +269,13 @@ class Imitation(Learner):
         ways, helps = np.zeros((2, len(scores)))
         _draw(self.explore.keys[0], self.begun[0], _EPISODE, ways)
         _draw(self.explore.keys[0], self.explore.counters[0], _HELP, helps)
-        taught = (ways < o.taught) | (helps < o.helped) | (self.kept[0] < o.batch)
+        expert = (ways < o.expert_fraction) | (helps < o.expert_moves)
+        expert |= self.kept[0] < o.batch
         sure = np.where(regrets < MASKED, scores, -np.inf).argmax(axis=1)
         greedy = np.where(np.arange(MOVES) == sure[:, None], _SURE, np.float32(0))
-        own = np.where((ways < o.taught + o.drawn)[:, None], scores, greedy)
+        own = np.where((ways < o.expert_fraction + o.drawn)[:, None], scores, greedy)
         led: NDArray[np.float32] = np.where(
-            taught[:, None], np.where(regrets == 0, _SURE, np.float32(0)), own
+            expert[:, None], np.where(regrets == 0, _SURE, np.float32(0)), own
         ).astype(np.float32)
         return led
 
@@ -287,7 +295,7 @@ class Imitation(Learner):
         )
         self.kept += count
         if self.kept[0] >= o.batch:
-            self.owed += count * o.reuse / o.batch
+            self.pending_updates += count * o.reuse / o.batch
 
     # --- learning -----------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from marouting.player import Player
 
 
-class Before(NamedTuple):
+class PreStep(NamedTuple):
     """Copies of a player's buffers from before a step."""
 
     agents: NDArray[np.int32]  # (M, K)
@@ -16,7 +16,7 @@ class Before(NamedTuple):
     mask: NDArray[np.int8]  # (M, K, 6)
 
     @classmethod
-    def of(cls, player: Player) -> "Before":
+    def of(cls, player: Player) -> "PreStep":
         """Copies of what the player's agents see now."""
         now = player.buffers
         return cls(now.agents.copy(), now.obs.copy(), now.mask.copy())

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from marouting.batch.edges import demand_of, uses
 from marouting.batch.engine import Engine
-from marouting.batch.outlook import widened
 from marouting.batch.places import grid_of, position
 from marouting.batch.prices import UNIT, edge_cost, is_priced
 from marouting.batch.rules import free_moves, is_agent
@@ -37,6 +36,7 @@ from marouting.game import NOBODY
 from marouting.kernels import compiled, inlined, inner, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.solution import Solution
+from policies.generalist.outlook import widened
 
 PINS = 4
 """The most open pins, beside the agent's own, that are looked at."""
@@ -76,7 +76,7 @@ class Regrets:
     Args:
         engine: the games.
         margin: Gcells around the open pins; more in priced rounds that gain nothing, as in
-            :mod:`marouting.batch.outlook`.
+            :mod:`policies.generalist.outlook`.
 
     Attributes:
         lessons: what is known; it is to be saved and restored with the games.
@@ -112,10 +112,7 @@ class Regrets:
             self.lessons.coming[m, edges] += sign * static.demand[m, n, layers]
 
     def write(
-        self,
-        problems: NDArray[np.integer],
-        agents: NDArray[np.integer],
-        out: NDArray[np.int32],
+        self, problems: NDArray[np.integer], agents: NDArray[np.integer], out: NDArray[np.int32]
     ) -> None:
         """Writes the regrets of K agents' moves; to be called before every move of an agent.
 

@@ -13,7 +13,7 @@ all but the first with drawn moves and the nets in an order of their own, and th
 through the rounds. The result is the best copy when the time is over.
 
 The moves are ordinary moves of the environment and the rounds ordinary rounds; all that is special
-is that they are compiled (:mod:`policies.learned.compiled.walk`).
+is that they are compiled (:mod:`policies.generalist.walk`).
 """
 
 import time
@@ -26,28 +26,26 @@ from numpy.typing import NDArray
 
 from marouting import EnvOptions, Problem, Solution
 from marouting.batch.engine import Engine
-from marouting.batch.options import MOST_PRESENT, RuleOptions
-from marouting.batch.outlook import DETOURS, OutlookObservation
+from marouting.batch.prices import MOST_PRESENT, Negotiation
 from marouting.config import check
-from marouting.game import MOST_NEIGHBOURS, MOST_ROUNDS, RipUp
+from marouting.game import MOST_NEIGHBOURS, MOST_ROUNDS, RipUp, Rules
 from marouting.problem.grid import MOVES
-from marouting.search.cheapest_tree import MOST_PINS
-from policies.learned.compiled.walk import MOST_STEPS, Walker, take_best
+from policies.generalist import SHIPPED
+from policies.generalist.cheapest_tree import MOST_PINS
+from policies.generalist.outlook import DETOURS, OutlookObservation
+from policies.generalist.walk import MOST_STEPS, Walker, take_best
+from policies.learned.counter_rng import keys
 from policies.learned.networks.mlp import MLP
-from policies.learned.policy import SHIPPED, Routed, TrainedPolicy
-from policies.learned.streams import keys
+from policies.learned.policy import Routed, TrainedPolicy
 
 _SURE = 8.0
-"""How much a Gcell of detour lowers a move's score without a network; see ``mind``."""
+"""How much a Gcell of detour lowers a move's score where ``policy`` is ``greedy``."""
 
 _STEPS = 64
 """Moves of every copy between two looks at the clock, unless there is time for less: a quarter of a
 millisecond on small grids."""
 
-_STEINER: dict[str, Any] = {
-    "decomposition": "steiner",
-    "next_pin": "listed",
-}
+_STEINER: dict[str, Any] = {"decomposition": "steiner", "next_pin": "listed"}
 """What is different in the game in which nets walk along Steiner trees."""
 
 _LEAST, _ROOM, _TIGHT = 0.01, 2, 8
@@ -61,16 +59,14 @@ by the network and along trees; and how much of such a walk a round is."""
 
 _FEW, _PRESENT, _POWER = 2.0, 2.8, 1.5
 """With time and rounds for fewer walks than the first number nets do not negotiate. Otherwise
-``rip_up_present`` is the second one, divided by their number, to the power of the third: with
+``present`` is the second one, divided by their number, to the power of the third: with
 little time nets share less, and have parted sooner."""
 
 _CALM = 0.3
-"""``rip_up_calm``: there are rounds enough for prices to come to rest."""
+"""``calm``: there are rounds enough for prices to come to rest."""
 
 _OFTEN = 0.1
 """Seconds between two lines to who watches."""
-
-Mind = Literal["network", "ways", "chance"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,24 +76,24 @@ class GeneralistOptions:
     Attributes:
         weights: a file of a trained policy with the observation ``outlook``, such as
             ``configs/generalist.yaml`` trains; None: the one that is shipped with the package, see
-            ``generalist.md`` beside it.
+            ``README.md`` beside it.
         seconds: limit of processor time, without loading and compiling. It may be exceeded until
             the copies have routed for the first time. None: no limit.
         rounds: the most rip-up rounds; 0 for a single shot.
         copies: copies of the problem that are played.
         keep: how many of them go through rip-up rounds.
-        warmth: the temperature at which moves are drawn.
+        temperature: that at which moves are drawn.
         neighbours: the most nets that walk again with a net because they stand in its way.
         patience: plain rounds in a row after which one more of them does so, from none in the first
             ones; 0: all of them from the first on.
         prices: whether nets negotiate (:mod:`marouting.batch.prices`), if there is time for it and
             there are rounds. Without ``overflow: allowed``, of which the weights tell, they cannot.
         exact_pins: where nets negotiate, those with at most so many pins walk along a cheapest tree
-            that is computed (:mod:`marouting.search.cheapest_tree`), and do not ask the network; 0:
-            none.
+            that is computed (:mod:`policies.generalist.cheapest_tree`), and do not ask the network;
+            0: none.
         seed: seed of the random numbers.
-        mind: who chooses the moves: ``network``; or, to see what the search does without learning,
-            ``ways``, whose moves lead along the cheapest way, or ``chance``.
+        policy: what chooses the moves: ``network``; or, to see what the search does without
+            learning, ``greedy``, whose moves lead along the cheapest way, or ``random``.
 
     Raises:
         InputError: a value is out of range.
@@ -108,13 +104,13 @@ class GeneralistOptions:
     rounds: int = MOST_ROUNDS
     copies: int = 1
     keep: int = 1
-    warmth: float = 1.0
+    temperature: float = 1.0
     neighbours: int = 3
     patience: int = 2
     prices: bool = True
     exact_pins: int = 6
     seed: int = 0
-    mind: Mind = "network"
+    policy: Literal["network", "greedy", "random"] = "network"
 
     def __post_init__(self) -> None:
         positive = self.seconds is None or self.seconds >= 0
@@ -122,7 +118,7 @@ class GeneralistOptions:
         check("rounds", 0 <= self.rounds <= MOST_ROUNDS, f"a number from 0 to {MOST_ROUNDS}")
         check("copies", 1 <= self.copies <= 4096, "a number from 1 to 4096")
         check("keep", 1 <= self.keep <= self.copies, f"a number from 1 to copies, {self.copies}")
-        check("warmth", self.warmth >= 0, "a number from 0")
+        check("temperature", self.temperature >= 0, "a number from 0")
         many = f"a number from 0 to {MOST_NEIGHBOURS}"
         check("neighbours", 0 <= self.neighbours <= MOST_NEIGHBOURS, many)
         check("patience", 0 <= self.patience <= MOST_ROUNDS, f"a number from 0 to {MOST_ROUNDS}")
@@ -155,32 +151,28 @@ class GeneralistRouter:
         env = EnvOptions(overflow="allowed", target="tree", next_pin="nearest", mask_visited=True)
         self._sizes: tuple[int, ...] = (self._observation.size, MOVES)
         self._weights = np.zeros((self._sizes[0] + 1) * MOVES, np.float32)
-        if options.mind == "ways":
+        if options.policy == "greedy":
             first = np.arange(MOVES)
             self._weights[(DETOURS + first) * MOVES + first] = -_SURE
-        if options.mind == "network":
+        if options.policy == "network":
             weights = str(SHIPPED) if options.weights is None else options.weights
-            policy = TrainedPolicy.load(weights)
-            self._observation, self._sizes, self._weights = _read(policy, weights)
-            env = policy.env
+            trained = TrainedPolicy.load(weights)
+            self._observation, self._sizes, self._weights = _read(trained, weights)
+            env = trained.env
         self._keys = keys(options.seed, [str(copy) for copy in range(options.copies)], "walk")
-        rules = {field.name: getattr(env, field.name) for field in fields(RuleOptions)}
+        rules = {field.name: getattr(env, field.name) for field in fields(Rules)}
         self._rules = replace(
-            RuleOptions(**rules),
+            Rules(**rules),
             turn_order="sequential",
             rip_up=_rounds(options.rounds, options.neighbours),
-            rip_up_patience=options.patience,
-            rip_up_prices=options.prices and options.rounds > 0 and env.overflow == "allowed",
-            rip_up_calm=_CALM,
         )
+        prices = options.prices and options.rounds > 0 and env.overflow == "allowed"
+        self._negotiation = Negotiation(prices=prices, patience=options.patience, calm=_CALM)
 
     def warm_up(self, problem: Problem) -> None:
         """Compiles what routing needs, in a round at most."""
         options = replace(self.options, rounds=min(1, self.options.rounds), seconds=None)
-        rules = replace(
-            self._rules_for(problem), rip_up=_rounds(options.rounds, options.neighbours)
-        )
-        GeneralistRouter(options)._play(problem, rules, time.thread_time())
+        GeneralistRouter(options)._play(problem, self._negotiation_for(problem), time.thread_time())
 
     def route(self, problem: Problem) -> Solution:
         """Routes a problem; in the solution every net is joined whose pins any way joins."""
@@ -193,24 +185,25 @@ class GeneralistRouter:
         rip-up rounds that a copy has been through.
         """
         began = time.thread_time()
-        return self._play(problem, self._rules_for(problem), began)
+        return self._play(problem, self._negotiation_for(problem), began)
 
-    def _play(self, problem: Problem, rules: RuleOptions, began: float) -> Routed:
-        """:meth:`solve` by these rules; it began at that processor time."""
-        o = self.options
-        engine = Engine([problem] * o.copies, rules)
+    def _play(self, problem: Problem, negotiation: Negotiation, began: float) -> Routed:
+        """:meth:`solve`, which began at that processor time."""
+        o, rules = self.options, self._rules
+        engine = Engine([problem] * o.copies, rules, negotiation=negotiation)
         if o.copies > 1:
             engine.set_order(_orders(engine, o.seed))
-        warmth = np.full(o.copies, o.warmth, np.float32)
-        warmth[0] = 0
+        temperature = np.full(o.copies, o.temperature, np.float32)
+        temperature[0] = 0
         seen = self._observation, self._sizes, self._weights
-        walker = Walker(engine, *seen, warmth, self._keys, exact_pins=o.exact_pins)
+        walker = Walker(engine, *seen, temperature, self._keys, exact_pins=o.exact_pins)
 
         guide, seconds = None, np.inf if o.seconds is None else o.seconds
         walker.walk_out(stops=True)
         share = _TIGHT if any(_cost(engine, 0)[:-1]) else _ROOM
         if seconds >= max(_LEAST, share * (time.thread_time() - began)):
-            guide = Engine([problem], replace(rules, **_STEINER, rip_up=_rounds(o.rounds, 0)))
+            alone_rules = replace(rules, **_STEINER, rip_up=_rounds(o.rounds, 0))
+            guide = Engine([problem], alone_rules, negotiation=negotiation)
             best_moves = np.zeros(1, np.float32)
             alone = Walker(guide, *seen, best_moves, self._keys[:1], exact_pins=o.exact_pins)
             alone.walk_out(stops=True)
@@ -220,7 +213,7 @@ class GeneralistRouter:
                 walker.follow(guide)
                 walker.walk_out(stops=True)
                 walker.follow(None)
-        warmth[:] = o.warmth
+        temperature[:] = o.temperature
         self._rip_up(engine, walker, began)
         best = int(_ranking(engine)[0])
         moves, rounds = int(walker.counters.sum()), int(engine.games["round"].max())
@@ -230,19 +223,19 @@ class GeneralistRouter:
             engine, best = guide, 0
         return Routed(engine.solution(best), report)
 
-    def _rules_for(self, problem: Problem) -> RuleOptions:
-        """The rules of the game: whether nets negotiate, and how cheaply they share at first."""
+    def _negotiation_for(self, problem: Problem) -> Negotiation:
+        """Whether nets negotiate, and how cheaply they share edges at first."""
         o, walks = self.options, 1 + _ROUND * self.options.rounds
         if o.seconds is not None:
             low, high = problem.pin_boxes()
             on_trees = np.diff(problem.flat_pin_gcells[0]) <= o.exact_pins
             times = np.where(on_trees, _TREE_MOVE, _MOVE) * (high - low).sum(axis=1)
             walks = min(walks, o.seconds / max(float(times.sum()), 1e-9))
-        if not self._rules.rip_up_prices or walks < _FEW:
-            return replace(self._rules, rip_up_prices=False)
-        usual = self._rules.rip_up_present
+        if walks < _FEW:
+            return replace(self._negotiation, prices=False)
+        usual = self._negotiation.present
         present = min(max(usual, (_PRESENT / walks) ** _POWER), MOST_PRESENT)
-        return replace(self._rules, rip_up_present=present)
+        return replace(self._negotiation, present=present)
 
     def _rip_up(self, engine: Engine, walker: Walker, began: float) -> None:
         """Rip-up rounds of the best copies, until the time is over."""
@@ -254,7 +247,7 @@ class GeneralistRouter:
             if self.watch is not None and time.perf_counter() - said >= _OFTEN:
                 said = time.perf_counter()
                 game = engine.games[_ranking(engine)[0]]
-                which = "best" if engine.rules.rip_up_prices else "kept"
+                which = "best" if engine.priced else "kept"
                 overflow, wirelength = (game[f"{which}_{n}"] for n in ("overflow", "wirelength"))
                 line = f"round {game['round']}; overflow {overflow}, wirelength {wirelength}"
                 if self.watch(line):
@@ -275,7 +268,7 @@ class GeneralistRouter:
             while not over and in_time():
                 over = walker.walk(steps())
             walker.walk_out(stops=True)
-            if engine.rules.rip_up_prices:
+            if engine.priced:
                 take_best(engine)
 
 
@@ -303,7 +296,7 @@ def _cost(engine: Engine, m: int) -> tuple[int, int, int]:
 def _walked(engine: Engine) -> tuple[int, ...]:
     """What the first walk of the first game is judged by; at prices overflow can still go away."""
     still_open, overflow, wirelength = _cost(engine, 0)
-    if engine.rules.rip_up_prices:
+    if engine.priced:
         return still_open, overflow + wirelength
     return still_open, overflow, wirelength
 

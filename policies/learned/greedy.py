@@ -1,7 +1,7 @@
 """Games played to their end by the best moves of small networks, in compiled loops.
 
 One loop plays games with the paper's observation and reward. Games in turn order with the
-observation ``outlook`` are played by that of :mod:`policies.learned.compiled.walk` if they have
+observation ``outlook`` are played by that of :mod:`policies.generalist.walk` if they have
 many rip-up rounds: through the player, a move of one game takes a hundred times as long.
 """
 
@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import nn
 
-from marouting.batch.outlook import OutlookObservation
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.kernels import allocating
-from marouting.player import Known, Player, StepBuffers, step_problem
+from marouting.player import FastPath, Player, StepBuffers, step_problem
 from marouting.problem.grid import MOVES
+from policies.generalist.outlook import OutlookObservation
+from policies.generalist.walk import Walker
 from policies.learned.compiled.gradient import q_values, units_of
-from policies.learned.compiled.walk import Walker
 from policies.learned.exploration import choose
 from policies.learned.networks.mlp import MLP
 
@@ -27,7 +27,7 @@ def layers_of(player: Player, module: nn.Module, *, masking: bool) -> tuple[int,
     """Units of a network's layers, inputs first, if :func:`play_out` does it in these games."""
     if not isinstance(module, MLP) or module.activation != "relu" or module.dueling:
         return None
-    known = player.known.observation and player.known.reward
+    known = player.fast.observation and player.fast.reward
     fits = known or (masking and _looks_out(player))
     return module.sizes if fits and player.engine.actions == MOVES else None
 
@@ -54,12 +54,12 @@ def play_out(
         masking: whether only moves that cross an edge are chosen.
     """
     engine, sizes = player.engine, np.array(layers, np.int64)
-    if not player.known.observation:
+    if not player.fast.observation:
         _walk_out(player, layers, weights)
         return
     _play_out(
         engine.static, engine.dynamic, player.buffers, player.kernel_buffers,
-        player.known, sizes, weights, masking,
+        player.fast, sizes, weights, masking,
     )  # fmt: skip
 
 
@@ -71,7 +71,7 @@ def _walk_out(player: Player, layers: tuple[int, ...], weights: NDArray[np.float
     of = np.arange(games) * len(weights) // games
     cold, keys = np.zeros(games, np.float32), np.zeros(games, np.uint64)
     for row, own in enumerate(weights):
-        walker = Walker(engine, observation, layers, own, cold, keys, helped=False)
+        walker = Walker(engine, observation, layers, own, cold, keys, fallback_after=None)
         walker.playing[:] = of == row
         walker.walk_out()
     player.buffers.active[:] = False
@@ -79,7 +79,7 @@ def _walk_out(player: Player, layers: tuple[int, ...], weights: NDArray[np.float
 
 @allocating
 def _play_out(
-    static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers, known: Known,
+    static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers, fast: FastPath,
     sizes: NDArray[np.int64], weights: NDArray[np.float32], masking: bool,
 ) -> None:  # fmt: skip
     """:func:`play_out`."""
@@ -94,4 +94,4 @@ def _play_out(
             q_values(sizes, weights[n], b.obs[games], activations, values[games])
         for m in range(len(b.over)):
             choose(keys, counters, never, b.active, b.mask, values, masking, b.actions, m)
-            step_problem(static, dynamic, kernel_buffers, known, m)
+            step_problem(static, dynamic, kernel_buffers, fast, m)

@@ -65,13 +65,7 @@ from numpy.typing import NDArray
 from marouting.batch.bits import byte_of
 from marouting.batch.edges import demand_of, uses
 from marouting.batch.engine import Engine, check_rows
-from marouting.batch.expected import (
-    Maps,
-    maps_of,
-    refresh,
-    slack_of,
-    squashed,
-)
+from marouting.batch.expected import Maps, maps_of, refresh, slack_of, squashed
 from marouting.batch.mirror import engine_of
 from marouting.batch.places import grid_of, position
 from marouting.batch.prices import UNIT, edge_cost, is_priced, price_of
@@ -150,7 +144,7 @@ def ways_of(engine: Engine) -> Ways:
             high=np.zeros((m, 2), np.int32),
             found=np.full((m, 4), NOBODY, np.int32),
             room=np.zeros((m, cells, VIA_AXIS), np.int32),
-            price=np.zeros((m, cells * engine.rules.rip_up_prices, VIA_AXIS), np.int32),
+            price=np.zeros((m, cells * engine.priced, VIA_AXIS), np.int32),
             load=np.zeros((m, cells, VIA_AXIS), np.int64),
             kinds=np.zeros(m, np.int32),
             front=np.zeros((m, 2, 3), np.int64),
@@ -175,7 +169,7 @@ def ways_of(engine: Engine) -> Ways:
 
 @dataclass(frozen=True)
 class OutlookObservation:
-    """What a learned router looks at; see :mod:`marouting.batch.outlook`.
+    """What a learned router looks at; see :mod:`policies.generalist.outlook`.
 
     Attributes:
         radius: Gcells that are seen in each direction of x and y, 0 to 32.
@@ -270,18 +264,7 @@ def _edge_cost(
     move: int,
     scarcity: bool,
 ) -> int:
-    """What it costs a net to cross the edge that a move from a Gcell of the grid crosses.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        maps: see :class:`marouting.batch.expected.Maps`.
-        m: the problem.
-        n: the agent.
-        cell: the Gcell.
-        move: the move, which stays on the grid.
-        scarcity: whether predicted slack counts.
-    """
+    """What the edge that a move crosses costs a net; ``scarcity``: predicted slack counts."""
     axis = move // 2
     if axis == VIA_AXIS:
         return wide(_UNIT)
@@ -423,15 +406,6 @@ def find_ways(
 
     :func:`_reach` carries the searches on as far as somebody looks. While only this agent moves,
     what they find stays the same until its next task begins.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        maps: up to date, without the agent.
-        ways: filled.
-        m: the problem.
-        n: the agent.
-        margin: Gcells around the open pins.
     """
     columns, rows, layers = grid_of(static)
     margin = widened(static, dynamic, m, margin)
@@ -463,29 +437,12 @@ def find_ways(
 
 @compiled
 def _reach(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    ways: Ways,
-    m: int,
-    n: int,
-    kind: int,
-    cell: int,
+    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, kind: int, cell: int
 ) -> int:
-    """The cost of the cheapest way from a Gcell of the box to the end of an agent's task.
+    """The cost of the cheapest way from a Gcell to the end of a task; ``kind`` 1: by slack.
 
     The search for all Gcells (Dijkstra's, with a bucket for every cost) goes on until it has passed
     this one.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        maps: as when the ways began to be found, like all that edges cost.
-        ways: carried on.
-        m: the problem.
-        n: the agent.
-        kind: 0 with the capacity there is, 1 with predicted slack.
-        cell: the Gcell.
     """
     kind = min(kind, wide(ways.kinds[m]) - 1)
     front = ways.front[m, kind]
@@ -579,13 +536,6 @@ def find_wires(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> 
     """Finds how far the open pins are from the Gcells at the net's edges and from the agent.
 
     While the agent walks, :func:`note_move` after every move keeps them right.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        ways: filled.
-        m: the problem.
-        n: the agent.
     """
     ways.counts[m] += 1
     ways.start[m] = dynamic.agents[m, n].cell
@@ -626,14 +576,7 @@ def _ahead(static: Static, ways: Ways, m: int, cell: int, move: int) -> int:
 
 @inlined
 def _write_moves(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    ways: Ways,
-    m: int,
-    n: int,
-    out: Any,
-    row: int,
+    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, out: Any, row: int
 ) -> None:
     """Writes the blocks ``detour`` and ``crossed``."""
     agent = dynamic.agents[m, n]
@@ -716,14 +659,7 @@ def _span(static: Static, ways: Ways, m: int, pins: int, cell: int) -> int:
 
 @inlined
 def _write_spans(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    ways: Ways,
-    m: int,
-    n: int,
-    out: Any,
-    row: int,
+    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, out: Any, row: int
 ) -> None:
     """Writes the block ``span``."""
     agent = dynamic.agents[m, n]
@@ -867,19 +803,7 @@ def write_outlook(
     out: Any,
     row: int,
 ) -> None:
-    """Fills a row of ``out`` (K, size) for an agent.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        maps: up to date, without the agent.
-        ways: found for the agent's present task, with the wires there are.
-        m: the problem.
-        n: the agent.
-        radius: of the window.
-        out: the rows.
-        row: which to fill.
-    """
+    """Fills a row of ``out`` (K, size); ``maps`` and ``ways`` have been brought up to date."""
     write_numbers(static, dynamic, m, n, out, row)
     _write_moves(static, dynamic, maps, ways, m, n, out, row)
     _write_folded(static, dynamic, maps, ways, m, n, radius, out, row)

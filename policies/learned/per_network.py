@@ -29,14 +29,14 @@ def kept(store: Array, which: NDArray[np.integer]) -> Array:
     return store[: len(which)]
 
 
-class Rows:
+class PerNetworkState:
     """Something with one row per network in each of the attributes that ``rows`` names."""
 
     rows: ClassVar[tuple[str, ...]] = ()
     """Attributes: tensors or arrays whose first axis is the network."""
 
     parts: ClassVar[tuple[str, ...]] = ()
-    """Attributes that are themselves :class:`Rows`; one that is None is left out."""
+    """Attributes that are themselves :class:`PerNetworkState`; one that is None is left out."""
 
     def limits(self) -> dict[str, tuple[float, float]]:
         """The least and the largest number of rows, for what a checkpoint says.
@@ -48,7 +48,7 @@ class Rows:
     def check(self, state: Mapping[str, Tensor]) -> None:
         """Raises InputError for rows of a checkpoint that are wrong in other ways."""
 
-    def _parts(self) -> dict[str, "Rows"]:
+    def _parts(self) -> dict[str, "PerNetworkState"]:
         return {name: part for name in self.parts if (part := getattr(self, name)) is not None}
 
     def bind(self) -> None:

@@ -196,26 +196,9 @@ def _find(static: Static, t: Trees, pins: int, random: int) -> None:
 
 @compiled
 def plan_tree(
-    static: Static,
-    dynamic: Dynamic,
-    t: Trees,
-    m: int,
-    n: int,
-    most: int,
-    margin: int,
-    random: int,
+    static: Static, dynamic: Dynamic, t: Trees, m: int, n: int, most: int, margin: int, random: int
 ) -> bool:
     """Finds a cheapest tree for the net of an agent that uses no edge, in a game with prices.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        t: receives the tree.
-        m: the problem.
-        n: the agent.
-        most: the most pins.
-        margin: Gcells around the box of the pins.
-        random: any number from 0; decides between trees of equal cost.
 
     Returns:
         Whether there is a tree: the net has not too many pins, and they are not too far apart.
@@ -253,15 +236,7 @@ def is_planned(dynamic: Dynamic, t: Trees, m: int, n: int) -> bool:
 
 @compiled
 def move_on_tree(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> int:
-    """An agent's move along its net's tree towards the end of its task; NOBODY if it has none.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        t: holds the tree.
-        m: the problem.
-        n: the agent, whose turn it is.
-    """
+    """An agent's move along its net's tree towards the end of its task; NOBODY if it has none."""
     agent = dynamic.agents[m, n]
     if not t.found[m] or not is_planned(dynamic, t, m, n):
         return wide(NOBODY)

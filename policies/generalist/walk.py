@@ -7,7 +7,7 @@ what makes it many times as fast as the same policy through the player.
 An agent may be guided: then it walks along given routes of its net, as far as they lead to its
 target (:mod:`marouting.search.guides`). So the routes of another game become moves of this
 one. In games with prices an agent whose net has few pins walks along a cheapest tree in the same
-way (:mod:`marouting.search.cheapest_tree`).
+way (:mod:`policies.generalist.cheapest_tree`).
 
 An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way, unless
 the network alone is to walk.
@@ -21,6 +21,7 @@ it says so in one round out of eight, in every round other agents, but not where
 counts.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,16 @@ from marouting.batch.best import put_best
 from marouting.batch.bits import byte_of
 from marouting.batch.engine import Engine
 from marouting.batch.expected import Maps, maps_of, recount, refresh, sum_up
-from marouting.batch.outlook import (
+from marouting.batch.prices import UNIT, first_present, is_priced, net_cost
+from marouting.batch.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
+from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.tasks import is_on
+from marouting.game import NOBODY, Status
+from marouting.kernels import allocating, bound, compiled, inlined, inner, place, wide
+from marouting.problem.grid import MOVES, VIA_AXIS
+from marouting.search.guides import move_along
+from policies.generalist.cheapest_tree import Trees, is_planned, make_trees, move_on_tree, plan_tree
+from policies.generalist.outlook import (
     DETOURS,
     OutlookObservation,
     Ways,
@@ -41,23 +51,8 @@ from marouting.batch.outlook import (
     widened,
     write_outlook,
 )
-from marouting.batch.prices import UNIT, first_present, is_priced, net_cost
-from marouting.batch.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
-from marouting.batch.state import Dynamic, Option, Static
-from marouting.batch.tasks import is_on
-from marouting.game import NOBODY, Status
-from marouting.kernels import allocating, bound, compiled, inlined, inner, place, wide
-from marouting.problem.grid import MOVES, VIA_AXIS
-from marouting.search.cheapest_tree import (
-    Trees,
-    is_planned,
-    make_trees,
-    move_on_tree,
-    plan_tree,
-)
-from marouting.search.guides import move_along
-from policies.learned.compiled.gradient import forward, forward_one
-from policies.learned.streams import uniform
+from policies.learned.compiled.gradient import forward
+from policies.learned.counter_rng import uniform
 
 _ANYWAY = 8
 """In one round out of these a net gives way without reason."""
@@ -73,27 +68,24 @@ _RANDOM = 2.0**30
 """Trees of equal cost are drawn by a number below this."""
 
 _COOLER = 0.5
-"""Share of the warmth in priced rounds: prices drive nets apart as well."""
+"""Share of the temperature in priced rounds: prices drive nets apart as well."""
 
 
-class Walk(NamedTuple):
+class WalkState(NamedTuple):
     """What a walk needs beside the games."""
 
     maps: Maps  # predicted demand of the games
     ways: Ways  # cheapest ways in them
-    sizes: tuple[int, ...]  # units of all layers, the inputs first
+    sizes: NDArray[np.int64]  # units of all layers, the inputs first
     weights: NDArray[np.float32]  # flat, as the parameters of the network lie one after another
     radius: int
     margin: int
     late: int  # steps of a task after which an agent goes on by the cheapest way
-    warmth: NDArray[
-        np.float32
-    ]  # (M,) 0: the best move; otherwise moves are drawn at this temperature
+    temperature: NDArray[np.float32]  # (M,) at which moves are drawn; 0: the best move
     keys: NDArray[np.uint64]  # (M,) of random numbers
     counters: NDArray[np.int64]  # (M,)
     rows: NDArray[np.float32]  # (M, F) working
     scores: NDArray[np.float32]  # (M · units) working
-    places: NDArray[np.int64]  # (the most units of a layer) working
     game: NDArray[np.int64]  # (M,) working: the game of each row
     playing: NDArray[np.bool_]  # (M,) which games are played
     shortest: NDArray[np.int64]  # (M, N) the fewest edges that have joined a whole net so far
@@ -115,9 +107,10 @@ class Walker:
         observation: what agents see.
         sizes: units of the network's layers, the inputs first.
         weights: of the network, as its parameters lie one after another.
-        warmth: (M,) see :class:`Walk`; may be changed.
+        temperature: (M,) see :class:`WalkState`; may be changed.
         keys: (M,) of random numbers.
-        helped: whether an agent that has taken a quarter of its steps goes on by the cheapest way.
+        fallback_after: share of a task's steps after which an agent goes on by the cheapest way;
+            None: never.
         exact_pins: the most pins of a net that walks along a cheapest tree in games with prices.
 
     Attributes:
@@ -131,28 +124,27 @@ class Walker:
         observation: OutlookObservation,
         sizes: tuple[int, ...],
         weights: NDArray[np.float32],
-        warmth: NDArray[np.float32],
+        temperature: NDArray[np.float32],
         keys: NDArray[np.uint64],
         *,
-        helped: bool = True,
+        fallback_after: float | None = 0.25,
         exact_pins: int = 0,
     ) -> None:
         self._engine = engine
         count, cells, most = len(engine.games), engine.grid.gcells, int(engine.static.max_steps)
-        self._given = Walk(
+        self._given = WalkState(
             maps=maps_of(engine),
             ways=ways_of(engine),
-            sizes=sizes,
+            sizes=np.array(sizes, np.int64),
             weights=weights,
             radius=observation.radius,
             margin=observation.margin,
-            late=-(-most // 4) if helped else most + 1,
-            warmth=warmth,
+            late=most + 1 if fallback_after is None else math.ceil(most * fallback_after),
+            temperature=temperature,
             keys=keys,
             counters=np.zeros(count, np.int64),
             rows=np.zeros((count, observation.size), np.float32),
             scores=np.zeros(count * sum(sizes[1:]), np.float32),
-            places=np.zeros(max(sizes), np.int64),
             game=np.zeros(count, np.int64),
             playing=np.ones(count, np.bool_),
             shortest=np.full(engine.nets.shape, np.iinfo(np.int64).max),
@@ -192,10 +184,8 @@ class Walker:
         Returns:
             Whether all games have stopped or are over.
         """
-        engine, stopped = self._engine, False
-        while steps > 0 and not stopped:
-            stopped, steps = self._kernel(engine.static, engine.dynamic, self._given, steps, stops)
-        return bool(stopped)
+        engine = self._engine
+        return bool(self._kernel(engine.static, engine.dynamic, self._given, steps, stops))
 
     def walk_out(self, *, stops: bool = False) -> None:
         """Plays on until all games have stopped or are over; see :meth:`walk`."""
@@ -223,7 +213,9 @@ def _in_frame(rows: Any, row: int, move: int) -> int:
 
 
 @inlined
-def _choose(given: Walk, m: int, row: int, free: int, at: int, late: bool, warm: float) -> int:
+def _choose(
+    given: WalkState, m: int, row: int, free: int, at: int, late: bool, temperature: float
+) -> int:
     """The move on the grid that a row takes; its scores begin at ``at``.
 
     A draw adds to every score −log(−log(u)) times the temperature, for u in (0, 1) (Gumbel).
@@ -240,27 +232,21 @@ def _choose(given: Walk, m: int, row: int, free: int, at: int, late: bool, warm:
         if free != 0 and not free >> move & 1:
             continue
         score = given.scores[at + way]
-        if warm > 0:
+        if temperature > 0:
             u = uniform(given.keys[m], given.counters[m], way)
             noise = -np.log(-np.log(max(u, 1e-12)))
-            score += np.float32(warm * noise)
+            score += np.float32(temperature * noise)
         if score > most:
             best, most = move, score
     return best
 
 
 @allocating
-def _walk(
-    static: Static, dynamic: Dynamic, given: Walk, steps: int, stops: bool
-) -> tuple[bool, int]:
-    """:meth:`Walker.walk`, until there may be no room for a step.
-
-    Returns:
-        Whether all games have stopped or are over, and how many steps are left.
-    """
+def _walk(static: Static, dynamic: Dynamic, given: WalkState, steps: int, stops: bool) -> bool:
+    """See :meth:`Walker.walk`."""
     if not stops:
         _go_on(static, dynamic, given)
-    for made in range(steps):
+    for _ in range(steps):
         count, answered = wide(0), False
         for m in range(len(given.game)):
             n = wide(dynamic.games[m].agent)
@@ -300,26 +286,22 @@ def _walk(
         if count == 0:
             if answered:
                 continue
-            return True, wide(steps - made)
-        if count == 1:
-            row = given.rows[0]
-            at = forward_one(given.sizes, given.weights, row, given.scores, given.places)
-        else:
-            at = forward(given.sizes, given.weights, given.rows.reshape(-1), count, given.scores)
+            return True
+        at = forward(given.sizes, given.weights, given.rows.reshape(-1), count, given.scores)
         for row in range(count):
             m = place(given.game[row])
             n = place(dynamic.games[m].agent)
             free = free_moves(static, dynamic, m, n)
             late = wide(dynamic.agents[m, n].steps) >= given.late
-            warm = given.warmth[m] * (_COOLER if is_priced(static, dynamic, m) else 1.0)
+            warm = given.temperature[m] * (_COOLER if is_priced(static, dynamic, m) else 1.0)
             move = _choose(given, m, wide(row), free, at + row * given.sizes[-1], late, warm)
             given.counters[m] += 1
             _step(static, dynamic, given, m, n, move, stops)
-    return False, wide(0)
+    return False
 
 
 @inner
-def _go_on(static: Static, dynamic: Dynamic, given: Walk) -> None:
+def _go_on(static: Static, dynamic: Dynamic, given: WalkState) -> None:
     """Begins the next rip-up in games that have stopped."""
     for m in range(len(given.playing)):
         game = dynamic.games[m]
@@ -329,7 +311,7 @@ def _go_on(static: Static, dynamic: Dynamic, given: Walk) -> None:
 
 
 @inlined
-def _on_tree(static: Static, dynamic: Dynamic, given: Walk, m: int, n: int) -> int:
+def _on_tree(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int) -> int:
     """An agent's move along a cheapest tree if there are prices; NOBODY: the network is to move."""
     if given.exact_pins < 2 or not is_on(static, Option.PRICES):
         return wide(NOBODY)
@@ -344,14 +326,7 @@ def _on_tree(static: Static, dynamic: Dynamic, given: Walk, m: int, n: int) -> i
 
 
 @compiled
-def _look(
-    static: Static,
-    dynamic: Dynamic,
-    given: Walk,
-    m: int,
-    n: int,
-    row: int,
-) -> None:
+def _look(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int, row: int) -> None:
     """Writes what an agent sees; finds ways if its task begins."""
     if dynamic.agents[m, n].steps == 0:
         if given.counted[m]:
@@ -370,13 +345,7 @@ def _look(
 
 @inlined
 def _step(
-    static: Static,
-    dynamic: Dynamic,
-    given: Walk,
-    m: int,
-    n: int,
-    move: int,
-    stops: bool,
+    static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int, move: int, stops: bool
 ) -> None:
     """The move of an agent, and what follows from it."""
     asked = dynamic.games[m].asked
@@ -423,7 +392,7 @@ def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
 
 
 @inner
-def _gives_way(static: Static, dynamic: Dynamic, given: Walk, m: int, n: int) -> bool:
+def _gives_way(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int) -> bool:
     """The answer of an agent that is asked; see the module's docstring."""
     game = dynamic.games[m]
     period = 1

@@ -1,0 +1,6 @@
+"""The generalist: one network for all nets and problems; see README.md beside this file."""
+
+from pathlib import Path
+
+SHIPPED = Path(__file__).with_name("generalist.pt")
+"""The weights that are shipped."""
