@@ -10,7 +10,7 @@ from marouting.batch.edges import has_room, uses
 from marouting.batch.rules import move_player, settle_player
 from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY, NetOrder
-from marouting.kernels import compiled, inner, place, wide
+from marouting.kernels import compiled, place, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.search.guides import SearchBuffers, search_buffers, shortest_path
 from marouting.trees.decomposition import Decomposition
@@ -80,7 +80,7 @@ def _play(static: Static, dynamic: Dynamic, s: SearchBuffers, nearest: Any) -> N
         settle_player(static, dynamic, m)
 
 
-@inner
+@compiled
 def _nearer(static: Static, dynamic: Dynamic, m: int, n: int, nearest: int) -> int:
     """The move nearer to the target than ``nearest`` with the most capacity; NOBODY for none."""
     agent = dynamic.agents[m, n]

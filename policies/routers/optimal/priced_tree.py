@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled, inner, wide
+from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, VIA_AXIS, Move
 
 NEVER = 1 << 60
@@ -30,7 +30,7 @@ _SPLIT + S where a tree splits into one for the pins in S and one for the others
 _EAST, _WEST, _NORTH, _SOUTH, _UP, _DOWN = map(int, Move)  # members are slow to compile
 
 
-@inner
+@compiled
 def _shorter(cost: Any, way: Any, price: Any, here: int, there: int, edge: int, move: int) -> bool:
     """Takes the way to ``here`` from its neighbour ``there`` if it is cheaper; returns whether."""
     over = cost[there] + price[edge]

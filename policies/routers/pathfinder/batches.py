@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES
-from marouting.trees.exact_tree import Search
-from marouting.trees.lattice import Lattice
 from policies.routers.pathfinder.kernels import draw, set_box
 from policies.routers.pathfinder.passes import advance
 from policies.routers.pathfinder.state import (
@@ -30,11 +28,11 @@ from policies.routers.pathfinder.state import (
     POOL_TOO_SMALL,
     PROGRESS,
     SQUEEZE,
-    NetBuffers,
+    Memory,
     Parameters,
     ProblemArrays,
     Routing,
-    make_buffers,
+    make_memory,
     widened,
     with_larger_pool,
 )
@@ -110,9 +108,7 @@ def _plan_some(
     problem: ProblemArrays,
     parameters: Parameters,
     routing: Routing,
-    lattice: Lattice,
-    search: Search,
-    buffers: NetBuffers,
+    memory: Memory,
     batch: Batch,
     row: int,
     last: int,
@@ -122,11 +118,11 @@ def _plan_some(
     Returns:
         DONE; BOX_TOO_SMALL; or POOL_TOO_SMALL if the thread's row of ``batch.edge`` is full.
     """
-    progress = routing.progress[0]
+    progress, buffers = routing.progress[0], memory.buffers
     while progress.next < last:
         i = progress.next
         progress.random = batch.random[i]
-        code = plan(problem, parameters, routing, lattice, search, buffers, batch.net[i])
+        code = plan(problem, parameters, routing, memory, batch.net[i])
         if code != DONE:
             return code
         edges, first = buffers.plan[EDGES], batch.top[row]
@@ -173,7 +169,7 @@ class _Worker:
 
     def make_room(self, points: int) -> None:
         """Makes the working memory large enough for boxes of so many points."""
-        self.memory = make_buffers(self._problem, self._exact_pins, points)
+        self.memory = make_memory(self._problem, self._exact_pins, points)
 
     def work(
         self, parameters: Parameters, routing: Routing, batch: Batch, parts: deque[range]
@@ -195,7 +191,7 @@ class _Worker:
             progress["next"], code = part.start, BOX_TOO_SMALL
             while code == BOX_TOO_SMALL:
                 code = _plan_some(
-                    self._problem, parameters, own, *self.memory, batch, self.row, part.stop
+                    self._problem, parameters, own, self.memory, batch, self.row, part.stop
                 )
                 if code == BOX_TOO_SMALL:
                     self.make_room(2 * int(progress["need"]))
@@ -260,7 +256,7 @@ class Crew:
         planned = progress["most"] > 1 and progress["kind"] <= SQUEEZE
         if planned and progress["next"] < len(routing.order):
             return False, self._advance_batch(routing)
-        code = advance(self._problem, self._parameters, routing, *first.memory)
+        code = advance(self._problem, self._parameters, routing, first.memory)
         if code == BOX_TOO_SMALL:
             first.make_room(2 * int(progress["need"]))
         elif code == POOL_TOO_SMALL:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from marouting.kernels import compiled, inner, wide
+from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree
 from marouting.trees.lattice import CLOSED, Lattice, begin_lines, set_cost, set_size, sum_lines
@@ -64,7 +64,7 @@ def edge_cost(problem: ProblemArrays, routing: Routing, edge: int, demand: int, 
     return wide(min(cost, FULL - 1.0)) + (FULL if blocked else 0)
 
 
-@inner
+@compiled
 def tree_cost(
     problem: ProblemArrays,
     routing: Routing,
@@ -92,7 +92,7 @@ def tree_cost(
     return cost
 
 
-@inner
+@compiled
 def set_box(
     problem: ProblemArrays, routing: Routing, net: int, margin: int, low: Any, size: Any
 ) -> int:
@@ -122,14 +122,14 @@ def set_box(
     return points
 
 
-@inner
+@compiled
 def point_of(position: Any, low: Any, size: Any, gcell: int) -> int:
     """The point of a box that a Gcell is."""
     x, y = position[gcell, 0] - low[0], position[gcell, 1] - low[1]
     return (x * size[1] + y) * size[2] + position[gcell, 2] - low[2]
 
 
-@inner
+@compiled
 def set_costs(
     problem: ProblemArrays,
     routing: Routing,
@@ -196,7 +196,7 @@ def set_costs(
     sum_lines(lattice)
 
 
-@inner
+@compiled
 def _extend_bounds(lattice: Lattice, search: Search, group: int, point: int, size: int) -> None:
     """Extends the bounding box of a group (or of the goal) of ``size`` points by one point."""
     ny, nz = lattice.size[1], lattice.size[2]
@@ -211,7 +211,7 @@ def _extend_bounds(lattice: Lattice, search: Search, group: int, point: int, siz
             search.high[group, axis] = line
 
 
-@inner
+@compiled
 def join_all(
     problem: ProblemArrays, progress: Any, lattice: Lattice, search: Search, low: Any, net: int
 ) -> int:
@@ -239,7 +239,7 @@ def join_all(
     return cost
 
 
-@inner
+@compiled
 def grow(
     problem: ProblemArrays,
     progress: Any,
@@ -310,7 +310,7 @@ def grow(
     return total if cost != CLOSED else wide(CLOSED)
 
 
-@inner
+@compiled
 def _degree(moves: int) -> int:
     """The number of tree edges at a point, from the bits of ``lattice.tree``."""
     degree = 0
@@ -319,7 +319,7 @@ def _degree(moves: int) -> int:
     return degree
 
 
-@inner
+@compiled
 def _list_part(
     lattice: Lattice, search: Search, buffers: NetBuffers, point: int, first: int
 ) -> int:
@@ -348,7 +348,7 @@ def _list_part(
     return size
 
 
-@inner
+@compiled
 def _other_end(
     problem: ProblemArrays,
     remaining: Any,
@@ -386,7 +386,7 @@ def _other_end(
             move += 1
 
 
-@inner
+@compiled
 def load_tree(
     problem: ProblemArrays, routing: Routing, lattice: Lattice, low: Any, net: int
 ) -> bool:
@@ -409,7 +409,7 @@ def load_tree(
     return is_open
 
 
-@inner
+@compiled
 def _is_listed(points: Any, end: int, point: int) -> bool:
     """Whether a point is among the first ``end`` of a list."""
     listed = False
@@ -418,7 +418,7 @@ def _is_listed(points: Any, end: int, point: int) -> bool:
     return listed
 
 
-@inner
+@compiled
 def mend(
     problem: ProblemArrays,
     routing: Routing,

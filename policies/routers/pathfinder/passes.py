@@ -6,9 +6,7 @@ follows another.
 
 import numpy as np
 
-from marouting.kernels import compiled, inner, wide
-from marouting.trees.exact_tree import Search
-from marouting.trees.lattice import Lattice
+from marouting.kernels import compiled, wide
 from policies.routers.pathfinder.kernels import draw
 from policies.routers.pathfinder.patterns import route_pattern
 from policies.routers.pathfinder.repair import repair, repairable
@@ -23,7 +21,7 @@ from policies.routers.pathfinder.state import (
     REPAIR,
     SQUEEZE,
     UNIT,
-    NetBuffers,
+    Memory,
     Parameters,
     ProblemArrays,
     Routing,
@@ -38,7 +36,7 @@ from policies.routers.pathfinder.trees import (
 )
 
 
-@inner
+@compiled
 def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing) -> bool:
     """Ends a pass: records it, updates prices, and chooses the kind of the next pass.
 
@@ -134,12 +132,7 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
 
 @compiled
 def advance(
-    problem: ProblemArrays,
-    parameters: Parameters,
-    routing: Routing,
-    lattice: Lattice,
-    search: Search,
-    buffers: NetBuffers,
+    problem: ProblemArrays, parameters: Parameters, routing: Routing, memory: Memory
 ) -> int:
     """Carries the search on for a while, from where the last call left it.
 
@@ -150,6 +143,7 @@ def advance(
         the pools of ``routing`` have to be replaced by larger ones, for
         ``routing.progress["need"]`` points or edges.
     """
+    lattice, search, buffers = memory
     progress = routing.progress[0]
     until = search.tally[1] + progress.work
     while True:
@@ -161,9 +155,9 @@ def advance(
                 code = route_pattern(problem, parameters, routing, lattice, buffers, net)
                 search.tally[1] += 64  # about the work of so many labels
             elif progress.kind == REPAIR:
-                routed, code = repair(problem, parameters, routing, lattice, search, buffers)
+                routed, code = repair(problem, parameters, routing, memory)
             elif progress.kind != NEGOTIATE or overflows(routing, net):
-                code = reroute(problem, parameters, routing, lattice, search, buffers, net)
+                code = reroute(problem, parameters, routing, memory, net)
             if code == POOL_TOO_SMALL and compact(routing):
                 continue
             if code != DONE:

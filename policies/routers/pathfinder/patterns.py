@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from marouting.kernels import compiled, inner, wide
+from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.lattice import Lattice, set_size
 from policies.routers.pathfinder.kernels import edge_cost, point_of, set_box
@@ -56,7 +56,7 @@ def _straight(
         cost[z] = total
 
 
-@inner
+@compiled
 def _best_layers(along: Any, across: Any, first: int, last: int, via: int) -> tuple[int, int, int]:
     """The cheapest pair of layers of an L, with the vias from one layer to another.
 
@@ -73,7 +73,7 @@ def _best_layers(along: Any, across: Any, first: int, last: int, via: int) -> tu
     return least, one, two
 
 
-@inner
+@compiled
 def _draw_line(
     lattice: Lattice, buffers: NetBuffers, point: int, axis: int, steps: int, size: int
 ) -> tuple[int, int]:
@@ -119,7 +119,7 @@ def _nearest(
     return nearest, least
 
 
-@inner
+@compiled
 def route_pattern(
     problem: ProblemArrays,
     parameters: Parameters,
@@ -195,30 +195,30 @@ def _join(
         return size
     nearest, _ = _nearest(problem, lattice, buffers, via, pin, wide(0), size)
     nz = lattice.size[2]
-    x0, y0 = wide(problem.position[pin, 0]), wide(problem.position[pin, 1])
-    z0 = wide(problem.position[pin, VIA_AXIS])
-    x1 = buffers.low[0] + nearest // nz // lattice.size[1]
-    y1 = buffers.low[1] + nearest // nz % lattice.size[1]
-    z1 = nearest % nz
+    here = (wide(problem.position[pin, 0]), wide(problem.position[pin, 1]))
+    row = nearest // nz
+    there = (buffers.low[0] + row // lattice.size[1], buffers.low[1] + row % lattice.size[1])
+    top, bottom = wide(problem.position[pin, VIA_AXIS]), nearest - row * nz
+    one_wire, other_wire = buffers.layers[0], buffers.layers[1]
     least, turn, one, two = wide(8 * _NEVER), wide(0), wide(0), wide(0)
     for first in range(VIA_AXIS):  # the axis along which it begins
-        if first == 0:
-            _straight(problem, routing, net, wide(0), x0, x1, y0, buffers.layers[0])
-            _straight(problem, routing, net, wide(1), y0, y1, x1, buffers.layers[1])
-        else:
-            _straight(problem, routing, net, wide(1), y0, y1, x0, buffers.layers[0])
-            _straight(problem, routing, net, wide(0), x0, x1, y1, buffers.layers[1])
-        cost, a, b = _best_layers(buffers.layers[0], buffers.layers[1], z0, z1, via)
+        then = 1 - first
+        _straight(problem, routing, net, first, here[first], there[first], here[then], one_wire)
+        _straight(problem, routing, net, then, here[then], there[then], there[first], other_wire)
+        cost, a, b = _best_layers(one_wire, other_wire, top, bottom, via)
         if cost < least:
-            least, turn, one, two = cost, wide(first), a, b
+            least, turn, one, two = cost, first, a, b
     end = size + 1
     buffers.key[size] = point
-    far = (x1 - x0, y1 - y0)
-    point, end = _draw_line(lattice, buffers, point, wide(VIA_AXIS), one - z0, end)
-    point, end = _draw_line(lattice, buffers, point, turn, far[turn], end)
-    point, end = _draw_line(lattice, buffers, point, wide(VIA_AXIS), two - one, end)
-    point, end = _draw_line(lattice, buffers, point, 1 - turn, far[1 - turn], end)
-    _, end = _draw_line(lattice, buffers, point, wide(VIA_AXIS), z1 - two, end)
+    legs = (
+        (VIA_AXIS, one - top),
+        (turn, there[turn] - here[turn]),
+        (VIA_AXIS, two - one),
+        (1 - turn, there[1 - turn] - here[1 - turn]),
+        (VIA_AXIS, bottom - two),
+    )
+    for axis, steps in legs:
+        point, end = _draw_line(lattice, buffers, point, axis, steps, end)
     for i in range(size, end):
         buffers.inside[buffers.key[i]] = 1
     return end

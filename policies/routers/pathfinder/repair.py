@@ -7,9 +7,7 @@ problems", Discrete Applied Mathematics 65, 1996). Nets keep their new trees unl
 worse.
 """
 
-from marouting.kernels import compiled, inner, wide
-from marouting.trees.exact_tree import Search
-from marouting.trees.lattice import Lattice
+from marouting.kernels import compiled, wide
 from policies.routers.pathfinder.kernels import draw
 from policies.routers.pathfinder.state import (
     DISPLACE,
@@ -17,7 +15,7 @@ from policies.routers.pathfinder.state import (
     MOST_TOGETHER,
     REPAIR,
     SQUEEZE,
-    NetBuffers,
+    Memory,
     Parameters,
     ProblemArrays,
     Routing,
@@ -32,7 +30,7 @@ _PRESENT, _GROWTH = 0.5, 1.3
 grows from one net to the next."""
 
 
-@inner
+@compiled
 def repairable(parameters: Parameters, routing: Routing) -> int:
     """How many nets overflow or take a detour; at least one."""
     count = 0
@@ -58,7 +56,7 @@ def _choose(parameters: Parameters, routing: Routing) -> int:
     return routing.order[begin]
 
 
-@inner
+@compiled
 def _displaced(routing: Routing, together: int, last: int) -> int:
     """Another net than the last one on an overflowed edge of those in ``routing.together``.
 
@@ -87,14 +85,9 @@ def _displaced(routing: Routing, together: int, last: int) -> int:
     return chosen
 
 
-@inner
+@compiled
 def repair(
-    problem: ProblemArrays,
-    parameters: Parameters,
-    routing: Routing,
-    lattice: Lattice,
-    search: Search,
-    buffers: NetBuffers,
+    problem: ProblemArrays, parameters: Parameters, routing: Routing, memory: Memory
 ) -> tuple[int, int]:
     """Reroutes some nets that displace each other; no worse solution comes of it.
 
@@ -122,7 +115,7 @@ def repair(
             routing.together[together, 1] = routing.start[net]
             routing.together[together, 2] = routing.length[net]
             together += 1
-        code = reroute(problem, parameters, routing, lattice, search, buffers, net)
+        code = reroute(problem, parameters, routing, memory, net)
         routed += 1
         progress.present *= _GROWTH
         if routed > 1 and progress.overflow <= overflow:
@@ -133,7 +126,7 @@ def repair(
         for k in range(together):
             if code == DONE:
                 net = routing.together[k, 0]
-                code = reroute(problem, parameters, routing, lattice, search, buffers, net)
+                code = reroute(problem, parameters, routing, memory, net)
     progress.kind, progress.present = REPAIR, present
     longer = progress.overflow == overflow and progress.length > length
     if code != DONE or progress.overflow > overflow or longer:

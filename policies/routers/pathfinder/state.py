@@ -176,6 +176,14 @@ class NetBuffers(NamedTuple):
     tree: NDArray[np.int32]  # (1, points) edges of the new tree
 
 
+class Memory(NamedTuple):
+    """All working memory."""
+
+    lattice: Lattice
+    search: Search
+    buffers: NetBuffers
+
+
 def make_parameters(options: PathfinderOptions) -> Parameters:
     """The options as numbers for the compiled code."""
     values = {name: getattr(options, name) for name in Parameters._fields if name != "via"}
@@ -245,9 +253,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
     return arrays, routing
 
 
-def make_buffers(
-    problem: ProblemArrays, exact_pins: int, points: int
-) -> tuple[Lattice, Search, NetBuffers]:
+def make_memory(problem: ProblemArrays, exact_pins: int, points: int) -> Memory:
     """Working memory for boxes of at most ``points`` points."""
     buffers = NetBuffers(
         low=np.zeros(AXES, np.int64),
@@ -261,7 +267,7 @@ def make_buffers(
     )
     lattice = make_lattice(points, int(problem.size.max()))
     search = make_search(points, max(points, EXACT_LABELS), exact_pins - 1)
-    return lattice, search, buffers
+    return Memory(lattice, search, buffers)
 
 
 def with_larger_pool(routing: Routing, size: int) -> Routing:

@@ -5,9 +5,8 @@
 
 from typing import Any
 
-from marouting.kernels import compiled, inner, wide
+from marouting.kernels import compiled, wide
 from marouting.problem.grid import AXES, VIA_AXIS
-from marouting.trees.exact_tree import Search
 from marouting.trees.lattice import CLOSED, FAR, Lattice
 from policies.routers.pathfinder.kernels import (
     draw,
@@ -34,6 +33,7 @@ from policies.routers.pathfinder.state import (
     POOL_TOO_SMALL,
     RELAX,
     UNIT,
+    Memory,
     NetBuffers,
     Parameters,
     ProblemArrays,
@@ -41,7 +41,7 @@ from policies.routers.pathfinder.state import (
 )
 
 
-@inner
+@compiled
 def use_tree(problem: ProblemArrays, routing: Routing, via: int, net: int, sign: int) -> None:
     """Adds the demand of a net's tree (sign 1) or removes it (sign -1)."""
     progress = routing.progress[0]
@@ -86,7 +86,7 @@ def unlink(routing: Routing, net: int) -> None:
         routing.after[before] = routing.after[i]
 
 
-@inner
+@compiled
 def link_all(routing: Routing) -> None:
     """Makes these lists."""
     routing.progress[0].linked = 1
@@ -96,7 +96,7 @@ def link_all(routing: Routing) -> None:
         link(routing, net)
 
 
-@inner
+@compiled
 def tree_length(routing: Routing, via: int, net: int) -> int:
     """The length of a net's tree, in units of cost."""
     length = wide(0)
@@ -115,7 +115,7 @@ def overflows(routing: Routing, net: int) -> bool:
     return False
 
 
-@inner
+@compiled
 def compact(routing: Routing) -> bool:
     """Copies the trees into the other pool, without gaps; returns whether there were any."""
     progress = routing.progress[0]
@@ -137,7 +137,7 @@ def compact(routing: Routing) -> bool:
     return True
 
 
-@inner
+@compiled
 def list_tree(problem: ProblemArrays, lattice: Lattice, buffers: NetBuffers) -> int:
     """Lists the edges of the lattice's tree in ``buffers.tree``; returns how many there are."""
     low, size, point = buffers.low, wide(0), 0
@@ -153,7 +153,7 @@ def list_tree(problem: ProblemArrays, lattice: Lattice, buffers: NetBuffers) -> 
     return size
 
 
-@inner
+@compiled
 def store_tree(routing: Routing, net: int, edges: Any, row: int, first: int, last: int) -> None:
     """Makes ``edges[row, first:last]`` the net's tree."""
     progress = routing.progress[0]
@@ -164,7 +164,7 @@ def store_tree(routing: Routing, net: int, edges: Any, row: int, first: int, las
     routing.length[net] = last - first
 
 
-@inner
+@compiled
 def present_cost(problem: ProblemArrays, routing: Routing, via: int, net: int, own: int) -> int:
     """The cost of a net's tree to the net, which is in place (``own`` 1) or ripped up (0)."""
     first, pool = wide(routing.start[net]), wide(routing.progress[0].pool)
@@ -172,7 +172,7 @@ def present_cost(problem: ProblemArrays, routing: Routing, via: int, net: int, o
     return tree_cost(problem, routing, via, net, routing.edge, pool, first, last, own)
 
 
-@inner
+@compiled
 def is_settled(problem: ProblemArrays, parameters: Parameters, routing: Routing, net: int) -> bool:
     """Whether a net keeps its tree without a search: none can be cheaper, and no lot fell on it."""
     if routing.ideal[net] < present_cost(problem, routing, parameters.via, net, wide(1)):
@@ -182,13 +182,7 @@ def is_settled(problem: ProblemArrays, parameters: Parameters, routing: Routing,
 
 @compiled
 def plan(
-    problem: ProblemArrays,
-    parameters: Parameters,
-    routing: Routing,
-    lattice: Lattice,
-    search: Search,
-    buffers: NetBuffers,
-    net: int,
+    problem: ProblemArrays, parameters: Parameters, routing: Routing, memory: Memory, net: int
 ) -> int:
     """Looks for a cheapest tree for a net, with the trees of all others in place.
 
@@ -199,6 +193,7 @@ def plan(
     Returns:
         DONE; or BOX_TOO_SMALL.
     """
+    lattice, search, buffers = memory
     progress = routing.progress[0]
     pins = problem.first[net + 1] - problem.first[net]
     margin, limit = parameters.margin, wide(FULL)
@@ -274,15 +269,9 @@ def adopt(
     return DONE
 
 
-@inner
+@compiled
 def reroute(
-    problem: ProblemArrays,
-    parameters: Parameters,
-    routing: Routing,
-    lattice: Lattice,
-    search: Search,
-    buffers: NetBuffers,
-    net: int,
+    problem: ProblemArrays, parameters: Parameters, routing: Routing, memory: Memory, net: int
 ) -> int:
     """Plans a net's tree and carries the plan out, unless the net is settled.
 
@@ -291,9 +280,10 @@ def reroute(
     """
     if is_settled(problem, parameters, routing, net):
         return DONE
-    code = plan(problem, parameters, routing, lattice, search, buffers, net)
+    code = plan(problem, parameters, routing, memory, net)
     if code != DONE:
         return code
+    buffers = memory.buffers
     return adopt(
         problem, routing, parameters.via, net, buffers.plan, buffers.tree, wide(0), wide(0)
     )
@@ -321,7 +311,7 @@ def keep_best(routing: Routing) -> bool:
     return True
 
 
-@inner
+@compiled
 def load_best(problem: ProblemArrays, routing: Routing, via: int) -> None:
     """Makes the trees of the best solution so far the nets' trees."""
     progress = routing.progress[0]
