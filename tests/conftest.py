@@ -1,7 +1,10 @@
 """What all test processes have in common."""
 
 import os
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,6 +12,19 @@ import pytest
 # Test processes run side by side: threads of one would be in the way of the others. Libraries read
 # this when they are first imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Before test processes start: compiles what they share, if all tests are to run."""
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    if not whole or hasattr(config, "workerinput") or not config.getoption("numprocesses", 0):
+        return
+    print("compiling what the tests share, once per version: about 90 s", file=sys.stderr)
+    command = [sys.executable, str(Path(__file__).with_name("warm_up.py"))]
+    parts = [subprocess.Popen([*command, part]) for part in ("games", "routers")]
+    codes = [part.wait() for part in parts]  # all of them, even if the first one fails
+    if any(codes):
+        pytest.exit("warm_up.py failed", returncode=2)
 
 
 @pytest.fixture
