@@ -1230,7 +1230,7 @@ def test_shipped_configurations_are_valid() -> None:
             assert entries
         elif "routers" in raw:
             assert isinstance(load_experiment(path), ExperimentConfig)
-        elif path.stem in router_names():
+        elif path.stem in router_names() and "train" not in raw:
             assert router_piece(path.stem, raw) == router_piece(path.stem, {})
         else:
             assert isinstance(load_config(path), Config)
