@@ -16,6 +16,8 @@ call, here it keeps LLVM's code, which is optimised once, as a part of the kerne
 Much of numba that is used here is private, so pyproject.toml names the release that it belongs to.
 """
 
+# mypy: disallow-untyped-calls=False
+
 import enum
 import functools
 import gc
@@ -52,7 +54,8 @@ def compile_with(
         part: whether it is for kernels that call it, not for Python.
     """
     _make_known(kind)
-    dispatcher: Any = njit(
+    compile_later: Any = njit  # its types leave out what numba does not document
+    dispatcher = compile_later(
         **options,
         no_cfunc_wrapper=True,
         no_cpython_wrapper=part,
@@ -65,7 +68,7 @@ def compile_with(
     return dispatcher
 
 
-class _Part(JITCodeLibrary):  # type: ignore[misc]
+class _Part(JITCodeLibrary):
     """The code of a function that kernels call: LLVM's, which is linked into theirs.
 
     It is optimised and made machine code there. Numba would do so here, too, and again for every
@@ -87,7 +90,7 @@ class _Part(JITCodeLibrary):  # type: ignore[misc]
         super()._finalize_final_module()
 
 
-class _PartCompiler(Compiler):  # type: ignore[misc]
+class _PartCompiler(Compiler):
     """Compiles a function that kernels call."""
 
     def __init__(self, typing: Any, target: Any, library: Any, *arguments: Any) -> None:
@@ -96,7 +99,7 @@ class _PartCompiler(Compiler):  # type: ignore[misc]
         super().__init__(typing, target, library, *arguments)
 
 
-class _WholeCompiler(Compiler):  # type: ignore[misc]
+class _WholeCompiler(Compiler):
     """Compiles a function that Python calls, with all that it calls; says so before."""
 
     def compile_extra(self, function: Callable[..., Any]) -> Any:
@@ -140,7 +143,7 @@ def _cache_of(function: Callable[..., Any], part: bool) -> Any:
     return cache
 
 
-class _Cache(FunctionCache):  # type: ignore[misc]
+class _Cache(FunctionCache):
     """Numba's cache of a function; a file that cannot be written is done without."""
 
     def save_overload(self, signature: Any, data: Any) -> None:
@@ -150,7 +153,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
             _not_kept(error)
 
 
-class _Files(IndexDataCacheFile):  # type: ignore[misc]
+class _Files(IndexDataCacheFile):
     """The files of a function's cache, with a digest of their content and of the sources."""
 
     def __init__(self, cache_path: str, filename_base: str, function: Callable[..., Any]) -> None:
