@@ -16,8 +16,6 @@ call, here it keeps LLVM's code, which is optimised once, as a part of the kerne
 Much of numba that is used here is private, so pyproject.toml names the release that it belongs to.
 """
 
-# mypy: disallow-untyped-calls=False
-
 import enum
 import functools
 import gc
@@ -54,13 +52,9 @@ def compile_with(
         part: whether it is for kernels that call it, not for Python.
     """
     _make_known(kind)
-    compile_later: Any = njit  # its types leave out what numba does not document
-    dispatcher = compile_later(
-        **options,
-        no_cfunc_wrapper=True,
-        no_cpython_wrapper=part,
-        pipeline_class=_PartCompiler if part else _WholeCompiler,
-    )(function)
+    options = options | {"no_cfunc_wrapper": True, "no_cpython_wrapper": part}
+    pipeline = _PartCompiler if part else _WholeCompiler
+    dispatcher: Any = njit(**options, pipeline_class=pipeline)(function)
     try:
         dispatcher._cache = _cache_of(function, part)
     except (RuntimeError, OSError) as error:  # there is nowhere to write

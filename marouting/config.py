@@ -222,7 +222,7 @@ def code_named(data: Any, above: Keys = ()) -> Iterator[tuple[Keys, str]]:
 
     Names of pieces stand under the key ``kind``, or under that of their kind, such as ``reward``.
     """
-    if isinstance(data, Piece):
+    if isinstance(data, Component):
         if ":" in data.name:
             yield (*above, "kind"), data.name
         data = data.options
@@ -601,7 +601,7 @@ _CONTEXT = {"network": 2, "learner": 1}
 """The number of arguments that the constructor of a piece gets before its options."""
 
 
-class Piece(NamedTuple):
+class Component(NamedTuple):
     """A piece that a configuration names, before it is made.
 
     Attributes:
@@ -636,7 +636,7 @@ class Piece(NamedTuple):
         return self.cls(*context, self.options)
 
 
-Named = Piece
+Named = Component
 """The type of a field that holds a piece; :func:`take_pieces` turns its value into one."""
 
 
@@ -667,23 +667,23 @@ def take_pieces(options: Any) -> None:
             object.__setattr__(options, f.name, piece(kind, value, name, f.name))
 
 
-def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> Piece:
+def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> Component:
     """Turns the value of a configuration or an argument into a piece.
 
     Args:
         kind: one of :data:`marouting.registry.KINDS`.
         raw: a name or ``module:Class``; a mapping with the name under ``kind`` and options under
-            all other keys; a :class:`Piece`; None for the default; or the piece itself, as an
+            all other keys; a :class:`Component`; None for the default; or the piece itself, as an
             object.
         default: the name if none is given; None: the first one registered.
         where: the start of error messages.
     """
-    if isinstance(raw, Piece):
+    if isinstance(raw, Component):
         return raw
     if isinstance(raw, bool | int | float | list | tuple):
         raise InputError(f"{_prefix(where)}expected a name, a mapping with kind, or a piece")
     if raw is not None and not isinstance(raw, str | Mapping):
-        return Piece(kind, name_of(kind, type(raw)), type(raw), raw, given=True)
+        return Component(kind, name_of(kind, type(raw)), type(raw), raw, given=True)
     plainly: dict[str, Any] = {"kind": raw} if isinstance(raw, str) else dict(raw or {})
     name = plainly.pop("kind", None) or default or names(kind)[0]
     if not isinstance(name, str):
@@ -697,8 +697,8 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> P
     except InputError as error:
         raise under(where, error) from None
     if schema.__name__ == _KEYWORDS:
-        return Piece(kind, name, cls, {key: getattr(options, key) for key in known} | others)
-    return Piece(kind, name, cls, options)
+        return Component(kind, name, cls, {key: getattr(options, key) for key in known} | others)
+    return Component(kind, name, cls, options)
 
 
 _KEYWORDS = "Keywords"
@@ -741,7 +741,7 @@ def plain(value: Any) -> Any:
 
     A piece becomes a mapping of its options, with its name under ``kind``.
     """
-    if isinstance(value, Piece):
+    if isinstance(value, Component):
         options = value.options
         if value.given and not is_dataclass(options):
             raise InputError(

@@ -83,7 +83,7 @@ if TYPE_CHECKING:
         """
 
 else:
-    wide: Callable[[Any], int] = np.int64  # type: ignore[assignment]
+    wide = np.int64
 
 
 @inlined

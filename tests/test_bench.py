@@ -53,7 +53,7 @@ def test_the_command_prints_and_stores(tmp_path: Path, capsys: pytest.CaptureFix
 
 def test_the_former_command_names_the_new_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["bench", "search"]) == 2
-    said = "marouting: command bench: expected python -m policies.bench, as it is called now\n"
+    said = "marouting: marouting bench: it is now python -m policies.bench\n"
     assert capsys.readouterr().err == said
 
 

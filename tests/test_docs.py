@@ -140,7 +140,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         solution.write(folder / f"{name}.solution")
     (folder / "runs" / "generalist").mkdir(parents=True)
     shutil.copy(
-        ROOT / "policies" / "learned" / "generalist.pt", folder / "runs/generalist/policy.pt"
+        ROOT / "policies" / "generalist" / "generalist.pt", folder / "runs/generalist/policy.pt"
     )
     (folder / "X.cap").write_text(CAP)
     (folder / "X.net").write_text(NET)

@@ -9,8 +9,8 @@ from typing import Any, Literal, Union, get_args, get_origin
 
 from marouting.config import (
     INCLUDE,
+    Component,
     Keys,
-    Piece,
     attributes,
     build,
     hints_of,
@@ -110,7 +110,7 @@ def _schema(hint: Any) -> dict[str, Any]:
         return {"type": "array", "items": _schema(inner[0])}
     if origin is dict:
         return {"type": "object", "additionalProperties": _schema(inner[1])}
-    if hint is Piece:  # its name, or a mapping with the name as kind
+    if hint is Component:  # its name, or a mapping with the name as kind
         kind = {"type": "object", "properties": {"kind": _schema(str)}}
         return {"anyOf": [_schema(str), kind]}
     if not isinstance(hint, type) or not is_dataclass(hint):

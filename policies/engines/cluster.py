@@ -33,12 +33,8 @@ ADDRESS = "RAY_ADDRESS"
 def joined(jobs: int, threads: int) -> Iterator["RayEngine"]:
     """The Ray at RAY_ADDRESS, or this process's own if it has one, or else a new one.
 
-    A new one is of this machine alone, says nothing, has no dashboard, sends no statistics to its
-    makers, and ends with the block or with this process.
-
-    Args:
-        jobs: the largest number of tasks at a time in a new one.
-        threads: the number of threads that each task may use.
+    A new one is of this machine alone, for so many tasks at a time, says nothing, has no dashboard,
+    sends no statistics to its makers, and ends with the block or with this process.
 
     Raises:
         InputError: there is none at RAY_ADDRESS, or none can be started.
@@ -90,10 +86,7 @@ _PATIENCE = 10.0
 
 
 class RayEngine:
-    """Runs calls as tasks of the Ray that this process has joined.
-
-    Args:
-        threads: the number of threads that each task may use; as many CPUs are kept for it.
+    """Runs calls as tasks of the Ray that this process has joined, with as many CPUs as threads.
 
     Raises:
         InputError: no task ever has so many CPUs.

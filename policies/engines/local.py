@@ -17,14 +17,10 @@ from policies.engines.base import THREADS, Call, environment
 
 
 class LocalEngine:
-    """Runs calls in processes of this machine, which see its files.
+    """Runs calls in up to so many processes of this machine, each with so many threads.
 
     The processes import the main module, so a script that uses this needs the usual
     ``if __name__ == "__main__":``.
-
-    Args:
-        jobs: the largest number of processes.
-        threads: the number of threads that each process may use.
     """
 
     def __init__(self, jobs: int, threads: int) -> None:

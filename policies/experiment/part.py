@@ -212,20 +212,10 @@ _warm: set[str] = set()
 def work_on(
     parts: Sequence[Part], jobs: int, threads: int, engine: EngineName = "local"
 ) -> Iterator[list[Part]]:
-    """Works on parts, in the given order as far as there is room.
+    """Works on parts, in order as far as there is room; about every second those done since.
 
-    The processes of the local engine import the main module, so a script that calls this needs the
-    usual ``if __name__ == "__main__":``. All work ends at once when the iteration ends early, by an
-    error or Ctrl-C, or when this process is killed.
-
-    Args:
-        parts: the work, one part or more.
-        jobs: the largest number of processes.
-        threads: the number of threads that each process may use.
-        engine: where the work is done.
-
-    Yields:
-        About every second, the parts that have been finished since.
+    All work ends at once when the iteration ends early, by an error or Ctrl-C, or when this process
+    is killed.
 
     Raises:
         InputError: a process was killed.

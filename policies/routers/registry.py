@@ -8,7 +8,7 @@ import inspect
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from marouting.config import Piece, piece
+from marouting.config import Component, piece
 from marouting.errors import InputError, nearest
 from marouting.registry import lookup, names
 from policies.routers.base import Router
@@ -76,12 +76,12 @@ def has_seed(name: str) -> bool:
     return "seed" in inspect.signature(getattr(cls, "Options", cls)).parameters
 
 
-def is_seeded(router: Piece) -> bool:
+def is_seeded(router: Component) -> bool:
     """Whether a router with these options draws random numbers."""
     return has_seed(router.name) and bool(getattr(router.options, "seeded", True))
 
 
-def router_piece(name: str, options: Mapping[str, Any], where: str = "") -> Piece:
+def router_piece(name: str, options: Mapping[str, Any], where: str = "") -> Component:
     """A router with its options checked, before it is made.
 
     Args:
