@@ -58,4 +58,4 @@ from policies.routers.pathfinder.router import PathfinderRouter, Routed
 
 __all__ = ["PathfinderOptions", "PathfinderRouter", "Routed"]
 
-COMPILES = "the router", 14
+COMPILES = "the router", 13
