@@ -851,7 +851,7 @@ RENAMED = {
 def unknown_key(key: str, known: Sequence[str]) -> str:
     """The message about a key that is not one of those known."""
     new = RENAMED.get(key.rpartition(".")[2])
-    if new and new.partition(":")[0] in known:
+    if new and (new == _PRICES or new.partition(":")[0] in known):
         return f"{key}: unknown key; it is now {new}"
     close = difflib.get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
     # What follows must not lie in the middle of a long message, which is left out.

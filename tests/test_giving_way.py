@@ -396,8 +396,8 @@ def test_bad_options_of_negotiation() -> None:
         ({"patience": -1}, "patience: expected 0 to"),
         ({"prices": 1}, "prices: expected true or false"),
         ({"present": 0}, "present: expected 0.01 to 2, found 0"),
-        ({"present": float("nan")}, "present: expected 0.01 to 2, found nan"),
-        ({"present": True}, "present: expected 0.01 to 2, found True"),
+        ({"present": float("nan")}, "present: expected a number, found nan"),
+        ({"present": True}, "present: expected a number, found True"),
         ({"calm": -0.1}, "calm: expected 0 to 1000, found -0.1"),
     ]:
         with pytest.raises(InputError, match=expected):

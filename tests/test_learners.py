@@ -1122,7 +1122,7 @@ def test_ppo_learns_the_one_game_there_is() -> None:
         ("dqn", {"network": {"kind": "mlp", "width": 3}}, "width: unknown key"),
         ("dqn", {"network": {"kind": "lmp"}}, "unknown network 'lmp'; did you mean mlp?"),
         ("ppo", {"rollout": 100, "minibatch": 64}, "rollout: expected a multiple of minibatch"),
-        ("ppo", {"critic": "mine"}, "critic: expected one of own, central"),
+        ("ppo", {"critic": "mine"}, "critic: expected one of local, central"),
         ("ppo", {"clip": 0}, "clip: expected a number above 0"),
     ],
 )
@@ -1138,7 +1138,7 @@ def test_setups_that_do_not_fit_are_refused() -> None:
     multi, single = player_of([tiny(nets=6)], multi=True), player_of([tiny()], multi=False)
     with pytest.raises(InputError, match="buffer_size: expected at least 6, the moves of one step"):
         DQN(setup_of(multi, ["a"]), options_of("dqn", buffer_size=5))
-    with pytest.raises(InputError, match="critic: expected own: this game shows no state"):
+    with pytest.raises(InputError, match="critic: expected local: this game shows no state"):
         PPO(setup_of(single, ["a"], state_shape=()), options_of("ppo", critic="central"))
     passing = player_of([tiny()], multi=False, turn_order="round_robin")
     with pytest.raises(InputError, match="turn_order: expected sequential"):
