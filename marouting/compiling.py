@@ -253,8 +253,8 @@ def _used(value: Any) -> Iterator[tuple[str, Any]]:
         yield name, cell.cell_contents
 
 
-def bound(kernel: Any, *examples: Any) -> Callable[..., Any]:
-    """See :func:`marouting.kernels.bound`."""
+def specialised(kernel: Any, *examples: Any) -> Callable[..., Any]:
+    """See :func:`marouting.kernels.specialised`."""
     # A fingerprint takes microseconds, numba's type of a tuple of arrays a millisecond.
     key = kernel, *map(compute_fingerprint, examples)
     code = _bound.get(key)

@@ -60,11 +60,6 @@ compiled = kernel(nogil=True, error_model="numpy", _nrt=False)
 reference counts of arrays. Counting references at every call of a rule would take ten times as long
 as the rule itself."""
 
-inner = compiled
-
-inlined = kernel(nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-"""For functions inside the loops of kernels, where a call would have to pass a dozen arrays."""
-
 allocating = kernel(nogil=True, error_model="numpy")
 """For kernels that make arrays. They divide like NumPy, because checking every divisor for zero
 would keep loops from being vectorised."""
@@ -75,7 +70,7 @@ ignores options, so a threaded kernel has to be a separate function."""
 
 if TYPE_CHECKING:
 
-    def wide(index: Any) -> int:
+    def i64(index: Any) -> int:
         """An index from an array as int64.
 
         Numba compiles a function again for every combination of integer types that it is called
@@ -83,11 +78,11 @@ if TYPE_CHECKING:
         """
 
 else:
-    wide = np.int64
+    i64 = np.int64
 
 
-@inlined
-def place(index: Any) -> int:
+@compiled
+def as_index(index: Any) -> int:
     """A non-negative index as int64.
 
     Numba lets negative indices count from the end, and checking for them takes as long as the rest
@@ -96,7 +91,7 @@ def place(index: Any) -> int:
     return np.int64(np.uint32(index))  # type: ignore[return-value]
 
 
-def bound(kernel: Any, *examples: Any) -> Callable[..., Any]:
+def specialised(kernel: Any, *examples: Any) -> Callable[..., Any]:
     """The machine code of a kernel, for arguments of the types of the examples.
 
     Numba looks up the types of all arguments at every call. For the engine's tuples, this takes
@@ -109,6 +104,6 @@ def bound(kernel: Any, *examples: Any) -> Callable[..., Any]:
     Returns:
         A function that looks up nothing, or the kernel itself if numba does not provide one.
     """
-    from marouting.compiling import bound
+    from marouting.compiling import specialised
 
-    return bound(kernel, *examples)
+    return specialised(kernel, *examples)

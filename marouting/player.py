@@ -44,7 +44,7 @@ from marouting.batch.tasks import wait
 from marouting.config import check
 from marouting.errors import InputError
 from marouting.game import NOBODY, Crossing, Ending, Status
-from marouting.kernels import bound, compiled, inlined, place, wide
+from marouting.kernels import as_index, compiled, i64, specialised
 from marouting.memory import check_memory
 from marouting.observations import Observation, PaperObservation, has_move_order, move_order_of
 from marouting.options import FORMS
@@ -239,12 +239,12 @@ class Player:
             self._mirror_games()
         if self.compiled:
             kernel = _play_everyone if self.everyone else _play_player
-            self._step = bound(kernel, *self._arguments, True, True)
+            self._step = specialised(kernel, *self._arguments, True, True)
             return
         nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
-        self._settle = bound(_settle_and_show, *self._arguments, nobody, nowhere, _NOT)
+        self._settle = specialised(_settle_and_show, *self._arguments, nobody, nowhere, _NOT)
         if not own_reward:
-            self._move = bound(_move_and_pay, *self._arguments, nobody)
+            self._move = specialised(_move_and_pay, *self._arguments, nobody)
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
         """Starts the episodes of all problems, or of those where ``which`` (M,) is true."""
@@ -583,11 +583,11 @@ def _movers(
     """Fills in who moves k-th in each problem, or NOBODY, and the moves; whether anybody does."""
     found = False
     for m in range(len(begins)):
-        n = wide(static.order[m, k] if everyone else dynamic.games[m].agent)
+        n = i64(static.order[m, k] if everyone else dynamic.games[m].agent)
         moves[m] = NOBODY if n == NOBODY else actions[m, n if everyone else 0]
         movers[m] = NOBODY
         if n != NOBODY and not begins[m]:
-            if everyone and not may_move(dynamic, m, place(n), alone[m], moves[m]):
+            if everyone and not may_move(dynamic, m, as_index(n), alone[m], moves[m]):
                 continue
             if moves[m] != NOBODY:
                 movers[m] = n
@@ -599,7 +599,7 @@ def _movers(
 def _move(static: Static, dynamic: Dynamic, movers: Any, moves: Any) -> None:
     for m in range(len(movers)):
         if movers[m] != NOBODY:
-            move_agent(static, dynamic, m, place(movers[m]), place(moves[m]))
+            move_agent(static, dynamic, m, as_index(movers[m]), as_index(moves[m]))
 
 
 @compiled
@@ -610,12 +610,12 @@ def _settle_movers(
     for m in range(len(movers)):
         if movers[m] == NOBODY:
             continue
-        n = place(movers[m])
-        edge = place(static.edge[place(before.agents[m, n].cell), place(moves[m] % MOVES)])
+        n = as_index(movers[m])
+        edge = as_index(static.edge[as_index(before.agents[m, n].cell), as_index(moves[m] % MOVES)])
         arrived.agents[m, n] = dynamic.agents[m, n]
         for option in range(Option.VISITED, Option.TRIED + 1):
             if static.options[option] >= 0 and option != Option.KEPT:
-                row = place(static.options[option] + n)
+                row = as_index(static.options[option] + n)
                 copy_row(arrived.sets, m, row, dynamic.sets, m, row)
         settle_agent(static, dynamic, m, n)
         before.remaining[m, edge] = dynamic.remaining[m, edge]
@@ -629,10 +629,10 @@ def _swap_sets(
 ) -> None:
     """Swaps the sets of agents (K,) that change when their next tasks begin."""
     for k in range(len(problems)):
-        m, n = place(problems[k]), place(agents[k])
+        m, n = as_index(problems[k]), as_index(agents[k])
         for option in range(Option.VISITED, Option.TRIED + 1):
             if (option == Option.VISITED or option == Option.TRIED) and static.options[option] >= 0:
-                row = place(static.options[option] + n)
+                row = as_index(static.options[option] + n)
                 swap_rows(dynamic.sets, arrived.sets, m, row)
 
 
@@ -642,16 +642,16 @@ _MASKS = MASKS.view(np.int16)
 """(64, 3) int16, :data:`marouting.batch.state.MASKS` in pairs of bytes."""
 
 
-@inlined
+@compiled
 def _free(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """The moves of an agent that cross an edge, one bit per move; none for NOBODY."""
-    free = wide(0)
+    free = i64(0)
     if n != NOBODY:
-        free = free_moves(static, dynamic, m, place(n))
+        free = free_moves(static, dynamic, m, as_index(n))
     return free
 
 
-@inlined
+@compiled
 def _write_mask(mask: Any, m: int, row: int, free: int) -> None:
     """Writes a mask, whose pairs of bytes are faster to write than its bytes."""
     if mask.shape[2] > MOVES:
@@ -661,7 +661,7 @@ def _write_mask(mask: Any, m: int, row: int, free: int) -> None:
         mask[m, row, pair] = _MASKS[free, pair]
 
 
-@inlined
+@compiled
 def _look(
     static: Static, dynamic: Dynamic, fast: FastPath, m: int, n: int, obs: Any, mask: Any, row: int
 ) -> None:
@@ -671,18 +671,18 @@ def _look(
     _write_mask(mask, m, row, free)
 
 
-@inlined
+@compiled
 def _look_at_player(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int
 ) -> None:
     """Writes what the agent whose turn it is sees."""
-    player = wide(dynamic.games[m].agent)
+    player = i64(dynamic.games[m].agent)
     b.agents[m, 0] = player
     b.active[m, 0] = player != NOBODY
-    _look(static, dynamic, fast, m, player, b.obs, b.mask, wide(0))
+    _look(static, dynamic, fast, m, player, b.obs, b.mask, i64(0))
 
 
-@inlined
+@compiled
 def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int) -> Any:
     """Writes the result of an agent's move; returns the reward."""
     agent = dynamic.agents[m, n]
@@ -693,7 +693,7 @@ def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int
     return reward
 
 
-@inlined
+@compiled
 def _start(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
     """Starts an episode of a problem, in which nobody has acted yet."""
     reset_problem(static, dynamic, m)
@@ -705,7 +705,7 @@ def _start(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
         b.ending[m, row] = Ending.NONE
 
 
-@inlined
+@compiled
 def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
     """After a step: records whether the episode has ended with it, and how."""
     b.over[m] = playing and game.active == 0
@@ -716,7 +716,7 @@ def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
         b.final[m].steps = game.steps
 
 
-@inlined
+@compiled
 def _show(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int) -> None:
     """Writes an agent's status and what it sees now."""
     status = dynamic.agents[m, n].status
@@ -726,7 +726,7 @@ def _show(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: i
     _look(static, dynamic, fast, m, n, b.obs, b.mask, n)
 
 
-@inlined
+@compiled
 def _step_everyone(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int
 ) -> None:
@@ -754,19 +754,19 @@ def _step_everyone(
     _finish(b, m, playing, game)
 
 
-@inlined
+@compiled
 def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """A step of one problem in which only the agent whose turn it is has a row."""
     game = dynamic.games[m]
     playing = game.active > 0
-    mover, row = wide(game.agent), wide(0)
-    move_player(static, dynamic, m, wide(b.actions[m, 0]))
+    mover, row = i64(game.agent), i64(0)
+    move_player(static, dynamic, m, i64(b.actions[m, 0]))
     if mover == NOBODY:
         b.acted[m, 0] = False
         b.reward[m, 0] = 0
         b.ending[m, 0] = Ending.NONE
     else:
-        n = place(mover)
+        n = as_index(mover)
         b.total[m] += _take_stock(dynamic, b, fast, m, n, row)
         passes = game.active > 1 and not static.sequential
         if b.ending[m, 0] != Ending.NONE or (b.acted[m, 0] and passes):
@@ -780,7 +780,7 @@ def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
     _finish(b, m, playing, game)
 
 
-@inlined
+@compiled
 def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """A step of one problem, with the paper's observation and reward."""
     if fast.everyone:
@@ -803,15 +803,15 @@ def _move_and_pay(
         if fast.everyone:
             move_everyone(static, dynamic, m, b.actions)
         else:
-            move_player(static, dynamic, m, wide(b.actions[m, 0]))
+            move_player(static, dynamic, m, i64(b.actions[m, 0]))
         for row in range(b.agents.shape[1]):
-            n = wide(row) if fast.everyone else wide(dynamic.games[m].agent)
-            if n == NOBODY or dynamic.agents[m, place(n)].status == Status.ABSENT:
+            n = i64(row) if fast.everyone else i64(dynamic.games[m].agent)
+            if n == NOBODY or dynamic.agents[m, as_index(n)].status == Status.ABSENT:
                 b.acted[m, row] = False
                 b.reward[m, row] = 0
                 b.ending[m, row] = Ending.NONE
             else:
-                b.total[m] += _take_stock(dynamic, b, fast, m, place(n), row)
+                b.total[m] += _take_stock(dynamic, b, fast, m, as_index(n), row)
 
 
 _NOT, _TURNS, _ALL = 0, 1, 2
@@ -849,13 +849,15 @@ def _settle_and_show(
         if not fast.everyone:
             b.agents[m, 0] = game.agent
         for row in range(b.agents.shape[1]):
-            n = wide(row) if fast.everyone else wide(asked[m])
+            n = i64(row) if fast.everyone else i64(asked[m])
             if n != NOBODY:  # once a game is over, these stay as its last move left them
-                status = dynamic.agents[m, place(n)].status
+                status = dynamic.agents[m, as_index(n)].status
                 b.terminated[m, row] = status == Status.TERMINATED
                 b.truncated[m, row] = status == Status.TRUNCATED
-            n = wide(b.agents[m, row])
-            b.active[m, row] = n != NOBODY and dynamic.agents[m, place(n)].status == Status.ACTIVE
+            n = i64(b.agents[m, row])
+            b.active[m, row] = (
+                n != NOBODY and dynamic.agents[m, as_index(n)].status == Status.ACTIVE
+            )
             _write_mask(b.mask, m, row, _free(static, dynamic, m, n))
 
 

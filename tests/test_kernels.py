@@ -255,7 +255,7 @@ def _sum(numbers: Any) -> Any:
 
 def test_bound_code_is_found_again_by_the_types_of_its_arguments() -> None:
     whole, parts = np.arange(4, dtype=np.int32), np.arange(4) / 2
-    found = [kernels.bound(_sum, numbers) for numbers in (whole, parts, whole + 1, parts[:2])]
+    found = [kernels.specialised(_sum, numbers) for numbers in (whole, parts, whole + 1, parts[:2])]
     assert found[0] is found[2]
     assert found[1] is found[3]
     assert found[0](whole) == 6

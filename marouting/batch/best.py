@@ -8,10 +8,10 @@ from marouting.batch.edges import use_edges
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import clear, grow_tree, is_on, keeps_tree
 from marouting.game import Status
-from marouting.kernels import compiled, inlined, inner, place, wide
+from marouting.kernels import as_index, compiled, i64
 
 
-@inlined
+@compiled
 def _is_best(dynamic: Dynamic, m: int) -> bool:
     """Whether the present routes are better than the best of earlier rounds."""
     game = dynamic.games[m]
@@ -31,8 +31,8 @@ def note_best(static: Static, dynamic: Dynamic, m: int) -> None:
     game.best_joined, game.best_overflow = game.joined, game.overflow
     game.best_wirelength = game.wirelength
     for n in range(dynamic.agents.shape[1]):
-        row = wide(static.options[Option.BEST] + n)
-        copy_row(dynamic.sets, m, row, dynamic.used, m, wide(n))
+        row = i64(static.options[Option.BEST] + n)
+        copy_row(dynamic.sets, m, row, dynamic.used, m, i64(n))
         joined = dynamic.agents[m, n].joined
         dynamic.numbers[m, static.options[Option.BEST_JOINED] + n] = joined
 
@@ -44,13 +44,13 @@ def put_best(static: Static, dynamic: Dynamic, m: int) -> None:
     for n in range(dynamic.agents.shape[1]):
         if dynamic.agents[m, n].status == Status.ABSENT:  # it has no tasks, nor a first pin
             continue
-        row = place(static.options[Option.BEST] + n)
+        row = as_index(static.options[Option.BEST] + n)
         joined = dynamic.numbers[m, static.options[Option.BEST_JOINED] + n]
         take_routes(static, dynamic, m, n, row, joined)
     dynamic.games[m].joined = dynamic.games[m].best_joined
 
 
-@inner
+@compiled
 def take_routes(static: Static, dynamic: Dynamic, m: int, n: int, row: int, joined: int) -> None:
     """A net uses just the edges of a set.
 

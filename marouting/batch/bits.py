@@ -11,55 +11,55 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import inlined, wide
+from marouting.kernels import compiled, i64
 
 
-@inlined
+@compiled
 def byte_of(bits: Any, m: int, row: int, byte: int) -> int:
     """The eight bits of a byte of a row."""
-    return wide(bits[m, row, byte])
+    return i64(bits[m, row, byte])
 
 
-@inlined
+@compiled
 def has(bits: Any, m: int, row: int, number: int) -> int:
     """1 if a number is in a row, else 0."""
     return bits[m, row, number >> 3] >> (number & 7) & 1
 
 
-@inlined
+@compiled
 def put(bits: Any, m: int, row: int, number: int, puts: int) -> None:
     """Puts a number into a row if ``puts`` is 1; does nothing if it is 0."""
     bits[m, row, number >> 3] |= np.uint8(puts << (number & 7))
 
 
-@inlined
+@compiled
 def set_byte(bits: Any, m: int, row: int, byte: int, value: int) -> None:
     """Sets the eight bits of a byte of a row."""
     bits[m, row, byte] = value
 
 
-@inlined
+@compiled
 def empty(bits: Any, m: int, row: int) -> None:
     """Takes all numbers out of a row."""
     for byte in range(bits.shape[2]):
         bits[m, row, byte] = 0
 
 
-@inlined
-def forget(bits: Any, m: int) -> None:
+@compiled
+def clear(bits: Any, m: int) -> None:
     """Takes all numbers out of all rows of a problem."""
     for row in range(bits.shape[1]):
-        empty(bits, m, wide(row))
+        empty(bits, m, i64(row))
 
 
-@inlined
+@compiled
 def copy_row(bits: Any, m: int, row: int, others: Any, k: int, other: int) -> None:
     """Makes a row hold what another row of problem k holds."""
     for byte in range(bits.shape[2]):
         bits[m, row, byte] = others[k, other, byte]
 
 
-@inlined
+@compiled
 def swap_rows(bits: Any, others: Any, m: int, row: int) -> None:
     """Swaps a row of problem m with the same row of others."""
     for byte in range(bits.shape[2]):

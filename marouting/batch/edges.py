@@ -8,56 +8,56 @@ from typing import Any
 
 from marouting.batch.bits import byte_of, has, set_byte
 from marouting.batch.state import Dynamic, Static
-from marouting.kernels import inlined, inner, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
 
 # There are as few branches as possible: what an agent meets is as good as random, and a branch that
 # the processor mispredicts takes as long as a whole move.
 
 
-@inlined
+@compiled
 def uses(used: Any, m: int, n: int, edge: int) -> int:
     """1 if agent n of problem m uses an edge, else 0."""
     return has(used, m, n, edge)
 
 
-@inlined
+@compiled
 def demand_of(static: Static, m: int, n: int, cell: int, move: int) -> int:
     """The net's demand on the edge that a move crosses; 0 for a via."""
-    demand = static.demand[m, n, place(static.position[cell, VIA_AXIS])]
+    demand = static.demand[m, n, as_index(static.position[cell, VIA_AXIS])]
     return demand * (move // 2 != VIA_AXIS)
 
 
-@inlined
+@compiled
 def has_room(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: int) -> int:
     """1 if a move from a Gcell crosses a via, an edge that the net uses or one with room for it."""
-    edge = place(static.edge[cell, move])
+    edge = as_index(static.edge[cell, move])
     via = move // 2 == VIA_AXIS
     room = dynamic.remaining[m, edge] >= demand_of(static, m, n, cell, move)
     return (via | room | uses(dynamic.used, m, n, edge)) & (static.exits[cell] >> move)
 
 
-@inlined
+@compiled
 def may_cross(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: int) -> int:
     """1 if a move from a Gcell crosses its edge, 0 if it is blocked."""
     anyway = static.overflow_allowed & (static.exits[cell] >> move)
     return has_room(static, dynamic, m, n, cell, move) | anyway
 
 
-@inlined
+@compiled
 def take(dynamic: Dynamic, m: int, edge: int, demand: int) -> int:
     """Takes demand of an edge, or gives it back if it is negative; returns the added overflow.
 
     Only the part of the demand beyond the remaining capacity overflows.
     """
-    remaining = wide(dynamic.remaining[m, edge])
+    remaining = i64(dynamic.remaining[m, edge])
     added = max(demand - remaining, 0) - max(-remaining, 0)
     dynamic.remaining[m, edge] = remaining - demand
     dynamic.games[m].overflow += added
     return added
 
 
-@inner
+@compiled
 def use_edges(static: Static, dynamic: Dynamic, m: int, n: int, byte: int, bits: int) -> None:
     """Makes a net use just these edges of a byte: it takes what is new, and gives the others back.
 
@@ -78,8 +78,8 @@ def use_edges(static: Static, dynamic: Dynamic, m: int, n: int, byte: int, bits:
         if changed >> bit & 1:
             edge = 8 * byte + bit
             takes = 2 * (bits >> bit & 1) - 1  # 1 or -1
-            cell, move = place(edge // AXES), wide(2 * (edge % AXES))
-            _ = take(dynamic, m, edge, wide(takes * demand_of(static, m, n, cell, move)))
+            cell, move = as_index(edge // AXES), i64(2 * (edge % AXES))
+            _ = take(dynamic, m, edge, i64(takes * demand_of(static, m, n, cell, move)))
             game.wirelength += takes
         bit += 1
     set_byte(dynamic.used, m, n, byte, bits)

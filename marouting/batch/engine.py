@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import forget, has, numbers_of
+from marouting.batch.bits import clear, has, numbers_of
 from marouting.batch.observation import write_states
 from marouting.batch.prices import Negotiation
 from marouting.batch.rules import (
@@ -35,7 +35,7 @@ from marouting.batch.setup import (
 from marouting.batch.state import Dynamic, Static
 from marouting.config import check
 from marouting.game import NOBODY, Rules
-from marouting.kernels import compiled, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.observations import CHANNELS
 from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
@@ -53,7 +53,7 @@ def _reset(static: Static, dynamic: Dynamic, which: Any) -> None:
 def _move_turn(static: Static, dynamic: Dynamic, moves: Any) -> None:
     """Makes ``moves`` (M,): in every problem the agent whose turn it is moves."""
     for m in range(len(moves)):
-        move_player(static, dynamic, m, wide(moves[m]))
+        move_player(static, dynamic, m, i64(moves[m]))
 
 
 @compiled
@@ -79,25 +79,25 @@ def _settle_all(static: Static, dynamic: Dynamic) -> None:
 
 @compiled
 def _forget(dynamic: Dynamic, m: int) -> None:
-    forget(dynamic.used, m)
-    forget(dynamic.sets, m)
+    clear(dynamic.used, m)
+    clear(dynamic.sets, m)
 
 
 @compiled
 def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: Any) -> bool:
     """Fills ``out`` (K, A) with masks; returns whether there are such agents."""
     for i in range(len(problems)):
-        m, n = wide(problems[i]), wide(agents[i])
+        m, n = i64(problems[i]), i64(agents[i])
         if not is_agent(dynamic, m, n):
             return False
-        write_mask(static, dynamic, place(m), n, out, i)
+        write_mask(static, dynamic, as_index(m), n, out, i)
     return True
 
 
 @compiled
 def _uses(dynamic: Dynamic, problems: Any, agents: Any, edges: Any, out: Any) -> None:
     for k in range(len(edges)):
-        out[k] = has(dynamic.used, place(problems[k]), place(agents[k]), wide(edges[k]))
+        out[k] = has(dynamic.used, as_index(problems[k]), as_index(agents[k]), i64(edges[k]))
 
 
 def check_rows(

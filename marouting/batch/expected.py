@@ -21,7 +21,7 @@ from marouting.batch.places import grid_of
 from marouting.batch.state import Dynamic, Static
 from marouting.batch.tasks import is_later
 from marouting.game import NOBODY, Status
-from marouting.kernels import compiled, inlined, inner, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.memory import EXPECTED, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
 
@@ -84,7 +84,7 @@ def _begin_maps(static: Static, maps: Maps, new: Any) -> None:
     """Fills in the maps of some problems (K,), in which nobody is counted yet."""
     agents, layers = static.demand.shape[1], static.demand.shape[2]
     for k in range(len(new)):
-        m = place(new[k])
+        m = as_index(new[k])
         for axis in range(VIA_AXIS):
             maps.lanes[m, axis, :] = 0
             for edge in range(axis, static.capacity.shape[1], AXES):
@@ -93,9 +93,9 @@ def _begin_maps(static: Static, maps: Maps, new: Any) -> None:
             if maps.lanes[m, axis].sum() == 0:
                 maps.lanes[m, axis, :] = 1
             maps.lane_count[m, axis] = maps.lanes[m, axis].sum()
-        playing = wide(0)
+        playing = i64(0)
         for n in range(agents):
-            playing += wide(static.first[m, n] < static.first[m, n + 1])
+            playing += i64(static.first[m, n] < static.first[m, n + 1])
         for z in range(layers):
             tracks = static.demand[m, :, z].sum()
             maps.track[m, z] = tracks / playing if tracks > 0 else 1
@@ -106,19 +106,19 @@ def _begin_maps(static: Static, maps: Maps, new: Any) -> None:
         maps.later[m] = 0
 
 
-@inlined
+@compiled
 def share_of(static: Static, maps: Maps, m: int, n: int, axis: int, z: int, across: int) -> int:
     """What a net is expected to take of each edge along an axis in a layer of a task's box."""
-    demand = wide(maps.lanes[m, axis, z]) * wide(static.demand[m, n, z])
-    return (demand << _BITS) // (across * wide(maps.lane_count[m, axis]))
+    demand = i64(maps.lanes[m, axis, z]) * i64(static.demand[m, n, z])
+    return (demand << _BITS) // (across * i64(maps.lane_count[m, axis]))
 
 
-@inlined
+@compiled
 def count_task(static: Static, maps: Maps, m: int, n: int, near: int, far: int, sign: int) -> None:
     """Adds a task from one Gcell to another to the corners (``sign`` 1), or takes it off (−1)."""
     columns, rows, layers = grid_of(static)
-    x0, x1 = wide(static.position[near, 0]), wide(static.position[far, 0])
-    y0, y1 = wide(static.position[near, 1]), wide(static.position[far, 1])
+    x0, x1 = i64(static.position[near, 0]), i64(static.position[far, 0])
+    y0, y1 = i64(static.position[near, 1]), i64(static.position[far, 1])
     x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
     if x0 == x1 and y0 == y1:
         return
@@ -127,47 +127,47 @@ def count_task(static: Static, maps: Maps, m: int, n: int, near: int, far: int, 
     for z in range(layers):
         if x0 < x1:
             share = sign * share_of(static, maps, m, n, 0, z, y1 - y0 + 1)
-            maps.corner[m, place((x0 * rows + y0) * layers + z), 0] += share
-            maps.corner[m, place((x1 * rows + y0) * layers + z), 0] -= share
+            maps.corner[m, as_index((x0 * rows + y0) * layers + z), 0] += share
+            maps.corner[m, as_index((x1 * rows + y0) * layers + z), 0] -= share
             if y1 + 1 < rows:
-                maps.corner[m, place((x0 * rows + y1 + 1) * layers + z), 0] -= share
-                maps.corner[m, place((x1 * rows + y1 + 1) * layers + z), 0] += share
+                maps.corner[m, as_index((x0 * rows + y1 + 1) * layers + z), 0] -= share
+                maps.corner[m, as_index((x1 * rows + y1 + 1) * layers + z), 0] += share
         if y0 < y1:
             share = sign * share_of(static, maps, m, n, 1, z, x1 - x0 + 1)
-            maps.corner[m, place((x0 * rows + y0) * layers + z), 1] += share
-            maps.corner[m, place((x0 * rows + y1) * layers + z), 1] -= share
+            maps.corner[m, as_index((x0 * rows + y0) * layers + z), 1] += share
+            maps.corner[m, as_index((x0 * rows + y1) * layers + z), 1] -= share
             if x1 + 1 < columns:
-                maps.corner[m, place(((x1 + 1) * rows + y0) * layers + z), 1] -= share
-                maps.corner[m, place(((x1 + 1) * rows + y1) * layers + z), 1] += share
+                maps.corner[m, as_index(((x1 + 1) * rows + y0) * layers + z), 1] -= share
+                maps.corner[m, as_index(((x1 + 1) * rows + y1) * layers + z), 1] += share
 
 
-@inlined
+@compiled
 def count_agent(static: Static, maps: Maps, m: int, n: int, later: bool, sign: int) -> None:
     """Adds an agent's present task and those noted as later to the maps, or takes them off."""
-    cell, target = place(maps.counted[m, n, 0]), place(maps.counted[m, n, 1])
+    cell, target = as_index(maps.counted[m, n, 0]), as_index(maps.counted[m, n, 1])
     maps.heads[m, cell] += sign
     count_task(static, maps, m, n, cell, target, sign)
     if later:
-        for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+        for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
             if not maps.later[m, task - static.first[m, 0]]:
                 continue
-            near, far = place(static.tasks[task, 0]), place(static.tasks[task, 1])
+            near, far = as_index(static.tasks[task, 0]), as_index(static.tasks[task, 1])
             count_task(static, maps, m, n, near, far, sign)
 
 
-@inner
+@compiled
 def recount(static: Static, dynamic: Dynamic, maps: Maps, m: int, n: int, counts: bool) -> None:
     """Counts an agent again if it has moved; afterwards :func:`sum_up` has to be called."""
     agent = dynamic.agents[m, n]
     active = agent.status == Status.ACTIVE and counts
-    cell = wide(agent.cell) if active else wide(NOBODY)
-    target, task = wide(agent.target), wide(agent.task)
-    before = wide(maps.counted[m, n, 0])
+    cell = i64(agent.cell) if active else i64(NOBODY)
+    target, task = i64(agent.target), i64(agent.task)
+    before = i64(maps.counted[m, n, 0])
     same = task == maps.counted[m, n, 2]
     if static.extended is not None and active:
-        for t in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+        for t in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
             noted = maps.later[m, t - static.first[m, 0]] != 0
-            same &= noted == is_later(static, dynamic, m, n, wide(t))
+            same &= noted == is_later(static, dynamic, m, n, i64(t))
     if cell == before and (cell == NOBODY or (same and target == maps.counted[m, n, 1])):
         return
     later = not (same and active and before != NOBODY)
@@ -178,51 +178,51 @@ def recount(static: Static, dynamic: Dynamic, maps: Maps, m: int, n: int, counts
             maps.counted[m, n, 1] = target
             maps.counted[m, n, 2] = task
             for t in range(later * static.first[m, n], later * static.first[m, n + 1]):
-                noted = active and is_later(static, dynamic, m, n, wide(t))
+                noted = active and is_later(static, dynamic, m, n, i64(t))
                 maps.later[m, t - static.first[m, 0]] = noted
         if maps.counted[m, n, 0] != NOBODY:
             count_agent(static, maps, m, n, later, sign)
 
 
-@inner
+@compiled
 def sum_up(static: Static, maps: Maps, m: int) -> None:
     """Brings a problem's ``expected`` up to date with its ``corner``."""
     _, rows, layers = grid_of(static)
     # To the left of a box that has changed nothing changes, and to the right of it neither.
     column = rows * layers
-    for x in range(wide(maps.changed[m, 0]), wide(maps.changed[m, 1]) + 1):
+    for x in range(i64(maps.changed[m, 0]), i64(maps.changed[m, 1]) + 1):
         for y in range(rows):
             for z in range(layers):
-                cell = place(x * column + y * layers + z)
+                cell = as_index(x * column + y * layers + z)
                 for axis in range(VIA_AXIS):
                     total = maps.corner[m, cell, axis]
                     if x > 0:
-                        total += maps.expected[m, place(cell - column), axis]
+                        total += maps.expected[m, as_index(cell - column), axis]
                     if y > 0:
-                        total += maps.expected[m, place(cell - layers), axis]
+                        total += maps.expected[m, as_index(cell - layers), axis]
                     if x > 0 and y > 0:
-                        total -= maps.expected[m, place(cell - column - layers), axis]
+                        total -= maps.expected[m, as_index(cell - column - layers), axis]
                     maps.expected[m, cell, axis] = total
     maps.changed[m, 0], maps.changed[m, 1] = _NO_COLUMN, NOBODY
 
 
-@inner
+@compiled
 def refresh(static: Static, dynamic: Dynamic, maps: Maps, m: int, without: int) -> None:
     """Brings the maps of a problem up to date: agents that have moved are counted again."""
     for n in range(dynamic.agents.shape[1]):
         # Most are done, and stand in no map: they are passed over without a call.
         if dynamic.agents[m, n].status == Status.ACTIVE or maps.counted[m, n, 0] != NOBODY:
-            recount(static, dynamic, maps, m, wide(n), n != without)
+            recount(static, dynamic, maps, m, i64(n), n != without)
     sum_up(static, maps, m)
 
 
-@inlined
+@compiled
 def squashed(number: Any) -> Any:
     """float32, q / (1 + |q|)."""
     return number / (np.float32(1) + abs(number))
 
 
-@inlined
+@compiled
 def slack_of(maps: Maps, m: int, cell: int, axis: int, remaining: int, track: Any) -> Any:
     """float32 remaining capacity less expected demand, in tracks."""
     expected = np.float32(maps.expected[m, cell, axis]) * np.float32(2.0**-_BITS)

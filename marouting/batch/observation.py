@@ -8,18 +8,18 @@ from marouting.batch.bits import byte_of
 from marouting.batch.rules import is_agent
 from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY, Status
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.observations import CHANNELS
 from marouting.problem.grid import AXES, VIA_AXIS
 
 
-@inlined
+@compiled
 def _room(static: Static, dynamic: Dynamic, m: int, cell: int, move: int) -> Any:
     """float32 remaining capacity of the edge that a move inside a layer crosses; 0 if none."""
-    return np.float32(dynamic.remaining[m, place(static.edge[cell, move])])
+    return np.float32(dynamic.remaining[m, as_index(static.edge[cell, move])])
 
 
-@inlined
+@compiled
 def write_paper(
     static: Static, dynamic: Dynamic, via_capacity: float, m: int, n: int, out: Any, row: int
 ) -> None:
@@ -28,8 +28,8 @@ def write_paper(
         for f in range(out.shape[1]):
             out[row, f] = 0
     else:
-        agent = dynamic.agents[m, place(n)]
-        cell, target = place(agent.cell), place(agent.target)
+        agent = dynamic.agents[m, as_index(n)]
+        cell, target = as_index(agent.cell), as_index(agent.target)
         # Everything is read before anything is written. The compiler cannot know that ``out`` is
         # not part of the game; this way, one read serves both the observation and a mask made
         # beside it.
@@ -39,10 +39,10 @@ def write_paper(
             static.position[target, 1],
             static.position[target, 2],
         )
-        east = _room(static, dynamic, m, cell, wide(0))
-        west = _room(static, dynamic, m, cell, wide(1))
-        north = _room(static, dynamic, m, cell, wide(2))
-        south = _room(static, dynamic, m, cell, wide(3))
+        east = _room(static, dynamic, m, cell, i64(0))
+        west = _room(static, dynamic, m, cell, i64(1))
+        north = _room(static, dynamic, m, cell, i64(2))
+        south = _room(static, dynamic, m, cell, i64(3))
         exits = static.exits[cell]
         out[row, 0], out[row, 1], out[row, 2] = np.float32(x), np.float32(y), np.float32(z)
         out[row, 3] = np.float32(np.int32(to_x - x))
@@ -59,10 +59,10 @@ def see_paper(
 ) -> bool:
     """Fills ``out`` (K, 12); returns whether there are such agents."""
     for i in range(len(problems)):
-        m, n = wide(problems[i]), wide(agents[i])
+        m, n = i64(problems[i]), i64(agents[i])
         if not is_agent(dynamic, m, n):
             return False
-        write_paper(static, dynamic, via_capacity, place(m), n, out, i)
+        write_paper(static, dynamic, via_capacity, as_index(m), n, out, i)
     return True
 
 
@@ -85,12 +85,12 @@ def write_states(dynamic: Dynamic, out: Any) -> None:
                     edge, bits = edge + 1, bits >> 1
             agent = dynamic.agents[m, n]
             if agent.status == Status.ACTIVE:
-                out[m, place(agent.cell), AXES] += 1
-                out[m, place(agent.target), AXES + 1] += 1
+                out[m, as_index(agent.cell), AXES] += 1
+                out[m, as_index(agent.target), AXES + 1] += 1
 
 
-@inlined
+@compiled
 def paper_reward(table: Any, overflow_price: float, agent: Any) -> Any:
     """float32, the :class:`marouting.rewards.PaperReward` of an AGENT record's last move."""
-    reward = table[place(agent.crossing), place(agent.ending)]
+    reward = table[as_index(agent.crossing), as_index(agent.ending)]
     return reward - np.float32(overflow_price) * np.float32(agent.added_overflow)

@@ -1,17 +1,17 @@
 """Where Gcells lie, in compiled code."""
 
 from marouting.batch.state import Static
-from marouting.kernels import inlined, wide
+from marouting.kernels import compiled, i64
 
 
-@inlined
+@compiled
 def position(static: Static, cell: int) -> tuple[int, int, int]:
     """x, y and z of a Gcell."""
     at = static.position[cell]
-    return wide(at[0]), wide(at[1]), wide(at[2])
+    return i64(at[0]), i64(at[1]), i64(at[2])
 
 
-@inlined
+@compiled
 def grid_of(static: Static) -> tuple[int, int, int]:
     """Columns, rows and layers of the grid."""
     x, y, z = position(static, len(static.position) - 1)

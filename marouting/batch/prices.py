@@ -32,7 +32,7 @@ from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_on
 from marouting.checks import check_fields
 from marouting.game import MOST_ROUNDS
-from marouting.kernels import compiled, inlined, inner, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
 
 UNIT = 16
@@ -102,74 +102,74 @@ class Negotiation:
         check_fields(self, **bounds)
 
 
-@inlined
+@compiled
 def is_priced(static: Static, dynamic: Dynamic, m: int) -> bool:
     """Whether the first walk or the present round is; see :mod:`marouting.batch.rounds`."""
     return is_on(static, Option.PRICES) and dynamic.games[m].plain == 0
 
 
-@inlined
+@compiled
 def first_present(static: Static) -> int:
     """``present`` in the first walk, and in the first priced round after plain ones."""
-    return wide(static.options[Option.PRESENT])
+    return i64(static.options[Option.PRESENT])
 
 
-@inlined
+@compiled
 def price_of(static: Static, dynamic: Dynamic, m: int, edge: int) -> int:
     """The price of an edge, in parts of UNIT."""
-    price = wide(dynamic.numbers[m, static.options[Option.PRICES] + edge])
+    price = i64(dynamic.numbers[m, static.options[Option.PRICES] + edge])
     return (UNIT * price + WHOLE // 2) // WHOLE
 
 
-@inlined
+@compiled
 def edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int, room: int) -> int:
     """What an edge inside a layer costs a net in a priced round."""
     if demand > static.capacity[m, edge]:
-        return wide(MOST)
+        return i64(MOST)
     cost = UNIT + price_of(static, dynamic, m, edge)
     if room < demand and demand > 0:
-        parts = wide(dynamic.games[m].present) * (demand - room) // demand
+        parts = i64(dynamic.games[m].present) * (demand - room) // demand
         cost = cost * (WHOLE + parts) // WHOLE
-    return min(cost, wide(MOST))
+    return min(cost, i64(MOST))
 
 
-@inner
+@compiled
 def net_cost(
     static: Static, dynamic: Dynamic, m: int, n: int, rows: Any, row: int, own: int
 ) -> int:
     """What a net's edges cost it in a priced round."""
-    cost = wide(0)
+    cost = i64(0)
     for byte in range(rows.shape[2]):
         bits = byte_of(rows, m, row, byte)
-        edge = wide(8 * byte)
+        edge = i64(8 * byte)
         while bits != 0:
             if bits & 1:
-                axis, cell = edge % AXES, place(edge // AXES)
+                axis, cell = edge % AXES, as_index(edge // AXES)
                 if axis == VIA_AXIS:
                     cost += UNIT
                 else:
-                    demand = wide(static.demand[m, n, static.position[cell, VIA_AXIS]])
-                    room = wide(dynamic.remaining[m, edge]) + own * demand
+                    demand = i64(static.demand[m, n, static.position[cell, VIA_AXIS]])
+                    room = i64(dynamic.remaining[m, edge]) + own * demand
                     cost += edge_cost(static, dynamic, m, edge, demand, room)
             bits, edge = bits >> 1, edge + 1
     return cost
 
 
-@inlined
+@compiled
 def _calmed(static: Static, dynamic: Dynamic, m: int, step: int) -> int:
     """What is left of a step of the prices, after so many negotiations."""
     game = dynamic.games[m]
     if game.best_overflow > 0:
-        return wide(step)  # prices that rest would never part the nets that still overflow
-    return 100 * step // (100 + static.options[Option.CALM] * wide(game.negotiations))
+        return i64(step)  # prices that rest would never part the nets that still overflow
+    return 100 * step // (100 + static.options[Option.CALM] * i64(game.negotiations))
 
 
-@inner
+@compiled
 def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
     """Before a priced round: edges with overflow get dearer, and ``present`` grows."""
     game, first = dynamic.games[m], first_present(static)
-    rise = min(_RISE * max(wide(game.present), first) // first, wide(MOST_RISE))
-    prices, rise = place(static.options[Option.PRICES]), _calmed(static, dynamic, m, rise)
+    rise = min(_RISE * max(i64(game.present), first) // first, i64(MOST_RISE))
+    prices, rise = as_index(static.options[Option.PRICES]), _calmed(static, dynamic, m, rise)
     for edge in range(static.capacity.shape[1]):
         if dynamic.remaining[m, edge] < 0:
             dynamic.numbers[m, prices + edge] += rise
@@ -178,15 +178,15 @@ def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
     game.present = min(max(present, first), LARGEST)
 
 
-@inner
+@compiled
 def _lower(static: Static, dynamic: Dynamic, m: int) -> None:
     """Before priced rounds that follow plain ones: prices fall, and nets share cheaply again.
 
     What is left of a price is a whole part of ``UNIT``, so that small ones go.
     """
-    prices = place(static.options[Option.PRICES])
+    prices = as_index(static.options[Option.PRICES])
     for edge in range(static.capacity.shape[1]):
-        price = wide(dynamic.numbers[m, prices + edge])
+        price = i64(dynamic.numbers[m, prices + edge])
         if price == 0:
             continue
         price -= _calmed(static, dynamic, m, price * _FALL // 100)

@@ -43,7 +43,7 @@ from marouting.batch.tasks import (
     wait,
 )
 from marouting.game import NOBODY, Crossing, Ending, Status
-from marouting.kernels import compiled, inlined, inner, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.heap import pop, push
 
@@ -54,14 +54,14 @@ _LAST = (1 << _SHIFT) - 1
 _LOT = 0xFFFFFFFF
 
 
-@inlined
+@compiled
 def is_full(static: Static, dynamic: Dynamic, m: int, edge: int) -> bool:
     """Whether an edge inside a layer has capacity, and all of it is taken."""
     inside = edge % AXES != VIA_AXIS
     return inside and dynamic.remaining[m, edge] <= 0 < static.capacity[m, edge]
 
 
-@inner
+@compiled
 def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
     """What a net's open tasks and full edges cost.
 
@@ -72,7 +72,7 @@ def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
         n: the agent.
         now: whether an edge costs 1 if it is full now, or the rounds at whose start it was.
     """
-    price = wide(0)
+    price = i64(0)
     for byte in range(dynamic.used.shape[2]):
         bits = byte_of(dynamic.used, m, n, byte)
         edge = 8 * byte
@@ -85,11 +85,11 @@ def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
             bits >>= 1
             edge += 1
     tasks = static.first[m, n + 1] - static.first[m, n]
-    missing = min(wide(tasks - dynamic.agents[m, n].joined), _MOST_OPEN)
+    missing = min(i64(tasks - dynamic.agents[m, n].joined), _MOST_OPEN)
     return min(price, _OPEN - 1) + _OPEN * missing
 
 
-@inlined
+@compiled
 def lot(number: int, n: int, other: int) -> int:
     """A number from 1 to 1024 that follows from a round and two agents, as if it were drawn.
 
@@ -104,7 +104,7 @@ def lot(number: int, n: int, other: int) -> int:
     return 1 + (mixed >> 22)
 
 
-@inner
+@compiled
 def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     """Counts full edges, and lines up the nets."""
     game = dynamic.games[m]
@@ -113,17 +113,17 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     game.place = game.picked = 0
     game.began_joined, game.began_overflow = game.joined, game.overflow
     game.began_wirelength = game.wirelength
-    history, first = place(static.options[Option.HISTORY]), place(static.options[Option.LINE])
+    history, first = as_index(static.options[Option.HISTORY]), as_index(static.options[Option.LINE])
     for edge in range(static.capacity.shape[1]):
         if is_full(static, dynamic, m, edge):
             dynamic.numbers[m, history + edge] += 1
-    line, size = dynamic.numbers[m, first : first + static.order.shape[1]], wide(0)
+    line, size = dynamic.numbers[m, first : first + static.order.shape[1]], i64(0)
     while size < len(line) and static.order[m, size] != NOBODY:
-        price = wide(0)
+        price = i64(0)
         if static.options[Option.RIP_UP] == Choice.HISTORY:
-            price = _price(static, dynamic, m, wide(static.order[m, size]), False)
+            price = _price(static, dynamic, m, i64(static.order[m, size]), False)
         elif is_priced(static, dynamic, m):
-            price = lot(wide(game.round), wide(static.order[m, size]), wide(NOBODY))
+            price = lot(i64(game.round), i64(static.order[m, size]), i64(NOBODY))
         push(line, size, price << _SHIFT | (_LAST - size))
         size += 1
     # The smallest key goes to the end, to the place that the heap no longer needs.
@@ -132,7 +132,7 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     line[size:] = NOBODY
 
 
-@inner
+@compiled
 def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net walks again now that it is considered."""
     rip_up = static.options[Option.RIP_UP]
@@ -141,45 +141,45 @@ def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
     return True
 
 
-@inlined
+@compiled
 def _box(static: Static, m: int, n: int, joined: int) -> tuple[int, int, int, int]:
     """First and last column and row of the box around a net's pins, within the grid."""
-    first, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
-    start = place(static.tasks[first, 0])
-    left, low = wide(static.position[start, 0]), wide(static.position[start, 1])
+    first, end = i64(static.first[m, n]), i64(static.first[m, n + 1])
+    start = as_index(static.tasks[first, 0])
+    left, low = i64(static.position[start, 0]), i64(static.position[start, 1])
     right, high = left, low
     for task in range(first, end):
-        pin = place(static.tasks[task, 1])
-        x, y = wide(static.position[pin, 0]), wide(static.position[pin, 1])
+        pin = as_index(static.tasks[task, 1])
+        x, y = i64(static.position[pin, 0]), i64(static.position[pin, 1])
         left, right, low, high = min(left, x), max(right, x), min(low, y), max(high, y)
-    beyond = wide(joined < end - first)
+    beyond = i64(joined < end - first)
     columns, rows, _ = grid_of(static)
     left, low = max(left - beyond, 0), max(low - beyond, 0)
     return left, min(right + beyond, columns - 1), low, min(high + beyond, rows - 1)
 
 
-@inner
+@compiled
 def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """Fills ``again`` with a net and those that stand in its way; returns how many they are."""
     o, most = static.options, static.options[Option.AGAIN_MOST]
     if o[Option.PATIENCE] > 0:
-        most = min(most, 1 + (wide(dynamic.games[m].plain) - 1) // o[Option.PATIENCE])
+        most = min(most, 1 + (i64(dynamic.games[m].plain) - 1) // o[Option.PATIENCE])
     if is_priced(static, dynamic, m):
-        most = wide(1)
+        most = i64(1)
     again = dynamic.numbers[m, o[Option.AGAIN] : o[Option.AGAIN] + most]
     counts = dynamic.numbers[m, o[Option.QUEUE] : o[Option.QUEUE] + most]
-    blocking = place(o[Option.KEPT])
-    again[0], size = n, wide(1)
+    blocking = as_index(o[Option.KEPT])
+    again[0], size = n, i64(1)
     if len(again) == 1:
         return size
     # Such edges lie close to each other: all other bytes of the nets need not be looked at.
-    begin, stop = wide(static.capacity.shape[1]), wide(0)
+    begin, stop = i64(static.capacity.shape[1]), i64(0)
     empty(dynamic.sets, m, blocking)
     for byte in range(dynamic.used.shape[2]):
         bits = byte_of(dynamic.used, m, n, byte)
         for bit in range(8):
             if bits >> bit & 1 and is_full(static, dynamic, m, 8 * byte + bit):
-                put(dynamic.sets, m, blocking, 8 * byte + bit, wide(1))
+                put(dynamic.sets, m, blocking, 8 * byte + bit, i64(1))
                 begin, stop = min(begin, byte), max(stop, byte + 1)
     left, right, low, high = _box(static, m, n, dynamic.agents[m, n].joined)
     _, rows, layers = grid_of(static)
@@ -188,10 +188,10 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
             first = AXES * layers * (x * rows + y)
             for edge in range(first, first + AXES * layers):
                 if is_full(static, dynamic, m, edge):
-                    put(dynamic.sets, m, blocking, wide(edge), wide(1))
-                    begin, stop = min(begin, wide(edge >> 3)), max(stop, wide(edge >> 3) + 1)
+                    put(dynamic.sets, m, blocking, i64(edge), i64(1))
+                    begin, stop = min(begin, i64(edge >> 3)), max(stop, i64(edge >> 3) + 1)
     for other in range(dynamic.agents.shape[1]):
-        count = wide(0)
+        count = i64(0)
         for byte in range(begin, stop):
             bits = byte_of(dynamic.used, m, other, byte)
             if bits != 0:
@@ -201,14 +201,14 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
                 count += 1
         if other == n or count == 0:
             continue
-        count *= lot(wide(dynamic.games[m].round), n, wide(other))
+        count *= lot(i64(dynamic.games[m].round), n, i64(other))
         # Insert it among the others, the largest first.
         at = size
         while at > 1 and counts[at - 1] < count:
             at -= 1
         if at == len(again):
             continue
-        size = min(size + 1, wide(len(again)))
+        size = min(size + 1, i64(len(again)))
         for k in range(size - 1, at, -1):
             again[k], counts[k] = again[k - 1], counts[k - 1]
         again[at], counts[at] = other, count
@@ -231,28 +231,28 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
         if k >= game.again:
             dynamic.numbers[m, o[Option.AGAIN] + k] = NOBODY
             continue
-        member = place(dynamic.numbers[m, o[Option.AGAIN] + k])
+        member = as_index(dynamic.numbers[m, o[Option.AGAIN] + k])
         agent = dynamic.agents[m, member]
         dynamic.numbers[m, o[Option.KEPT_JOINED] + k] = agent.joined
-        kept = place(o[Option.KEPT] + k)
+        kept = as_index(o[Option.KEPT] + k)
         empty(dynamic.sets, m, kept)
         for byte in range(dynamic.used.shape[2]):
             bits = byte_of(dynamic.used, m, member, byte)
             if bits != 0:
                 set_byte(dynamic.sets, m, kept, byte, bits)
-                use_edges(static, dynamic, m, member, byte, wide(0))
+                use_edges(static, dynamic, m, member, byte, i64(0))
         if is_priced(static, dynamic, m):
-            game.kept_cost = net_cost(static, dynamic, m, member, dynamic.sets, kept, wide(0))
+            game.kept_cost = net_cost(static, dynamic, m, member, dynamic.sets, kept, i64(0))
         agent.status = Status.ACTIVE
         wait(dynamic, m, member)
         begin_net(static, dynamic, m, member)
 
 
-@inner
+@compiled
 def all_have_walked(static: Static, dynamic: Dynamic, m: int) -> bool:
     """Whether all nets that walk again have ended their last tasks."""
     for k in range(dynamic.games[m].again):
-        member = wide(dynamic.numbers[m, static.options[Option.AGAIN] + k])
+        member = i64(dynamic.numbers[m, static.options[Option.AGAIN] + k])
         agent = dynamic.agents[m, member]
         # An agent that has ended a task either stands where it arrived, or at its next start.
         if agent.status != Status.ACTIVE:
@@ -274,14 +274,17 @@ def judge(static: Static, dynamic: Dynamic, m: int) -> None:
         if game.overflow == game.kept_overflow:
             worse = game.wirelength > game.kept_wirelength
         if is_priced(static, dynamic, m):
-            n = place(dynamic.numbers[m, static.options[Option.AGAIN]])
-            cost = net_cost(static, dynamic, m, n, dynamic.used, n, wide(1))
+            n = as_index(dynamic.numbers[m, static.options[Option.AGAIN]])
+            cost = net_cost(static, dynamic, m, n, dynamic.used, n, i64(1))
             worse = cost > game.kept_cost
     o = static.options
     for k in range(game.again):
-        member = place(dynamic.numbers[m, o[Option.AGAIN] + k])
+        member = as_index(dynamic.numbers[m, o[Option.AGAIN] + k])
         if worse:
-            kept, joined = place(o[Option.KEPT] + k), dynamic.numbers[m, o[Option.KEPT_JOINED] + k]
+            kept, joined = (
+                as_index(o[Option.KEPT] + k),
+                dynamic.numbers[m, o[Option.KEPT_JOINED] + k],
+            )
             take_routes(static, dynamic, m, member, kept, joined)
         dynamic.numbers[m, o[Option.AGAIN] + k] = NOBODY
     if worse:
@@ -289,24 +292,24 @@ def judge(static: Static, dynamic: Dynamic, m: int) -> None:
     game.again = 0
 
 
-@inlined
+@compiled
 def has_walked(dynamic: Dynamic, m: int) -> bool:
     """Whether the nets that walk again have been judged, or were not asked to walk."""
     return dynamic.games[m].round > 0 and dynamic.games[m].again == 0
 
 
-@inlined
+@compiled
 def done(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """The status of an agent that has no more tasks: TERMINATED or TRUNCATED."""
     tasks = static.first[m, n + 1] - static.first[m, n]
     return Status.TERMINATED if dynamic.agents[m, n].joined == tasks else Status.TRUNCATED
 
 
-@inner
+@compiled
 def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
     """When no agent is active: the next net walks again or is asked, or the episode is over."""
     game = dynamic.games[m]
-    agents, line = static.order.shape[1], place(static.options[Option.LINE])
+    agents, line = static.order.shape[1], as_index(static.options[Option.LINE])
     while True:
         over = game.round == 0 or game.place == agents
         if over or dynamic.numbers[m, line + game.place] == NOBODY:
@@ -314,8 +317,8 @@ def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
                 break
             _begin_round(static, dynamic, m)
             continue
-        turn = place(dynamic.numbers[m, line + game.place])
-        n = wide(static.order[m, turn])
+        turn = as_index(dynamic.numbers[m, line + game.place])
+        n = i64(static.order[m, turn])
         game.place += 1
         if not _walks_again(static, dynamic, m, n):
             continue
@@ -323,7 +326,7 @@ def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
         if static.options[Option.RIP_UP] == Choice.AGENTS:
             game.asked = game.active = 1
             dynamic.agents[m, n].status = Status.ACTIVE
-            begin_task(static, dynamic, m, n, wide(static.first[m, n]))
+            begin_task(static, dynamic, m, n, i64(static.first[m, n]))
         else:
             rip_up(static, dynamic, m, n)
         return

@@ -30,7 +30,7 @@ next task puts the agent on another pin.
 
 from typing import Any
 
-from marouting.batch.bits import byte_of, empty, forget, put
+from marouting.batch.bits import byte_of, clear, empty, put
 from marouting.batch.edges import demand_of, may_cross, take, use_edges, uses
 from marouting.batch.prices import NO_LIMIT, first_present
 from marouting.batch.rounds import (
@@ -55,7 +55,7 @@ from marouting.batch.tasks import (
     wait,
 )
 from marouting.game import NOBODY, Crossing, Ending, Status
-from marouting.kernels import inlined, inner, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import MOVES
 
 GIVE_WAY = MOVES
@@ -64,7 +64,7 @@ GIVE_WAY = MOVES
 _SIX = (1 << MOVES) - 1
 
 
-@inlined
+@compiled
 def cross_edge(static: Static, dynamic: Dynamic, m: int, n: int, move: int, tries: int) -> int:
     """One step of one agent, which crosses an edge or is blocked.
 
@@ -81,13 +81,13 @@ def cross_edge(static: Static, dynamic: Dynamic, m: int, n: int, move: int, trie
     """
     agent = dynamic.agents[m, n]
     game = dynamic.games[m]
-    cell = place(agent.cell)
-    edge = place(static.edge[cell, move])
+    cell = as_index(agent.cell)
+    edge = as_index(static.edge[cell, move])
     crosses = tries & may_cross(static, dynamic, m, n, cell, move)
     own = crosses & uses(dynamic.used, m, n, edge)
     new = crosses ^ own
     agent.crossing = Crossing.BLOCKED + new + 2 * own  # BLOCKED, NEW or OWN: 1, 2 or 3
-    demand = wide(new * demand_of(static, m, n, cell, move))
+    demand = i64(new * demand_of(static, m, n, cell, move))
     agent.added_overflow = take(dynamic, m, edge, demand)
     put(dynamic.used, m, n, edge, new)
     game.wirelength += new
@@ -98,7 +98,7 @@ def cross_edge(static: Static, dynamic: Dynamic, m: int, n: int, move: int, trie
     return new
 
 
-@inlined
+@compiled
 def end_task(static: Static, dynamic: Dynamic, m: int, n: int, arrived: bool) -> None:
     """After a step: the task ends if the agent has arrived, or if its steps are used up."""
     agent = dynamic.agents[m, n]
@@ -111,18 +111,18 @@ def end_task(static: Static, dynamic: Dynamic, m: int, n: int, arrived: bool) ->
         agent.ending = Ending.FAILED
 
 
-@inlined
+@compiled
 def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> None:
     """One step of one agent: it crosses an edge or is blocked, and its task may end."""
     if static.extended is not None:
         move_extended(static, dynamic, m, n, move)
         return
-    _ = cross_edge(static, dynamic, m, n, move, wide(1))
+    _ = cross_edge(static, dynamic, m, n, move, i64(1))
     agent = dynamic.agents[m, n]
     end_task(static, dynamic, m, n, agent.cell == agent.target)
 
 
-@inner
+@compiled
 def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> None:
     """:func:`move_agent` by the options."""
     agent, game = dynamic.agents[m, n], dynamic.games[m]
@@ -131,26 +131,26 @@ def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -
         return
     game.ripped = 0
     step = min(move, MOVES - 1)
-    edge = place(static.edge[place(agent.cell), step])
-    new = cross_edge(static, dynamic, m, n, step, wide(move != GIVE_WAY))
+    edge = as_index(static.edge[as_index(agent.cell), step])
+    new = cross_edge(static, dynamic, m, n, step, i64(move != GIVE_WAY))
     if is_on(static, Option.RELEASE_FAILED) and new:
         insert(static, dynamic, m, Option.TAKEN, n, edge)
     if is_on(static, Option.MASK_VISITED):
-        insert(static, dynamic, m, Option.VISITED, n, wide(agent.cell))
+        insert(static, dynamic, m, Option.VISITED, n, i64(agent.cell))
     arrived = agent.cell == agent.target
     if is_on(static, Option.TREE_TARGET):
-        arrived = holds(static, dynamic, m, Option.TREE, n, wide(agent.cell)) != 0
+        arrived = holds(static, dynamic, m, Option.TREE, n, i64(agent.cell)) != 0
     end_task(static, dynamic, m, n, arrived)
     if agent.ending != Ending.NONE:
         _end_extended(static, dynamic, m, n)
 
 
-@inner
+@compiled
 def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """What the options do when a task has ended: edges go back, trees grow, nets are judged."""
     agent = dynamic.agents[m, n]
     if is_on(static, Option.RELEASE_FAILED) and agent.ending == Ending.FAILED:
-        row = place(static.options[Option.TAKEN] + n)
+        row = as_index(static.options[Option.TAKEN] + n)
         for byte in range(dynamic.sets.shape[2]):
             taken = byte_of(dynamic.sets, m, row, byte)
             if taken != 0:
@@ -164,7 +164,7 @@ def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
         judge(static, dynamic, m)
 
 
-@inlined
+@compiled
 def settle_agent(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """After a move: an agent whose task has ended starts its next task, or is done."""
     agent = dynamic.agents[m, n]
@@ -173,16 +173,16 @@ def settle_agent(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     if static.extended is not None:
         settle_extended(static, dynamic, m, n)
     elif agent.task + 1 < static.first[m, n + 1]:
-        begin_task(static, dynamic, m, n, wide(agent.task + 1))
+        begin_task(static, dynamic, m, n, i64(agent.task + 1))
     else:
         agent.status = done(static, dynamic, m, n)
         dynamic.games[m].active -= 1
 
 
-@inner
+@compiled
 def settle_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """:func:`settle_agent` for an agent whose task has ended, by the options."""
-    task = wide(NOBODY)
+    task = i64(NOBODY)
     if not has_walked(dynamic, m):
         task = next_task(static, dynamic, m, n)
     if task != NOBODY:
@@ -194,7 +194,7 @@ def settle_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     dynamic.games[m].active -= 1
 
 
-@inlined
+@compiled
 def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
     """Passes the turn to the next active agent. In sequential order an active agent keeps it."""
     game = dynamic.games[m]
@@ -214,7 +214,7 @@ def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
     game.agent = n
 
 
-@inlined
+@compiled
 def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
     """Starts an episode: all agents are at the start of their first task, all capacity is free."""
     # Loops compile in a tenth of the time that slices take.
@@ -222,7 +222,7 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
         dynamic.remaining[m, edge] = static.capacity[m, edge]
     game = dynamic.games[m]
     if game.steps != 0:
-        forget(dynamic.used, m)
+        clear(dynamic.used, m)
     game.turn = game.active = game.joined = game.steps = 0
     game.overflow = game.wirelength = 0
     if static.extended is not None:
@@ -237,17 +237,17 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
             if static.extended is not None:
                 begin_net(static, dynamic, m, n)
             else:
-                begin_task(static, dynamic, m, n, wide(static.first[m, n]))
+                begin_task(static, dynamic, m, n, i64(static.first[m, n]))
         else:
             agent.status = Status.ABSENT
     game.agent = static.order[m, 0]
 
 
-@inner
+@compiled
 def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
     """Forgets the rounds of an episode."""
     # What others of its problem had there is of no use to an agent.
-    forget(dynamic.sets, m)
+    clear(dynamic.sets, m)
     game = dynamic.games[m]
     game.round = game.place = game.again = game.picked = game.ripped = game.asked = 0
     game.kept_joined = game.kept_overflow = game.kept_wirelength = game.kept_cost = 0
@@ -263,10 +263,10 @@ def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
             dynamic.numbers[m, column] = 0
 
 
-@inlined
+@compiled
 def move_player(static: Static, dynamic: Dynamic, m: int, move: int) -> None:
     """In one problem, the agent whose turn it is moves, or stays if ``move`` is NOBODY."""
-    n = wide(dynamic.games[m].agent)
+    n = i64(dynamic.games[m].agent)
     if n == NOBODY:
         return
     if move == NOBODY:
@@ -275,16 +275,16 @@ def move_player(static: Static, dynamic: Dynamic, m: int, move: int) -> None:
         move_agent(static, dynamic, m, n, move)
 
 
-@inlined
+@compiled
 def settle_player(static: Static, dynamic: Dynamic, m: int) -> None:
     """After the move of :func:`move_player`: the next task starts, and the turn passes."""
-    n = wide(dynamic.games[m].agent)
+    n = i64(dynamic.games[m].agent)
     if n != NOBODY:
         settle_agent(static, dynamic, m, n)
         pass_turn(static, dynamic, m)
 
 
-@inlined
+@compiled
 def may_move(dynamic: Dynamic, m: int, n: int, alone: bool, move: int) -> bool:
     """Whether an agent makes a move in a step of all: if it is active and need not wait.
 
@@ -299,7 +299,7 @@ def may_move(dynamic: Dynamic, m: int, n: int, alone: bool, move: int) -> bool:
     return active and move != NOBODY and (not alone or n == dynamic.games[m].agent)
 
 
-@inlined
+@compiled
 def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
     """In one problem, all agents make their moves of ``moves`` (M, N) in turn order.
 
@@ -310,14 +310,14 @@ def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
     for k in range(static.order.shape[1]):
         if static.order[m, k] == NOBODY:
             break
-        n = place(static.order[m, k])
+        n = as_index(static.order[m, k])
         if may_move(dynamic, m, n, alone, moves[m, n]):
-            move_agent(static, dynamic, m, n, place(moves[m, n]))
+            move_agent(static, dynamic, m, n, as_index(moves[m, n]))
         else:
             wait(dynamic, m, n)
 
 
-@inlined
+@compiled
 def settle_turns(static: Static, dynamic: Dynamic, m: int) -> None:
     """After all agents of a problem have settled: the turn passes to the first that is active."""
     game = dynamic.games[m]
@@ -327,7 +327,7 @@ def settle_turns(static: Static, dynamic: Dynamic, m: int) -> None:
         pass_turn(static, dynamic, m)
 
 
-@inlined
+@compiled
 def settle_everyone(static: Static, dynamic: Dynamic, m: int) -> None:
     """After the moves of :func:`move_everyone`: next tasks start, and the turn passes."""
     for n in range(static.order.shape[1]):
@@ -335,42 +335,42 @@ def settle_everyone(static: Static, dynamic: Dynamic, m: int) -> None:
     settle_turns(static, dynamic, m)
 
 
-@inlined
+@compiled
 def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """The moves of an agent that cross an edge, one bit per move.
 
     An agent that is asked whether its net gives way has two actions, the first move and the last.
     """
-    cell = place(dynamic.agents[m, n].cell)
-    free = wide(0)
+    cell = as_index(dynamic.agents[m, n].cell)
+    free = i64(0)
     for move in range(MOVES):
-        free |= wide(may_cross(static, dynamic, m, n, cell, move)) << move
+        free |= i64(may_cross(static, dynamic, m, n, cell, move)) << move
     return _free_extended(static, dynamic, m, n, free) if static.extended is not None else free
 
 
-@inner
+@compiled
 def _free_extended(static: Static, dynamic: Dynamic, m: int, n: int, free: int) -> int:
     """What the options make of an agent's free moves."""
-    game, cell = dynamic.games[m], place(dynamic.agents[m, n].cell)
+    game, cell = dynamic.games[m], as_index(dynamic.agents[m, n].cell)
     if game.asked and game.agent == n:
-        return wide(1 | 1 << GIVE_WAY)
+        return i64(1 | 1 << GIVE_WAY)
     if not is_on(static, Option.MASK_VISITED):
         return free
     unvisited = free
     for move in range(MOVES):
-        ahead = wide(static.neighbour[cell, move])
+        ahead = i64(static.neighbour[cell, move])
         if free >> move & 1 and holds(static, dynamic, m, Option.VISITED, n, ahead):
-            unvisited ^= wide(1) << move
+            unvisited ^= i64(1) << move
     return unvisited if unvisited else free
 
 
-@inlined
+@compiled
 def is_agent(dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether there is a problem m with an agent n, or n is NOBODY."""
     return 0 <= m < dynamic.agents.shape[0] and NOBODY <= n < dynamic.agents.shape[1]
 
 
-@inlined
+@compiled
 def write_moves(free: int, out: Any, row: int) -> None:
     """Fills a row of ``out`` (K, 6 or 7) with a mask: all ones if none of the six moves is free."""
     for move in range(MOVES):
@@ -379,10 +379,10 @@ def write_moves(free: int, out: Any, row: int) -> None:
         out[row, GIVE_WAY] = free >> GIVE_WAY & 1
 
 
-@inlined
+@compiled
 def write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
     """Fills a row of ``out`` (K, 6 or 7) with an agent's action mask, or that of NOBODY."""
-    free = wide(0)
+    free = i64(0)
     if n != NOBODY:
-        free = free_moves(static, dynamic, m, place(n))
+        free = free_moves(static, dynamic, m, as_index(n))
     write_moves(free, out, row)

@@ -11,7 +11,7 @@ from marouting.batch.prices import WHOLE, Negotiation
 from marouting.batch.state import AGENT, GAME, Choice, Dynamic, Option, Static
 from marouting.errors import InputError
 from marouting.game import NOBODY, NetOrder, RipUp, Rules
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, i64
 from marouting.memory import PLAYED, TABLES, check_memory
 from marouting.problem.grid import VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem
@@ -342,11 +342,11 @@ def _agents(
                 elif at > largest:
                     largest = at
             half_perimeter[n] += largest - least
-        worst = wide(0)
+        worst = i64(0)
         for layer in range(demand.shape[1]):
             demand[n, layer] = net_demand[net, layer]
             if demand[n, layer] > worst:
-                worst = wide(demand[n, layer])
+                worst = i64(demand[n, layer])
         most += worst
         n += 1
     for absent in range(n, len(nets)):

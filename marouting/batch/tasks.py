@@ -22,60 +22,60 @@ from marouting.batch.bits import byte_of, empty, has, put
 from marouting.batch.edges import uses
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.game import NOBODY, Crossing, Ending
-from marouting.kernels import compiled, inlined, inner, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, MOVES
 
 
-@inlined
+@compiled
 def is_on(static: Static, option: int) -> bool:
     """Whether an option is switched on."""
     return static.options[option] > 0
 
 
-@inlined
+@compiled
 def holds(static: Static, dynamic: Dynamic, m: int, which: int, n: int, element: int) -> int:
     """1 if agent n's set of a kind (``TREE`` to ``TRIED``) has a Gcell, edge or task, else 0."""
-    row = place(static.options[which] + n)
+    row = as_index(static.options[which] + n)
     return has(dynamic.sets, m, row, element)
 
 
-@inlined
+@compiled
 def insert(static: Static, dynamic: Dynamic, m: int, which: int, n: int, element: int) -> None:
     """Puts a Gcell, edge or task into a set of an agent."""
-    row = place(static.options[which] + n)
-    put(dynamic.sets, m, row, element, wide(1))
+    row = as_index(static.options[which] + n)
+    put(dynamic.sets, m, row, element, i64(1))
 
 
-@inlined
+@compiled
 def clear(static: Static, dynamic: Dynamic, m: int, which: int, n: int) -> None:
     """Empties a set of an agent."""
-    empty(dynamic.sets, m, place(static.options[which] + n))
+    empty(dynamic.sets, m, as_index(static.options[which] + n))
 
 
-@inlined
+@compiled
 def keeps_tree(static: Static) -> bool:
     """Whether the options need the nets' trees."""
     return static.options[Option.TREE] >= 0
 
 
-@inner
+@compiled
 def grow_tree(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """Finds all Gcells that a net's edges join to its first pin, and the tasks joined by them."""
     agent, numbers = dynamic.agents[m, n], dynamic.numbers
-    queue = place(static.options[Option.QUEUE])
-    first, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
+    queue = as_index(static.options[Option.QUEUE])
+    first, end = i64(static.first[m, n]), i64(static.first[m, n + 1])
     clear(static, dynamic, m, Option.TREE, n)
     numbers[m, queue] = static.tasks[first, 0]
-    insert(static, dynamic, m, Option.TREE, n, wide(numbers[m, queue]))
+    insert(static, dynamic, m, Option.TREE, n, i64(numbers[m, queue]))
     at, size = 0, 1
     while at < size:
-        cell = place(numbers[m, queue + at])
+        cell = as_index(numbers[m, queue + at])
         at += 1
         for move in range(MOVES):
-            ahead = wide(static.neighbour[cell, move])
+            ahead = i64(static.neighbour[cell, move])
             if (
                 static.exits[cell] >> move & 1
-                and uses(dynamic.used, m, n, place(static.edge[cell, move]))
+                and uses(dynamic.used, m, n, as_index(static.edge[cell, move]))
                 and not holds(static, dynamic, m, Option.TREE, n, ahead)
             ):
                 insert(static, dynamic, m, Option.TREE, n, ahead)
@@ -83,22 +83,22 @@ def grow_tree(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
                 size += 1
     joined = 0
     for task in range(first, end):
-        joined += wide(holds(static, dynamic, m, Option.TREE, n, wide(static.tasks[task, 1])))
+        joined += i64(holds(static, dynamic, m, Option.TREE, n, i64(static.tasks[task, 1])))
     dynamic.games[m].joined += joined - agent.joined
     agent.joined = joined
 
 
-@inner
+@compiled
 def nearest_in_tree(static: Static, dynamic: Dynamic, m: int, n: int, pin: int) -> tuple[int, int]:
     """The Gcell of a net's tree that is nearest to another Gcell, and its distance."""
-    nearest, least = wide(0), wide(1 << 62)
-    row = place(static.options[Option.TREE] + n)
+    nearest, least = i64(0), i64(1 << 62)
+    row = as_index(static.options[Option.TREE] + n)
     for byte in range(dynamic.sets.shape[2]):
         bits = byte_of(dynamic.sets, m, row, byte)
         cell = 8 * byte
         while bits != 0:
             if bits & 1:
-                distance = wide(0)
+                distance = i64(0)
                 for axis in range(AXES):
                     distance += abs(static.position[cell, axis] - static.position[pin, axis])
                 if (distance, cell) < (least, nearest):
@@ -108,20 +108,20 @@ def nearest_in_tree(static: Static, dynamic: Dynamic, m: int, n: int, pin: int) 
     return nearest, least
 
 
-@inlined
+@compiled
 def is_later(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> bool:
     """Whether an agent may still begin a task, after its present one."""
     begun = task <= dynamic.agents[m, n].task
     if is_on(static, Option.NEAREST_NEXT):
-        own = wide(task - static.first[m, n])
+        own = i64(task - static.first[m, n])
         begun = holds(static, dynamic, m, Option.TRIED, n, own) != 0
     if keeps_tree(static):
-        pin = wide(static.tasks[task, 1])
+        pin = i64(static.tasks[task, 1])
         begun |= holds(static, dynamic, m, Option.TREE, n, pin) != 0
     return not begun
 
 
-@inner
+@compiled
 def next_nearest(
     static: Static, dynamic: Dynamic, m: int, n: int, far: int, after: int
 ) -> tuple[int, int]:
@@ -138,41 +138,41 @@ def next_nearest(
     Returns:
         The task and the distance of its pin; NOBODY if there is none.
     """
-    cell = place(dynamic.agents[m, n].cell)
-    found, least = wide(NOBODY), wide(1 << 62)
-    for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
-        if not is_later(static, dynamic, m, n, wide(task)):
+    cell = as_index(dynamic.agents[m, n].cell)
+    found, least = i64(NOBODY), i64(1 << 62)
+    for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
+        if not is_later(static, dynamic, m, n, i64(task)):
             continue
-        distance = wide(0)
+        distance = i64(0)
         for axis in range(AXES):
             distance += abs(
                 static.position[static.tasks[task, 1], axis] - static.position[cell, axis]
             )
         if (distance, task) > (far, after) and distance < least:
-            found, least = wide(task), distance
+            found, least = i64(task), distance
     return found, least
 
 
 @compiled
 def next_task(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """The task that an agent begins after its present one; NOBODY if there is none."""
-    first, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
+    first, end = i64(static.first[m, n]), i64(static.first[m, n + 1])
     nearest = is_on(static, Option.NEAREST_NEXT)
     if not nearest:
-        first = wide(dynamic.agents[m, n].task) + 1
-    found, least = wide(NOBODY), wide(1 << 62)
+        first = i64(dynamic.agents[m, n].task) + 1
+    found, least = i64(NOBODY), i64(1 << 62)
     for task in range(first, end):
-        if not is_later(static, dynamic, m, n, wide(task)):
+        if not is_later(static, dynamic, m, n, i64(task)):
             continue
         if not nearest:
-            return wide(task)
-        _, distance = nearest_in_tree(static, dynamic, m, n, wide(static.tasks[task, 1]))
+            return i64(task)
+        _, distance = nearest_in_tree(static, dynamic, m, n, i64(static.tasks[task, 1]))
         if distance < least:
-            found, least = wide(task), distance
+            found, least = i64(task), distance
     return found
 
 
-@inlined
+@compiled
 def wait(dynamic: Dynamic, m: int, n: int) -> None:
     """An agent does not move: clears what its last move did."""
     agent = dynamic.agents[m, n]
@@ -181,7 +181,7 @@ def wait(dynamic: Dynamic, m: int, n: int) -> None:
     agent.ending = Ending.NONE
 
 
-@inlined
+@compiled
 def begin_task(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> None:
     """Puts an agent on the start pin of a task, by the paper's rules."""
     agent = dynamic.agents[m, n]
@@ -191,22 +191,22 @@ def begin_task(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> N
     agent.steps = 0
 
 
-@inner
+@compiled
 def begin_extended(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> None:
     """:func:`begin_task` by the options."""
     begin_task(static, dynamic, m, n, task)
     agent = dynamic.agents[m, n]
     if is_on(static, Option.NEAREST_NEXT):
-        insert(static, dynamic, m, Option.TRIED, n, wide(task - static.first[m, n]))
+        insert(static, dynamic, m, Option.TRIED, n, i64(task - static.first[m, n]))
     if keeps_tree(static):
-        pin = wide(static.tasks[task, 1])
+        pin = i64(static.tasks[task, 1])
         cell, _ = nearest_in_tree(static, dynamic, m, n, pin)
         agent.cell, agent.target = cell, pin
         if is_on(static, Option.TREE_TARGET):
             agent.cell, agent.target = pin, cell
     if is_on(static, Option.MASK_VISITED):
         clear(static, dynamic, m, Option.VISITED, n)
-        insert(static, dynamic, m, Option.VISITED, n, wide(agent.cell))
+        insert(static, dynamic, m, Option.VISITED, n, i64(agent.cell))
     if is_on(static, Option.RELEASE_FAILED):
         clear(static, dynamic, m, Option.TAKEN, n)
 
@@ -215,7 +215,7 @@ def begin_extended(static: Static, dynamic: Dynamic, m: int, n: int, task: int) 
 def begin_net(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """Puts an agent whose net uses no edge at the beginning of its first task, by the options."""
     agent = dynamic.agents[m, n]
-    first = wide(static.first[m, n])
+    first = i64(static.first[m, n])
     dynamic.games[m].joined -= agent.joined
     agent.joined = 0
     agent.task = first - 1

@@ -83,7 +83,7 @@ from marouting.batch.tasks import is_later
 from marouting.columns import Games
 from marouting.config import check
 from marouting.game import NOBODY, Status
-from marouting.kernels import compiled, inlined, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
@@ -297,23 +297,23 @@ def mirrored(moves: NDArray[np.integer], obs: NDArray[np.float32]) -> NDArray[np
 # --- rows -----------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled
 def _take_own(
     static: Static, maps: Maps, where: _Where, m: int, n: int, cell: int, sign: int
 ) -> None:
     """Takes a net's own expected demand off the edges of its window (−1), or adds it again (1)."""
     _, rows, layers = grid_of(static)
-    reach = wide(where.radius)
+    reach = i64(where.radius)
     x, y, z = position(static, cell)
-    present = wide(maps.counted[m, n, 2])
-    for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+    present = i64(maps.counted[m, n, 2])
+    for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
         if task != present and not maps.later[m, task - static.first[m, 0]]:
             continue
-        near, far = place(static.tasks[task, 0]), place(static.tasks[task, 1])
+        near, far = as_index(static.tasks[task, 0]), as_index(static.tasks[task, 1])
         if task == present:
-            near, far = place(maps.counted[m, n, 0]), place(maps.counted[m, n, 1])
-        x0, x1 = wide(static.position[near, 0]), wide(static.position[far, 0])
-        y0, y1 = wide(static.position[near, 1]), wide(static.position[far, 1])
+            near, far = as_index(maps.counted[m, n, 0]), as_index(maps.counted[m, n, 1])
+        x0, x1 = i64(static.position[near, 0]), i64(static.position[far, 0])
+        y0, y1 = i64(static.position[near, 1]), i64(static.position[far, 1])
         x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
         for layer in range(max(z - where.layers, 0), min(z + where.layers, layers - 1) + 1):
             for axis in range(VIA_AXIS):
@@ -322,11 +322,11 @@ def _take_own(
                 right, up = x1 - (axis == 0), y1 - (axis == 1)
                 for column in range(max(x0, x - reach - 1), min(right, x + reach) + 1):
                     for row in range(max(y0, y - reach - 1), min(up, y + reach) + 1):
-                        at = place((column * rows + row) * layers + layer)
+                        at = as_index((column * rows + row) * layers + layer)
                         maps.expected[m, at, axis] += share
 
 
-@inlined
+@compiled
 def _edges(
     static: Static,
     dynamic: Dynamic,
@@ -355,13 +355,13 @@ def _edges(
     """
     columns, rows, layers = grid_of(static)
     agent = dynamic.agents[m, n]
-    cell, target = place(agent.cell), place(agent.target)
+    cell, target = as_index(agent.cell), as_index(agent.target)
     x, y, z = position(static, cell)
     right = static.position[target, 0] >= x
     up = static.position[target, 1] >= y
     # The last edge of an axis leads off the grid; in a mirror an edge belongs to its other end.
-    along_x, along_y, along_z = wide(axis == 0), wide(axis == 1), wide(axis == VIA_AXIS)
-    reach, deep = wide(where.radius), wide(where.layers)
+    along_x, along_y, along_z = i64(axis == 0), i64(axis == 1), i64(axis == VIA_AXIS)
+    reach, deep = i64(where.radius), i64(where.layers)
     p = begin
     for i in range(-reach - along_x, reach + 1):
         gx = x + i if right else x - i - along_x
@@ -373,33 +373,33 @@ def _edges(
                 gz = z + k
                 capacity = slack = history = own = np.float32(0)
                 if inside and 0 <= gz < layers - along_z:
-                    at = place((gx * rows + gy) * layers + gz)
-                    edge = place(AXES * at + axis)
+                    at = as_index((gx * rows + gy) * layers + gz)
+                    edge = as_index(AXES * at + axis)
                     if where.own >= 0:
                         own = np.float32(uses(dynamic.used, m, n, edge))
                     if axis != VIA_AXIS:
                         remaining = dynamic.remaining[m, edge]
-                        track = np.float32(max(static.demand[m, n, place(gz)], 1))
+                        track = np.float32(max(static.demand[m, n, as_index(gz)], 1))
                         if where.capacity >= 0:
                             capacity = squashed(np.floor(np.float32(remaining) / track))
                         if where.demand >= 0:
                             slack = squashed(slack_of(maps, m, at, axis, remaining, track))
                         if where.history >= 0 and static.options[Option.HISTORY] >= 0:
-                            at = place(static.options[Option.HISTORY] + edge)
+                            at = as_index(static.options[Option.HISTORY] + edge)
                             history = squashed(np.float32(dynamic.numbers[m, at]))
                 if axis != VIA_AXIS:
                     if where.capacity >= 0:
-                        out[row, place(where.capacity + p)] = capacity
+                        out[row, as_index(where.capacity + p)] = capacity
                     if where.demand >= 0:
-                        out[row, place(where.demand + p)] = slack
+                        out[row, as_index(where.demand + p)] = slack
                     if where.history >= 0:
-                        out[row, place(where.history + p)] = history
+                        out[row, as_index(where.history + p)] = history
                 if where.own >= 0:
-                    out[row, place(where.own + p)] = own
+                    out[row, as_index(where.own + p)] = own
                 p += 1
 
 
-@inlined
+@compiled
 def _gcells(
     static: Static,
     dynamic: Dynamic,
@@ -413,13 +413,13 @@ def _gcells(
     """Writes the channels ``pins`` and ``heads``."""
     columns, rows, layers = grid_of(static)
     agent = dynamic.agents[m, n]
-    cell, target = place(agent.cell), place(agent.target)
+    cell, target = as_index(agent.cell), as_index(agent.target)
     x, y, z = position(static, cell)
     sign_x = 1 if static.position[target, 0] >= x else -1
     sign_y = 1 if static.position[target, 1] >= y else -1
     active = agent.status == Status.ACTIVE
-    reach, deep = wide(where.radius), wide(where.layers)
-    p = wide(0)
+    reach, deep = i64(where.radius), i64(where.layers)
+    p = i64(0)
     for i in range(-reach, reach + 1):
         gx = x + sign_x * i
         for j in range(-reach, reach + 1):
@@ -430,36 +430,36 @@ def _gcells(
                 if where.heads >= 0:
                     others = np.float32(0)
                     if inside and 0 <= gz < layers:
-                        at = place((gx * rows + gy) * layers + gz)
-                        others = np.float32(maps.heads[m, at] - wide(active and at == cell))
-                    out[row, place(where.heads + p)] = squashed(others)
+                        at = as_index((gx * rows + gy) * layers + gz)
+                        others = np.float32(maps.heads[m, at] - i64(active and at == cell))
+                    out[row, as_index(where.heads + p)] = squashed(others)
                 if where.pins >= 0:
-                    out[row, place(where.pins + p)] = 0
+                    out[row, as_index(where.pins + p)] = 0
                 p += 1
     if where.pins >= 0 and active:
-        for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
-            if task != agent.task and not is_later(static, dynamic, m, n, wide(task)):
+        for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
+            if task != agent.task and not is_later(static, dynamic, m, n, i64(task)):
                 continue
-            pin = target if task == agent.task else place(static.tasks[task, 1])
-            i = (wide(static.position[pin, 0]) - x) * sign_x + reach
-            j = (wide(static.position[pin, 1]) - y) * sign_y + reach
-            k = wide(static.position[pin, 2]) - z + deep
+            pin = target if task == agent.task else as_index(static.tasks[task, 1])
+            i = (i64(static.position[pin, 0]) - x) * sign_x + reach
+            j = (i64(static.position[pin, 1]) - y) * sign_y + reach
+            k = i64(static.position[pin, 2]) - z + deep
             if 0 <= i <= 2 * reach and 0 <= j <= 2 * reach and 0 <= k <= 2 * deep:
                 at = (i * (2 * reach + 1) + j) * (2 * deep + 1) + k
-                out[row, place(where.pins + at)] = 1
+                out[row, as_index(where.pins + at)] = 1
 
 
-@inlined
+@compiled
 def write_numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
     """Writes the first 16 numbers of a row."""
     agent = dynamic.agents[m, n]
-    cell, target = place(agent.cell), place(agent.target)
+    cell, target = as_index(agent.cell), as_index(agent.target)
     free = free_moves(static, dynamic, m, n)
     for axis in range(AXES):
-        far = wide(static.position[target, axis]) - wide(static.position[cell, axis])
-        back = wide(0)
+        far = i64(static.position[target, axis]) - i64(static.position[cell, axis])
+        back = i64(0)
         if axis != VIA_AXIS:
-            back = wide(far < 0)
+            back = i64(far < 0)
             out[row, axis] = 1 - 2 * back
             far = abs(far)
         logarithm = np.float32(math.log2(1.0 + abs(far)) / 8)
@@ -469,11 +469,11 @@ def write_numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, ro
             out[row, 8 + 2 * axis + way] = free >> (2 * axis + (way ^ back)) & 1
     left = np.float32(static.max_steps - agent.steps) / np.float32(static.max_steps)
     out[row, 14] = max(left, np.float32(0))
-    tasks = wide(0)
+    tasks = i64(0)
     if agent.status == Status.ACTIVE:
         tasks += 1
-        for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
-            tasks += is_later(static, dynamic, m, n, wide(task))
+        for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
+            tasks += is_later(static, dynamic, m, n, i64(task))
     out[row, 15] = squashed(np.float32(tasks))
 
 
@@ -488,25 +488,25 @@ def _window(
     out: Any,
 ) -> bool:
     """Fills ``out`` (K, size); returns whether there are such agents."""
-    refreshed = wide(NOBODY)
-    side, deep = 2 * wide(where.radius) + 1, 2 * wide(where.layers) + 1
+    refreshed = i64(NOBODY)
+    side, deep = 2 * i64(where.radius) + 1, 2 * i64(where.layers) + 1
     edges = side * (side + 1) * deep
     along = max(where.capacity, where.demand, where.history, where.own) >= 0
     for i in range(len(problems)):
-        m, n = wide(problems[i]), wide(agents[i])
+        m, n = i64(problems[i]), i64(agents[i])
         if not is_agent(dynamic, m, n):
             return False
         if n == NOBODY:
             for f in range(out.shape[1]):
                 out[i, f] = 0
             continue
-        m, n = place(m), place(n)
+        m, n = as_index(m), as_index(n)
         if m != refreshed and (where.demand >= 0 or where.heads >= 0):
-            refresh(static, dynamic, maps, m, wide(NOBODY))
+            refresh(static, dynamic, maps, m, i64(NOBODY))
             refreshed = m
         write_numbers(static, dynamic, m, n, out, i)
         takes = where.demand >= 0 and maps.counted[m, n, 0] != NOBODY
-        cell = place(dynamic.agents[m, n].cell)
+        cell = as_index(dynamic.agents[m, n].cell)
         # One loop instead of three calls, which would compile everything three times.
         for axis in range(AXES):
             if takes and axis != 1:
@@ -527,8 +527,8 @@ def _state(static: Static, dynamic: Dynamic, maps: Maps, where: _Where, out: Any
     layers = maps.track.shape[1]
     for m in range(out.shape[0]):
         if where.demand >= 0 or where.heads >= 0:
-            refresh(static, dynamic, maps, m, wide(NOBODY))
-        begin = wide(0)
+            refresh(static, dynamic, maps, m, i64(NOBODY))
+        begin = i64(0)
         for cell in range(out.shape[1]):
             track = maps.track[m, cell % layers]
             begin = 0
@@ -547,13 +547,13 @@ def _state(static: Static, dynamic: Dynamic, maps: Maps, where: _Where, out: Any
                 for axis in range(VIA_AXIS):
                     out[m, cell, begin + axis] = 0
                     if static.options[Option.HISTORY] >= 0:
-                        at = place(static.options[Option.HISTORY] + AXES * cell + axis)
+                        at = as_index(static.options[Option.HISTORY] + AXES * cell + axis)
                         history = np.float32(dynamic.numbers[m, at])
                         out[m, cell, begin + axis] = squashed(history)
                 begin += VIA_AXIS
             for channel in range(begin, out.shape[2]):
                 out[m, cell, channel] = 0
-        pins = begin + AXES * wide(where.own >= 0)
+        pins = begin + AXES * i64(where.own >= 0)
         for n in range(dynamic.agents.shape[1]):
             if where.own >= 0:
                 for byte in range(dynamic.used.shape[2]):
@@ -565,11 +565,11 @@ def _state(static: Static, dynamic: Dynamic, maps: Maps, where: _Where, out: Any
                         edge, bits = edge + 1, bits >> 1
             agent = dynamic.agents[m, n]
             if where.pins >= 0 and agent.status == Status.ACTIVE:
-                out[m, place(agent.target), pins] += 1
-                for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
-                    if not is_later(static, dynamic, m, n, wide(task)):
+                out[m, as_index(agent.target), pins] += 1
+                for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
+                    if not is_later(static, dynamic, m, n, i64(task)):
                         continue
-                    out[m, place(static.tasks[task, 1]), pins] += 1
+                    out[m, as_index(static.tasks[task, 1]), pins] += 1
         for cell in range(out.shape[1]):
             if where.heads >= 0:
                 out[m, cell, out.shape[2] - 1] = maps.heads[m, cell]

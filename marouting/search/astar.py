@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.game import NetOrder, Target
-from marouting.kernels import compiled, inlined, inner, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.memory import SEARCH, TABLES, check_memory
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_problem
@@ -120,20 +120,20 @@ def make_search(grid: Grid) -> Search:
 # --- Goals ----------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled
 def clear_goals(s: Search) -> None:
     """Starts a new, empty set of goals."""
     s.goal_set[0] += 1
     s.goal_count[0] = 0
 
 
-@inlined
+@compiled
 def is_goal(s: Search, cell: int) -> bool:
     """Whether a Gcell is one of the current goals."""
     return s.goal_mark[cell] == s.goal_set[0]
 
 
-@inner
+@compiled
 def add_goal(w: Capacities, s: Search, cell: int) -> None:
     """Makes a Gcell a goal, unless it is one already."""
     if is_goal(s, cell):
@@ -143,34 +143,34 @@ def add_goal(w: Capacities, s: Search, cell: int) -> None:
     s.goals[count] = cell
     s.goal_count[0] = count + 1
     for axis in range(AXES):
-        at = wide(w.position[cell, axis])
+        at = i64(w.position[cell, axis])
         s.box[axis, 0] = at if count == 0 else min(s.box[axis, 0], at)
         s.box[axis, 1] = at if count == 0 else max(s.box[axis, 1], at)
 
 
-@inlined
+@compiled
 def _distance_left(w: Capacities, s: Search, cell: int) -> int:
     """The heuristic h: distance of a Gcell from the box around the goals."""
-    distance = wide(0)
+    distance = i64(0)
     for axis in range(AXES):
         at = w.position[cell, axis]
         distance += max(s.box[axis, 0] - at, 0) + max(at - s.box[axis, 1], 0)
     return distance
 
 
-@inlined
+@compiled
 def _has_room(w: Capacities, cell: int, move: int) -> bool:
     """Whether a move crosses a via, an edge that the net uses, or one with room for it."""
-    edge = place(w.edge[cell, move])
+    edge = as_index(w.edge[cell, move])
     via = move >> 1 == VIA_AXIS
-    room = w.remaining[edge] >= w.demand[place(w.position[cell, VIA_AXIS])]
+    room = w.remaining[edge] >= w.demand[as_index(w.position[cell, VIA_AXIS])]
     return via | room | (w.own[edge] == w.net[0])
 
 
 # --- The search -----------------------------------------------------------------------------------
 
 
-@inner
+@compiled
 def _astar(
     w: Capacities,
     s: Search,
@@ -206,7 +206,7 @@ def _astar(
         for move in range(MOVES):
             if not w.exits[cell] >> move & 1:
                 continue
-            ahead = place(w.neighbour[cell, move])
+            ahead = as_index(w.neighbour[cell, move])
             node = s.nodes[ahead]
             cost = so_far + (STEP_COST if _has_room(w, cell, move) else FULL_COST)
             if node.stamp == -s.number[0] or (node.stamp == s.number[0] and node.cost <= cost):
@@ -233,15 +233,15 @@ def _astar(
         while True:  # the next Gcell from the open list that is not opened yet
             while s.head[f & _RING] == _EMPTY:
                 f += 1
-            entry = place(s.head[f & _RING])
+            entry = as_index(s.head[f & _RING])
             s.head[f & _RING] = s.below[entry]
-            cell = place(s.cell[entry])
+            cell = as_index(s.cell[entry])
             if s.nodes[cell].stamp == s.number[0]:
                 break
     return cell, f, entries, opened
 
 
-@inner
+@compiled
 def _find_walls(w: Capacities, s: Search, source: int, budget: int) -> int:
     """Finds the walls around the goals.
 
@@ -276,12 +276,12 @@ def _find_walls(w: Capacities, s: Search, source: int, budget: int) -> int:
             continue
         if flooding and size > budget:
             return walls
-        cell = place(flood[at])
+        cell = as_index(flood[at])
         at += 1
         for move in range(MOVES):
             if not w.exits[cell] >> move & 1:
                 continue
-            beside = place(w.neighbour[cell, move])
+            beside = as_index(w.neighbour[cell, move])
             if depth[beside] >= base or (flooding and not _has_room(w, cell, move)):
                 continue
             if beside == source:
@@ -291,7 +291,7 @@ def _find_walls(w: Capacities, s: Search, source: int, budget: int) -> int:
             size += 1
 
 
-@inner
+@compiled
 def path_to_goals(w: Capacities, s: Search, source: int) -> int:
     """Finds a cheapest path from a Gcell to the nearest goal, of which there is at least one.
 
@@ -300,17 +300,17 @@ def path_to_goals(w: Capacities, s: Search, source: int) -> int:
     """
     distance = _distance_left(w, s, source)
     limit = 16 * (distance + 8)  # Gcells to open before looking for walls
-    walls, most = wide(0), wide(_UNKNOWN)
-    cell, seen = source, wide(0)
+    walls, most = i64(0), i64(_UNKNOWN)
+    cell, seen = source, i64(0)
     while True:  # one search after another, each knowing more
         s.number[0] += 1
         s.head[:] = _EMPTY
         s.nodes[source].cost = 0
-        cell, f, entries, opened = source, distance, wide(0), wide(0)
+        cell, f, entries, opened = source, distance, i64(0), i64(0)
         if most == _UNKNOWN:
             f += _WALL_COST * walls  # the source lies behind all walls that are known
         while True:  # one search, with pauses
-            stop = limit - 1 if most == _UNKNOWN else wide(len(s.nodes))
+            stop = limit - 1 if most == _UNKNOWN else i64(len(s.nodes))
             cell, f, entries, opened = _astar(w, s, cell, f, entries, opened, stop, walls, most)
             if is_goal(s, cell):
                 break
@@ -323,13 +323,13 @@ def path_to_goals(w: Capacities, s: Search, source: int) -> int:
         elif walls == 0 or most != _UNKNOWN:
             break
         else:
-            most = wide(s.nodes[cell].cost)
+            most = i64(s.nodes[cell].cost)
     length = 0
     while cell != source:
         came = s.nodes[cell].came
         s.path[length] = came
         length += 1
-        cell = wide(w.neighbour[cell, came ^ 1])  # the opposite move
+        cell = i64(w.neighbour[cell, came ^ 1])  # the opposite move
     for i in range(length // 2):
         s.path[i], s.path[length - 1 - i] = s.path[length - 1 - i], s.path[i]
     return length
@@ -372,13 +372,13 @@ def _route(
     """
     edges = len(w.remaining)
     while turn < len(order) and size + edges <= len(uses):
-        net = wide(order[turn])
+        net = i64(order[turn])
         turn += 1
         w.net[0] = turn
         for layer in range(demand.shape[1]):
             w.demand[layer] = demand[net, layer]
         for task in range(first[net], first[net + 1]):
-            start, target = wide(tasks[task, 0]), wide(tasks[task, 1])
+            start, target = i64(tasks[task, 0]), i64(tasks[task, 1])
             if task == first[net] or not to_tree:
                 clear_goals(s)
             if to_tree:
@@ -386,17 +386,17 @@ def _route(
             add_goal(w, s, target)
             cell = start
             for i in range(path_to_goals(w, s, start)):
-                move = wide(s.path[i])
-                edge = wide(w.edge[cell, move])
+                move = i64(s.path[i])
+                edge = i64(w.edge[cell, move])
                 if w.own[edge] != turn:  # otherwise it is free
                     w.own[edge] = turn
                     if move >> 1 != VIA_AXIS:  # vias have no limit
-                        w.remaining[edge] -= w.demand[place(w.position[cell, VIA_AXIS])]
+                        w.remaining[edge] -= w.demand[as_index(w.position[cell, VIA_AXIS])]
                     uses[size] = net * edges + edge
                     size += 1
                 if to_tree:
                     add_goal(w, s, cell)
-                cell = wide(w.neighbour[cell, move])
+                cell = i64(w.neighbour[cell, move])
     return turn, size
 
 

@@ -12,7 +12,7 @@ from marouting.batch.engine import Engine
 from marouting.batch.state import Dynamic, Static
 from marouting.errors import InputError
 from marouting.game import NOBODY, Status
-from marouting.kernels import compiled, inner, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import MOVES, Grid
 from marouting.problem.solution import Solution
 from marouting.search.astar import (
@@ -156,12 +156,12 @@ def shortest_path(
     return path_to_goals(w, s.search, source)
 
 
-@inner
+@compiled
 def _first_move(static: Static, dynamic: Dynamic, s: SearchBuffers, m: int, n: int) -> int:
     """An active agent's first move on a cheapest path to its target."""
     agent = dynamic.agents[m, n]
-    shortest_path(static, dynamic, s, m, n, place(agent.cell), place(agent.target))
-    return wide(s.search.path[0])
+    shortest_path(static, dynamic, s, m, n, as_index(agent.cell), as_index(agent.target))
+    return i64(s.search.path[0])
 
 
 @compiled
@@ -170,7 +170,7 @@ def _first_moves(
 ) -> None:
     """Writes the moves of agents (K,) of problems (K,) to ``out`` (K,) int8."""
     for i in range(len(problems)):
-        m, n = wide(problems[i]), wide(agents[i])
+        m, n = i64(problems[i]), i64(agents[i])
         out[i] = NOBODY
         if n != NOBODY and dynamic.agents[m, n].status == Status.ACTIVE:
             out[i] = _first_move(static, dynamic, s, m, n)
@@ -188,7 +188,7 @@ def _follow(
 ) -> None:
     """Writes moves along routes, rows of bits like ``dynamic.used``; see :func:`_first_moves`."""
     for i in range(len(problems)):
-        m, n = wide(problems[i]), wide(agents[i])
+        m, n = i64(problems[i]), i64(agents[i])
         out[i] = NOBODY
         if n == NOBODY or dynamic.agents[m, n].status != Status.ACTIVE:
             continue
@@ -198,7 +198,7 @@ def _follow(
             out[i] = _first_move(static, dynamic, s, m, n)
 
 
-@inner
+@compiled
 def move_along(
     static: Static,
     dynamic: Dynamic,
@@ -223,25 +223,25 @@ def move_along(
         seen: (G,) int64, working array: the last search that reached each Gcell.
         search: number of this search, larger than all before.
     """
-    cell, target = place(dynamic.agents[m, n].cell), place(dynamic.agents[m, n].target)
+    cell, target = as_index(dynamic.agents[m, n].cell), as_index(dynamic.agents[m, n].target)
     reached[0] = target
     seen[target] = search
     at, size = 0, 1
     while at < size:
-        here = place(reached[at])
+        here = as_index(reached[at])
         at += 1
         for move in range(MOVES):
             if not static.exits[here] >> move & 1:
                 continue
-            beside = place(static.neighbour[here, move])
+            beside = as_index(static.neighbour[here, move])
             if (
                 seen[beside] != search
-                and uses(route, row, n, place(static.edge[here, move]))
+                and uses(route, row, n, as_index(static.edge[here, move]))
                 and may_cross(static, dynamic, m, n, beside, move ^ 1)  # the opposite move
             ):
                 if beside == cell:
-                    return wide(move ^ 1)
+                    return i64(move ^ 1)
                 seen[beside] = search
                 reached[size] = beside
                 size += 1
-    return wide(NOBODY)
+    return i64(NOBODY)

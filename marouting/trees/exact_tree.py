@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled, inner, wide
+from marouting.kernels import compiled, i64
 from marouting.problem.grid import AXES, MOVES
 from marouting.trees.heap import exchange, pop, push
 from marouting.trees.lattice import CLOSED, Lattice
@@ -62,7 +62,7 @@ def make_search(points: int, labels: int, groups: int) -> Search:
     )
 
 
-@inner
+@compiled
 def _shift(groups: int) -> int:
     """How many low bits of a label hold the set; with one group there is one set, and none."""
     return groups if groups > 1 else 0
@@ -79,13 +79,13 @@ def _span(least: Any, most: Any, joined: int, lines: Any, axis: int, at: int) ->
 def _box(least: Any, most: Any, joined: int, lines: Any, x: int, y: int, z: int) -> int:
     """The half-perimeter, over three axes, of the box around a point and all not yet joined."""
     return (
-        _span(least, most, joined, lines, wide(0), x)
-        + _span(least, most, joined, lines, wide(1), y)
-        + _span(least, most, joined, lines, wide(2), z)
+        _span(least, most, joined, lines, i64(0), x)
+        + _span(least, most, joined, lines, i64(1), y)
+        + _span(least, most, joined, lines, i64(2), z)
     )
 
 
-@inner
+@compiled
 def _key(f: int, ahead: int, label: int, bits: int) -> int:
     """The key in the heap of a label of ``bits`` bits; an f too large for it only loses order."""
     first = min(f, (1 << (62 - _TIE_BITS - bits)) - 1)
@@ -134,9 +134,9 @@ def exact_tree(lattice: Lattice, s: Search, starts: int, groups: int, random: in
     salt = random & ((1 << bits) - 1)
     tally[0] += 1
     found = tally[0]
-    size = wide(0)
+    size = i64(0)
     for i in range(starts):
-        point, joined = start[i], 1 << wide(group[i])
+        point, joined = start[i], 1 << i64(group[i])
         row = point // nz
         ahead = _box(least, most, joined, lines, row // ny, row % ny, point - row * nz)
         label = (point << shift) + joined - 1
@@ -145,7 +145,7 @@ def exact_tree(lattice: Lattice, s: Search, starts: int, groups: int, random: in
         size += 1
     # The smallest key of those that the last label led to stays outside the heap. More often than
     # not it is the next one: labels nearer to the goal go first.
-    last = wide(_NO_KEY)
+    last = i64(_NO_KEY)
     while size > 0 or last != _NO_KEY:
         key = last
         if size > 0 and heap[0] < last:
@@ -154,7 +154,7 @@ def exact_tree(lattice: Lattice, s: Search, starts: int, groups: int, random: in
                 size -= 1
             else:
                 key = exchange(heap, size, last)
-        last = wide(_NO_KEY)
+        last = i64(_NO_KEY)
         label = (key & ((1 << bits) - 1)) ^ salt
         if mark[label] == -found:
             continue
@@ -169,17 +169,17 @@ def exact_tree(lattice: Lattice, s: Search, starts: int, groups: int, random: in
         x = row // ny
         y, z = row - x * ny, point - row * nz
         below = costs[label]
-        wide_x = _span(least, most, joined, lines, wide(0), x)
-        wide_y = _span(least, most, joined, lines, wide(1), y)
-        wide_z = _span(least, most, joined, lines, wide(2), z)
+        wide_x = _span(least, most, joined, lines, i64(0), x)
+        wide_y = _span(least, most, joined, lines, i64(1), y)
+        wide_z = _span(least, most, joined, lines, i64(2), z)
         for how in range(MOVES):
-            step = wide(moves[point, how])
+            step = i64(moves[point, how])
             if step == CLOSED:
                 continue
             there, cost = label + (strides[how] << shift), below + step
             if mark[there] == -found or (mark[there] == found and costs[there] <= cost):
                 continue
-            axis, forward = wide(how >> 1), 1 - 2 * (how & 1)
+            axis, forward = i64(how >> 1), 1 - 2 * (how & 1)
             at = (x if axis == 0 else y if axis == 1 else z) + forward
             ahead = wide_x + wide_y + wide_z
             ahead -= wide_x if axis == 0 else wide_y if axis == 1 else wide_z
@@ -214,7 +214,7 @@ def exact_tree(lattice: Lattice, s: Search, starts: int, groups: int, random: in
     return CLOSED
 
 
-@inner
+@compiled
 def _trace(came: Any, heap: Any, strides: Any, tree: Any, label: int, shift: int) -> None:
     """Adds the edges of a label's tree to ``tree``; uses the heap as a stack of labels."""
     heap[0] = label
@@ -222,7 +222,7 @@ def _trace(came: Any, heap: Any, strides: Any, tree: Any, label: int, shift: int
     while size > 0:
         size -= 1
         label = heap[size]
-        how = wide(came[label])
+        how = i64(came[label])
         while how != MOVES:
             if how > MOVES:  # two trees meet here: one waits on the stack
                 heap[size] = (label >> shift << shift) + how - MOVES - 1
@@ -233,4 +233,4 @@ def _trace(came: Any, heap: Any, strides: Any, tree: Any, label: int, shift: int
                 tree[point] |= np.uint8(1 << (how ^ 1))
                 tree[point - strides[how]] |= np.uint8(1 << how)
                 label -= strides[how] << shift
-            how = wide(came[label])
+            how = i64(came[label])

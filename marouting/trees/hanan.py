@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled, inner, wide
+from marouting.kernels import compiled, i64
 from marouting.problem.grid import AXES, MOVES
 from marouting.trees.exact_tree import Search, exact_tree
 from marouting.trees.heap import pop, push
@@ -78,7 +78,7 @@ def _settle(web: Web, pins: int, points: int) -> int:
     return points
 
 
-@inner
+@compiled
 def _gain(web: Web, points: int) -> int:
     """By how much one more point, at index ``points``, shortens the minimum spanning tree.
 
@@ -99,7 +99,7 @@ def _gain(web: Web, points: int) -> int:
     return gain - web.near[0]
 
 
-@inner
+@compiled
 def set_hanan_grid(lattice: Lattice, web: Web, pins: int) -> None:
     """Turns the lattice into the Hanan grid of the pins, with costs yet to be set."""
     for axis in range(AXES):
@@ -118,7 +118,7 @@ def set_hanan_grid(lattice: Lattice, web: Web, pins: int) -> None:
     set_size(lattice, web.near[0], web.near[1], web.near[2])
 
 
-@inner
+@compiled
 def exact_points(lattice: Lattice, s: Search, web: Web, pins: int) -> int:
     """Adds the points where a shortest tree branches; returns how many points there are then.
 
@@ -156,7 +156,7 @@ def exact_points(lattice: Lattice, s: Search, web: Web, pins: int) -> int:
         else:
             goal = point
     s.goal[goal] = 1
-    exact_tree(lattice, s, pins - 1, pins - 1, wide(0))
+    exact_tree(lattice, s, pins - 1, pins - 1, i64(0))
     s.goal[goal] = 0
     points = pins
     for point in range(count):
@@ -180,7 +180,7 @@ def exact_points(lattice: Lattice, s: Search, web: Web, pins: int) -> int:
     return _settle(web, pins, points)
 
 
-@inner
+@compiled
 def _saves(lattice: Lattice, web: Web, points: int, hanan: int) -> int:
     """By how much a point of the Hanan grid, put at index ``points``, would shorten the tree."""
     ny, nz = lattice.size[1], lattice.size[2]
@@ -190,7 +190,7 @@ def _saves(lattice: Lattice, web: Web, points: int, hanan: int) -> int:
     return _gain(web, points)
 
 
-@inner
+@compiled
 def iterated_points(lattice: Lattice, s: Search, web: Web, pins: int) -> int:
     """Adds Hanan points by iterated 1-Steiner; returns how many points there are then.
 
@@ -209,7 +209,7 @@ def iterated_points(lattice: Lattice, s: Search, web: Web, pins: int) -> int:
     candidates = lattice.size[0] * lattice.size[1] * lattice.size[2]
     while points > before:
         before = points
-        size = wide(0)
+        size = i64(0)
         for hanan in range(candidates):
             saved = _saves(lattice, web, points, hanan)
             if saved > 0:

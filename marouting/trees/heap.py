@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from marouting.kernels import compiled, inner, wide
+from marouting.kernels import compiled, i64
 
 
 @compiled
@@ -18,7 +18,7 @@ def push(heap: Any, size: int, key: int) -> None:
     heap[at] = key
 
 
-@inner
+@compiled
 def exchange(heap: Any, size: int, key: int) -> int:
     """Takes the smallest key out of the heap ``heap[:size]`` and puts another one in."""
     first = heap[0]
@@ -26,7 +26,7 @@ def exchange(heap: Any, size: int, key: int) -> int:
     # The smaller child is chosen by arithmetic: a branch would be guessed wrongly half of the time.
     at, below = 0, 1
     while below + 1 < size:
-        below += wide(heap[below + 1] < heap[below])
+        below += i64(heap[below + 1] < heap[below])
         heap[at] = heap[below]
         at, below = below, 2 * below + 1
     if below < size:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled, inner
+from marouting.kernels import compiled
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 
 CLOSED = -1
@@ -52,7 +52,7 @@ def set_size(lattice: Lattice, nx: int, ny: int, nz: int) -> None:
         lattice.tree[point] = 0
 
 
-@inner
+@compiled
 def begin_lines(lattice: Lattice, via: int) -> None:
     """Before costs are set: columns and rows are as far apart as nothing, layers by ``via``."""
     for axis in range(AXES):
@@ -60,7 +60,7 @@ def begin_lines(lattice: Lattice, via: int) -> None:
             lattice.line[axis, i] = i * via if axis == VIA_AXIS else FAR
 
 
-@inner
+@compiled
 def sum_lines(lattice: Lattice) -> None:
     """Once ``line`` says how far columns (and rows) are from those before: gives them places."""
     for axis in range(VIA_AXIS):

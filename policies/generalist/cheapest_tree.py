@@ -17,7 +17,7 @@ from marouting.batch.places import grid_of, position
 from marouting.batch.prices import MOST, UNIT, edge_cost, is_priced
 from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY
-from marouting.kernels import compiled, inlined, inner, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree, make_search
 from marouting.trees.lattice import CLOSED, Lattice, begin_lines, make_lattice, set_size, sum_lines
@@ -73,36 +73,36 @@ def make_trees(engine: Engine, pins: int) -> Trees:
     )
 
 
-@inner
+@compiled
 def _find_pins(static: Static, t: Trees, m: int, n: int, most: int) -> int:
     """Finds the different Gcells of a net's pins; returns how many, or NOBODY for too many."""
-    pins = wide(0)
-    for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
+    pins = i64(0)
+    for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
         for end in range(2):
-            cell, known = wide(static.tasks[task, end]), False
+            cell, known = i64(static.tasks[task, end]), False
             for k in range(pins):
                 known |= t.pins[k] == cell
             if known:
                 continue
             if pins == most:
-                return wide(NOBODY)
+                return i64(NOBODY)
             t.pins[pins] = cell
             pins += 1
     return pins
 
 
-@inner
+@compiled
 def _set_box(static: Static, t: Trees, pins: int, margin: int) -> int:
     """Lays the box around the pins; returns how many points it has."""
-    size, points = t.lattice.size, wide(1)
+    size, points = t.lattice.size, i64(1)
     columns, rows, layers = grid_of(static)
     for axis in range(AXES):
         side = columns if axis == 0 else rows if axis == 1 else layers
-        low, high = wide(0), side - 1
+        low, high = i64(0), side - 1
         if axis < VIA_AXIS:
             low, high = high, low
             for k in range(pins):
-                at = wide(static.position[place(t.pins[k]), axis])
+                at = i64(static.position[as_index(t.pins[k]), axis])
                 low, high = min(low, at), max(high, at)
             low, high = max(low - margin, 0), min(high + margin, side - 1)
         t.low[axis], size[axis] = low, high - low + 1
@@ -110,26 +110,26 @@ def _set_box(static: Static, t: Trees, pins: int, margin: int) -> int:
     return points
 
 
-@inlined
+@compiled
 def _gcell(static: Static, t: Trees, point: int) -> int:
     """The Gcell that a point of the box is."""
     size = t.lattice.size
     row = point // size[2]
     x, y, z = row // size[1] + t.low[0], row % size[1] + t.low[1], point % size[2]
     _, rows, layers = grid_of(static)
-    return wide((x * rows + y) * layers + z)
+    return i64((x * rows + y) * layers + z)
 
 
-@inlined
+@compiled
 def _edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int) -> int:
     """What an edge inside a layer costs a net that does not use it."""
-    room = wide(dynamic.remaining[m, edge])
+    room = i64(dynamic.remaining[m, edge])
     if is_priced(static, dynamic, m):
         return edge_cost(static, dynamic, m, edge, demand, room)
-    return wide(MOST if room < demand else UNIT)
+    return i64(MOST if room < demand else UNIT)
 
 
-@inner
+@compiled
 def _set_costs(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> None:
     """Gives the edges of the box their costs.
 
@@ -138,29 +138,29 @@ def _set_costs(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> No
     """
     nx, ny, nz = t.lattice.size[0], t.lattice.size[1], t.lattice.size[2]
     set_size(t.lattice, nx, ny, nz)
-    begin_lines(t.lattice, wide(UNIT))
+    begin_lines(t.lattice, i64(UNIT))
     cost, line = t.lattice.cost, t.lattice.line
     _, rows, layers = grid_of(static)
-    point = wide(0)
+    point = i64(0)
     for x in range(nx):
         for y in range(ny):
             cell = ((t.low[0] + x) * rows + t.low[1] + y) * layers
             for z in range(nz):
-                demand = wide(static.demand[m, n, z])
+                demand = i64(static.demand[m, n, z])
                 for axis in range(AXES):
                     at, last, beside = x, nx - 1, ny * nz
                     if axis == 1:
                         at, last, beside = y, ny - 1, nz
                     elif axis == VIA_AXIS:
-                        at, last, beside = z, nz - 1, wide(1)
+                        at, last, beside = z, nz - 1, i64(1)
                     if at == 0:
                         cost[point, 2 * axis + 1] = CLOSED
                     if at == last:
                         cost[point, 2 * axis] = CLOSED
                         continue
-                    one = wide(UNIT)
+                    one = i64(UNIT)
                     if axis < VIA_AXIS:
-                        edge = wide(AXES * (cell + z) + axis)
+                        edge = i64(AXES * (cell + z) + axis)
                         one = _edge_cost(static, dynamic, m, edge, demand)
                         line[axis, at + 1] = min(line[axis, at + 1], one)
                     cost[point, 2 * axis] = one
@@ -169,14 +169,14 @@ def _set_costs(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> No
     sum_lines(t.lattice)
 
 
-@inner
+@compiled
 def _find(static: Static, t: Trees, pins: int, random: int) -> None:
     """Finds a cheapest tree of the pins in the box, in ``lattice.tree``."""
     size, line, s = t.lattice.size, t.lattice.line, t.search
-    goal, root = wide(0), random % pins
-    group = wide(0)
+    goal, root = i64(0), random % pins
+    group = i64(0)
     for k in range(pins):
-        x, y, z = position(static, place(t.pins[k]))
+        x, y, z = position(static, as_index(t.pins[k]))
         x, y = x - t.low[0], y - t.low[1]
         point, row = (x * size[1] + y) * size[2] + z, pins - 1
         if k == root:
@@ -222,12 +222,12 @@ def plan_tree(
     t.found[m] = True
     for point in range(points):
         if t.lattice.tree[point] != 0:
-            cell = place(_gcell(static, t, point))
+            cell = as_index(_gcell(static, t, point))
             t.known[m, cell], t.edges[m, cell] = t.made[m], t.lattice.tree[point]
     return True
 
 
-@inlined
+@compiled
 def is_planned(dynamic: Dynamic, t: Trees, m: int, n: int) -> bool:
     """Whether a tree has been looked for in this walk of the agent."""
     game = dynamic.games[m]
@@ -239,22 +239,22 @@ def move_on_tree(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> 
     """An agent's move along its net's tree towards the end of its task; NOBODY if it has none."""
     agent = dynamic.agents[m, n]
     if not t.found[m] or not is_planned(dynamic, t, m, n):
-        return wide(NOBODY)
-    cell, target = place(agent.cell), place(agent.target)
+        return i64(NOBODY)
+    cell, target = as_index(agent.cell), as_index(agent.target)
     if t.known[m, cell] != t.made[m] or t.known[m, target] != t.made[m]:
-        return wide(NOBODY)
+        return i64(NOBODY)
     if t.task[m] != agent.task:
         t.task[m] = agent.task
         t.toward[m, target] = NOBODY
         t.queue[0] = target
         at, size = 0, 1
         while at < size:
-            here = place(t.queue[at])
+            here = as_index(t.queue[at])
             at += 1
             for move in range(MOVES):
                 if t.edges[m, here] >> move & 1 and move != t.toward[m, here]:
-                    there = place(static.neighbour[here, move])
+                    there = as_index(static.neighbour[here, move])
                     t.toward[m, there] = move ^ 1
                     t.queue[size] = there
                     size += 1
-    return wide(t.toward[m, cell])
+    return i64(t.toward[m, cell])

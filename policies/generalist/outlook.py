@@ -76,7 +76,7 @@ from marouting.batch.window import MOST_RADIUS, move_order, write_numbers
 from marouting.columns import Games
 from marouting.config import check
 from marouting.game import NOBODY, Crossing
-from marouting.kernels import compiled, inlined, inner, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
@@ -253,7 +253,7 @@ class OutlookObservation:
 # --- the cheapest ways ----------------------------------------------------------------------------
 
 
-@inlined
+@compiled
 def _edge_cost(
     static: Static,
     dynamic: Dynamic,
@@ -267,26 +267,26 @@ def _edge_cost(
     """What the edge that a move crosses costs a net; ``scarcity``: predicted slack counts."""
     axis = move // 2
     if axis == VIA_AXIS:
-        return wide(_UNIT)
-    edge = place(static.edge[cell, move])
-    demand = wide(demand_of(static, m, n, cell, move))
+        return i64(_UNIT)
+    edge = as_index(static.edge[cell, move])
+    demand = i64(demand_of(static, m, n, cell, move))
     # As if the net did not use the edge yet: so nothing changes while the agent walks.
-    remaining = wide(dynamic.remaining[m, edge]) + demand * uses(dynamic.used, m, n, edge)
-    cost = wide(_UNIT)
+    remaining = i64(dynamic.remaining[m, edge]) + demand * uses(dynamic.used, m, n, edge)
+    cost = i64(_UNIT)
     if is_priced(static, dynamic, m):
-        cost = edge_cost(static, dynamic, m, wide(edge), demand, remaining)
+        cost = edge_cost(static, dynamic, m, i64(edge), demand, remaining)
     elif remaining < demand:
-        cost = wide(_UNIT + _OVERFLOW) if static.overflow_allowed else wide(_FARTHEST)
+        cost = i64(_UNIT + _OVERFLOW) if static.overflow_allowed else i64(_FARTHEST)
     elif scarcity:
-        at = place(edge // AXES)
+        at = as_index(edge // AXES)
         track = np.float32(max(demand, 1))
         left = slack_of(maps, m, at, axis, remaining, track) - np.float32(1)
         if left < 0:
-            cost += _STEP * min(wide(np.float32(-4) * left), wide(_SCARCE))
+            cost += _STEP * min(i64(np.float32(-4) * left), i64(_SCARCE))
     return cost
 
 
-@inlined
+@compiled
 def _put(ways: Ways, m: int, kind: int, key: int, cell: int) -> None:
     """Puts a Gcell into the bucket of a cost."""
     bucket, size = key & (_BUCKETS - 1), ways.front[m, kind, _SIZE]
@@ -297,41 +297,41 @@ def _put(ways: Ways, m: int, kind: int, key: int, cell: int) -> None:
     ways.front[m, kind, _WAITING] += 1
 
 
-@inlined
+@compiled
 def _box(static: Static, dynamic: Dynamic, m: int, n: int, axis: int) -> tuple[int, int]:
     """The ends along an axis of the box around an agent's target and its net's open pins."""
     agent = dynamic.agents[m, n]
-    low = high = wide(static.position[agent.target, axis])
-    for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
-        if task != agent.task and not is_later(static, dynamic, m, n, wide(task)):
+    low = high = i64(static.position[agent.target, axis])
+    for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
+        if task != agent.task and not is_later(static, dynamic, m, n, i64(task)):
             continue
         for end in range(task != agent.task, 2):
-            at = wide(static.position[static.tasks[task, end], axis])
+            at = i64(static.position[static.tasks[task, end], axis])
             low, high = min(low, at), max(high, at)
     return low, high
 
 
-@inlined
+@compiled
 def _room(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, axis: int) -> int:
     """Capacity that the edge of a Gcell towards +x or +y has for a net, as if it did not use it."""
-    edge = place(AXES * cell + axis)
-    demand = wide(static.demand[m, n, static.position[cell, VIA_AXIS]])
-    return wide(dynamic.remaining[m, edge]) + demand * uses(dynamic.used, m, n, edge)
+    edge = as_index(AXES * cell + axis)
+    demand = i64(static.demand[m, n, static.position[cell, VIA_AXIS]])
+    return i64(dynamic.remaining[m, edge]) + demand * uses(dynamic.used, m, n, edge)
 
 
-@inlined
+@compiled
 def widened(static: Static, dynamic: Dynamic, m: int, margin: int) -> int:
     """A margin in the present round: the longer priced rounds gain nothing, the wider it is."""
-    return margin + 2 * wide(dynamic.games[m].stuck) * is_priced(static, dynamic, m)
+    return margin + 2 * i64(dynamic.games[m].stuck) * is_priced(static, dynamic, m)
 
 
-@inlined
+@compiled
 def _present(static: Static, dynamic: Dynamic, m: int) -> int:
     """What one net too many costs in a priced round; NOBODY in others."""
-    return wide(dynamic.games[m].present) if is_priced(static, dynamic, m) else wide(NOBODY)
+    return i64(dynamic.games[m].present) if is_priced(static, dynamic, m) else i64(NOBODY)
 
 
-@inlined
+@compiled
 def _is_end(static: Static, dynamic: Dynamic, m: int, n: int, cell: int) -> bool:
     """Whether an agent's task ends in a Gcell."""
     if is_on(static, Option.TREE_TARGET):
@@ -339,18 +339,18 @@ def _is_end(static: Static, dynamic: Dynamic, m: int, n: int, cell: int) -> bool
     return cell == dynamic.agents[m, n].target
 
 
-@inner
+@compiled
 def _note(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
 ) -> None:
     """Notes what the cheapest ways have just been found from."""
     columns, rows, layers = grid_of(static)
-    for x in range(max(wide(ways.low[m, 0]), 0), min(wide(ways.high[m, 0]), columns - 1) + 1):
-        for y in range(max(wide(ways.low[m, 1]), 0), min(wide(ways.high[m, 1]), rows - 1) + 1):
+    for x in range(max(i64(ways.low[m, 0]), 0), min(i64(ways.high[m, 0]), columns - 1) + 1):
+        for y in range(max(i64(ways.low[m, 1]), 0), min(i64(ways.high[m, 1]), rows - 1) + 1):
             for z in range(layers):
-                cell = place((x * rows + y) * layers + z)
+                cell = as_index((x * rows + y) * layers + z)
                 for axis in range(VIA_AXIS):
-                    ways.room[m, cell, axis] = _room(static, dynamic, m, n, cell, wide(axis))
+                    ways.room[m, cell, axis] = _room(static, dynamic, m, n, cell, i64(axis))
                     ways.load[m, cell, axis] = maps.expected[m, cell, axis]
                     if is_priced(static, dynamic, m):
                         ways.price[m, cell, axis] = price_of(static, dynamic, m, AXES * cell + axis)
@@ -360,7 +360,7 @@ def _note(
     ways.found[m, 3] = _present(static, dynamic, m)
 
 
-@inner
+@compiled
 def _are_found(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
 ) -> bool:
@@ -375,14 +375,14 @@ def _are_found(
     if found[3] != _present(static, dynamic, m):
         return False
     for axis in range(VIA_AXIS):
-        low, high = _box(static, dynamic, m, n, wide(axis))
+        low, high = _box(static, dynamic, m, n, i64(axis))
         if ways.low[m, axis] != low - margin or ways.high[m, axis] != high + margin:
             return False
     columns, rows, layers = grid_of(static)
-    for x in range(max(wide(ways.low[m, 0]), 0), min(wide(ways.high[m, 0]), columns - 1) + 1):
-        for y in range(max(wide(ways.low[m, 1]), 0), min(wide(ways.high[m, 1]), rows - 1) + 1):
+    for x in range(max(i64(ways.low[m, 0]), 0), min(i64(ways.high[m, 0]), columns - 1) + 1):
+        for y in range(max(i64(ways.low[m, 1]), 0), min(i64(ways.high[m, 1]), rows - 1) + 1):
             for z in range(layers):
-                cell = place((x * rows + y) * layers + z)
+                cell = as_index((x * rows + y) * layers + z)
                 if (ways.cost[m, 0, cell] == 0) != _is_end(static, dynamic, m, n, cell):
                     return False
                 for axis in range(VIA_AXIS):
@@ -392,13 +392,13 @@ def _are_found(
                         price = price_of(static, dynamic, m, AXES * cell + axis)
                         if ways.price[m, cell, axis] != price:
                             return False
-                    room = _room(static, dynamic, m, n, cell, wide(axis))
+                    room = _room(static, dynamic, m, n, cell, i64(axis))
                     if ways.room[m, cell, axis] != room:
                         return False
     return True
 
 
-@inner
+@compiled
 def find_ways(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
 ) -> None:
@@ -411,7 +411,7 @@ def find_ways(
     margin = widened(static, dynamic, m, margin)
     ways.found[m, 0] = NOBODY
     for axis in range(VIA_AXIS):
-        low, high = _box(static, dynamic, m, n, wide(axis))
+        low, high = _box(static, dynamic, m, n, i64(axis))
         ways.low[m, axis], ways.high[m, axis] = low - margin, high + margin
     for kind in range(2):
         ways.head[m, kind, :] = NOBODY
@@ -420,10 +420,10 @@ def find_ways(
     scarce = False
     for z in range(layers):
         scarce |= static.demand[m, n, z] < 1
-    for x in range(max(wide(ways.low[m, 0]), 0), min(wide(ways.high[m, 0]), columns - 1) + 1):
-        for y in range(max(wide(ways.low[m, 1]), 0), min(wide(ways.high[m, 1]), rows - 1) + 1):
+    for x in range(max(i64(ways.low[m, 0]), 0), min(i64(ways.high[m, 0]), columns - 1) + 1):
+        for y in range(max(i64(ways.low[m, 1]), 0), min(i64(ways.high[m, 1]), rows - 1) + 1):
             for z in range(layers):
-                cell = place((x * rows + y) * layers + z)
+                cell = as_index((x * rows + y) * layers + z)
                 for axis in range(VIA_AXIS):
                     scarce |= maps.expected[m, cell, axis] != 0
                 ends = _is_end(static, dynamic, m, n, cell)
@@ -431,7 +431,7 @@ def find_ways(
                     ways.cost[m, kind, cell] = 0 if ends else _FARTHEST
                     if ends:
                         ways.end[m, cell] = cell
-                        _put(ways, m, wide(kind), wide(0), cell)
+                        _put(ways, m, i64(kind), i64(0), cell)
     ways.kinds[m] = 1 + scarce
 
 
@@ -444,42 +444,42 @@ def _reach(
     The search for all Gcells (Dijkstra's, with a bucket for every cost) goes on until it has passed
     this one.
     """
-    kind = min(kind, wide(ways.kinds[m]) - 1)
+    kind = min(kind, i64(ways.kinds[m]) - 1)
     front = ways.front[m, kind]
     columns, rows, _ = grid_of(static)
-    x0, x1 = max(wide(ways.low[m, 0]), 0), min(wide(ways.high[m, 0]), columns - 1)
-    y0, y1 = max(wide(ways.low[m, 1]), 0), min(wide(ways.high[m, 1]), rows - 1)
+    x0, x1 = max(i64(ways.low[m, 0]), 0), min(i64(ways.high[m, 0]), columns - 1)
+    y0, y1 = max(i64(ways.low[m, 1]), 0), min(i64(ways.high[m, 1]), rows - 1)
     while front[_WAITING] > 0 and ways.cost[m, kind, cell] > front[_KEY]:
-        key = wide(front[_KEY])
+        key = i64(front[_KEY])
         bucket = key & (_BUCKETS - 1)
         while ways.head[m, kind, bucket] != NOBODY:
-            first = place(ways.head[m, kind, bucket])
+            first = as_index(ways.head[m, kind, bucket])
             ways.head[m, kind, bucket] = ways.after[m, kind, first]
             front[_WAITING] -= 1
-            here = place(ways.entry[m, kind, first])
+            here = as_index(ways.entry[m, kind, first])
             if ways.cost[m, kind, here] != key:
                 continue  # a cheaper way has come first
             for move in range(MOVES):
                 if not static.exits[here] >> move & 1:
                     continue
-                ahead = place(static.neighbour[here, move])
+                ahead = as_index(static.neighbour[here, move])
                 x, y, _ = position(static, ahead)
                 if not (x0 <= x <= x1 and y0 <= y <= y1):
                     continue
-                cost = key + _edge_cost(static, dynamic, maps, m, n, here, wide(move), kind == 1)
+                cost = key + _edge_cost(static, dynamic, maps, m, n, here, i64(move), kind == 1)
                 if cost < ways.cost[m, kind, ahead]:
                     ways.cost[m, kind, ahead] = cost
                     if kind == 0:
                         ways.end[m, ahead] = ways.end[m, here]
                     _put(ways, m, kind, cost, ahead)
         front[_KEY] += 1
-    return wide(ways.cost[m, kind, cell])
+    return i64(ways.cost[m, kind, cell])
 
 
 # --- rows -----------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled
 def _far(distance: Any) -> Any:
     """float32, a distance; see far(d) in the module's docstring."""
     eighths = np.float32(abs(distance)) / np.float32(8)
@@ -488,50 +488,50 @@ def _far(distance: Any) -> Any:
     return eighths if distance >= 0 else -eighths
 
 
-@inlined
+@compiled
 def _apart(static: Static, a: int, b: int) -> int:
     """The distance of two Gcells over x, y and layers."""
-    distance = wide(0)
+    distance = i64(0)
     for axis in range(AXES):
-        distance += abs(wide(static.position[a, axis]) - wide(static.position[b, axis]))
+        distance += abs(i64(static.position[a, axis]) - i64(static.position[b, axis]))
     return distance
 
 
-@inlined
+@compiled
 def _pin_of(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> int:
     """The Gcell that is seen as the pin of an open task."""
     agent = dynamic.agents[m, n]
-    return place(agent.target) if task == agent.task else place(static.tasks[task, 1])
+    return as_index(agent.target) if task == agent.task else as_index(static.tasks[task, 1])
 
 
-@inlined
+@compiled
 def _touch(static: Static, ways: Ways, m: int, cell: int) -> None:
     """Notes that an edge of the net touches a Gcell."""
     layers = grid_of(static)[VIA_AXIS]
-    ways.touched[m, place(cell // layers)] = ways.counts[m]
+    ways.touched[m, as_index(cell // layers)] = ways.counts[m]
 
 
-@inlined
+@compiled
 def _note_wire(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int, cell: int) -> None:
     """Takes a Gcell into what an agent's net has wired."""
     agent = dynamic.agents[m, n]
-    for task in range(wide(static.first[m, n]), wide(static.first[m, n + 1])):
-        if task == agent.task or is_later(static, dynamic, m, n, wide(task)):
-            distance = _apart(static, _pin_of(static, dynamic, m, n, wide(task)), cell)
-            ways.wired[task] = min(wide(ways.wired[task]), distance)
+    for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
+        if task == agent.task or is_later(static, dynamic, m, n, i64(task)):
+            distance = _apart(static, _pin_of(static, dynamic, m, n, i64(task)), cell)
+            ways.wired[task] = min(i64(ways.wired[task]), distance)
 
 
-@inlined
+@compiled
 def note_move(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> None:
     """Takes the Gcell that an agent has got to into what its net has wired."""
     agent = dynamic.agents[m, n]
-    _note_wire(static, dynamic, ways, m, n, place(agent.cell))
+    _note_wire(static, dynamic, ways, m, n, as_index(agent.cell))
     if agent.crossing == Crossing.NEW or agent.crossing == Crossing.OWN:
-        _touch(static, ways, m, place(agent.cell))
-        _touch(static, ways, m, place(ways.start[m]))
+        _touch(static, ways, m, as_index(agent.cell))
+        _touch(static, ways, m, as_index(ways.start[m]))
 
 
-@inner
+@compiled
 def find_wires(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> None:
     """Finds how far the open pins are from the Gcells at the net's edges and from the agent.
 
@@ -540,57 +540,57 @@ def find_wires(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> 
     ways.counts[m] += 1
     ways.start[m] = dynamic.agents[m, n].cell
     ways.wired[static.first[m, n] : static.first[m, n + 1]] = _FARTHEST
-    _note_wire(static, dynamic, ways, m, n, place(dynamic.agents[m, n].cell))
+    _note_wire(static, dynamic, ways, m, n, as_index(dynamic.agents[m, n].cell))
     for byte in range(dynamic.used.shape[2]):
         bits = byte_of(dynamic.used, m, n, byte)
-        edge = wide(8 * byte)
+        edge = i64(8 * byte)
         while bits != 0:
             if bits & 1:
-                cell = place(edge // AXES)
-                ahead = place(static.neighbour[cell, 2 * (edge % AXES)])
+                cell = as_index(edge // AXES)
+                ahead = as_index(static.neighbour[cell, 2 * (edge % AXES)])
                 for end in (cell, ahead):
                     _note_wire(static, dynamic, ways, m, n, end)
                     _touch(static, ways, m, end)
             bits, edge = bits >> 1, edge + 1
 
 
-@inlined
+@compiled
 def _move_of(static: Static, cell: int, target: int, way: int) -> int:
     """The move on the grid that a move of the frame is."""
     axis = way // 2
     if axis == VIA_AXIS:
         return way
-    return way ^ wide(static.position[target, axis] < static.position[cell, axis])
+    return way ^ i64(static.position[target, axis] < static.position[cell, axis])
 
 
-@inlined
+@compiled
 def _ahead(static: Static, ways: Ways, m: int, cell: int, move: int) -> int:
     """The Gcell that a move leads to; NOBODY off the grid or outside the box of the ways."""
     if not static.exits[cell] >> move & 1:
-        return wide(NOBODY)
-    ahead = place(static.neighbour[cell, move])
+        return i64(NOBODY)
+    ahead = as_index(static.neighbour[cell, move])
     x, y, _ = position(static, ahead)
     inside = ways.low[m, 0] <= x <= ways.high[m, 0] and ways.low[m, 1] <= y <= ways.high[m, 1]
-    return wide(ahead) if inside else wide(NOBODY)
+    return i64(ahead) if inside else i64(NOBODY)
 
 
-@inlined
+@compiled
 def _write_moves(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, out: Any, row: int
 ) -> None:
     """Writes the blocks ``detour`` and ``crossed``."""
     agent = dynamic.agents[m, n]
-    cell, target = place(agent.cell), place(agent.target)
-    layer = place(static.position[cell, VIA_AXIS])
+    cell, target = as_index(agent.cell), as_index(agent.target)
+    layer = as_index(static.position[cell, VIA_AXIS])
     for kind in range(2):
-        least = wide(_FARTHEST)
+        least = i64(_FARTHEST)
         for turn in range(2):
             for way in range(MOVES):
-                move = _move_of(static, cell, target, wide(way))
-                ahead, whole = _ahead(static, ways, m, cell, move), wide(_FARTHEST)
+                move = _move_of(static, cell, target, i64(way))
+                ahead, whole = _ahead(static, ways, m, cell, move), i64(_FARTHEST)
                 if ahead != NOBODY:
                     cost = _edge_cost(static, dynamic, maps, m, n, cell, move, kind == 1)
-                    on = _reach(static, dynamic, maps, ways, m, n, wide(kind), place(ahead))
+                    on = _reach(static, dynamic, maps, ways, m, n, i64(kind), as_index(ahead))
                     whole = min(cost + on, whole)
                 if turn == 0:
                     least = min(least, whole)
@@ -600,29 +600,29 @@ def _write_moves(
                     dearer = np.float32(whole - least) / np.float32(_UNIT)
                     out[row, _NUMBERS + MOVES * kind + way] = squashed(dearer)
     for way in range(2 * VIA_AXIS):
-        axis, move = way // 2, _move_of(static, cell, target, wide(way))
+        axis, move = way // 2, _move_of(static, cell, target, i64(way))
         room = left = np.float32(-1)
         if static.exits[cell] >> move & 1:
-            edge = place(static.edge[cell, move])
+            edge = as_index(static.edge[cell, move])
             track = np.float32(max(static.demand[m, n, layer], 1))
-            remaining = wide(dynamic.remaining[m, edge])
+            remaining = i64(dynamic.remaining[m, edge])
             room = squashed(np.floor(np.float32(remaining) / track))
-            left = squashed(slack_of(maps, m, place(edge // AXES), axis, remaining, track))
+            left = squashed(slack_of(maps, m, as_index(edge // AXES), axis, remaining, track))
         out[row, _EDGES + way] = room
         out[row, _EDGES + 2 * VIA_AXIS + way] = left
 
 
-@inlined
+@compiled
 def _find_pins(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> None:
     """Finds which open pins are seen beside the target, the nearest to the agent first."""
-    task, far = wide(NOBODY), wide(-1)
+    task, far = i64(NOBODY), i64(-1)
     for k in range(_PINS - 1):
         if k == 0 or task != NOBODY:
             task, far = next_nearest(static, dynamic, m, n, far, task)
         ways.seen[k] = task
 
 
-@inlined
+@compiled
 def _span(static: Static, ways: Ways, m: int, pins: int, cell: int) -> int:
     """Edges of the spanning tree from a Gcell, times _UNIT, by Prim's algorithm.
 
@@ -631,54 +631,54 @@ def _span(static: Static, ways: Ways, m: int, pins: int, cell: int) -> int:
     """
     ways.span[0] = ways.cost[m, 0, cell]
     for k in range(pins):
-        task = place(ways.seen[k])
-        near = min(_apart(static, place(static.tasks[task, 1]), cell), wide(ways.wired[task]))
+        task = as_index(ways.seen[k])
+        near = min(_apart(static, as_index(static.tasks[task, 1]), cell), i64(ways.wired[task]))
         ways.span[k + 1] = _UNIT * near
-    total = wide(0)
+    total = i64(0)
     for _ in range(pins + 1):
-        nearest = wide(NOBODY)
+        nearest = i64(NOBODY)
         for k in range(pins + 1):
             open_ = ways.span[k] >= 0
             if open_ and (nearest == NOBODY or ways.span[k] < ways.span[nearest]):
-                nearest = wide(k)
-        total += wide(ways.span[nearest])
+                nearest = i64(k)
+        total += i64(ways.span[nearest])
         ways.span[nearest] = -1
         for k in range(pins + 1):
             if ways.span[k] < 0:
                 continue
             if nearest == 0 or k == 0:
-                pin = place(static.tasks[place(ways.seen[nearest + k - 1]), 1])
-                apart = wide(ways.cost[m, 0, pin])
+                pin = as_index(static.tasks[as_index(ways.seen[nearest + k - 1]), 1])
+                apart = i64(ways.cost[m, 0, pin])
             else:
-                a, b = place(ways.seen[nearest - 1]), place(ways.seen[k - 1])
-                pin = place(static.tasks[a, 1])
-                apart = _UNIT * _apart(static, pin, place(static.tasks[b, 1]))
-            ways.span[k] = min(wide(ways.span[k]), apart)
+                a, b = as_index(ways.seen[nearest - 1]), as_index(ways.seen[k - 1])
+                pin = as_index(static.tasks[a, 1])
+                apart = _UNIT * _apart(static, pin, as_index(static.tasks[b, 1]))
+            ways.span[k] = min(i64(ways.span[k]), apart)
     return total
 
 
-@inlined
+@compiled
 def _write_spans(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, out: Any, row: int
 ) -> None:
     """Writes the block ``span``."""
     agent = dynamic.agents[m, n]
-    cell, target = place(agent.cell), place(agent.target)
-    pins, least = wide(0), wide(1 << 62)
+    cell, target = as_index(agent.cell), as_index(agent.target)
+    pins, least = i64(0), i64(1 << 62)
     while pins < _PINS - 1 and ways.seen[pins] != NOBODY:
-        pin = place(static.tasks[place(ways.seen[pins]), 1])
-        _ = _reach(static, dynamic, maps, ways, m, n, wide(0), pin)
+        pin = as_index(static.tasks[as_index(ways.seen[pins]), 1])
+        _ = _reach(static, dynamic, maps, ways, m, n, i64(0), pin)
         pins += 1
     for way in range(MOVES):
         ways.total[way] = NOBODY
-        move = _move_of(static, cell, target, wide(way))
+        move = _move_of(static, cell, target, i64(way))
         ahead = _ahead(static, ways, m, cell, move)
         # Where the detour is unknown the agent cannot go.
         if ahead == NOBODY or out[row, _NUMBERS + way] == 1:
             continue
-        total = _span(static, ways, m, pins, place(ahead))
+        total = _span(static, ways, m, pins, as_index(ahead))
         ways.total[way] = total + _edge_cost(static, dynamic, maps, m, n, cell, move, False)
-        least = min(least, wide(ways.total[way]))
+        least = min(least, i64(ways.total[way]))
     for way in range(MOVES):
         more = np.float32(1)
         if ways.total[way] != NOBODY:
@@ -686,7 +686,7 @@ def _write_spans(
         out[row, _SPANS + way] = more
 
 
-@inlined
+@compiled
 def _write_pins(
     static: Static,
     dynamic: Dynamic,
@@ -700,7 +700,7 @@ def _write_pins(
 ) -> None:
     """Writes the block ``pins``, and sets what is 1 in the block ``open``."""
     agent = dynamic.agents[m, n]
-    cell, target = place(agent.cell), place(agent.target)
+    cell, target = as_index(agent.cell), as_index(agent.target)
     x, y, z = position(static, cell)
     sign_x = 1 if static.position[target, 0] >= x else -1
     sign_y = 1 if static.position[target, 1] >= y else -1
@@ -708,11 +708,11 @@ def _write_pins(
     opened = out.shape[1] - side * side
     for k in range(_PIN * _PINS):
         out[row, first + k] = 0
-    begin, end = wide(static.first[m, n]), wide(static.first[m, n + 1])
+    begin, end = i64(static.first[m, n]), i64(static.first[m, n + 1])
     for count in range(_PINS):
-        task = wide(agent.task)
+        task = i64(agent.task)
         if count > 0:
-            task = wide(ways.seen[count - 1])
+            task = i64(ways.seen[count - 1])
             if task == NOBODY:
                 break
         pin = _pin_of(static, dynamic, m, n, task)
@@ -722,23 +722,23 @@ def _write_pins(
         out[row, at + 1] = _far(sign_x * (px - x))
         out[row, at + 2] = _far(sign_y * (py - y))
         out[row, at + 3] = _far(pz - z)
-        cost = _reach(static, dynamic, maps, ways, m, n, wide(0), pin)
+        cost = _reach(static, dynamic, maps, ways, m, n, i64(0), pin)
         out[row, at + 4] = _far(np.float32(cost) / np.float32(_UNIT))
         if cost < _FARTHEST:
-            px, py, _ = position(static, place(ways.end[m, pin]))
+            px, py, _ = position(static, as_index(ways.end[m, pin]))
         out[row, at + 5] = _far(sign_x * (px - x))
         out[row, at + 6] = _far(sign_y * (py - y))
-        out[row, at + 7] = _far(wide(ways.wired[task]))
+        out[row, at + 7] = _far(i64(ways.wired[task]))
     for other in range(begin, end):
-        if other == agent.task or is_later(static, dynamic, m, n, wide(other)):
-            pin = target if other == agent.task else place(static.tasks[other, 1])
+        if other == agent.task or is_later(static, dynamic, m, n, i64(other)):
+            pin = target if other == agent.task else as_index(static.tasks[other, 1])
             px, py, _ = position(static, pin)
             i, j = sign_x * (px - x) + radius, sign_y * (py - y) + radius
             if 0 <= i < side and 0 <= j < side:
                 out[row, opened + i * side + j] = 1
 
 
-@inlined
+@compiled
 def _write_folded(
     static: Static,
     dynamic: Dynamic,
@@ -753,14 +753,14 @@ def _write_folded(
     """Writes the blocks of the folded window; in ``open`` zeros."""
     columns, rows, layers = grid_of(static)
     agent = dynamic.agents[m, n]
-    cell, target = place(agent.cell), place(agent.target)
+    cell, target = as_index(agent.cell), as_index(agent.target)
     x, y, _ = position(static, cell)
     right, up = static.position[target, 0] >= x, static.position[target, 1] >= y
     side = 2 * radius + 1
     edges = side * (side + 1)
     for axis in range(VIA_AXIS):
-        along_x, along_y = wide(axis == 0), wide(axis == 1)
-        p = wide(_FIXED + axis * edges)
+        along_x, along_y = i64(axis == 0), i64(axis == 1)
+        p = i64(_FIXED + axis * edges)
         for i in range(-radius - along_x, radius + 1):
             gx = x + i if right else x - i - along_x
             in_x = 0 <= gx < columns - along_x
@@ -770,7 +770,7 @@ def _write_folded(
                 if in_x and 0 <= gy < rows - along_y:
                     room = left = np.float32(-1)
                     for z in range(layers):
-                        at = place((gx * rows + gy) * layers + z)
+                        at = as_index((gx * rows + gy) * layers + z)
                         remaining = dynamic.remaining[m, AXES * at + axis]
                         track = np.float32(max(static.demand[m, n, z], 1))
                         here = squashed(np.floor(np.float32(remaining) / track))
@@ -780,18 +780,18 @@ def _write_folded(
                 out[row, p] = room
                 out[row, p + 2 * edges] = left
                 p += 1
-    p = wide(_FIXED + 4 * edges)
+    p = i64(_FIXED + 4 * edges)
     for i in range(-radius, radius + 1):
         gx = x + i if right else x - i
         for j in range(-radius, radius + 1):
             gy = y + j if up else y - j
             own = 0 <= gx < columns and 0 <= gy < rows
-            out[row, p] = own and ways.touched[m, place(gx * rows + gy)] == ways.counts[m]
+            out[row, p] = own and ways.touched[m, as_index(gx * rows + gy)] == ways.counts[m]
             out[row, p + side * side] = 0
             p += 1
 
 
-@inlined
+@compiled
 def write_outlook(
     static: Static,
     dynamic: Dynamic,
@@ -826,18 +826,18 @@ def _write(
 ) -> bool:
     """Fills ``out`` (K, size); returns whether there are such agents."""
     for i in range(len(problems)):
-        m, n = wide(problems[i]), wide(agents[i])
+        m, n = i64(problems[i]), i64(agents[i])
         if not is_agent(dynamic, m, n):
             return False
         if n == NOBODY:
             for f in range(out.shape[1]):
                 out[i, f] = 0
             continue
-        m, n = place(m), place(n)
+        m, n = as_index(m), as_index(n)
         refresh(static, dynamic, maps, m, n)
-        if not _are_found(static, dynamic, maps, ways, m, n, wide(margin)):
-            find_ways(static, dynamic, maps, ways, m, n, wide(margin))
-            _note(static, dynamic, maps, ways, m, n, wide(margin))
+        if not _are_found(static, dynamic, maps, ways, m, n, i64(margin)):
+            find_ways(static, dynamic, maps, ways, m, n, i64(margin))
+            _note(static, dynamic, maps, ways, m, n, i64(margin))
         find_wires(static, dynamic, ways, m, n)
-        write_outlook(static, dynamic, maps, ways, m, n, wide(radius), out, i)
+        write_outlook(static, dynamic, maps, ways, m, n, i64(radius), out, i)
     return True

@@ -33,7 +33,7 @@ from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import holds, next_nearest
 from marouting.config import check
 from marouting.game import NOBODY
-from marouting.kernels import compiled, inlined, inner, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.solution import Solution
 from policies.generalist.outlook import widened
@@ -132,33 +132,33 @@ class Regrets:
             raise ValueError(f"expected agents of the games, found {problems}, {agents}")
 
 
-@inlined
+@compiled
 def _edge_cost(
     static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, cell: int, axis: int
 ) -> int:
     """What the edge of a Gcell along an axis costs a net."""
-    edge = place(AXES * cell + axis)
+    edge = as_index(AXES * cell + axis)
     if uses(dynamic.used, m, n, edge):
-        return wide(0)
+        return i64(0)
     if axis == VIA_AXIS:
-        return wide(UNIT)
-    demand = wide(demand_of(static, m, n, cell, 2 * axis))
-    remaining = wide(dynamic.remaining[m, edge])
+        return i64(UNIT)
+    demand = i64(demand_of(static, m, n, cell, 2 * axis))
+    remaining = i64(dynamic.remaining[m, edge])
     if is_priced(static, dynamic, m):
-        return edge_cost(static, dynamic, m, wide(edge), demand, remaining)
+        return edge_cost(static, dynamic, m, i64(edge), demand, remaining)
     if remaining - lessons.coming[m, edge] >= demand:
-        return wide(UNIT)
+        return i64(UNIT)
     # What comes can still change; what is there cannot.
     if remaining < demand and not static.overflow_allowed:
-        return wide(_FAR)
-    return wide(UNIT * (1 + OVERFLOW))
+        return i64(_FAR)
+    return i64(UNIT * (1 + OVERFLOW))
 
 
 @compiled
 def _find_pins(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int) -> None:
     """Finds the nearest open pins beside the agent's own."""
     lessons.many[m] = 0
-    task, far = next_nearest(static, dynamic, m, n, wide(-1), wide(NOBODY))
+    task, far = next_nearest(static, dynamic, m, n, i64(-1), i64(NOBODY))
     while task != NOBODY and lessons.many[m] < PINS:
         lessons.pins[m, lessons.many[m]] = static.tasks[task, 1]
         lessons.many[m] += 1
@@ -171,10 +171,10 @@ def _begin(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, m
     agent = dynamic.agents[m, n]
     columns, rows, layers = grid_of(static)
     _find_pins(static, dynamic, lessons, m, n)
-    x0, y0, _ = position(static, place(agent.cell))
+    x0, y0, _ = position(static, as_index(agent.cell))
     x1, y1 = x0, y0
     for k in range(-1, lessons.many[m]):
-        x, y, _ = position(static, place(agent.target if k < 0 else lessons.pins[m, k]))
+        x, y, _ = position(static, as_index(agent.target if k < 0 else lessons.pins[m, k]))
         x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
     x0, x1 = max(x0 - margin, 0), min(x1 + margin, columns - 1)
     y0, y1 = max(y0 - margin, 0), min(y1 + margin, rows - 1)
@@ -183,7 +183,7 @@ def _begin(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, m
     for x in range(x0, x1 + 1):
         for y in range(y0, y1 + 1):
             for z in range(layers):
-                cell = place((x * rows + y) * layers + z)
+                cell = as_index((x * rows + y) * layers + z)
                 for axis in range(AXES):
                     # An edge that leads out of the box is none.
                     inside = z < layers - 1
@@ -191,28 +191,28 @@ def _begin(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, m
                         inside = x < x1 if axis == 0 else y < y1
                     lessons.cost[cell, axis] = _FAR
                     if inside:
-                        cost = _edge_cost(static, dynamic, lessons, m, n, cell, wide(axis))
+                        cost = _edge_cost(static, dynamic, lessons, m, n, cell, i64(axis))
                         lessons.cost[cell, axis] = cost
     table, cost = lessons.table[m], lessons.cost
-    for joined in range(1, wide(2) << wide(lessons.many[m])):
+    for joined in range(1, i64(2) << i64(lessons.many[m])):
         for x in range(x0, x1 + 1):
             for y in range(y0, y1 + 1):
                 for z in range(layers):
-                    cell = place((x * rows + y) * layers + z)
-                    least = wide(_FAR)
+                    cell = as_index((x * rows + y) * layers + z)
+                    least = i64(_FAR)
                     if joined == 1:
                         if holds(static, dynamic, m, Option.TREE, n, cell):
-                            least = wide(0)
+                            least = i64(0)
                     elif joined & (joined - 1) == 0:
-                        pin = wide(0)
+                        pin = i64(0)
                         while joined >> pin != 2:
                             pin += 1
                         if lessons.pins[m, pin] == cell:
-                            least = wide(0)
+                            least = i64(0)
                     else:
                         part = (joined - 1) & joined
                         while part >= joined ^ part:
-                            both = wide(table[part, cell]) + wide(table[joined ^ part, cell])
+                            both = i64(table[part, cell]) + i64(table[joined ^ part, cell])
                             least = min(least, both)
                             part = (part - 1) & joined
                     table[joined, cell] = least
@@ -227,28 +227,28 @@ def _begin(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, m
                         y = y1 - j if back else y0 + j
                         for k in range(layers):
                             z = layers - 1 - k if back else k
-                            cell = place((x * rows + y) * layers + z)
-                            now = wide(table[joined, cell])
+                            cell = as_index((x * rows + y) * layers + z)
+                            now = i64(table[joined, cell])
                             # Written out: a loop over the axes takes twice as long.
                             least = now
                             if x < x1:
-                                far = place(cell + rows * layers)
-                                least = min(least, wide(table[joined, far]) + cost[cell, 0])
+                                far = as_index(cell + rows * layers)
+                                least = min(least, i64(table[joined, far]) + cost[cell, 0])
                             if x > x0:
-                                far = place(cell - rows * layers)
-                                least = min(least, wide(table[joined, far]) + cost[far, 0])
+                                far = as_index(cell - rows * layers)
+                                least = min(least, i64(table[joined, far]) + cost[far, 0])
                             if y < y1:
-                                far = place(cell + layers)
-                                least = min(least, wide(table[joined, far]) + cost[cell, 1])
+                                far = as_index(cell + layers)
+                                least = min(least, i64(table[joined, far]) + cost[cell, 1])
                             if y > y0:
-                                far = place(cell - layers)
-                                least = min(least, wide(table[joined, far]) + cost[far, 1])
+                                far = as_index(cell - layers)
+                                least = min(least, i64(table[joined, far]) + cost[far, 1])
                             if z < layers - 1:
-                                far = place(cell + 1)
-                                least = min(least, wide(table[joined, far]) + cost[cell, 2])
+                                far = as_index(cell + 1)
+                                least = min(least, i64(table[joined, far]) + cost[cell, 2])
                             if z > 0:
-                                far = place(cell - 1)
-                                least = min(least, wide(table[joined, far]) + cost[far, 2])
+                                far = as_index(cell - 1)
+                                least = min(least, i64(table[joined, far]) + cost[far, 2])
                             if least < now:
                                 table[joined, cell] = least
                                 changed = True
@@ -256,21 +256,21 @@ def _begin(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, m
         lessons.attach[m, joined] = _FAR
 
 
-@inner
+@compiled
 def _regret(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, out: Any) -> None:
     """Fills ``out`` (6,) with the regrets of an agent's moves; see :meth:`Regrets.write`."""
-    cell = place(dynamic.agents[m, n].cell)
+    cell = as_index(dynamic.agents[m, n].cell)
     table, joined, attach = lessons.table[m], lessons.joined, lessons.attach[m]
-    every = (wide(1) << wide(lessons.many[m])) - 1  # of the open pins, without the tree
+    every = (i64(1) << i64(lessons.many[m])) - 1  # of the open pins, without the tree
     for pins in range(1, every + 1):
         attach[pins] = min(attach[pins], table[2 * pins, cell])
     free = free_moves(static, dynamic, m, n)
-    least = wide(_FAR)
+    least = i64(_FAR)
     for move in range(MOVES):
         out[move] = _FAR
         if not free >> move & 1:
             continue
-        ahead = place(static.neighbour[cell, move])
+        ahead = as_index(static.neighbour[cell, move])
         x, y, _ = position(static, ahead)
         inside = lessons.low[m, 0] <= x <= lessons.high[m, 0]
         if not (inside and lessons.low[m, 1] <= y <= lessons.high[m, 1]):
@@ -284,17 +284,17 @@ def _regret(static: Static, dynamic: Dynamic, lessons: Lessons, m: int, n: int, 
             part = pins
             while part > 0:
                 if part & pins & -pins:
-                    hung = min(wide(attach[part]), wide(table[2 * part, ahead]))
-                    joined[pins] = min(wide(joined[pins]), hung + wide(joined[pins ^ part]))
+                    hung = min(i64(attach[part]), i64(table[2 * part, ahead]))
+                    joined[pins] = min(i64(joined[pins]), hung + i64(joined[pins ^ part]))
                 part = (part - 1) & pins
-        whole = wide(_FAR)
+        whole = i64(_FAR)
         for pins in range(every + 1):
-            rest = wide(table[2 * pins + 1, ahead]) + wide(joined[every ^ pins])
+            rest = i64(table[2 * pins + 1, ahead]) + i64(joined[every ^ pins])
             whole = min(whole, rest)
-        lower = place(min(cell, ahead))
-        cost = _edge_cost(static, dynamic, lessons, m, n, lower, wide(move // 2))
+        lower = as_index(min(cell, ahead))
+        cost = _edge_cost(static, dynamic, lessons, m, n, lower, i64(move // 2))
         out[move] = min(whole + cost, _FAR - 1)
-        least = min(least, wide(out[move]))
+        least = min(least, i64(out[move]))
     least = min(least, _FAR - 1)
     for move in range(MOVES):
         if out[move] < _FAR:
@@ -313,15 +313,15 @@ def _write(
 ) -> bool:
     """See :meth:`Regrets.write`; returns whether there are such agents."""
     for k in range(len(problems)):
-        m, n = wide(problems[k]), wide(agents[k])
+        m, n = i64(problems[k]), i64(agents[k])
         if not is_agent(dynamic, m, n):
             return False
         if n == NOBODY:
             for move in range(MOVES):
                 out[k, move] = _FAR
             continue
-        m, n = place(m), place(n)
+        m, n = as_index(m), as_index(n)
         if dynamic.agents[m, n].steps == 0:
-            _begin(static, dynamic, lessons, m, n, widened(static, dynamic, m, wide(margin)))
+            _begin(static, dynamic, lessons, m, n, widened(static, dynamic, m, i64(margin)))
         _regret(static, dynamic, lessons, m, n, out[k])
     return True

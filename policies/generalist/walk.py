@@ -36,7 +36,7 @@ from marouting.batch.rules import GIVE_WAY, free_moves, move_player, pass_turn, 
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_on
 from marouting.game import NOBODY, Status
-from marouting.kernels import allocating, bound, compiled, inlined, inner, place, wide
+from marouting.kernels import allocating, as_index, compiled, i64, specialised
 from marouting.problem.grid import MOVES, VIA_AXIS
 from marouting.search.guides import move_along
 from policies.generalist.cheapest_tree import Trees, is_planned, make_trees, move_on_tree, plan_tree
@@ -158,7 +158,7 @@ class Walker:
             trees=make_trees(engine, exact_pins),
         )
         self.playing, self.counters = self._given.playing, self._given.counters
-        self._kernel = bound(_walk, engine.static, engine.dynamic, self._given, 0, False)
+        self._kernel = specialised(_walk, engine.static, engine.dynamic, self._given, 0, False)
 
     def follow(self, guide: Engine | None) -> None:
         """From now on the first game follows the routes of the only game of another engine.
@@ -202,17 +202,17 @@ def take_best(engine: Engine) -> None:
 def _take_best(static: Static, dynamic: Dynamic) -> None:
     for m in range(len(dynamic.games)):
         if dynamic.games[m].round > 0:
-            put_best(static, dynamic, wide(m))
+            put_best(static, dynamic, i64(m))
 
 
-@inlined
+@compiled
 def _in_frame(rows: Any, row: int, move: int) -> int:
     """A move of the grid as a move of the frame of a row, or the other way round."""
     axis = move // 2
-    return move ^ wide(axis < VIA_AXIS and rows[row, min(axis, VIA_AXIS - 1)] < 0)
+    return move ^ i64(axis < VIA_AXIS and rows[row, min(axis, VIA_AXIS - 1)] < 0)
 
 
-@inlined
+@compiled
 def _choose(
     given: WalkState, m: int, row: int, free: int, at: int, late: bool, temperature: float
 ) -> int:
@@ -221,14 +221,14 @@ def _choose(
     A draw adds to every score −log(−log(u)) times the temperature, for u in (0, 1) (Gumbel).
     """
     if late:
-        cheapest = wide(0)
+        cheapest = i64(0)
         for way in range(1, MOVES):
             if given.rows[row, DETOURS + way] < given.rows[row, DETOURS + cheapest]:
-                cheapest = wide(way)
+                cheapest = i64(way)
         return _in_frame(given.rows, row, cheapest)
-    best, most = wide(0), np.float32(-np.inf)
+    best, most = i64(0), np.float32(-np.inf)
     for way in range(MOVES):
-        move = _in_frame(given.rows, row, wide(way))
+        move = _in_frame(given.rows, row, i64(way))
         if free != 0 and not free >> move & 1:
             continue
         score = given.scores[at + way]
@@ -247,14 +247,14 @@ def _walk(static: Static, dynamic: Dynamic, given: WalkState, steps: int, stops:
     if not stops:
         _go_on(static, dynamic, given)
     for _ in range(steps):
-        count, answered = wide(0), False
+        count, answered = i64(0), False
         for m in range(len(given.game)):
-            n = wide(dynamic.games[m].agent)
+            n = i64(dynamic.games[m].agent)
             if not given.playing[m] or n == NOBODY or dynamic.games[m].active == 0:
                 continue
             if dynamic.games[m].asked:
-                move = GIVE_WAY if _gives_way(static, dynamic, given, wide(m), n) else 0
-                _step(static, dynamic, given, wide(m), place(n), move, stops)
+                move = GIVE_WAY if _gives_way(static, dynamic, given, i64(m), n) else 0
+                _step(static, dynamic, given, i64(m), as_index(n), move, stops)
                 answered = True
                 continue
             if given.guided[m]:
@@ -262,25 +262,25 @@ def _walk(static: Static, dynamic: Dynamic, given: WalkState, steps: int, stops:
                 move = move_along(
                     static,
                     dynamic,
-                    wide(m),
-                    wide(n),
+                    i64(m),
+                    i64(n),
                     given.guide,
-                    wide(0),
+                    i64(0),
                     given.reached,
                     given.seen,
-                    wide(given.searches[0]),
+                    i64(given.searches[0]),
                 )
                 if move != NOBODY:
-                    _step(static, dynamic, given, wide(m), place(n), move, stops)
+                    _step(static, dynamic, given, i64(m), as_index(n), move, stops)
                     answered = True
                     continue
-            move = _on_tree(static, dynamic, given, wide(m), place(n))
+            move = _on_tree(static, dynamic, given, i64(m), as_index(n))
             if move != NOBODY:
                 given.counters[m] += 1
-                _step(static, dynamic, given, wide(m), place(n), move, stops)
+                _step(static, dynamic, given, i64(m), as_index(n), move, stops)
                 answered = True
                 continue
-            _look(static, dynamic, given, wide(m), place(n), count)
+            _look(static, dynamic, given, i64(m), as_index(n), count)
             given.game[count] = m
             count += 1
         if count == 0:
@@ -289,36 +289,36 @@ def _walk(static: Static, dynamic: Dynamic, given: WalkState, steps: int, stops:
             return True
         at = forward(given.sizes, given.weights, given.rows.reshape(-1), count, given.scores)
         for row in range(count):
-            m = place(given.game[row])
-            n = place(dynamic.games[m].agent)
+            m = as_index(given.game[row])
+            n = as_index(dynamic.games[m].agent)
             free = free_moves(static, dynamic, m, n)
-            late = wide(dynamic.agents[m, n].steps) >= given.late
+            late = i64(dynamic.agents[m, n].steps) >= given.late
             warm = given.temperature[m] * (_COOLER if is_priced(static, dynamic, m) else 1.0)
-            move = _choose(given, m, wide(row), free, at + row * given.sizes[-1], late, warm)
+            move = _choose(given, m, i64(row), free, at + row * given.sizes[-1], late, warm)
             given.counters[m] += 1
             _step(static, dynamic, given, m, n, move, stops)
     return False
 
 
-@inner
+@compiled
 def _go_on(static: Static, dynamic: Dynamic, given: WalkState) -> None:
     """Begins the next rip-up in games that have stopped."""
     for m in range(len(given.playing)):
         game = dynamic.games[m]
         if given.playing[m] and game.active == 0 and game.agent != NOBODY:
             given.counted[m] = False
-            pass_turn(static, dynamic, wide(m))
+            pass_turn(static, dynamic, i64(m))
 
 
-@inlined
+@compiled
 def _on_tree(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int) -> int:
     """An agent's move along a cheapest tree if there are prices; NOBODY: the network is to move."""
     if given.exact_pins < 2 or not is_on(static, Option.PRICES):
-        return wide(NOBODY)
+        return i64(NOBODY)
     agent = dynamic.agents[m, n]
     if agent.steps == 0 and agent.joined == 0 and not is_planned(dynamic, given.trees, m, n):
-        random = wide(uniform(given.keys[m], given.counters[m], MOVES) * _RANDOM)
-        margin = widened(static, dynamic, m, wide(_MARGIN))
+        random = i64(uniform(given.keys[m], given.counters[m], MOVES) * _RANDOM)
+        margin = widened(static, dynamic, m, i64(_MARGIN))
         plan_tree(static, dynamic, given.trees, m, n, given.exact_pins, margin, random)
         if given.counted[m]:
             recount(static, dynamic, given.maps, m, n, False)
@@ -343,7 +343,7 @@ def _look(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int, ro
     write_outlook(static, dynamic, given.maps, given.ways, m, n, given.radius, given.rows, row)
 
 
-@inlined
+@compiled
 def _step(
     static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int, move: int, stops: bool
 ) -> None:
@@ -358,11 +358,11 @@ def _step(
     if given.counted[m] and (asked or dynamic.games[m].ripped):
         # Who has given its edges back is expected to take some again.
         for k in range(dynamic.games[m].again):
-            member = wide(dynamic.numbers[m, static.options[Option.AGAIN] + k])
+            member = i64(dynamic.numbers[m, static.options[Option.AGAIN] + k])
             recount(static, dynamic, given.maps, m, member, True)
 
 
-@inlined
+@compiled
 def _is_whole(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether all tasks of an agent are joined."""
     return dynamic.agents[m, n].joined == static.first[m, n + 1] - static.first[m, n]
@@ -371,7 +371,7 @@ def _is_whole(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
 @compiled
 def _length(dynamic: Dynamic, m: int, n: int) -> int:
     """Edges that a net uses."""
-    edges = wide(0)
+    edges = i64(0)
     for byte in range(dynamic.used.shape[2]):
         bits = byte_of(dynamic.used, m, n, byte)
         while bits != 0:
@@ -380,7 +380,7 @@ def _length(dynamic: Dynamic, m: int, n: int) -> int:
     return edges
 
 
-@inner
+@compiled
 def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net uses an edge with overflow."""
     for byte in range(dynamic.used.shape[2]):
@@ -391,7 +391,7 @@ def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
     return False
 
 
-@inner
+@compiled
 def _gives_way(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int) -> bool:
     """The answer of an agent that is asked; see the module's docstring."""
     game = dynamic.games[m]
@@ -400,14 +400,14 @@ def _gives_way(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: in
         period += 1
     if not _is_whole(static, dynamic, m, n):
         return True
-    anyway = (wide(game.turn) + wide(game.round)) % period == 0
+    anyway = (i64(game.turn) + i64(game.round)) % period == 0
     begins = game.present == first_present(static) or game.round == 1
     if anyway and (begins or not is_priced(static, dynamic, m)):
         return True
     if is_priced(static, dynamic, m):
         if not begins:
             return _is_over(dynamic, m, n)
-        cost = net_cost(static, dynamic, m, n, dynamic.used, n, wide(1))
+        cost = net_cost(static, dynamic, m, n, dynamic.used, n, i64(1))
         return cost > UNIT * given.shortest[m, n]
     if game.overflow > 0:
         return _is_over(dynamic, m, n)

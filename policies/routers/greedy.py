@@ -10,7 +10,7 @@ from marouting.batch.edges import has_room, uses
 from marouting.batch.rules import move_player, settle_player
 from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY, NetOrder
-from marouting.kernels import compiled, place, wide
+from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.search.guides import SearchBuffers, search_buffers, shortest_path
 from marouting.trees.decomposition import Decomposition
@@ -66,16 +66,16 @@ def _play(static: Static, dynamic: Dynamic, s: SearchBuffers, nearest: Any) -> N
         s: working arrays.
         nearest: (1,) the least distance from the target so far in the present task.
     """
-    m = wide(0)
+    m = i64(0)
     while dynamic.games[m].agent != NOBODY:
-        n = place(dynamic.games[m].agent)
+        n = as_index(dynamic.games[m].agent)
         agent = dynamic.agents[m, n]
-        here = _distance(static, wide(agent.cell), wide(agent.target))
+        here = _distance(static, i64(agent.cell), i64(agent.target))
         nearest[0] = here if agent.steps == 0 else min(nearest[0], here)
-        move = _nearer(static, dynamic, m, n, wide(nearest[0]))
+        move = _nearer(static, dynamic, m, n, i64(nearest[0]))
         if move == NOBODY:
-            shortest_path(static, dynamic, s, m, n, wide(agent.cell), wide(agent.target))
-            move = wide(s.search.path[0])
+            shortest_path(static, dynamic, s, m, n, i64(agent.cell), i64(agent.target))
+            move = i64(s.search.path[0])
         move_player(static, dynamic, m, move)
         settle_player(static, dynamic, m)
 
@@ -84,28 +84,28 @@ def _play(static: Static, dynamic: Dynamic, s: SearchBuffers, nearest: Any) -> N
 def _nearer(static: Static, dynamic: Dynamic, m: int, n: int, nearest: int) -> int:
     """The move nearer to the target than ``nearest`` with the most capacity; NOBODY for none."""
     agent = dynamic.agents[m, n]
-    cell = place(agent.cell)
-    best, most = wide(NOBODY), wide(-1)
+    cell = as_index(agent.cell)
+    best, most = i64(NOBODY), i64(-1)
     for move in range(MOVES):
         if not has_room(static, dynamic, m, n, cell, move):
             continue
-        if _distance(static, wide(static.neighbour[cell, move]), wide(agent.target)) >= nearest:
+        if _distance(static, i64(static.neighbour[cell, move]), i64(agent.target)) >= nearest:
             continue
-        edge = place(static.edge[cell, move])
-        room = wide(dynamic.remaining[m, edge])
+        edge = as_index(static.edge[cell, move])
+        room = i64(dynamic.remaining[m, edge])
         if move // 2 == VIA_AXIS:
-            room = wide(0)
+            room = i64(0)
         if uses(dynamic.used, m, n, edge):
-            room = wide(2**62)
+            room = i64(2**62)
         if room > most:
-            best, most = wide(move), room
+            best, most = i64(move), room
     return best
 
 
 @compiled
 def _distance(static: Static, cell: int, target: int) -> int:
     """The Manhattan distance of two Gcells."""
-    total = wide(0)
+    total = i64(0)
     for axis in range(AXES):
-        total += abs(wide(static.position[cell, axis]) - wide(static.position[target, axis]))
+        total += abs(i64(static.position[cell, axis]) - i64(static.position[target, axis]))
     return total

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import allocating, inner
+from marouting.kernels import allocating, compiled
 from policies.learned.compiled.products import product, product_row
 from policies.learned.counter_rng import uniform
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
@@ -61,7 +61,7 @@ class GradientBuffers(NamedTuple):
     wanted: NDArray[np.float32]  # (B,) what the network should have expected
 
 
-@inner
+@compiled
 def units_of(sizes: Any) -> int:
     """Units of all layers but the inputs."""
     units = 0
@@ -87,7 +87,7 @@ def gradient_buffers(nets: Networks, batch: int) -> GradientBuffers:
     )
 
 
-@inner
+@compiled
 def forward(sizes: Any, weights: Any, x: Any, batch: int, activations: Any) -> int:
     """The network for ``batch`` inputs ``x`` (batch · F,), row after row.
 
@@ -112,7 +112,7 @@ def forward(sizes: Any, weights: Any, x: Any, batch: int, activations: Any) -> i
     return place
 
 
-@inner
+@compiled
 def _backward(sizes: Any, weights: Any, batch: int, b: GradientBuffers) -> None:
     """Fills ``b.gradient``: the derivatives of a loss by the weights (P,) of a network.
 
@@ -149,7 +149,7 @@ def _backward(sizes: Any, weights: Any, batch: int, b: GradientBuffers) -> None:
                 onward[j] = onward[j] if below[j] > 0 else np.float32(0)
 
 
-@inner
+@compiled
 def _adam(weights: Any, gradient: Any, mean: Any, square: Any, step: int, rule: StepRule) -> None:
     second = np.sqrt(1 - rule.beta2**step)
     rate = np.float32(rule.learning_rate * second / (1 - rule.beta1**step))
@@ -163,7 +163,7 @@ def _adam(weights: Any, gradient: Any, mean: Any, square: Any, step: int, rule: 
         weights[p] -= rate * mean[p] / (np.sqrt(square[p]) + eps)
 
 
-@inner
+@compiled
 def gradient_step(n: int, nets: Networks, rule: StepRule, b: GradientBuffers) -> None:
     """A gradient step of network n on a sample of its memory."""
     sizes, weights, target, rows = nets.sizes, nets.weights[n], nets.target[n], nets.store[n]
@@ -213,7 +213,7 @@ def learn(nets: Networks, due: Any, rule: StepRule) -> None:
             gradient_step(n, nets, rule, buffers)
 
 
-@inner
+@compiled
 def q_values(sizes: Any, weights: Any, obs: Any, activations: Any, out: Any) -> None:
     """Fills ``out`` (…, moves) with the Q values of ``obs`` (…, F) by one network's weights."""
     batch = obs.size // sizes[0]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS, Move
 
 NEVER = 1 << 60
@@ -109,9 +109,9 @@ def _walk(way: Any, pin_set: int, cell: int, strides: Any, stack: Any, out: Any)
     size, edges = 1, 0
     while size > 0:
         size -= 1
-        pin_set, cell = wide(stack[size, 0]), wide(stack[size, 1])
+        pin_set, cell = i64(stack[size, 0]), i64(stack[size, 1])
         while 0 <= way[pin_set, cell] < _SPLIT:
-            axis, backward = divmod(wide(way[pin_set, cell]), 2)
+            axis, backward = divmod(i64(way[pin_set, cell]), 2)
             there = cell + (strides[axis] if backward else -strides[axis])
             out[edges] = AXES * min(cell, there) + axis
             edges += 1

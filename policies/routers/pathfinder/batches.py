@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, i64
 from marouting.problem.grid import AXES
 from policies.routers.pathfinder.kernels import draw, set_box
 from policies.routers.pathfinder.passes import advance
@@ -75,7 +75,7 @@ def _gather(problem: ProblemArrays, parameters: Parameters, routing: Routing, ba
     """
     progress, order, via = routing.progress[0], routing.order, parameters.via
     negotiated = progress.kind == NEGOTIATE
-    begin, count, points = wide(progress.next), wide(0), wide(0)
+    begin, count, points = i64(progress.next), i64(0), i64(0)
     end = min(begin + _SPREAD * len(batch.net), len(order))
     while progress.next < end and count < len(batch.net) and points < _POINTS:
         net = order[progress.next]
@@ -87,12 +87,12 @@ def _gather(problem: ProblemArrays, parameters: Parameters, routing: Routing, ba
         batch.net[count], batch.random[count] = net, draw(progress)
         points += set_box(problem, routing, net, parameters.margin, batch.low, batch.size)
         if negotiated:
-            use_tree(problem, routing, via, net, wide(-1))
+            use_tree(problem, routing, via, net, i64(-1))
             order[progress.next - 1], order[begin + count] = order[begin + count], net
         count += 1
     if negotiated:
         for i in range(count):
-            use_tree(problem, routing, via, batch.net[i], wide(1))
+            use_tree(problem, routing, via, batch.net[i], i64(1))
         for i in range(progress.next - 1, begin + count - 1, -1):
             net = order[i]
             if overflows(routing, net):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, i64
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree
 from marouting.trees.lattice import CLOSED, Lattice, begin_lines, set_cost, set_size, sum_lines
@@ -36,14 +36,14 @@ def mixed(number: int) -> int:
     bits = np.uint64(number)
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return wide(bits ^ (bits >> np.uint64(31)))
+    return i64(bits ^ (bits >> np.uint64(31)))
 
 
 @compiled
 def draw(progress: Any) -> int:
     """A random number of 31 bits."""
     progress.random += np.int64(GOLDEN)
-    return wide(np.uint64(mixed(progress.random)) >> np.uint64(33))
+    return i64(np.uint64(mixed(progress.random)) >> np.uint64(33))
 
 
 @compiled
@@ -61,7 +61,7 @@ def edge_cost(problem: ProblemArrays, routing: Routing, edge: int, demand: int, 
     if over > 0 and demand > 0:
         cost *= 1.0 + routing.progress[0].present * over / demand
     blocked = demand > problem.capacity[edge]
-    return wide(min(cost, FULL - 1.0)) + (FULL if blocked else 0)
+    return i64(min(cost, FULL - 1.0)) + (FULL if blocked else 0)
 
 
 @compiled
@@ -80,14 +80,14 @@ def tree_cost(
 
     ``own`` is 1 if it is the net's tree at the moment, 0 if the net is ripped up.
     """
-    cost = wide(0)
+    cost = i64(0)
     for i in range(first, last):
-        edge = wide(edges[row, i])
+        edge = i64(edges[row, i])
         gcell = edge // AXES
         if edge - AXES * gcell == VIA_AXIS:
             cost += via
         else:
-            demand = wide(problem.demand[net, problem.position[gcell, VIA_AXIS]])
+            demand = i64(problem.demand[net, problem.position[gcell, VIA_AXIS]])
             cost += edge_cost(problem, routing, edge, demand, own * demand)
     return cost
 
@@ -103,16 +103,16 @@ def set_box(
     """
     points = 1
     for axis in range(AXES):
-        least, most = problem.size[axis] - 1, wide(0)
+        least, most = problem.size[axis] - 1, i64(0)
         if axis == VIA_AXIS:
             least, most = most, least
         else:
             for i in range(problem.first[net], problem.first[net + 1]):
-                at = wide(problem.position[problem.pin[i], axis])
+                at = i64(problem.position[problem.pin[i], axis])
                 least, most = min(least, at), max(most, at)
             for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-                edge = wide(routing.edge[routing.progress[0].pool, i])
-                at = wide(problem.position[edge // AXES, axis])
+                edge = i64(routing.edge[routing.progress[0].pool, i])
+                at = i64(problem.position[edge // AXES, axis])
                 least, most = min(least, at), max(most, at)
                 if edge % AXES == axis:
                     most = max(most, at + 1)
@@ -148,46 +148,46 @@ def set_costs(
     """
     nx, ny, nz = lattice.size[0], lattice.size[1], lattice.size[2]
     set_size(lattice, nx, ny, nz)
-    begin_lines(lattice, wide(via))
+    begin_lines(lattice, i64(via))
     # Fields are read once: every access makes the compiler handle the whole tuple.
     costs, line, layers = lattice.cost, lattice.line, problem.size[2]
-    point = wide(0)
+    point = i64(0)
     for x in range(nx):
         for y in range(ny):
             gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * layers
             for z in range(nz):
-                demand = wide(problem.demand[net, z])
+                demand = i64(problem.demand[net, z])
                 beside = ny * nz
                 for axis in range(AXES):
                     at, last = x, nx - 1
                     if axis == 1:
                         at, last, beside = y, ny - 1, nz
                     elif axis == VIA_AXIS:
-                        at, last, beside = z, nz - 1, wide(1)
+                        at, last, beside = z, nz - 1, i64(1)
                     if at == 0:
                         costs[point, 2 * axis + 1] = CLOSED
                     if at == last:
                         costs[point, 2 * axis] = CLOSED
                         continue
-                    cost = wide(via)
+                    cost = i64(via)
                     if axis < VIA_AXIS:
                         edge = AXES * (gcell + z) + axis
-                        cost = edge_cost(problem, routing, edge, demand, wide(0))
+                        cost = edge_cost(problem, routing, edge, demand, i64(0))
                         if cost >= limit or problem.capacity[edge] < 0:
-                            cost = wide(CLOSED)
+                            cost = i64(CLOSED)
                         else:
                             line[axis, at + 1] = min(line[axis, at + 1], cost)
                     costs[point, 2 * axis] = cost
                     costs[point + beside, 2 * axis + 1] = cost
                 point += 1
-    first = wide(routing.start[net])
+    first = i64(routing.start[net])
     for i in range(first, first + routing.length[net]):
-        edge = wide(routing.edge[routing.progress[0].pool, i])
+        edge = i64(routing.edge[routing.progress[0].pool, i])
         gcell = edge // AXES
         axis = edge - AXES * gcell
         if axis == VIA_AXIS:
             continue
-        demand = wide(problem.demand[net, problem.position[gcell, VIA_AXIS]])
+        demand = i64(problem.demand[net, problem.position[gcell, VIA_AXIS]])
         cost = edge_cost(problem, routing, edge, demand, demand)
         if cost < limit:
             at = problem.position[gcell, axis] - low[axis] + 1
@@ -222,10 +222,10 @@ def join_all(
     """
     first, pins = problem.first[net], problem.first[net + 1] - problem.first[net]
     root = draw(progress) % pins
-    goal, group = wide(0), wide(0)
+    goal, group = i64(0), i64(0)
     for i in range(pins):
-        point = wide(point_of(problem.position, low, lattice.size, problem.pin[first + i]))
-        _extend_bounds(lattice, search, pins - 1 if i == root else group, point, wide(0))
+        point = i64(point_of(problem.position, low, lattice.size, problem.pin[first + i]))
+        _extend_bounds(lattice, search, pins - 1 if i == root else group, point, i64(0))
         if i == root:
             goal = point
         else:
@@ -258,16 +258,14 @@ def grow(
     for i in range(pins):
         buffers.far[i] = np.iinfo(np.int64).max
     pin = draw(progress) % pins
-    size = looked = total = cost = wide(0)
+    size = looked = total = cost = i64(0)
     for joined in range(pins):
-        point = wide(
-            point_of(problem.position, buffers.low, lattice.size, problem.pin[first + pin])
-        )
+        point = i64(point_of(problem.position, buffers.low, lattice.size, problem.pin[first + pin]))
         if not buffers.inside[point]:
             if joined > 0:
                 search.goal[point] = 1
-                _extend_bounds(lattice, search, wide(1), point, wide(0))
-                cost = exact_tree(lattice, search, size, wide(1), draw(progress))
+                _extend_bounds(lattice, search, i64(1), point, i64(0))
+                cost = exact_tree(lattice, search, size, i64(1), draw(progress))
                 search.goal[point] = 0
                 if cost == CLOSED:
                     break
@@ -288,7 +286,7 @@ def grow(
         for i in range(pins):
             if buffers.far[i] < 0:
                 continue
-            point = wide(
+            point = i64(
                 point_of(problem.position, buffers.low, lattice.size, problem.pin[first + i])
             )
             x, y, z = point // nz // ny, point // nz % ny, lattice.line[VIA_AXIS, point % nz]
@@ -307,7 +305,7 @@ def grow(
         pin = nearest
     for i in range(size):
         buffers.inside[search.start[i]] = 0
-    return total if cost != CLOSED else wide(CLOSED)
+    return total if cost != CLOSED else i64(CLOSED)
 
 
 @compiled
@@ -337,7 +335,7 @@ def _list_part(
         if i == size:
             break
         point = search.start[i]
-        _extend_bounds(lattice, search, wide(1), point, i - first)
+        _extend_bounds(lattice, search, i64(1), point, i - first)
         for move in range(MOVES):
             if lattice.tree[point] >> move & 1:
                 beside = point + lattice.stride[move]
@@ -380,8 +378,8 @@ def _other_end(
         gcell += step
         point = beside
         if pin[point] or _degree(tree[point]) != 2:
-            return point if counts else wide(-1)
-        back, move = move ^ 1, wide(0)
+            return point if counts else i64(-1)
+        back, move = move ^ 1, i64(0)
         while move == back or not tree[point] >> move & 1:
             move += 1
 
@@ -396,7 +394,7 @@ def load_tree(
     """
     is_open = True
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        edge = wide(routing.edge[routing.progress[0].pool, i])
+        edge = i64(routing.edge[routing.progress[0].pool, i])
         gcell = edge // AXES
         move = 2 * (edge - AXES * gcell)
         point = point_of(problem.position, low, lattice.size, gcell)
@@ -435,28 +433,28 @@ def mend(
     Returns:
         By how much the tree's cost fell.
     """
-    size = _list_part(lattice, search, buffers, root, wide(0))
-    keys = wide(0)
+    size = _list_part(lattice, search, buffers, root, i64(0))
+    keys = i64(0)
     for i in range(size):
         point = search.start[i]
         buffers.inside[point] = 0
         if buffers.pin[point] or _degree(lattice.tree[point]) > 2:
             buffers.key[keys] = point
             keys += 1
-    saved = wide(0)
+    saved = i64(0)
     for place in range(keys * MOVES):
         key, move = buffers.key[place // MOVES], place % MOVES
         if not lattice.tree[key] >> move & 1:
             continue
         if not buffers.pin[key] and _degree(lattice.tree[key]) < 3:
             continue  # no longer a branching point
-        end = _other_end(problem, routing.remaining, lattice, buffers, key, wide(move), worn)
+        end = _other_end(problem, routing.remaining, lattice, buffers, key, i64(move), worn)
         if end < 0 or _is_listed(buffers.key, place // MOVES, end):
             continue
         # Remove the path from this key to the next.
         point = key
         while True:
-            saved += wide(lattice.cost[point, move])
+            saved += i64(lattice.cost[point, move])
             lattice.tree[point] ^= np.uint8(1 << move)
             point += lattice.stride[move]
             lattice.tree[point] ^= np.uint8(1 << (move ^ 1))
@@ -466,7 +464,7 @@ def mend(
             while not lattice.tree[point] >> move & 1:
                 move += 1
         # Search from the larger of the two parts to the smaller, whose box is smaller, too.
-        near = _list_part(lattice, search, buffers, key, wide(0))
+        near = _list_part(lattice, search, buffers, key, i64(0))
         both = near
         if not buffers.inside[point]:
             both = _list_part(lattice, search, buffers, point, near)
@@ -474,7 +472,7 @@ def mend(
             first, last = near, both
             if both - near > near:
                 for i in range(near):
-                    _extend_bounds(lattice, search, wide(1), search.start[i], i)
+                    _extend_bounds(lattice, search, i64(1), search.start[i], i)
                 first, last = 0, near
             for i in range(first, last):
                 search.goal[search.start[i]] = 1
@@ -490,7 +488,7 @@ def mend(
                     search.start[i] = search.start[near + i]
                 for i in range(near):
                     search.start[starts + i] = buffers.key[keys + i]
-            saved -= exact_tree(lattice, search, starts, wide(1), draw(routing.progress[0]))
+            saved -= exact_tree(lattice, search, starts, i64(1), draw(routing.progress[0]))
             for i in range(starts, both):
                 search.goal[search.start[i]] = 0
         else:

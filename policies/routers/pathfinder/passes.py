@@ -6,7 +6,7 @@ follows another.
 
 import numpy as np
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, i64
 from policies.routers.pathfinder.kernels import draw
 from policies.routers.pathfinder.patterns import route_pattern
 from policies.routers.pathfinder.repair import repair, repairable
@@ -124,7 +124,7 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
         shortest += routing.ideal[net]
     shortest_of_all = progress.length == shortest and progress.unproven == 0
     if progress.kind == REPAIR:
-        least = wide(np.ceil(parameters.min_repair_fraction * len(routing.order)))
+        least = i64(np.ceil(parameters.min_repair_fraction * len(routing.order)))
         progress.next = len(routing.order) - max(least, repairable(parameters, routing))
     progress.proven = progress.overflow == 0 and shortest_of_all
     return more and not progress.proven
@@ -150,7 +150,7 @@ def advance(
         while progress.next < len(routing.order):
             if search.tally[1] > until:
                 return PAUSED
-            net, code, routed = routing.order[progress.next], DONE, wide(1)
+            net, code, routed = routing.order[progress.next], DONE, i64(1)
             if progress.kind == PATTERN:
                 code = route_pattern(problem, parameters, routing, lattice, buffers, net)
                 search.tally[1] += 64  # about the work of so many labels

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.lattice import Lattice, set_size
 from policies.routers.pathfinder.kernels import edge_cost, point_of, set_box
@@ -46,12 +46,12 @@ def _straight(
     x, y = (low, across) if axis == 0 else (across, low)
     for z in range(problem.size[2]):
         gcell = (x * problem.size[1] + y) * problem.size[2] + z
-        demand, total = wide(problem.demand[net, z]), wide(0)
+        demand, total = i64(problem.demand[net, z]), i64(0)
         for _ in range(high - low):
             edge = AXES * gcell + axis
             if problem.capacity[edge] < 0:
                 total += _NEVER
-            total += edge_cost(problem, routing, edge, demand, wide(0))
+            total += edge_cost(problem, routing, edge, demand, i64(0))
             gcell += step
         cost[z] = total
 
@@ -63,13 +63,13 @@ def _best_layers(along: Any, across: Any, first: int, last: int, via: int) -> tu
     Returns:
         The cost and both layers.
     """
-    least, one, two = 4 * _NEVER, wide(0), wide(0)
+    least, one, two = 4 * _NEVER, i64(0), i64(0)
     for a in range(len(along)):
         for b in range(len(across)):
             vias = abs(first - a) + abs(a - b) + abs(b - last)
             cost = along[a] + across[b] + via * vias
             if cost < least:
-                least, one, two = wide(cost), wide(a), wide(b)
+                least, one, two = i64(cost), i64(a), i64(b)
     return least, one, two
 
 
@@ -82,7 +82,7 @@ def _draw_line(
     Returns:
         Where it ends, and the new number of points.
     """
-    move = 2 * axis + wide(steps < 0)
+    move = 2 * axis + i64(steps < 0)
     for _ in range(abs(steps)):
         if buffers.inside[point] == 1:
             break
@@ -108,14 +108,14 @@ def _nearest(
     """The point of a part of the tree's list that is nearest to a pin, and how far, in cost."""
     x, y = problem.position[pin, 0] - buffers.low[0], problem.position[pin, 1] - buffers.low[1]
     ny, nz = lattice.size[1], lattice.size[2]
-    nearest, least = wide(0), _NEVER
+    nearest, least = i64(0), _NEVER
     for i in range(begin, end):
         row = buffers.key[i] // nz
         z = buffers.key[i] - row * nz
         across = abs(row // ny - x) + abs(row % ny - y)
-        far = wide(UNIT * across + via * abs(z - problem.position[pin, VIA_AXIS]))
+        far = i64(UNIT * across + via * abs(z - problem.position[pin, VIA_AXIS]))
         if far < least:
-            nearest, least = wide(buffers.key[i]), far
+            nearest, least = i64(buffers.key[i]), far
     return nearest, least
 
 
@@ -135,9 +135,9 @@ def route_pattern(
     """
     progress = routing.progress[0]
     if routing.length[net] > 0:
-        use_tree(problem, routing, parameters.via, net, wide(1))
+        use_tree(problem, routing, parameters.via, net, i64(1))
         return DONE
-    points = set_box(problem, routing, net, wide(0), buffers.low, lattice.size)
+    points = set_box(problem, routing, net, i64(0), buffers.low, lattice.size)
     if points > len(buffers.pin):
         progress.need = points
         return BOX_TOO_SMALL
@@ -151,9 +151,9 @@ def route_pattern(
     buffers.key[0], buffers.inside[start] = start, 1
     for i in range(pins):
         buffers.far[i] = _NEVER
-    size, looked = wide(1), wide(0)
+    size, looked = i64(1), i64(0)
     for _ in range(1, pins):
-        pin = wide(-1)
+        pin = i64(-1)
         for i in range(1, pins):
             if buffers.far[i] < 0:
                 continue
@@ -161,15 +161,15 @@ def route_pattern(
             _, far = _nearest(problem, lattice, buffers, via, at, looked, size)
             buffers.far[i] = min(buffers.far[i], far)
             if pin < 0 or buffers.far[i] < buffers.far[pin]:
-                pin = wide(i)
+                pin = i64(i)
         looked = size
         size = _join(problem, routing, lattice, buffers, via, net, problem.pin[first + pin], size)
         buffers.far[pin] = -1
     for i in range(size):
         buffers.inside[buffers.key[i]] = 0
     size = list_tree(problem, lattice, buffers)
-    store_tree(routing, net, buffers.tree, wide(0), wide(0), size)
-    use_tree(problem, routing, parameters.via, net, wide(1))
+    store_tree(routing, net, buffers.tree, i64(0), i64(0), size)
+    use_tree(problem, routing, parameters.via, net, i64(1))
     progress.routed += 1
     return DONE
 
@@ -193,14 +193,14 @@ def _join(
     point = point_of(problem.position, buffers.low, lattice.size, pin)
     if buffers.inside[point]:
         return size
-    nearest, _ = _nearest(problem, lattice, buffers, via, pin, wide(0), size)
+    nearest, _ = _nearest(problem, lattice, buffers, via, pin, i64(0), size)
     nz = lattice.size[2]
-    here = (wide(problem.position[pin, 0]), wide(problem.position[pin, 1]))
+    here = (i64(problem.position[pin, 0]), i64(problem.position[pin, 1]))
     row = nearest // nz
     there = (buffers.low[0] + row // lattice.size[1], buffers.low[1] + row % lattice.size[1])
-    top, bottom = wide(problem.position[pin, VIA_AXIS]), nearest - row * nz
+    top, bottom = i64(problem.position[pin, VIA_AXIS]), nearest - row * nz
     one_wire, other_wire = buffers.layers[0], buffers.layers[1]
-    least, turn, one, two = wide(8 * _NEVER), wide(0), wide(0), wide(0)
+    least, turn, one, two = i64(8 * _NEVER), i64(0), i64(0), i64(0)
     for first in range(VIA_AXIS):  # the axis along which it begins
         then = 1 - first
         _straight(problem, routing, net, first, here[first], there[first], here[then], one_wire)

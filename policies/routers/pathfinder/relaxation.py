@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
 from policies.routers.pathfinder.kernels import GOLDEN, mixed
 from policies.routers.pathfinder.state import (
@@ -88,15 +88,15 @@ def _collect(problem: ProblemArrays, routing: Routing, columns: Columns, begin: 
         net = routing.order[index]
         first = routing.start[net]
         last = first + routing.length[net]
-        mark = wide(0)
+        mark = i64(0)
         for i in range(first, last):
-            edge = wide(routing.edge[pool, i])
+            edge = i64(routing.edge[pool, i])
             if edge % AXES == VIA_AXIS:
                 continue  # has no capacity
             mark += mixed((edge + 1) * np.int64(GOLDEN))
-        column = wide(columns.latest[net])
+        column = i64(columns.latest[net])
         while column >= 0 and columns.mark[column] != mark:
-            column = wide(columns.before[column])
+            column = i64(columns.before[column])
         if column < 0:
             column, place = columns.filled[0], columns.filled[1]
             if column == len(columns.mark) or place + last - first > len(columns.edge):
@@ -106,7 +106,7 @@ def _collect(problem: ProblemArrays, routing: Routing, columns: Columns, begin: 
             columns.share[column] = 1.0 if columns.latest[net] < 0 else 0.0
             columns.latest[net] = column
             for i in range(first, last):
-                edge = wide(routing.edge[pool, i])
+                edge = i64(routing.edge[pool, i])
                 gcell = edge // AXES
                 if edge - AXES * gcell == VIA_AXIS:
                     continue
@@ -146,7 +146,7 @@ def _relax(columns: Columns, dual: Dual, iterations: int) -> float:
             # A step down the prices, then to the nearest shares that sum to 1 (Held, Wolfe and
             # Crowder, "Validation of subgradient optimization", Mathematical Programming 6, 1974).
             size = 0
-            column = wide(latest[net])
+            column = i64(latest[net])
             while column >= 0:
                 cost = 0.0
                 for i in range(first[column], first[column + 1]):
@@ -159,14 +159,14 @@ def _relax(columns: Columns, dual: Dual, iterations: int) -> float:
                     at -= 1
                 values[at] = value
                 size += 1
-                column = wide(before[column])
+                column = i64(before[column])
             sum_of_largest, shift = 0.0, 0.0
             for k in range(size):
                 sum_of_largest += values[k]
                 if values[k] * (k + 1) <= sum_of_largest - 1.0:
                     break
                 shift = (sum_of_largest - 1.0) / (k + 1)
-            column = wide(latest[net])
+            column = i64(latest[net])
             while column >= 0:
                 value = max(next_share[column] - shift, 0.0)
                 moved += (value - share[column]) ** 2
@@ -174,7 +174,7 @@ def _relax(columns: Columns, dual: Dual, iterations: int) -> float:
                 if value > 0:
                     for i in range(first[column], first[column + 1]):
                         next_load[edge_of[i]] += take[i] * value
-                column = wide(before[column])
+                column = i64(before[column])
         turned, cross = 0.0, 0.0
         for edge in range(edges):
             ahead = 2 * next_load[edge] - load[edge] - capacity[edge]

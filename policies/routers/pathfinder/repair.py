@@ -7,7 +7,7 @@ problems", Discrete Applied Mathematics 65, 1996). Nets keep their new trees unl
 worse.
 """
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, i64
 from policies.routers.pathfinder.kernels import draw
 from policies.routers.pathfinder.state import (
     DISPLACE,
@@ -64,24 +64,24 @@ def _displaced(routing: Routing, together: int, last: int) -> int:
         The net; -1 if there is none.
     """
     progress = routing.progress[0]
-    ties, found, chosen = wide(0), wide(-1), wide(-1)
+    ties, found, chosen = i64(0), i64(-1), i64(-1)
     for k in range(together):
         net = routing.together[k, 0]
         for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-            edge = wide(routing.edge[progress.pool, i])
+            edge = i64(routing.edge[progress.pool, i])
             if routing.remaining[edge] < 0:
                 ties += 1
                 if draw(progress) % ties == 0:
                     found = edge
     if found < 0:
         return chosen
-    ties, at = wide(0), wide(routing.head[found])
+    ties, at = i64(0), i64(routing.head[found])
     while at >= 0:
         if routing.owner[at] != last:
             ties += 1
             if draw(progress) % ties == 0:
-                chosen = wide(routing.owner[at])
-        at = wide(routing.after[at])
+                chosen = i64(routing.owner[at])
+        at = i64(routing.after[at])
     return chosen
 
 
@@ -99,11 +99,11 @@ def repair(
         POOL_TOO_SMALL, in which case all nets are left as they were.
     """
     progress = routing.progress[0]
-    overflow, length, top = wide(progress.overflow), wide(progress.length), wide(progress.top)
+    overflow, length, top = i64(progress.overflow), i64(progress.length), i64(progress.top)
     present = progress.present
     progress.kind, progress.present = DISPLACE, _PRESENT
-    code, routed, together = DONE, wide(0), wide(0)
-    net = wide(_choose(parameters, routing))
+    code, routed, together = DONE, i64(0), i64(0)
+    net = i64(_choose(parameters, routing))
     while code == DONE and net >= 0 and routed < _STEPS:
         known = False
         for k in range(together):
@@ -120,7 +120,7 @@ def repair(
         progress.present *= _GROWTH
         if routed > 1 and progress.overflow <= overflow:
             break
-        net = wide(_displaced(routing, together, net))
+        net = i64(_displaced(routing, together, net))
     progress.kind = SQUEEZE
     if progress.overflow <= overflow:
         for k in range(together):
@@ -132,9 +132,9 @@ def repair(
     if code != DONE or progress.overflow > overflow or longer:
         for k in range(together):
             net = routing.together[k, 0]
-            use_tree(problem, routing, parameters.via, net, wide(-1))
+            use_tree(problem, routing, parameters.via, net, i64(-1))
             routing.start[net] = routing.together[k, 1]
             routing.length[net] = routing.together[k, 2]
-            use_tree(problem, routing, parameters.via, net, wide(1))
+            use_tree(problem, routing, parameters.via, net, i64(1))
         progress.top = top
     return routed, code

@@ -5,7 +5,7 @@
 
 from typing import Any
 
-from marouting.kernels import compiled, wide
+from marouting.kernels import compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.lattice import CLOSED, FAR, Lattice
 from policies.routers.pathfinder.kernels import (
@@ -51,7 +51,7 @@ def use_tree(problem: ProblemArrays, routing: Routing, via: int, net: int, sign:
         else:
             unlink(routing, net)
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        edge = wide(routing.edge[progress.pool, i])
+        edge = i64(routing.edge[progress.pool, i])
         gcell = edge // AXES
         if edge - AXES * gcell == VIA_AXIS:
             progress.length += sign * via
@@ -59,7 +59,7 @@ def use_tree(problem: ProblemArrays, routing: Routing, via: int, net: int, sign:
         progress.length += sign * UNIT
         over = max(-routing.remaining[edge], 0)
         layer = problem.position[gcell, VIA_AXIS]
-        routing.remaining[edge] -= sign * wide(problem.demand[net, layer])
+        routing.remaining[edge] -= sign * i64(problem.demand[net, layer])
         progress.overflow += max(-routing.remaining[edge], 0) - over
 
 
@@ -80,9 +80,9 @@ def unlink(routing: Routing, net: int) -> None:
         if routing.head[edge] == i:
             routing.head[edge] = routing.after[i]
             continue
-        before = wide(routing.head[edge])
+        before = i64(routing.head[edge])
         while routing.after[before] != i:
-            before = wide(routing.after[before])
+            before = i64(routing.after[before])
         routing.after[before] = routing.after[i]
 
 
@@ -99,9 +99,9 @@ def link_all(routing: Routing) -> None:
 @compiled
 def tree_length(routing: Routing, via: int, net: int) -> int:
     """The length of a net's tree, in units of cost."""
-    length = wide(0)
+    length = i64(0)
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        edge = wide(routing.edge[routing.progress[0].pool, i])
+        edge = i64(routing.edge[routing.progress[0].pool, i])
         length += via if edge % AXES == VIA_AXIS else UNIT
     return length
 
@@ -140,7 +140,7 @@ def compact(routing: Routing) -> bool:
 @compiled
 def list_tree(problem: ProblemArrays, lattice: Lattice, buffers: NetBuffers) -> int:
     """Lists the edges of the lattice's tree in ``buffers.tree``; returns how many there are."""
-    low, size, point = buffers.low, wide(0), 0
+    low, size, point = buffers.low, i64(0), 0
     for x in range(lattice.size[0]):
         for y in range(lattice.size[1]):
             gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * problem.size[2]
@@ -167,7 +167,7 @@ def store_tree(routing: Routing, net: int, edges: Any, row: int, first: int, las
 @compiled
 def present_cost(problem: ProblemArrays, routing: Routing, via: int, net: int, own: int) -> int:
     """The cost of a net's tree to the net, which is in place (``own`` 1) or ripped up (0)."""
-    first, pool = wide(routing.start[net]), wide(routing.progress[0].pool)
+    first, pool = i64(routing.start[net]), i64(routing.progress[0].pool)
     last = first + routing.length[net]
     return tree_cost(problem, routing, via, net, routing.edge, pool, first, last, own)
 
@@ -175,7 +175,7 @@ def present_cost(problem: ProblemArrays, routing: Routing, via: int, net: int, o
 @compiled
 def is_settled(problem: ProblemArrays, parameters: Parameters, routing: Routing, net: int) -> bool:
     """Whether a net keeps its tree without a search: none can be cheaper, and no lot fell on it."""
-    if routing.ideal[net] < present_cost(problem, routing, parameters.via, net, wide(1)):
+    if routing.ideal[net] < present_cost(problem, routing, parameters.via, net, i64(1)):
         return False
     return draw(routing.progress[0]) % (1 << 20) >= parameters.reroute_fraction
 
@@ -196,7 +196,7 @@ def plan(
     lattice, search, buffers = memory
     progress = routing.progress[0]
     pins = problem.first[net + 1] - problem.first[net]
-    margin, limit = parameters.margin, wide(FULL)
+    margin, limit = parameters.margin, i64(FULL)
     while True:
         points = set_box(problem, routing, net, margin, buffers.low, lattice.size)
         if points > len(buffers.pin):
@@ -215,14 +215,14 @@ def plan(
                 and draw(progress) % 100 < MENDED
                 and load_tree(problem, routing, lattice, buffers.low, net)
             )
-            cost = wide(0)
+            cost = i64(0)
             if not worn:
                 cost = grow(problem, progress, lattice, search, buffers, net)
             if cost != CLOSED:
                 for i in range(problem.first[net], problem.first[net + 1]):
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
                     buffers.pin[point] = 1
-                mend(problem, routing, lattice, search, buffers, wide(point), worn)
+                mend(problem, routing, lattice, search, buffers, i64(point), worn)
                 exact = False
                 for i in range(problem.first[net], problem.first[net + 1]):
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
@@ -230,9 +230,9 @@ def plan(
         if cost != CLOSED:
             break
         if lattice.size[0] == problem.size[0] and lattice.size[1] == problem.size[1]:
-            limit = wide(FAR)
+            limit = i64(FAR)
         margin = 2 * margin + 1
-    buffers.plan[EDGES], buffers.plan[EXACT] = list_tree(problem, lattice, buffers), wide(exact)
+    buffers.plan[EDGES], buffers.plan[EXACT] = list_tree(problem, lattice, buffers), i64(exact)
     return DONE
 
 
@@ -257,14 +257,14 @@ def adopt(
     if progress.top + plan[EDGES] > routing.edge.shape[1]:
         progress.need = progress.top + plan[EDGES]
         return POOL_TOO_SMALL
-    use_tree(problem, routing, via, net, wide(-1))
-    cost = tree_cost(problem, routing, via, net, edges, row, first, last, wide(0))
-    if cost <= present_cost(problem, routing, via, net, wide(0)):
+    use_tree(problem, routing, via, net, i64(-1))
+    cost = tree_cost(problem, routing, via, net, edges, row, first, last, i64(0))
+    if cost <= present_cost(problem, routing, via, net, i64(0)):
         store_tree(routing, net, edges, row, first, last)
-    length, ideal = tree_length(routing, via, net), wide(routing.ideal[net])
+    length, ideal = tree_length(routing, via, net), i64(routing.ideal[net])
     progress.unproven += ideal < 0 and not (plan[EXACT] and progress.kind == RELAX)
     routing.ideal[net] = length if ideal < 0 else min(ideal, length)
-    use_tree(problem, routing, via, net, wide(1))
+    use_tree(problem, routing, via, net, i64(1))
     progress.routed += 1
     return DONE
 
@@ -284,9 +284,7 @@ def reroute(
     if code != DONE:
         return code
     buffers = memory.buffers
-    return adopt(
-        problem, routing, parameters.via, net, buffers.plan, buffers.tree, wide(0), wide(0)
-    )
+    return adopt(problem, routing, parameters.via, net, buffers.plan, buffers.tree, i64(0), i64(0))
 
 
 @compiled
@@ -316,7 +314,7 @@ def load_best(problem: ProblemArrays, routing: Routing, via: int) -> None:
     """Makes the trees of the best solution so far the nets' trees."""
     progress = routing.progress[0]
     for net in range(len(routing.start)):
-        use_tree(problem, routing, via, net, wide(-1))
+        use_tree(problem, routing, via, net, i64(-1))
     progress.top = 0
     for net in range(len(routing.start)):
         routing.start[net] = progress.top
@@ -324,4 +322,4 @@ def load_best(problem: ProblemArrays, routing: Routing, via: int) -> None:
             routing.edge[progress.pool, progress.top] = routing.best[i]
             progress.top += 1
         routing.length[net] = progress.top - routing.start[net]
-        use_tree(problem, routing, via, net, wide(1))
+        use_tree(problem, routing, via, net, i64(1))
