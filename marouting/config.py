@@ -464,6 +464,14 @@ def _text(value: str | os.PathLike[str]) -> str:
     return text
 
 
+def _is_number(value: Any) -> bool:
+    """Whether a value is a finite number that a float can hold."""
+    try:
+        return not isinstance(value, bool | str) and math.isfinite(value)
+    except (TypeError, OverflowError):
+        return False
+
+
 _PLAIN: dict[Any, _Form] = {
     bool: _Form("true or false", lambda v: isinstance(v, bool), bool),
     int: _Form(
@@ -471,11 +479,7 @@ _PLAIN: dict[Any, _Form] = {
         lambda v: hasattr(v, "__index__") and not isinstance(v, bool),
         operator.index,
     ),
-    float: _Form(
-        "a number",
-        lambda v: isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v),
-        float,
-    ),
+    float: _Form("a number", lambda v: _is_number(v), float),
     str: _Form("a text", lambda v: isinstance(v, str | os.PathLike), _text),
     NoneType: _Form("null", lambda v: v is None, lambda v: v),
 }
@@ -488,14 +492,14 @@ _FEW = 5
 @functools.cache
 def _forms(hint: Any) -> tuple[_Form, ...]:
     """What a type, or each part of a union, takes."""
+    if get_origin(hint) is NotRequired:
+        (hint,) = get_args(hint)
     kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     return tuple(map(_form, kinds))
 
 
 def _form(kind: Any) -> _Form:
     origin, inner = get_origin(kind), get_args(kind)
-    if origin is NotRequired:
-        return _form(inner[0])
     if origin is Annotated:
         return _form(inner[0])._replace(take=functools.partial(_met, inner[0], inner[1:]))
     if origin is Literal:

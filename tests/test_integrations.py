@@ -347,7 +347,7 @@ def test_torchrl_wraps_the_pettingzoo_environments(
         td = env.rollout(500)
         assert td["next", "done"].squeeze(-1).tolist() == [False] * (len(td) - 1) + [True]
         assert inner.unwrapped.metrics()["steps"] > 0
-        assert not stays or inner.unwrapped.engine.games[0]["agent"] == NOBODY
+        assert not stays or inner.unwrapped.game.turn == NOBODY
 
 
 def test_torchrl_steps_the_games_of_the_parallel_environment() -> None:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-COMPILES = "the generalist", 60
+COMPILES = "the generalist", 30
 
 SHIPPED = Path(__file__).with_name("generalist.pt")
 """The weights that are shipped."""
