@@ -97,7 +97,8 @@ def test_a_stamp_depends_on_what_is_compiled_into_a_function(
         "calls": "from pack.other import Y\nfrom pack.rules import add\n"
         "from marouting.kernels import compiled\nX = Y\n\n\n"
         "@compiled\ndef call():\n    return add(X, 2)\n",
-        "rules": "from pack.deeper import Point, least\nfrom marouting.kernels import compiled\n\n\n"
+        "rules": "from pack.deeper import Point, least\n"
+        "from marouting.kernels import compiled\n\n\n"
         "@compiled\ndef add(a, b: Point):\n    return least(a + b)\n",
         "deeper": "from typing import NamedTuple\nfrom marouting.kernels import compiled\n"
         "LEAST = 1\nEVEN = 1\nODD = 7\n\n\nclass Point(NamedTuple):\n    x: int\n\n\n"
