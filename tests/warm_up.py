@@ -15,7 +15,7 @@ ROUTERS: dict[str, dict[str, Any]] = {
     "generalist": {"seconds": 0.05},
     "pathfinder": {},
     "greedy": {},
-    "optimal": {"seconds": 1.0},
+    "optimal": {},
 }
 GAMES: list[dict[str, Any]] = [
     {},
