@@ -160,8 +160,8 @@ class Rules:
     @property
     def asks(self) -> bool:
         """Whether agents are asked whether to rip up their nets."""
-        rip_up = self.rip_up or RipUp(rounds=0)
-        return rip_up.rounds > 0 and rip_up.choose == "agents"
+        rip_up = self.rip_up
+        return rip_up is not None and rip_up.rounds > 0 and rip_up.choose == "agents"
 
     def steps_per_task(self, grid: tuple[int, int, int]) -> int:
         """Steps after which a task fails on a grid of X×Y×Z Gcells."""
