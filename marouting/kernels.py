@@ -60,6 +60,10 @@ compiled = kernel(nogil=True, error_model="numpy", _nrt=False)
 reference counts of arrays. Counting references at every call of a rule would take ten times as long
 as the rule itself."""
 
+inlined = kernel(nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+"""Like ``compiled``, for what a move is made of: the compiler is told to put it where it is called.
+A move of one agent then takes a fifth less time, and compiling takes longer."""
+
 allocating = kernel(nogil=True, error_model="numpy")
 """For kernels that make arrays. They divide like NumPy, because checking every divisor for zero
 would keep loops from being vectorised."""

@@ -44,7 +44,7 @@ from marouting.batch.tasks import wait
 from marouting.config import check
 from marouting.errors import InputError
 from marouting.game import NOBODY, Crossing, Ending, Status
-from marouting.kernels import as_index, compiled, i64, specialised
+from marouting.kernels import as_index, compiled, i64, inlined, specialised
 from marouting.memory import check_memory
 from marouting.observations import Observation, PaperObservation, has_move_order, move_order_of
 from marouting.options import FORMS
@@ -642,7 +642,7 @@ _MASKS = MASKS.view(np.int16)
 """(64, 3) int16, :data:`marouting.batch.state.MASKS` in pairs of bytes."""
 
 
-@compiled
+@inlined
 def _free(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """The moves of an agent that cross an edge, one bit per move; none for NOBODY."""
     free = i64(0)
@@ -651,7 +651,7 @@ def _free(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     return free
 
 
-@compiled
+@inlined
 def _write_mask(mask: Any, m: int, row: int, free: int) -> None:
     """Writes a mask, whose pairs of bytes are faster to write than its bytes."""
     if mask.shape[2] > MOVES:
@@ -661,7 +661,7 @@ def _write_mask(mask: Any, m: int, row: int, free: int) -> None:
         mask[m, row, pair] = _MASKS[free, pair]
 
 
-@compiled
+@inlined
 def _look(
     static: Static, dynamic: Dynamic, fast: FastPath, m: int, n: int, obs: Any, mask: Any, row: int
 ) -> None:
@@ -671,7 +671,7 @@ def _look(
     _write_mask(mask, m, row, free)
 
 
-@compiled
+@inlined
 def _look_at_player(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int
 ) -> None:
@@ -682,7 +682,7 @@ def _look_at_player(
     _look(static, dynamic, fast, m, player, b.obs, b.mask, i64(0))
 
 
-@compiled
+@inlined
 def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int) -> Any:
     """Writes the result of an agent's move; returns the reward."""
     agent = dynamic.agents[m, n]
@@ -693,7 +693,7 @@ def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int
     return reward
 
 
-@compiled
+@inlined
 def _start(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
     """Starts an episode of a problem, in which nobody has acted yet."""
     reset_problem(static, dynamic, m)
@@ -705,7 +705,7 @@ def _start(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
         b.ending[m, row] = Ending.NONE
 
 
-@compiled
+@inlined
 def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
     """After a step: records whether the episode has ended with it, and how."""
     b.over[m] = playing and game.active == 0
@@ -716,7 +716,7 @@ def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
         b.final[m].steps = game.steps
 
 
-@compiled
+@inlined
 def _show(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int) -> None:
     """Writes an agent's status and what it sees now."""
     status = dynamic.agents[m, n].status
@@ -726,7 +726,7 @@ def _show(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: i
     _look(static, dynamic, fast, m, n, b.obs, b.mask, n)
 
 
-@compiled
+@inlined
 def _step_everyone(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int
 ) -> None:
@@ -754,7 +754,7 @@ def _step_everyone(
     _finish(b, m, playing, game)
 
 
-@compiled
+@inlined
 def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """A step of one problem in which only the agent whose turn it is has a row."""
     game = dynamic.games[m]
@@ -780,7 +780,7 @@ def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
     _finish(b, m, playing, game)
 
 
-@compiled
+@inlined
 def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """A step of one problem, with the paper's observation and reward."""
     if fast.everyone:

@@ -8,27 +8,27 @@ from typing import Any
 
 from marouting.batch.bits import byte_of, has, set_byte
 from marouting.batch.state import Dynamic, Static
-from marouting.kernels import as_index, compiled, i64
+from marouting.kernels import as_index, compiled, i64, inlined
 from marouting.problem.grid import AXES, VIA_AXIS
 
 # There are as few branches as possible: what an agent meets is as good as random, and a branch that
 # the processor mispredicts takes as long as a whole move.
 
 
-@compiled
+@inlined
 def uses(used: Any, m: int, n: int, edge: int) -> int:
     """1 if agent n of problem m uses an edge, else 0."""
     return has(used, m, n, edge)
 
 
-@compiled
+@inlined
 def demand_of(static: Static, m: int, n: int, cell: int, move: int) -> int:
     """The net's demand on the edge that a move crosses; 0 for a via."""
     demand = static.demand[m, n, as_index(static.position[cell, VIA_AXIS])]
     return demand * (move // 2 != VIA_AXIS)
 
 
-@compiled
+@inlined
 def has_room(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: int) -> int:
     """1 if a move from a Gcell crosses a via, an edge that the net uses or one with room for it."""
     edge = as_index(static.edge[cell, move])
@@ -37,14 +37,14 @@ def has_room(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: 
     return (via | room | uses(dynamic.used, m, n, edge)) & (static.exits[cell] >> move)
 
 
-@compiled
+@inlined
 def may_cross(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: int) -> int:
     """1 if a move from a Gcell crosses its edge, 0 if it is blocked."""
     anyway = static.overflow_allowed & (static.exits[cell] >> move)
     return has_room(static, dynamic, m, n, cell, move) | anyway
 
 
-@compiled
+@inlined
 def take(dynamic: Dynamic, m: int, edge: int, demand: int) -> int:
     """Takes demand of an edge, or gives it back if it is negative; returns the added overflow.
 

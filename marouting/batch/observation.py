@@ -8,18 +8,18 @@ from marouting.batch.bits import byte_of
 from marouting.batch.rules import is_agent
 from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY, Status
-from marouting.kernels import as_index, compiled, i64
+from marouting.kernels import as_index, compiled, i64, inlined
 from marouting.observations import CHANNELS
 from marouting.problem.grid import AXES, VIA_AXIS
 
 
-@compiled
+@inlined
 def _room(static: Static, dynamic: Dynamic, m: int, cell: int, move: int) -> Any:
     """float32 remaining capacity of the edge that a move inside a layer crosses; 0 if none."""
     return np.float32(dynamic.remaining[m, as_index(static.edge[cell, move])])
 
 
-@compiled
+@inlined
 def write_paper(
     static: Static, dynamic: Dynamic, via_capacity: float, m: int, n: int, out: Any, row: int
 ) -> None:
@@ -89,7 +89,7 @@ def write_states(dynamic: Dynamic, out: Any) -> None:
                 out[m, as_index(agent.target), AXES + 1] += 1
 
 
-@compiled
+@inlined
 def paper_reward(table: Any, overflow_price: float, agent: Any) -> Any:
     """float32, the :class:`marouting.rewards.PaperReward` of an AGENT record's last move."""
     reward = table[as_index(agent.crossing), as_index(agent.ending)]

@@ -55,7 +55,7 @@ from marouting.batch.tasks import (
     wait,
 )
 from marouting.game import NOBODY, Crossing, Ending, Status
-from marouting.kernels import as_index, compiled, i64
+from marouting.kernels import as_index, compiled, i64, inlined
 from marouting.problem.grid import MOVES
 
 GIVE_WAY = MOVES
@@ -64,7 +64,7 @@ GIVE_WAY = MOVES
 _SIX = (1 << MOVES) - 1
 
 
-@compiled
+@inlined
 def cross_edge(static: Static, dynamic: Dynamic, m: int, n: int, move: int, tries: int) -> int:
     """One step of one agent, which crosses an edge or is blocked.
 
@@ -98,7 +98,7 @@ def cross_edge(static: Static, dynamic: Dynamic, m: int, n: int, move: int, trie
     return new
 
 
-@compiled
+@inlined
 def end_task(static: Static, dynamic: Dynamic, m: int, n: int, arrived: bool) -> None:
     """After a step: the task ends if the agent has arrived, or if its steps are used up."""
     agent = dynamic.agents[m, n]
@@ -111,7 +111,7 @@ def end_task(static: Static, dynamic: Dynamic, m: int, n: int, arrived: bool) ->
         agent.ending = Ending.FAILED
 
 
-@compiled
+@inlined
 def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> None:
     """One step of one agent: it crosses an edge or is blocked, and its task may end."""
     if static.extended is not None:
@@ -164,7 +164,7 @@ def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
         judge(static, dynamic, m)
 
 
-@compiled
+@inlined
 def settle_agent(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """After a move: an agent whose task has ended starts its next task, or is done."""
     agent = dynamic.agents[m, n]
@@ -194,7 +194,7 @@ def settle_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     dynamic.games[m].active -= 1
 
 
-@compiled
+@inlined
 def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
     """Passes the turn to the next active agent. In sequential order an active agent keeps it."""
     game = dynamic.games[m]
@@ -214,7 +214,7 @@ def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
     game.agent = n
 
 
-@compiled
+@inlined
 def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
     """Starts an episode: all agents are at the start of their first task, all capacity is free."""
     # Loops compile in a tenth of the time that slices take.
@@ -263,7 +263,7 @@ def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
             dynamic.numbers[m, column] = 0
 
 
-@compiled
+@inlined
 def move_player(static: Static, dynamic: Dynamic, m: int, move: int) -> None:
     """In one problem, the agent whose turn it is moves, or stays if ``move`` is NOBODY."""
     n = i64(dynamic.games[m].agent)
@@ -275,7 +275,7 @@ def move_player(static: Static, dynamic: Dynamic, m: int, move: int) -> None:
         move_agent(static, dynamic, m, n, move)
 
 
-@compiled
+@inlined
 def settle_player(static: Static, dynamic: Dynamic, m: int) -> None:
     """After the move of :func:`move_player`: the next task starts, and the turn passes."""
     n = i64(dynamic.games[m].agent)
@@ -284,7 +284,7 @@ def settle_player(static: Static, dynamic: Dynamic, m: int) -> None:
         pass_turn(static, dynamic, m)
 
 
-@compiled
+@inlined
 def may_move(dynamic: Dynamic, m: int, n: int, alone: bool, move: int) -> bool:
     """Whether an agent makes a move in a step of all: if it is active and need not wait.
 
@@ -299,7 +299,7 @@ def may_move(dynamic: Dynamic, m: int, n: int, alone: bool, move: int) -> bool:
     return active and move != NOBODY and (not alone or n == dynamic.games[m].agent)
 
 
-@compiled
+@inlined
 def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
     """In one problem, all agents make their moves of ``moves`` (M, N) in turn order.
 
@@ -317,7 +317,7 @@ def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
             wait(dynamic, m, n)
 
 
-@compiled
+@inlined
 def settle_turns(static: Static, dynamic: Dynamic, m: int) -> None:
     """After all agents of a problem have settled: the turn passes to the first that is active."""
     game = dynamic.games[m]
@@ -327,7 +327,7 @@ def settle_turns(static: Static, dynamic: Dynamic, m: int) -> None:
         pass_turn(static, dynamic, m)
 
 
-@compiled
+@inlined
 def settle_everyone(static: Static, dynamic: Dynamic, m: int) -> None:
     """After the moves of :func:`move_everyone`: next tasks start, and the turn passes."""
     for n in range(static.order.shape[1]):
@@ -335,7 +335,7 @@ def settle_everyone(static: Static, dynamic: Dynamic, m: int) -> None:
     settle_turns(static, dynamic, m)
 
 
-@compiled
+@inlined
 def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """The moves of an agent that cross an edge, one bit per move.
 
@@ -364,13 +364,13 @@ def _free_extended(static: Static, dynamic: Dynamic, m: int, n: int, free: int) 
     return unvisited if unvisited else free
 
 
-@compiled
+@inlined
 def is_agent(dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether there is a problem m with an agent n, or n is NOBODY."""
     return 0 <= m < dynamic.agents.shape[0] and NOBODY <= n < dynamic.agents.shape[1]
 
 
-@compiled
+@inlined
 def write_moves(free: int, out: Any, row: int) -> None:
     """Fills a row of ``out`` (K, 6 or 7) with a mask: all ones if none of the six moves is free."""
     for move in range(MOVES):
@@ -379,7 +379,7 @@ def write_moves(free: int, out: Any, row: int) -> None:
         out[row, GIVE_WAY] = free >> GIVE_WAY & 1
 
 
-@compiled
+@inlined
 def write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
     """Fills a row of ``out`` (K, 6 or 7) with an agent's action mask, or that of NOBODY."""
     free = i64(0)
