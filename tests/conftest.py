@@ -37,3 +37,10 @@ def in_this_process(parts: Sequence[Any], *_: Any) -> Iterator[list[Any]]:
     for part in parts:
         part.work()
         yield [part]
+
+
+@pytest.fixture(autouse=True)
+def _no_solver_was_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command line ends a process at once if a solver is at work: not that of the tests."""
+    if "policies.cli.main" in sys.modules:
+        monkeypatch.setattr(sys.modules["policies.cli.main"], "LEFT_ALONE", "by no test")
