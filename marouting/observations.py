@@ -227,7 +227,7 @@ def move_order_of(
     Args:
         observation: with a method ``move_order``.
         obs: (K, *S) float32, what agents saw.
-        actions: A; an action that is no move, such as giving way, stays what it is.
+        actions: A; an action that is no move, such as ripping up, stays what it is.
 
     Returns:
         (K, A) int64, each row the numbers from 0 to A − 1 in some order.

@@ -70,7 +70,7 @@ class GameOptions(Rules):
 
     @property
     def persists(self) -> bool:
-        """Whether agents stay until all are done: by choice, or to walk again in rounds."""
+        """Whether agents stay until all are done: by choice, or because they may be rerouted."""
         return self.agents_persist or bool(self.rip_up and self.rip_up.rounds)
 
     def __post_init__(self) -> None:

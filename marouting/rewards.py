@@ -93,7 +93,7 @@ class PaperReward:
 
     Attributes:
         reached: for the move that reaches the task's target.
-        step: for any other move, blocked ones included. An answer whether to give way pays 0.
+        step: for any other move, blocked ones included. An answer to whether to rip up pays 0.
         own_edge: for a move along an edge that the net already used, unless it reaches the target.
             None: what any other move pays (the paper); 0 makes it free, as in wirelength.
         overflow_price: subtracted for every unit of overflow that the move adds. It only matters
@@ -221,7 +221,7 @@ class PotentialReward:
     """Pays the net that moves for getting nearer to its target (Ng, Harada and Russell, 1999).
 
     The potential of an agent is minus its distance to the target in moves, capacities aside. A move
-    is paid ``gamma`` · potential after − potential before; an answer whether to give way pays 0.
+    is paid ``gamma`` · potential after − potential before; an answer to whether to rip up pays 0.
     With ``gamma=1`` a task that is joined pays the distance from its start to its target, whatever
     the way. With the discount factor of the learner, the best policies are those without this
     reward.

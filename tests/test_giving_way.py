@@ -13,13 +13,12 @@ from marouting import Engine, InputError, Move, Net, Pin, Problem, evaluate, gen
 from marouting import global_routing_v0 as game
 from marouting.batch.prices import Negotiation
 from marouting.env.single import GlobalRoutingSingle
-from marouting.game import NOBODY
+from marouting.game import NOBODY, RIP_UP
 from marouting.search.guides import AStar
 from marouting.vector import BatchEnv
 from policies.learned.config import load_config
 
 E, W, N, S, U, D = Move
-GIVE_WAY = 6
 
 
 def net(name: str, *pins: tuple[int, int]) -> Net:
@@ -101,10 +100,10 @@ def test_agents_are_asked() -> None:
     walk(engine, 3)  # any of the six moves keeps the routes
     assert engine.solution() == before
     assert engine.games[0]["agent"] == 1
-    walk(engine, GIVE_WAY)
-    assert engine.masks(*engine.pairs(everyone=False))[0, GIVE_WAY] == 0
+    walk(engine, RIP_UP)
+    assert engine.masks(*engine.pairs(everyone=False))[0, RIP_UP] == 0
     assert not len(engine.solution().edges[1])
-    walk(engine, GIVE_WAY)  # is a blocked move while the net walks
+    walk(engine, RIP_UP)  # is a blocked move while the net walks
     walk(engine, N, E, E, S)
     assert engine.solution() == before
     walk(engine, 0)

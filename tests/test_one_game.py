@@ -20,11 +20,10 @@ from reference import contested
 from marouting import Engine, Move, Net, Pin, Problem, global_routing_v0
 from marouting.columns import FIGURES, Before, Games
 from marouting.env.single import GlobalRoutingSingle
-from marouting.game import NOBODY, Game
+from marouting.game import NOBODY, RIP_UP, Game
 from marouting.gym_vector import GlobalRoutingVector
 from marouting.vector import BatchEnv
 
-GIVE_WAY = 6
 seeds = st.integers(0, 2**32)
 
 
@@ -117,8 +116,8 @@ class Player:
         rng = np.random.default_rng([self.seed, int(agent.removeprefix("net_")), len(own)])
         away = seen[3:6]
         wanted = np.flatnonzero(np.stack((away > 0, away < 0), axis=1).reshape(-1))
-        if len(mask) > GIVE_WAY and mask[GIVE_WAY]:
-            move = int(rng.choice([*Move, *[GIVE_WAY] * 6]))
+        if len(mask) > RIP_UP and mask[RIP_UP]:
+            move = int(rng.choice([*Move, *[RIP_UP] * 6]))
         elif len(wanted) and rng.random() < 0.8:
             move = int(rng.choice(wanted))
         else:

@@ -16,9 +16,8 @@ from torch import nn
 import marouting
 from marouting import Engine, EnvOptions, InputError, Problem, evaluate
 from marouting.batch.prices import Negotiation
-from marouting.batch.rules import GIVE_WAY
 from marouting.batch.window import mirrored
-from marouting.game import NOBODY, RipUp, Status
+from marouting.game import NOBODY, RIP_UP, RipUp, Status
 from policies.generalist import SHIPPED
 from policies.generalist.outlook import OutlookObservation
 from policies.generalist.walk import Walker
@@ -353,7 +352,7 @@ def test_the_loop_walks_as_the_network_does(choose: str, rounds: int) -> None:
                 continue
             if engine.games[m]["asked"]:
                 answers.add(gives_way(m, n))
-                moves[m] = GIVE_WAY if gives_way(m, n) else 0
+                moves[m] = RIP_UP if gives_way(m, n) else 0
                 continue
             late = 4 * engine.agents[m, n]["steps"] >= engine.max_steps
             by = -rows[m, seen.layout["detour"]][:6] if late else scores[m]

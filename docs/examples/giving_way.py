@@ -1,7 +1,7 @@
 """Giving way: what the options of the game bring to nets that all move as A* does.
 
 All ten test problems of ``multi-pin-8x8-v0`` that are played here can be routed without overflow.
-But nets that come first take what others need; in rip-up rounds they walk again.
+But nets that come first take what others need; in rip-up rounds they are rerouted.
 
     python docs/examples/giving_way.py
 """

@@ -46,7 +46,7 @@ def may_cross(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move:
 
 @inlined
 def take(dynamic: Dynamic, m: int, edge: int, demand: int) -> int:
-    """Takes demand of an edge, or gives it back if it is negative; returns the added overflow.
+    """Takes demand of an edge, or releases it if it is negative; returns the added overflow.
 
     Only the part of the demand beyond the remaining capacity overflows.
     """
@@ -59,7 +59,7 @@ def take(dynamic: Dynamic, m: int, edge: int, demand: int) -> int:
 
 @compiled
 def use_edges(static: Static, dynamic: Dynamic, m: int, n: int, byte: int, bits: int) -> None:
-    """Makes a net use just these edges of a byte: it takes what is new, and gives the others back.
+    """Makes a net use just these edges of a byte: it takes what is new, and releases the others.
 
     Args:
         static: the static state of the games.

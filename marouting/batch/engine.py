@@ -16,7 +16,6 @@ from marouting.batch.bits import clear, has, numbers_of
 from marouting.batch.observation import write_states
 from marouting.batch.prices import Negotiation
 from marouting.batch.rules import (
-    is_agent,
     move_everyone,
     move_player,
     reset_problem,
@@ -33,6 +32,7 @@ from marouting.batch.setup import (
     static_state,
 )
 from marouting.batch.state import Dynamic, Static
+from marouting.columns import check_rows
 from marouting.config import check
 from marouting.game import NOBODY, Rules
 from marouting.kernels import as_index, compiled, i64
@@ -84,31 +84,16 @@ def _forget(dynamic: Dynamic, m: int) -> None:
 
 
 @compiled
-def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: Any) -> bool:
-    """Fills ``out`` (K, A) with masks; returns whether there are such agents."""
+def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: Any) -> None:
+    """Fills ``out`` (K, A) with masks."""
     for i in range(len(problems)):
-        m, n = i64(problems[i]), i64(agents[i])
-        if not is_agent(dynamic, m, n):
-            return False
-        write_mask(static, dynamic, as_index(m), n, out, i)
-    return True
+        write_mask(static, dynamic, as_index(problems[i]), i64(agents[i]), out, i)
 
 
 @compiled
 def _uses(dynamic: Dynamic, problems: Any, agents: Any, edges: Any, out: Any) -> None:
     for k in range(len(edges)):
         out[k] = has(dynamic.used, as_index(problems[k]), as_index(agents[k]), i64(edges[k]))
-
-
-def check_rows(
-    problems: NDArray[np.integer], agents: NDArray[np.integer], out: NDArray[Any], width: int
-) -> None:
-    """Raises ValueError unless two arrays hold integers, and a third has a row for each of them."""
-    whole = problems.dtype.kind in "iu" and agents.dtype.kind in "iu"
-    if not whole or len(problems) != len(agents) or out.shape != (len(agents), width):
-        raise ValueError(
-            f"expected integers for {len(out)} rows of {width}, found {problems}, {agents}"
-        )
 
 
 def _rows_of(nets: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -473,9 +458,8 @@ class Engine:
         """
         if out is None:
             out = np.empty((len(problems), self.actions), np.int8)
-        check_rows(problems, agents, out, self.actions)
-        if not _masks(self.static, self.dynamic, problems, agents, out):
-            raise ValueError(f"expected agents of the games, found {problems}, {agents}")
+        check_rows(self, problems, agents, out, self.actions)
+        _masks(self.static, self.dynamic, problems, agents, out)
         return out
 
     def metrics(self, m: int = 0) -> Metrics:

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from marouting.batch.bits import byte_of
-from marouting.batch.rules import is_agent
 from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY, Status
 from marouting.kernels import as_index, compiled, i64, inlined
@@ -56,14 +55,11 @@ def write_paper(
 @compiled
 def see_paper(
     static: Static, dynamic: Dynamic, via_capacity: float, problems: Any, agents: Any, out: Any
-) -> bool:
-    """Fills ``out`` (K, 12); returns whether there are such agents."""
+) -> None:
+    """Fills ``out`` (K, 12)."""
     for i in range(len(problems)):
-        m, n = i64(problems[i]), i64(agents[i])
-        if not is_agent(dynamic, m, n):
-            return False
-        write_paper(static, dynamic, via_capacity, as_index(m), n, out, i)
-    return True
+        m, n = as_index(problems[i]), i64(agents[i])
+        write_paper(static, dynamic, via_capacity, m, n, out, i)
 
 
 @compiled

@@ -13,7 +13,7 @@ When all of them have routed again, the problem is judged by its open tasks, its
 wirelength, in this order. If it is worse than before, they get their edges back.
 
 Where nets negotiate (:class:`marouting.batch.prices.Negotiation`) the first walk and some rounds
-are **priced**. In such a round every net walks again alone, in an order drawn by lots unless
+are **priced**. In such a round every net is rerouted alone, in an order drawn by lots unless
 ``choose: history`` says in which. It keeps its new routes if they join as many tasks and cost it no
 more than the old ones, whatever becomes of the whole problem. So nets part that share an edge. In
 the other rounds, the **plain** ones, all is as without prices; patience counts them in a row.
@@ -29,6 +29,7 @@ the other rounds, the **plain** ones, all is as without prices; patience counts 
 No move is made, and no reward paid, when nets take earlier routes.
 """
 
+from marouting import game as rules
 from marouting.batch.best import put_best, take_routes
 from marouting.batch.bits import byte_of, empty, put, set_byte
 from marouting.batch.edges import use_edges
@@ -51,7 +52,6 @@ _SHIFT = 24
 _OPEN = 1 << _SHIFT  # the price of an open task: more than that of any edges
 _MOST_OPEN = 4096  # so that a price, shifted once more, fits into 64 bits
 _LAST = (1 << _SHIFT) - 1
-_LOT = 0xFFFFFFFF
 
 
 @compiled
@@ -89,19 +89,7 @@ def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
     return min(price, _OPEN - 1) + _OPEN * missing
 
 
-@compiled
-def lot(number: int, n: int, other: int) -> int:
-    """A number from 1 to 1024 that follows from a round and two agents, as if it were drawn.
-
-    Args:
-        number: of the round, from 1.
-        n: the agent that walks again.
-        other: one that stands in its way.
-    """
-    mixed = (number * 0x9E3779B1 ^ n * 0x85EBCA6B ^ other * 0xC2B2AE35) & _LOT
-    for _ in range(2):
-        mixed = (mixed ^ mixed >> 16) * 0x45D9F3B & _LOT
-    return 1 + (mixed >> 22)
+lot = compiled(rules.lot)
 
 
 @compiled
@@ -134,7 +122,7 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @compiled
 def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
-    """Whether a net walks again now that it is considered."""
+    """Whether a net is ripped up now that it is considered."""
     rip_up = static.options[Option.RIP_UP]
     if rip_up == Choice.CONFLICTS or rip_up == Choice.HISTORY:
         return _price(static, dynamic, m, n, rip_up == Choice.CONFLICTS) > 0
@@ -217,7 +205,7 @@ def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
 
 @compiled
 def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
-    """A net and those in its way give their edges back, and begin to walk again."""
+    """Rips up a net and those in its way; all begin their first tasks again."""
     game = dynamic.games[m]
     game.kept_joined, game.kept_overflow = game.joined, game.overflow
     game.kept_wirelength = game.wirelength
@@ -250,7 +238,7 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
 
 @compiled
 def all_have_walked(static: Static, dynamic: Dynamic, m: int) -> bool:
-    """Whether all nets that walk again have ended their last tasks."""
+    """Whether all nets that are rerouted have ended their last tasks."""
     for k in range(dynamic.games[m].again):
         member = i64(dynamic.numbers[m, static.options[Option.AGAIN] + k])
         agent = dynamic.agents[m, member]
@@ -266,7 +254,7 @@ def all_have_walked(static: Static, dynamic: Dynamic, m: int) -> bool:
 
 @compiled
 def judge(static: Static, dynamic: Dynamic, m: int) -> None:
-    """Once nets have walked again: if that made the problem worse, they get their edges back."""
+    """Once nets are rerouted: if that made the problem worse, they get their old routes back."""
     game = dynamic.games[m]
     worse = game.joined < game.kept_joined
     if game.joined == game.kept_joined:
@@ -294,7 +282,7 @@ def judge(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @compiled
 def has_walked(dynamic: Dynamic, m: int) -> bool:
-    """Whether the nets that walk again have been judged, or were not asked to walk."""
+    """Whether all nets that were ripped up have been rerouted and judged."""
     return dynamic.games[m].round > 0 and dynamic.games[m].again == 0
 
 
@@ -307,7 +295,7 @@ def done(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
 
 @compiled
 def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
-    """When no agent is active: the next net walks again or is asked, or the episode is over."""
+    """When no agent is active: the next net is ripped up or asked, or the episode is over."""
     game = dynamic.games[m]
     agents, line = static.order.shape[1], as_index(static.options[Option.LINE])
     while True:
@@ -339,7 +327,7 @@ def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @compiled
 def answer(static: Static, dynamic: Dynamic, m: int, n: int, gives_way: bool) -> None:
-    """An agent that was asked answers whether its net gives way."""
+    """An agent that was asked answers whether to rip up its net."""
     agent, game = dynamic.agents[m, n], dynamic.games[m]
     game.asked = 0
     game.steps += 1

@@ -1,28 +1,9 @@
 """All rules of the game, compiled.
 
-Every net is an agent. Its pins are split into two-pin tasks (:mod:`marouting.trees.decomposition`).
-The agent routes them one after the other, one Gcell per move, from a task's start to its target.
-
-* A move **crosses** an edge that the net already uses (no new demand), a via, or an edge whose
-  remaining capacity covers the net's demand; with ``overflow="allowed"`` it crosses any edge. From
-  then on the net uses the edge, and the edge has less remaining capacity.
-* Any other move is **blocked**, including moves off the grid: the agent stays where it is.
-* Either way the step counts. A task ends **joined** when the agent reaches the target, or
-  **failed** after ``max_steps`` steps. Then the next task starts at its own start pin. The net
-  keeps the edges that it used.
-* An agent is **terminated** when all its tasks are joined. It is **truncated** when its last task
-  has ended and at least one of its tasks failed. An episode ends when all agents are done.
-* The nets take turns in ``net_order``. ``sequential``: a net finishes before the next one starts
-  (the paper). ``round_robin``: each net takes one step in turn. In a step of all agents they
-  move in the same order.
-
-These are the paper's rules. Options extend them: trees as targets and the choice of tasks
-(:mod:`marouting.batch.tasks`), nets that give their edges back and walk again
-(:mod:`marouting.batch.rounds`), at prices or not (:mod:`marouting.batch.prices`), and
-
-* ``mask_visited``: masks leave out moves to Gcells that the agent has visited in its task, as long
-  as others are left;
-* ``release_failed``: a task that fails gives the edges back that the net did not use before.
+:mod:`marouting.game` has the same rules in plain Python and is their definition: read them there.
+``tests/test_game.py`` holds the two equal. Here they act on the arrays of
+:mod:`marouting.batch.state`: edges in :mod:`.edges`, tasks and trees in :mod:`.tasks`, rip-up and
+reroute in :mod:`.rounds`, the prices of the generalist's games in :mod:`.prices`.
 
 A step has two halves, move and settle, so that a learner can see where a move arrived before the
 next task puts the agent on another pin.
@@ -54,12 +35,9 @@ from marouting.batch.tasks import (
     next_task,
     wait,
 )
-from marouting.game import NOBODY, Crossing, Ending, Status
+from marouting.game import NOBODY, RIP_UP, Crossing, Ending, Status
 from marouting.kernels import as_index, compiled, i64, inlined
 from marouting.problem.grid import MOVES
-
-GIVE_WAY = MOVES
-"""The seventh action, with ``rip_up: agents``: the net gives its edges back and walks again."""
 
 _SIX = (1 << MOVES) - 1
 
@@ -127,12 +105,12 @@ def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -
     """:func:`move_agent` by the options."""
     agent, game = dynamic.agents[m, n], dynamic.games[m]
     if game.asked:
-        answer(static, dynamic, m, n, move == GIVE_WAY)
+        answer(static, dynamic, m, n, move == RIP_UP)
         return
     game.ripped = 0
     step = min(move, MOVES - 1)
     edge = as_index(static.edge[as_index(agent.cell), step])
-    new = cross_edge(static, dynamic, m, n, step, i64(move != GIVE_WAY))
+    new = cross_edge(static, dynamic, m, n, step, i64(move != RIP_UP))
     if is_on(static, Option.RELEASE_FAILED) and new:
         insert(static, dynamic, m, Option.TAKEN, n, edge)
     if is_on(static, Option.MASK_VISITED):
@@ -303,7 +281,7 @@ def may_move(dynamic: Dynamic, m: int, n: int, alone: bool, move: int) -> bool:
 def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
     """In one problem, all agents make their moves of ``moves`` (M, N) in turn order.
 
-    In sequential order, and where an agent is asked whether its net gives way, only the agent
+    In sequential order, and where an agent is asked whether to rip up its net, only the agent
     whose turn it is moves.
     """
     alone = static.sequential or dynamic.games[m].asked != 0
@@ -339,7 +317,7 @@ def settle_everyone(static: Static, dynamic: Dynamic, m: int) -> None:
 def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """The moves of an agent that cross an edge, one bit per move.
 
-    An agent that is asked whether its net gives way has two actions, the first move and the last.
+    An agent that is asked whether to rip up its net has two actions, the first move and the last.
     """
     cell = as_index(dynamic.agents[m, n].cell)
     free = i64(0)
@@ -353,7 +331,7 @@ def _free_extended(static: Static, dynamic: Dynamic, m: int, n: int, free: int) 
     """What the options make of an agent's free moves."""
     game, cell = dynamic.games[m], as_index(dynamic.agents[m, n].cell)
     if game.asked and game.agent == n:
-        return i64(1 | 1 << GIVE_WAY)
+        return i64(1 | 1 << RIP_UP)
     if not is_on(static, Option.MASK_VISITED):
         return free
     unvisited = free
@@ -365,18 +343,12 @@ def _free_extended(static: Static, dynamic: Dynamic, m: int, n: int, free: int) 
 
 
 @inlined
-def is_agent(dynamic: Dynamic, m: int, n: int) -> bool:
-    """Whether there is a problem m with an agent n, or n is NOBODY."""
-    return 0 <= m < dynamic.agents.shape[0] and NOBODY <= n < dynamic.agents.shape[1]
-
-
-@inlined
 def write_moves(free: int, out: Any, row: int) -> None:
     """Fills a row of ``out`` (K, 6 or 7) with a mask: all ones if none of the six moves is free."""
     for move in range(MOVES):
         out[row, move] = MASKS[free & _SIX, move]
     if out.shape[1] > MOVES:
-        out[row, GIVE_WAY] = free >> GIVE_WAY & 1
+        out[row, RIP_UP] = free >> RIP_UP & 1
 
 
 @inlined

@@ -2,7 +2,7 @@
 
 The state of M problems with N agents on one grid shape is held in plain arrays, with the problem as
 the first axis. There are G Gcells, E edges, Z layers, K tasks over all problems, and P nets at most
-that walk again at a time. Arrays of options that are switched off have no elements. Sets of edges
+that are rerouted at a time. Arrays of options that are switched off have no elements. Sets of edges
 and Gcells are rows of bits (:mod:`marouting.batch.bits`). Only
 :mod:`marouting.batch.rules`, and what it calls, changes the dynamic state.
 """
@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.columns import mask_table
 from marouting.problem.grid import MOVES
 
 
 class Choice(enum.IntEnum):
-    """Which nets walk again in a rip-up round; see :mod:`marouting.batch.rounds`."""
+    """Which nets are ripped up in a round; see :mod:`marouting.batch.rounds`."""
 
     ALL = 0  #: all, in turn order
     CONFLICTS = 1  #: those with open tasks or on full edges, in turn order
@@ -53,10 +54,10 @@ GAME = np.dtype(
         # Of rip-up rounds:
         ("round", np.int32),  # the present round; 0 while nets walk for the first time
         ("place", np.int32),  # place in the round's order of the net to be considered next
-        ("again", np.int32),  # nets that walk again at present
-        ("picked", np.int32),  # how often nets have walked again in this round
+        ("again", np.int32),  # nets that are rerouted at present
+        ("picked", np.int32),  # how often nets have been ripped up in this round
         ("ripped", np.int8),  # nets have just given their edges back, and none has moved since
-        ("asked", np.int8),  # the agent to move is asked whether its net gives way
+        ("asked", np.int8),  # the agent to move is asked whether to rip up its net
         ("kept_joined", np.int32),  # tasks joined before nets gave their edges back
         ("kept_overflow", np.int64),  # overflow likewise
         ("kept_wirelength", np.int64),  # wirelength likewise
@@ -90,21 +91,21 @@ class Option(enum.IntEnum):
     TREE_TARGET = 0  #: whether any Gcell of the net's tree ends a task
     NEAREST_NEXT = 1  #: whether the open pin nearest to the tree is the next task
     MASK_VISITED = 2  #: whether masks leave out Gcells visited in the task
-    RELEASE_FAILED = 3  #: whether a failed task gives its edges back
+    RELEASE_FAILED = 3  #: whether a failed task releases its edges
     ROUNDS = 4  #: rip-up rounds
     RIP_UP = 5  #: Choice
-    AGAIN_MOST = 6  #: P, the most nets that walk again at a time
-    PATIENCE = 7  #: rounds after which one more net walks again at a time; 0: P from the first
+    AGAIN_MOST = 6  #: P, the most nets that are rerouted at a time
+    PATIENCE = 7  #: rounds after which one more net is rerouted at a time; 0: P from the first
     PRESENT = 8  #: GAME.present in the first walk
     CALM = 9  #: how soon prices come to rest, in per cent
     TREE = 10  #: N sets of Gcells that edges join to the first pin
     VISITED = 11  #: N sets of Gcells visited in the present task
     TAKEN = 12  #: N sets of edges newly used in the present task
-    KEPT = 13  #: P sets of edges that nets had before they walked again
+    KEPT = 13  #: P sets of edges that nets had before they were ripped up
     TRIED = 14  #: N sets of tasks that have been begun, counted from the net's first
     BEST = 15  #: N sets of edges, the best routes so far
     LINE = 16  #: N places in turn order, in the order of the rip-up round
-    AGAIN = 17  #: P nets that walk again; NOBODY where there is none
+    AGAIN = 17  #: P nets that are rerouted; NOBODY where there is none
     KEPT_JOINED = 18  #: P numbers of tasks that they had joined
     HISTORY = 19  #: E numbers of rip-up rounds at whose start the edge was full
     PRICES = 20  #: E prices of edges, in parts of ``prices.WHOLE``
@@ -145,12 +146,5 @@ class Dynamic(NamedTuple):
     numbers: NDArray[np.int64]  # (M, C) numbers of the options; see Option
 
 
-MASKS = np.array(
-    [
-        [free >> move & 1 for move in range(MOVES)] if free else [1] * MOVES
-        for free in range(1 << MOVES)
-    ],
-    np.int8,
-)
-"""(64, 6) int8, the action mask of every set of free moves (one bit per move). Without any free
-move the mask is all ones, so a mask is never all zero."""
+MASKS = mask_table(MOVES)
+"""(64, 6) int8, see :func:`marouting.columns.mask_table`."""

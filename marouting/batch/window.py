@@ -66,7 +66,6 @@ from numpy.typing import NDArray
 
 from marouting.batch.bits import byte_of
 from marouting.batch.edges import uses
-from marouting.batch.engine import check_rows
 from marouting.batch.expected import (
     Maps,
     maps_of,
@@ -77,10 +76,10 @@ from marouting.batch.expected import (
 )
 from marouting.batch.mirror import engine_of
 from marouting.batch.places import grid_of, position
-from marouting.batch.rules import free_moves, is_agent
+from marouting.batch.rules import free_moves
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_later
-from marouting.columns import Games
+from marouting.columns import Games, check_rows
 from marouting.config import check
 from marouting.game import NOBODY, Status
 from marouting.kernels import as_index, compiled, i64
@@ -210,11 +209,10 @@ class WindowObservation:
         Raises:
             ValueError: there are no such agents.
         """
-        check_rows(problems, agents, out, self.size)
+        check_rows(games, problems, agents, out, self.size)
         engine = engine_of(games)
         maps = maps_of(engine)
-        if not _window(engine.static, engine.dynamic, maps, self._where, problems, agents, out):
-            raise ValueError(f"expected agents of the games, found {problems}, {agents}")
+        _window(engine.static, engine.dynamic, maps, self._where, problems, agents, out)
 
     def move_order(self, obs: NDArray[np.float32]) -> NDArray[np.int64]:
         """The moves on the grid that the moves of the window are, for what learns in the window.
@@ -486,16 +484,14 @@ def _window(
     problems: Any,
     agents: Any,
     out: Any,
-) -> bool:
-    """Fills ``out`` (K, size); returns whether there are such agents."""
+) -> None:
+    """Fills ``out`` (K, size)."""
     refreshed = i64(NOBODY)
     side, deep = 2 * i64(where.radius) + 1, 2 * i64(where.layers) + 1
     edges = side * (side + 1) * deep
     along = max(where.capacity, where.demand, where.history, where.own) >= 0
     for i in range(len(problems)):
         m, n = i64(problems[i]), i64(agents[i])
-        if not is_agent(dynamic, m, n):
-            return False
         if n == NOBODY:
             for f in range(out.shape[1]):
                 out[i, f] = 0
@@ -515,7 +511,6 @@ def _window(
                 _edges(static, dynamic, maps, where, m, n, axis, edges * axis, out, i)
         if where.pins >= 0 or where.heads >= 0:
             _gcells(static, dynamic, maps, where, m, n, out, i)
-    return True
 
 
 # --- the global state -----------------------------------------------------------------------------

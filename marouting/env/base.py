@@ -1,7 +1,6 @@
 """What the interfaces of the environment have in common: a plain game made from options."""
 
 import copy
-import functools
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -14,13 +13,13 @@ from gymnasium.spaces import Box, Dict, Discrete
 from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 
-from marouting.columns import Columns
+from marouting.columns import Columns, mask_table
 from marouting.errors import InputError
 from marouting.game import ACTIVE, NOBODY, WAITING, Game, Rules, TurnOrder
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.observations import has_form, state_of, state_space_of
 from marouting.options import game_options
-from marouting.problem.grid import MOVES, OFF_GRID, Grid
+from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Window, ansi, rgb_array, scene_of
@@ -31,9 +30,6 @@ METADATA: dict[str, Any] = {
     "render_modes": ["ansi", "rgb_array", "human"],
     "render_fps": 10,
 }
-
-_MANY = 12
-"""From so many agents on NumPy makes masks faster than Python."""
 
 
 class BaseGame:
@@ -93,7 +89,8 @@ class BaseGame:
         self.persists = checked.persists
         self.actions = checked.actions
         self.no_op = np.eye(1, self.actions, dtype=np.int8)[0]
-        self._masks = list(mask_table(self.actions))  # a list's rows are found faster
+        self._table = mask_table(self.actions)
+        self._masks = list(self._table)  # a list's rows are found faster
         self.begun = False
         self._window = Window()
         self.rng, _ = seeding.np_random(0)
@@ -117,7 +114,6 @@ class BaseGame:
         self.name, self.game, self.columns = name, game, Columns(game)
         self.names = [f"net_{net}" for net in game.nets]
         self.numbers = {agent: n for n, agent in enumerate(self.names)}
-        self._demand = np.array(game.demand)
         self._figures = self.columns.figures()
 
     def restart(self, seed: int | None) -> None:
@@ -224,37 +220,11 @@ class BaseGame:
 
     def masks(self, agents: Sequence[int]) -> NDArray[np.int8]:
         """(K, A) int8, new action masks of many agents."""
-        if len(agents) < _MANY or not self._masks_in_columns:
-            return np.array([self.mask(agent) for agent in agents], np.int8)
-        game, grid, who = self.game, self.game.grid, np.array(agents)
-        cell = self.columns.agents["cell"][0].take(who)
-        on_grid = grid.neighbour.take(cell, axis=0) != OFF_GRID
-        out = np.zeros((len(who), self.actions), np.int8)
-        if game.overflow_allowed:
-            out[:, :MOVES] = on_grid
-        else:
-            edge = grid.edge.take(cell, axis=0)
-            demand = self._demand[who, cell % game.layers]
-            room = self.columns.remaining[0].take(edge) >= demand[:, None]
-            out[:, :MOVES] = room & on_grid
-            rows, moves = np.nonzero(~room & on_grid)  # free for the nets that use these edges
-            numbers = edge[rows, moves].tolist()
-            for row, move, number in zip(rows.tolist(), moves.tolist(), numbers, strict=True):
-                if number in game.used[agents[row]]:
-                    out[row, move] = 1
-        out[~out.any(axis=1), :MOVES] = 1
-        status = self.columns.agents["status"][0].take(who)
-        away = who == NOBODY
-        out[away, :MOVES] = 1
+        free_moves = self.game.free_moves
+        out = self._table[[0 if n == NOBODY else free_moves(n) for n in agents]]
         if self.persists:
-            out[away | (status != ACTIVE)] = self.no_op
+            out[[not self.active(n) for n in agents]] = self.no_op
         return out
-
-    @property
-    def _masks_in_columns(self) -> bool:
-        """Whether masks follow from capacities alone, by the rules that are written here."""
-        as_written = type(self.game).free_moves is Game.free_moves
-        return as_written and not (self.game.asked or self.game.rules.mask_visited)
 
     # --- moves ------------------------------------------------------------------------------------
 
@@ -334,17 +304,6 @@ class BaseGame:
     def close(self) -> None:
         """Closes the window of ``render_mode="human"``."""
         self._window.close()
-
-
-@functools.cache
-def mask_table(actions: int) -> NDArray[np.int8]:
-    """(2^A, A) int8, the action mask of every set of free actions, one bit per action.
-
-    Without a free move all six are 1, so a mask is never all zero.
-    """
-    free = np.arange(1 << actions)
-    free[free % (1 << MOVES) == 0] += (1 << MOVES) - 1
-    return (free[:, None] >> np.arange(actions) & 1).astype(np.int8)
 
 
 def checked_move(action: Any, actions: int, name: str = "action") -> int:

@@ -64,16 +64,15 @@ from numpy.typing import NDArray
 
 from marouting.batch.bits import byte_of
 from marouting.batch.edges import demand_of, uses
-from marouting.batch.engine import Engine, check_rows
+from marouting.batch.engine import Engine
 from marouting.batch.expected import Maps, maps_of, refresh, slack_of, squashed
 from marouting.batch.mirror import engine_of
 from marouting.batch.places import grid_of, position
 from marouting.batch.prices import UNIT, edge_cost, is_priced, price_of
-from marouting.batch.rules import is_agent
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import holds, is_later, is_on, next_nearest
 from marouting.batch.window import MOST_RADIUS, move_order, write_numbers
-from marouting.columns import Games
+from marouting.columns import Games, check_rows
 from marouting.config import check
 from marouting.game import NOBODY, Crossing
 from marouting.kernels import as_index, compiled, i64
@@ -232,11 +231,10 @@ class OutlookObservation:
         Raises:
             ValueError: there are no such agents.
         """
-        check_rows(problems, agents, out, self.size)
+        check_rows(games, problems, agents, out, self.size)
         engine = engine_of(games)
         known = engine.static, engine.dynamic, maps_of(engine), ways_of(engine)
-        if not _write(*known, self.radius, self.margin, problems, agents, out):
-            raise ValueError(f"expected agents of the games, found {problems}, {agents}")
+        _write(*known, self.radius, self.margin, problems, agents, out)
 
     def move_order(self, obs: NDArray[np.float32]) -> NDArray[np.int64]:
         """The moves on the grid that the moves of the frame are, for what learns in the frame.
@@ -823,12 +821,10 @@ def _write(
     problems: Any,
     agents: Any,
     out: Any,
-) -> bool:
-    """Fills ``out`` (K, size); returns whether there are such agents."""
+) -> None:
+    """Fills ``out`` (K, size)."""
     for i in range(len(problems)):
         m, n = i64(problems[i]), i64(agents[i])
-        if not is_agent(dynamic, m, n):
-            return False
         if n == NOBODY:
             for f in range(out.shape[1]):
                 out[i, f] = 0
@@ -840,4 +836,3 @@ def _write(
             _note(static, dynamic, maps, ways, m, n, i64(margin))
         find_wires(static, dynamic, ways, m, n)
         write_outlook(static, dynamic, maps, ways, m, n, i64(radius), out, i)
-    return True

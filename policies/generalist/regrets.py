@@ -28,9 +28,10 @@ from marouting.batch.edges import demand_of, uses
 from marouting.batch.engine import Engine
 from marouting.batch.places import grid_of, position
 from marouting.batch.prices import UNIT, edge_cost, is_priced
-from marouting.batch.rules import free_moves, is_agent
+from marouting.batch.rules import free_moves
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import holds, next_nearest
+from marouting.columns import check_rows
 from marouting.config import check
 from marouting.game import NOBODY
 from marouting.kernels import as_index, compiled, i64
@@ -127,9 +128,8 @@ class Regrets:
             ValueError: there are no such agents.
         """
         engine = self._engine
-        given = engine.static, engine.dynamic, self.lessons, self._margin, problems, agents, out
-        if not _write(*given):
-            raise ValueError(f"expected agents of the games, found {problems}, {agents}")
+        check_rows(engine, problems, agents, out, MOVES)
+        _write(engine.static, engine.dynamic, self.lessons, self._margin, problems, agents, out)
 
 
 @compiled
@@ -310,12 +310,10 @@ def _write(
     problems: Any,
     agents: Any,
     out: Any,
-) -> bool:
-    """See :meth:`Regrets.write`; returns whether there are such agents."""
+) -> None:
+    """See :meth:`Regrets.write`."""
     for k in range(len(problems)):
         m, n = i64(problems[k]), i64(agents[k])
-        if not is_agent(dynamic, m, n):
-            return False
         if n == NOBODY:
             for move in range(MOVES):
                 out[k, move] = _FAR
@@ -324,4 +322,3 @@ def _write(
         if dynamic.agents[m, n].steps == 0:
             _begin(static, dynamic, lessons, m, n, widened(static, dynamic, m, i64(margin)))
         _regret(static, dynamic, lessons, m, n, out[k])
-    return True

@@ -4,8 +4,8 @@ First all nets walk, by the best moves, from pin to pin: where there is time for
 which they share edges, the more cheaply the more time there is. In another game they walk along
 Steiner trees (:mod:`marouting.trees.steiner`), which are shorter where there is room; if that ends
 better, they walk along its routes in the first game too. Then the router goes through rip-up rounds
-(:mod:`marouting.batch.rounds`), with drawn moves: net after net is asked whether it gives way, it
-and some of those in its way walk again, and what is worse is undone. In priced rounds nets walk
+(:mod:`marouting.batch.rounds`), with drawn moves: net after net is asked whether to rip it up, it
+and some of those in its way are rerouted, and what is worse is undone. In priced rounds nets walk
 alone, past edges that past overflow has made dearer, and keep what costs them less; nets with few
 pins walk along cheapest trees then, which are computed, and the network moves the others. The best
 routes of all rounds are noted. With ``copies`` the problem is played several times side by side,
@@ -83,7 +83,7 @@ class GeneralistOptions:
         copies: copies of the problem that are played.
         keep: how many of them go through rip-up rounds.
         temperature: that at which moves are drawn.
-        neighbours: the most nets that walk again with a net because they stand in its way.
+        neighbours: the most nets that are rerouted with a net because they stand in its way.
         patience: plain rounds in a row after which one more of them does so, from none in the first
             ones; 0: all of them from the first on.
         prices: whether nets negotiate (:mod:`marouting.batch.prices`), if there is time for it and

@@ -12,12 +12,12 @@ way (:mod:`policies.generalist.cheapest_tree`).
 An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way, unless
 the network alone is to walk.
 
-An agent that is asked whether its net gives way (``rip_up: agents``) says so with a reason: a task
+An agent that is asked whether to rip up its net (``choose: agents``) does so with a reason: a task
 of its own is open; or it uses an edge with overflow; or, if there is none in the problem, its net
 was shorter after an earlier walk (one that was undone counts as well, but for the last net of it).
 In the first round, and the first of some priced ones, the reason is that its edges cost more than
 its shortest routes would without prices; in the other priced ones, overflow alone. Without a reason
-it says so in one round out of eight, in every round other agents, but not where overflow alone
+it does so in one round out of eight, in every round other agents, but not where overflow alone
 counts.
 """
 
@@ -32,10 +32,10 @@ from marouting.batch.bits import byte_of
 from marouting.batch.engine import Engine
 from marouting.batch.expected import Maps, maps_of, recount, refresh, sum_up
 from marouting.batch.prices import UNIT, first_present, is_priced, net_cost
-from marouting.batch.rules import GIVE_WAY, free_moves, move_player, pass_turn, settle_agent
+from marouting.batch.rules import free_moves, move_player, pass_turn, settle_agent
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_on
-from marouting.game import NOBODY, Status
+from marouting.game import NOBODY, RIP_UP, Status
 from marouting.kernels import allocating, as_index, compiled, i64, specialised
 from marouting.problem.grid import MOVES, VIA_AXIS
 from marouting.search.guides import move_along
@@ -55,7 +55,7 @@ from policies.learned.compiled.gradient import forward
 from policies.learned.counter_rng import uniform
 
 _ANYWAY = 8
-"""In one round out of these a net gives way without reason."""
+"""In one round out of these a net is ripped up without a reason."""
 
 MOST_STEPS = 2**20
 """Moves of each game in one go, at most."""
@@ -253,7 +253,7 @@ def _walk(static: Static, dynamic: Dynamic, given: WalkState, steps: int, stops:
             if not given.playing[m] or n == NOBODY or dynamic.games[m].active == 0:
                 continue
             if dynamic.games[m].asked:
-                move = GIVE_WAY if _gives_way(static, dynamic, given, i64(m), n) else 0
+                move = RIP_UP if _gives_way(static, dynamic, given, i64(m), n) else 0
                 _step(static, dynamic, given, i64(m), as_index(n), move, stops)
                 answered = True
                 continue
