@@ -1,9 +1,9 @@
-"""Giving way: what the options of the game bring to nets that all move as A* does.
+"""Rip-up and reroute: what options of the game bring to nets that all move as A* does.
 
 All ten test problems of ``multi-pin-8x8-v0`` that are played here can be routed without overflow.
-But nets that come first take what others need; in rip-up rounds they are rerouted.
+But nets that are routed first take edges that others need. Rip-up rounds reroute them.
 
-    python docs/examples/giving_way.py
+    python docs/examples/rip_up.py
 """
 
 import time
