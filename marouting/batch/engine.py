@@ -34,12 +34,13 @@ from marouting.batch.setup import (
 from marouting.batch.state import Dynamic, Static
 from marouting.columns import check_rows
 from marouting.config import check
-from marouting.game import NOBODY, Rules
+from marouting.game import NOBODY
 from marouting.kernels import as_index, compiled, i64
 from marouting.observations import CHANNELS
 from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
+from marouting.rules import Rules
 
 
 @compiled
@@ -132,7 +133,7 @@ class Engine:
         room: how large problems are that may take the place of these, see :meth:`replace`; None:
             they stay.
         negotiation: how nets negotiate by prices, as only the generalist's do; None: they do not.
-        **changes: fields of :class:`marouting.game.Rules` that differ from ``rules``.
+        **changes: fields of :class:`marouting.rules.Rules` that differ from ``rules``.
 
     Attributes:
         rules: the options of the rules.
@@ -236,7 +237,7 @@ class Engine:
 
     @property
     def actions(self) -> int:
-        """How many actions an agent has; see :class:`marouting.game.Rules`."""
+        """How many actions an agent has; see :class:`marouting.rules.Rules`."""
         return self.rules.actions
 
     @property

@@ -1,6 +1,6 @@
 """Rip-up and reroute: after all nets have routed, some are routed again around the others.
 
-:class:`marouting.game.RipUp` has the options, and :mod:`marouting.game` the same rules in plain
+:class:`marouting.rules.RipUp` has the options, and :mod:`marouting.game` the same rules in plain
 Python. A net's price, for ``choose: history``, is the number of rounds, this one included, at whose
 start its edges were full, summed over its edges; a net with an open task costs more than any other.
 

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from marouting.batch.prices import WHOLE, Negotiation
 from marouting.batch.state import AGENT, GAME, Choice, Dynamic, Option, Static
 from marouting.errors import InputError
-from marouting.game import NOBODY, NetOrder, RipUp, Rules
+from marouting.game import NOBODY
 from marouting.kernels import compiled, i64
 from marouting.memory import PLAYED, TABLES, check_memory
 from marouting.problem.grid import VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem
+from marouting.rules import NetOrder, RipUp, Rules
 from marouting.trees.decomposition import two_pin_tasks
 
 
@@ -48,7 +49,7 @@ def static_state(
     Args:
         problems: M problems.
         rules: the options of the rules.
-        ranks: (nets,) numbers; the net with the lowest one comes first. None: ``rules.net_order``.
+        ranks: (nets,) numbers; the net with the lowest one comes first. None: ``rules.nets.order``.
         room: the size of the arrays; None: what these problems need.
         negotiation: how nets negotiate; None: they do not.
 
@@ -88,9 +89,9 @@ def static_state(
     first = np.zeros((shape[0], shape[1] + 1), np.int32)
     demand = np.zeros((*shape, grid.shape[2]), np.int32)
     size = np.empty(shape[1], np.int32)
-    extended = rules.target == "tree" or rules.next_pin == "nearest" or rules.mask_visited
+    extended = rules.target == "tree" or rules.next_pin == "nearest" or rules.mask.visited
     extended |= rules.release_failed or bool(rules.rip_up and rules.rip_up.rounds)
-    tasks = [two_pin_tasks(problem, rules.decomposition) for problem in problems]
+    tasks = [two_pin_tasks(problem, rules.nets.decomposition) for problem in problems]
     begins = np.cumsum([0, *map(len, tasks)]) if room is None else room.tasks * np.arange(shape[0])
     table = np.zeros((int(begins[-1]) + (room.tasks if room else 0), 2), np.int32)
     for m, (problem, count) in enumerate(zip(problems, counts, strict=True)):
@@ -111,7 +112,7 @@ def static_state(
         if overflow and most > UNLIMITED:
             raise InputError(f"problem {m}: expected demands that add up to at most {UNLIMITED}")
         order[m, :count] = _turns(
-            size[:count], agent_net[m, :count], rules.net_order if ranks is None else ranks
+            size[:count], agent_net[m, :count], rules.nets.order if ranks is None else ranks
         )
         order[m, count:] = NOBODY
     static = Static(
@@ -194,7 +195,7 @@ def _options(
     options = np.full(len(Option), -1, np.int64)
     options[Option.TREE_TARGET] = rules.target == "tree"
     options[Option.NEAREST_NEXT] = nearest
-    options[Option.MASK_VISITED] = rules.mask_visited
+    options[Option.MASK_VISITED] = rules.mask.visited
     options[Option.RELEASE_FAILED] = rules.release_failed
     options[Option.ROUNDS] = rip_up.rounds
     options[Option.RIP_UP] = Choice[rip_up.choose.upper()]
@@ -204,7 +205,7 @@ def _options(
     options[Option.CALM] = round(negotiation.calm * 100)
     rows = {
         Option.TREE: agents * tree,
-        Option.VISITED: agents * rules.mask_visited,
+        Option.VISITED: agents * rules.mask.visited,
         Option.TAKEN: agents * rules.release_failed,
         Option.KEPT: again,
         Option.TRIED: agents * nearest,

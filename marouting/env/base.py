@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from marouting.columns import Columns, mask_table
 from marouting.errors import InputError
-from marouting.game import ACTIVE, NOBODY, WAITING, Game, Rules, TurnOrder
+from marouting.game import ACTIVE, NOBODY, WAITING, Game
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.observations import has_form, state_of, state_space_of
 from marouting.options import game_options
@@ -23,6 +23,7 @@ from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Window, ansi, rgb_array, scene_of
+from marouting.rules import Rules, TurnOrder
 from marouting.source import ProblemStream, Source
 
 METADATA: dict[str, Any] = {
@@ -84,8 +85,8 @@ class BaseGame:
         self.reward: Any = checked.reward.make()
         self.pays_mover = has_form(self.reward, "pay", "__call__")
         self.render_mode = checked.render_mode
-        self.masked = checked.mask_in_observation
-        self.mask_key, self._observation_key = checked.mask_key, checked.observation_key
+        self.masked = checked.mask.in_observation
+        self.mask_key, self._observation_key = checked.mask.mask_key, checked.mask.observation_key
         self.persists = checked.persists
         self.actions = checked.actions
         self.no_op = np.eye(1, self.actions, dtype=np.int8)[0]

@@ -30,12 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.game import NetOrder, Target
 from marouting.kernels import as_index, compiled, i64
 from marouting.memory import SEARCH, TABLES, check_memory
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_problem
 from marouting.problem.solution import Solution
+from marouting.rules import NetOrder, Target
 from marouting.trees.decomposition import Decomposition, two_pin_tasks
 
 COMPILES = "A*", 8
@@ -411,7 +411,7 @@ def sequential_astar(
 
     Args:
         problem: the problem to route.
-        net_order: which nets come first, see :class:`marouting.game.Rules`; or (nets,) integers,
+        net_order: which nets come first, see :class:`marouting.rules.Nets`; or (nets,) integers,
             smallest first.
         target: where a task's path ends: ``pin``, at the task's other pin (the paper); ``tree``, at
             the nearest Gcell of the net's route so far.
