@@ -358,11 +358,7 @@ def _reduced(problems: Iterable[Problem], edges: int, capacity: int) -> tuple[Ad
 def _nets(
     options: GeneratorOptions, rng: np.random.Generator, macros: NDArray[np.bool_]
 ) -> tuple[Net, ...]:
-    """The nets of a problem.
-
-    Their pins lie in layer 1 outside of macros, and are drawn again until they are in two Gcells or
-    more.
-    """
+    """The nets of a problem: pins lie in layer 1 outside of macros, in two Gcells or more."""
     sides = np.array(options.grid[:2])
     spots = rng.integers(sides, size=(options.hot_spots, 2))
     # How often each distance is drawn; pins off the grid are drawn again.

@@ -172,13 +172,7 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
     def _seen(
         self, obs: NDArray[np.float32], batch: Info, told: NDArray[np.bool_]
     ) -> tuple[Any, Info]:
-        """Observations of the nets to move, and of those that moved last where games are over.
-
-        Args:
-            obs: those of the batch.
-            batch: its info.
-            told: (M,) the games that have infos, which come with the observations.
-        """
+        """What nets see that are to move, or moved last where games are over; infos where told."""
         now, mask, seen = batch["agents"][:, 0], batch["action_mask"][:, 0].copy(), obs[:, 0].copy()
         self._movers = np.where(now == NOBODY, self._movers, now)
         if self._over.any():  # nobody is to move: shown is the net that moved last

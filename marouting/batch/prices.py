@@ -180,10 +180,7 @@ def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @compiled
 def _lower(static: Static, dynamic: Dynamic, m: int) -> None:
-    """Before priced rounds that follow plain ones: prices fall, and nets share cheaply again.
-
-    What is left of a price is a whole part of ``UNIT``, so that small ones go.
-    """
+    """Before priced rounds that follow plain ones: prices fall, and nets share cheaply again."""
     prices = as_index(static.options[Option.PRICES])
     for edge in range(static.capacity.shape[1]):
         price = i64(dynamic.numbers[m, prices + edge])

@@ -63,15 +63,7 @@ def is_full(static: Static, dynamic: Dynamic, m: int, edge: int) -> bool:
 
 @compiled
 def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
-    """What a net's open tasks and full edges cost.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        m: the problem.
-        n: the agent.
-        now: whether an edge costs 1 if it is full now, or the rounds at whose start it was.
-    """
+    """A net's open tasks and full edges: those full now, or each by the rounds it was full in."""
     price = i64(0)
     for byte in range(dynamic.used.shape[2]):
         bits = byte_of(dynamic.used, m, n, byte)

@@ -44,22 +44,20 @@ def static_state(
     room: Room | None = None,
     negotiation: Negotiation | None = None,
 ) -> tuple[Static, NDArray[np.int32]]:
-    """The constant arrays of a batch of problems with one grid shape.
+    """The constant arrays of M problems with one grid shape.
 
     Args:
-        problems: M problems.
+        problems: the problems.
         rules: the options of the rules.
         ranks: (nets,) numbers; the net with the lowest one comes first. None: ``rules.nets.order``.
         room: the size of the arrays; None: what these problems need.
         negotiation: how nets negotiate; None: they do not.
 
     Returns:
-        The arrays, and (M, N) int32, the net of every agent (NOBODY where there is no agent). Nets
-        with all pins in one Gcell are not agents.
+        The arrays, and (M, N) int32, the net of every agent, NOBODY where there is no agent.
 
     Raises:
-        InputError: there is no problem, the grids differ, a problem has nothing to route, demands
-            do not fit into 32 bits, there is not one rank per net, or they take too much memory.
+        InputError: the problems cannot be played, or take too much memory.
     """
     if not problems:
         raise InputError("problems: expected at least one")
@@ -153,15 +151,7 @@ def replace_problem(
     rules: Rules,
     room: Room,
 ) -> None:
-    """Puts another problem in the place of one, in arrays that have room for it.
-
-    Args:
-        static: the constant arrays of M problems, changed.
-        nets: (M, N), the net of every agent, changed.
-        m: the place.
-        problem: the problem, on the same grid.
-        rules: the options of the rules, the same as before.
-        room: the size of the arrays.
+    """Puts another problem on the same grid in place m of arrays that have room for it.
 
     Raises:
         InputError: the problem is too large, on another grid, or has nothing to route.
@@ -266,16 +256,7 @@ def more_of(static: Static, dynamic: Dynamic) -> More:
 
 
 def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
-    """The arrays that change during an episode, before the first one.
-
-    Args:
-        static: the constant arrays of M problems.
-        grid: the grid of all of them.
-        agents: N, the agents of each.
-
-    Raises:
-        InputError: they take too much memory.
-    """
+    """The arrays that change during an episode; raises InputError if they take too much memory."""
     m, edges = static.capacity.shape
     ways, rows = -(-edges // 8), int(static.options[Option.ROWS])
     columns = int(static.options[Option.COLUMNS])
@@ -307,19 +288,7 @@ def _agents(
     demand: Any,
     half_perimeter: Any,
 ) -> int:
-    """The agents of a problem: the nets with pins in two Gcells or more.
-
-    Args:
-        pins: (nets + 1,), the first part of
-            :attr:`marouting.problem.problem.Problem.flat_pin_gcells`.
-        gcells: (pin Gcells,), the second part.
-        tasks: (K, 3), see :func:`marouting.trees.decomposition.two_pin_tasks`.
-        position: (G, 3), see :class:`Static`.
-        net_demand: (nets, Z), the demand of every net in every layer.
-        nets: (N,) to be filled with the net of every agent; NOBODY where there is no agent.
-        first: (N + 1,) to be filled as in :class:`Static`; its first entry is already set.
-        demand: (N, Z) to be filled as in :class:`Static`.
-        half_perimeter: (N,) to be filled with width + height of the box around every agent's pins.
+    """Fills in ``nets``, ``first``, ``demand`` and ``half_perimeter`` of a problem's agents.
 
     Returns:
         An upper bound for the demand on an edge: every agent uses it, in its most demanding layer.

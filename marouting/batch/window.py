@@ -337,20 +337,7 @@ def _edges(
     out: Any,
     row: int,
 ) -> None:
-    """Writes the blocks of one axis.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        maps: see :class:`Maps`.
-        where: where channels begin.
-        m: the problem.
-        n: the agent.
-        axis: 0 to 2.
-        begin: where the axis begins in each channel.
-        out: (K, size) to be filled.
-        row: which of the K.
-    """
+    """Writes the blocks of one axis, which begins at ``begin`` in each channel."""
     columns, rows, layers = grid_of(static)
     agent = dynamic.agents[m, n]
     cell, target = as_index(agent.cell), as_index(agent.target)

@@ -39,32 +39,20 @@ class BaseGame:
     Args:
         problem: what to play, see :class:`marouting.source.ProblemStream`.
         turn_order: the turn order if the options give none.
-        options: the fields of :class:`marouting.options.GameOptions`; ``observation`` and
-            ``reward`` may also be any object of their protocol.
+        options: the fields of :class:`marouting.options.GameOptions`.
         kind: the class of the game, if its rules are others.
 
     Attributes:
-        game: the game.
         columns: the game as observations and rewards see it.
-        name: the name of the problem that is played.
         many: whether there are several problems.
-        names: the names of the game's agents.
         numbers: the game's agents by their names.
         everyone: the names of all nets that are agents in any episode.
         box: the space of one agent's observation, without its mask.
-        begun: whether an episode has begun.
         masked: whether observations hold the mask.
-        mask_key: the name of the mask in observations and infos.
         persists: whether agents that are done stay until all are done.
-        reward: what moves pay.
         pays_mover: whether a move pays only the agent that makes it.
-        actions: A, the number of actions.
-        no_op: (A,) the mask of an agent that is done and stays: the one move it may make does
-            nothing.
+        no_op: (A,) the mask of an agent that is done and stays.
         rng: what draws the problem of an episode, if there are several.
-
-    Raises:
-        InputError: an option or the problem cannot be used.
     """
 
     metadata = METADATA
@@ -230,12 +218,7 @@ class BaseGame:
     # --- moves ------------------------------------------------------------------------------------
 
     def move(self, n: int, action: int) -> Any:
-        """An agent moves.
-
-        Returns:
-            What that pays: a float for the agent that moves if ``pays_mover``, otherwise (N,)
-            float32 for all agents.
-        """
+        """An agent moves: what that pays it if ``pays_mover``, otherwise (N,) float32 for all."""
         if self.pays_mover:
             self.game.move(n, action)
             return self.reward.pay(self.game, n)
