@@ -17,12 +17,7 @@ from marouting.checks import check_fields
 from marouting.errors import InputError
 from marouting.memory import ADJUSTMENT, NET, PIN, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
-from marouting.problem.net import (
-    MAX_NUMBER,
-    Adjustment,
-    Net,
-    Pin,
-)
+from marouting.problem.net import MAX_NUMBER, Adjustment, Net, Pin
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_grid
 from marouting.search.astar import sequential_astar
 

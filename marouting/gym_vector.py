@@ -197,10 +197,7 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         seen: Any = batch["final_obs"][m, 0].copy()
         mask = batch["final_mask"][m, 0].copy()
         if self._mask.in_observation:
-            seen = {
-                self._mask.observation_key: seen,
-                self._mask.mask_key: mask.copy(),
-            }
+            seen = {self._mask.observation_key: seen, self._mask.mask_key: mask.copy()}
         return {"task_ended": int(batch["task_ended"][m, 0]), "task_obs": seen, "task_mask": mask}
 
     def _named(self, infos: Info, batch: Info, begun: NDArray[np.bool_]) -> Info:

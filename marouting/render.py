@@ -94,13 +94,7 @@ def edge_states(scene: Scene) -> NDArray[np.int8]:
     capacity, remaining = scene.capacity, scene.remaining
     state = np.select(
         [~scene.grid.exists, remaining < 0, capacity <= 0, remaining == 0, remaining < capacity],
-        [
-            EdgeState.ABSENT,
-            EdgeState.OVERFLOWED,
-            EdgeState.ABSENT,
-            EdgeState.FULL,
-            EdgeState.USED,
-        ],
+        [EdgeState.ABSENT, EdgeState.OVERFLOWED, EdgeState.ABSENT, EdgeState.FULL, EdgeState.USED],
         EdgeState.FREE,
     )
     return state.astype(np.int8)

@@ -23,14 +23,7 @@ from marouting.batch.rules import (
     settle_player,
     write_mask,
 )
-from marouting.batch.setup import (
-    More,
-    Room,
-    dynamic_state,
-    more_of,
-    replace_problem,
-    static_state,
-)
+from marouting.batch.setup import More, Room, dynamic_state, more_of, replace_problem, static_state
 from marouting.batch.state import Dynamic, Static
 from marouting.columns import check_rows
 from marouting.config import check

@@ -36,13 +36,7 @@ from marouting.batch.edges import use_edges
 from marouting.batch.places import grid_of
 from marouting.batch.prices import choose_kind, is_priced, net_cost
 from marouting.batch.state import Choice, Dynamic, Option, Static
-from marouting.batch.tasks import (
-    begin_net,
-    begin_task,
-    is_on,
-    next_task,
-    wait,
-)
+from marouting.batch.tasks import begin_net, begin_task, is_on, next_task, wait
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS

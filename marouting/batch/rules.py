@@ -14,14 +14,7 @@ from typing import Any
 from marouting.batch.bits import byte_of, clear, empty, put
 from marouting.batch.edges import demand_of, may_cross, take, use_edges, uses
 from marouting.batch.prices import NO_LIMIT, first_present
-from marouting.batch.rounds import (
-    all_have_walked,
-    answer,
-    done,
-    has_walked,
-    judge,
-    walk_again,
-)
+from marouting.batch.rounds import all_have_walked, answer, done, has_walked, judge, walk_again
 from marouting.batch.state import MASKS, Dynamic, Option, Static
 from marouting.batch.tasks import (
     begin_extended,

@@ -144,12 +144,7 @@ def _check_room(room: Room, agents: int, tasks: int) -> None:
 
 
 def replace_problem(
-    static: Static,
-    nets: NDArray[np.int32],
-    m: int,
-    problem: Problem,
-    rules: Rules,
-    room: Room,
+    static: Static, nets: NDArray[np.int32], m: int, problem: Problem, rules: Rules, room: Room
 ) -> None:
     """Puts another problem on the same grid in place m of arrays that have room for it.
 

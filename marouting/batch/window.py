@@ -66,14 +66,7 @@ from numpy.typing import NDArray
 
 from marouting.batch.bits import byte_of
 from marouting.batch.edges import uses
-from marouting.batch.expected import (
-    Maps,
-    maps_of,
-    refresh,
-    share_of,
-    slack_of,
-    squashed,
-)
+from marouting.batch.expected import Maps, maps_of, refresh, share_of, slack_of, squashed
 from marouting.batch.mirror import engine_of
 from marouting.batch.places import grid_of, position
 from marouting.batch.rules import free_moves
@@ -386,14 +379,7 @@ def _edges(
 
 @compiled
 def _gcells(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    where: _Where,
-    m: int,
-    n: int,
-    out: Any,
-    row: int,
+    static: Static, dynamic: Dynamic, maps: Maps, where: _Where, m: int, n: int, out: Any, row: int
 ) -> None:
     """Writes the channels ``pins`` and ``heads``."""
     columns, rows, layers = grid_of(static)

@@ -40,11 +40,7 @@ class RoutesRecord(Record):
 
 
 def read_routes(
-    lines: Lines,
-    file: str,
-    header: list[str],
-    nets: Iterable[str],
-    layers: Sequence[str],
+    lines: Lines, file: str, header: list[str], nets: Iterable[str], layers: Sequence[str]
 ) -> RoutesRecord:
     """Reads a file whose first line has been read already."""
     known = {name: index for index, name in enumerate(nets)}
@@ -116,10 +112,7 @@ _FORMS = (_BOX, _NUMBERED, _NAMED)
 
 
 def write_routes(
-    path: str | os.PathLike[str],
-    nets: Sequence[str],
-    net: NDArray[np.int64],
-    rows: Sequence[str],
+    path: str | os.PathLike[str], nets: Sequence[str], net: NDArray[np.int64], rows: Sequence[str]
 ) -> None:
     """Writes such a file, with a block for each name of ``nets`` and a row for each of ``net``."""
     bounds = np.searchsorted(net, np.arange(len(nets) + 1)).tolist()

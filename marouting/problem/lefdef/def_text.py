@@ -14,13 +14,7 @@ from typing import NamedTuple
 from marouting.errors import InputError, nearest
 from marouting.problem.ispd.lines import reading, unexpected
 from marouting.problem.lefdef.lef_text import Library, is_keyword
-from marouting.problem.lefdef.statements import (
-    ENCODING_ERRORS,
-    MOST_CUTS,
-    Copy,
-    Statements,
-    whole,
-)
+from marouting.problem.lefdef.statements import ENCODING_ERRORS, MOST_CUTS, Copy, Statements, whole
 
 
 class Tracks(NamedTuple):
