@@ -278,12 +278,7 @@ def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def origins_of(path: str | os.PathLike[str]) -> dict[Keys, tuple[str, int]]:
-    """The file and the line of every value that :func:`read_yaml` reads.
-
-    Returns:
-        The file's name and the line, from 1, by the keys that lead to the value; of mappings only
-        what is in them.
-    """
+    """The file and line of every value that :func:`read_yaml` reads, by the keys to it."""
     files = _files(path)
     whole: dict[str, Any] = {}
     for file in files:
@@ -381,17 +376,11 @@ def build(schema: type[Schema], raw: Any, where: str = "") -> Schema:
     """Fills a dataclass or another type from plain data, which must be what the type declares.
 
     Nothing is converted, except that a whole number may stand for any number and a list for a
-    tuple.
-
-    Args:
-        schema: the type. A dataclass takes the keys of its fields and no others; a TypedDict leaves
-            others out.
-        raw: plain data, as from YAML.
-        where: the start of error messages: the file, or the key that leads here.
+    tuple. A dataclass takes the keys of its fields and no others; a TypedDict leaves others out.
 
     Raises:
-        InputError: the data does not fit; the message names the key, what was expected and what was
-            found.
+        InputError: the data does not fit; after ``where`` the message names the key, what was
+            expected and what was found.
     """
     try:
         return cast(Schema, taken(raw, schema))
@@ -409,12 +398,7 @@ def build_json(schema: type[Schema], text: str | bytes, where: str = "") -> Sche
 
 
 class Meets(NamedTuple):
-    """A condition on a value, as in ``Annotated[str, Meets(str.isupper, "capitals")]``.
-
-    Attributes:
-        holds: whether a value meets it.
-        expected: what is expected, in words.
-    """
+    """A condition on a value and, in words, what is expected: ``Annotated[str, Meets(…)]``."""
 
     holds: Callable[[Any], object]
     expected: str
@@ -426,12 +410,7 @@ def between(least: float, most: float) -> Meets:
 
 
 def taken(value: Any, hint: Any) -> Any:
-    """A value as its type has it.
-
-    Args:
-        value: plain data; NumPy's numbers and paths will do as well.
-        hint: the type. What is neither a dataclass nor a type of plain data takes any value.
-    """
+    """A value, in plain data, NumPy's numbers or paths, as its type has it."""
     if hasattr(value, "tolist"):  # NumPy's
         value = value.tolist()
     forms = _forms(hint)
@@ -444,13 +423,7 @@ def taken(value: Any, hint: Any) -> Any:
 
 
 class _Form(NamedTuple):
-    """What a type takes.
-
-    Attributes:
-        words: that in words.
-        fits: whether it may be a value, whatever is inside of it.
-        take: such a value as the type has it; raises InputError if what is inside does not fit.
-    """
+    """What a type takes: in words; whether a value may be one; the value as the type has it."""
 
     words: str
     fits: Callable[[Any], object]
@@ -606,31 +579,16 @@ _CONTEXT = {"network": 2, "learner": 1}
 
 
 class Component(NamedTuple):
-    """A piece that a configuration names, before it is made.
+    """A piece that a configuration names, before it is made."""
 
-    Attributes:
-        kind: one of :data:`marouting.registry.KINDS`.
-        name: a registered name or ``module:Class``.
-        cls: the class.
-        options: the checked options, with defaults filled in: the piece itself if its class is a
-            dataclass, an instance of the class's ``Options`` if it has one, and keyword arguments
-            by name otherwise.
-        given: whether the piece was given as an object.
-    """
-
-    kind: str
-    name: str
-    cls: type[Any]
-    options: Any
-    given: bool = False
+    kind: str  # one of :data:`marouting.registry.KINDS`
+    name: str  # a registered name or ``module:Class``
+    cls: type[Any]  # the class
+    options: Any  # checked: the piece, its class's ``Options`` or keyword arguments
+    given: bool = False  # whether the piece was given as an object
 
     def make(self, *context: Any) -> Any:
-        """Makes the piece.
-
-        Args:
-            *context: what its kind needs. A network gets the shape of an observation and the number
-                of outputs, a learner its :class:`policies.learned.learner.Setup`.
-        """
+        """Makes the piece with what its kind needs: a network's shapes, a learner's Setup."""
         if self.given:
             return self.options
         if isinstance(self.options, Mapping):
@@ -645,13 +603,7 @@ Named = Component
 
 
 def piece_field(kind: str, name: str | None = None, **options: Any) -> Any:
-    """A field of a schema that holds a piece.
-
-    Args:
-        kind: one of :data:`marouting.registry.KINDS`.
-        name: the default piece; None: the first one registered.
-        **options: the options of the default piece that differ from its own defaults.
-    """
+    """A field of a schema that holds a piece, by default that of a name with these options."""
     return field(default=None, metadata={"kind": kind, "name": name, "options": options})
 
 
@@ -676,9 +628,8 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> C
 
     Args:
         kind: one of :data:`marouting.registry.KINDS`.
-        raw: a name or ``module:Class``; a mapping with the name under ``kind`` and options under
-            all other keys; a :class:`Component`; None for the default; or the piece itself, as an
-            object.
+        raw: a name or ``module:Class``; a mapping with ``kind`` and options; None for the default;
+            or the piece itself, as an object.
         default: the name if none is given; None: the first one registered.
         where: the start of error messages.
     """
@@ -774,12 +725,7 @@ def check(name: str, holds: object, expected: str) -> None:
 
 
 def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """Plain data with single keys changed.
-
-    Args:
-        raw: plain data, as from YAML.
-        overrides: ``key=value``, with dots between the parts of a key and the value as in YAML.
-    """
+    """Plain data with single keys changed by ``key=value``: dots in the key, the value as YAML."""
     changed = dict(raw)
     for given in overrides:
         key, equals, value = given.partition("=")
@@ -829,6 +775,12 @@ RENAMED = {
     "next_task": "next_pin",
     "taught": "expert_fraction",
     "warmth": "temperature",
+    "net_order": "nets: {order: …}",
+    "decomposition": "nets: {decomposition: …}",
+    "mask_visited": "mask: {visited: …}",
+    "mask_in_observation": "mask: {in_observation: …}",
+    "observation_key": "mask: {observation_key: …}",
+    "mask_key": "mask: {mask_key: …}",
     "rip_up_rounds": "rip_up: {rounds: …}",
     "rip_up_neighbours": "rip_up: {neighbours: …}",
     "present": "present_factor",

@@ -102,12 +102,7 @@ def is_zipped(path: str | os.PathLike[str]) -> bool:
 
 
 def beside(path: str | os.PathLike[str], suffix: str) -> Path:
-    """The file that is named as another one, but for the suffix.
-
-    Returns:
-        The file with just this suffix; if there is none, one with the suffix in capitals or with
-        ``.gz`` after it, should there be one.
-    """
+    """The file named as another but for its suffix, also in capitals or with ``.gz`` after it."""
     folder, stem = Path(path).parent, stem_of(path)
     plain = folder / f"{stem}{suffix}"
     if not plain.exists():

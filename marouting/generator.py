@@ -17,12 +17,7 @@ from marouting.checks import check_fields
 from marouting.errors import InputError
 from marouting.memory import ADJUSTMENT, NET, PIN, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
-from marouting.problem.net import (
-    MAX_NUMBER,
-    Adjustment,
-    Net,
-    Pin,
-)
+from marouting.problem.net import MAX_NUMBER, Adjustment, Net, Pin
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_grid
 from marouting.search.astar import sequential_astar
 
@@ -358,11 +353,7 @@ def _reduced(problems: Iterable[Problem], edges: int, capacity: int) -> tuple[Ad
 def _nets(
     options: GeneratorOptions, rng: np.random.Generator, macros: NDArray[np.bool_]
 ) -> tuple[Net, ...]:
-    """The nets of a problem.
-
-    Their pins lie in layer 1 outside of macros, and are drawn again until they are in two Gcells or
-    more.
-    """
+    """The nets of a problem: pins lie in layer 1 outside of macros, in two Gcells or more."""
     sides = np.array(options.grid[:2])
     spots = rng.integers(sides, size=(options.hot_spots, 2))
     # How often each distance is drawn; pins off the grid are drawn again.

@@ -70,8 +70,8 @@ unlimited capacity.
 
 `info["action_mask"]` and `action_mask(agent)`: int8 of length 6, 1 for the moves that cross an
 edge. It is never all zero: an agent that is boxed in has all ones. The infos of `reset` hold
-nothing else. With `mask_in_observation` observations are dictionaries with the keys `observation`
-and `action_mask`; `observation_key` and `mask_key` give both other names.
+nothing else. With `mask={"in_observation": True}` observations are dictionaries with the keys
+`observation` and `action_mask`; `observation_key` and `mask_key` beside it give both other names.
 
 ## Observation space
 

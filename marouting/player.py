@@ -56,12 +56,11 @@ COMPILES = "the batch of games", 8
 
 
 class StepBuffers(NamedTuple):
-    """The input and output of a step of M problems.
+    """The input and output of a step of M problems, with K rows each.
 
-    Each problem has K rows: one for each of its N agents, or only one for the agent whose turn it
-    is (K = 1). S is the shape of an observation, A the number of actions. ``final_obs`` and
-    ``final_mask`` are only written where ``obs`` no longer shows the result of the move: where the
-    task ended, or where the row now belongs to another agent.
+    A row is one of the N agents, or the only one is that whose turn it is (K = 1). ``final_obs``
+    and ``final_mask`` are only written where ``obs`` no longer shows the result of the move: where
+    the task ended, or where the row now belongs to another agent.
     """
 
     agents: NDArray[np.int32]  # (M, K) the agent of each row, or NOBODY
@@ -84,11 +83,7 @@ class StepBuffers(NamedTuple):
     def of(
         cls, problems: int, rows: int, shape: tuple[int, ...], actions: int = MOVES
     ) -> "StepBuffers":
-        """Buffers for a number of problems, rows per problem, shape of observations, actions.
-
-        Raises:
-            InputError: they would take too much memory.
-        """
+        """New buffers; raises InputError if they would take too much memory."""
         size = math.prod(shape)
         bytes_of_obs = 2 * np.dtype(np.float32).itemsize * problems * rows * size
         check_memory(bytes_of_obs, "{} observations of {} numbers", problems * rows, size)
@@ -149,21 +144,12 @@ class Player:
         reward: what moves pay.
         everyone: whether all agents have a row, or only the one whose turn it is.
         buffers: the arrays to use; None: new ones.
-        draws: what the games play, another problem in every episode; the engine plays the present
-            ones and has room for the others. None: the engine's problems stay.
-        turned: whether actions and masks are in the order of an observation's own moves, if it has
-            one (:func:`marouting.observations.move_order_of`), as learners want them, and not
-            in that of the grid.
+        draws: what the games play, another problem in every episode; None: the problems stay.
+        turned: whether actions and masks are in the order of an observation's own moves, as
+            learners want them (:func:`marouting.observations.move_order_of`).
 
     Attributes:
-        engine: the games.
-        observation: what agents see.
-        reward: what moves pay.
-        everyone: whether all agents have a row.
         played: (M, K) the moves on the grid of the last step.
-        buffers: see :class:`StepBuffers`.
-        draws: what the games play; None: the engine's problems stay.
-        turned: whether actions and masks are in the order of the observation's own moves.
         fast: what the compiled step knows about the pieces.
         paid: (M, N) float32, what the last step paid every agent. None with the paper's reward,
             which pays only the agent that moves.
@@ -304,15 +290,7 @@ class Player:
         return saved._replace(counts=self.draws.counts.copy(), seeds=self.draws.seeds.copy())
 
     def go_to(self, counts: NDArray[np.int64], seeds: NDArray[np.object_] | None = None) -> None:
-        """Puts the problems in place that games play when they have begun some episodes.
-
-        Args:
-            counts: (M,) how many.
-            seeds: (M,) of the games, see :class:`marouting.source.ProblemSampler`; None: as now.
-
-        Raises:
-            ValueError: the problems of these games stay, or the shape does not fit.
-        """
+        """Puts the problems in place that games play after ``counts`` (M,) episodes have begun."""
         if self.draws is None or counts.shape != self.draws.counts.shape:
             raise ValueError(f"counts: expected those of other games, found shape {counts.shape}")
         self._replace(self.draws.go_to(counts, seeds))

@@ -32,34 +32,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One moment of the game, as pictures show it.
+    """One moment of the game, as pictures show it."""
 
-    Attributes:
-        grid: the grid of Gcells.
-        capacity: (E,) int32, capacity of every edge at the start, in tracks.
-        remaining: (E,) int32, remaining capacity now; negative for an overflowed edge.
-        nets: (uses,) int64, the net of each use of an edge by a net, including vias; ordered by
-            edge, and within an edge by the turn order of the nets.
-        edges: (uses,) int64, the edge.
-        active: (n,) int64, the nets that are still being routed.
-        heads: (n,) int32, the Gcell that the route of each of them has reached.
-        targets: (n,) int32, the Gcell of the target pin of each of them.
-        labels: their agents' names.
-        turn: index into ``heads`` of the net to move next; None if all nets move or none does.
-        caption: one line about the moment, such as "step 12  joined 3/50  overflow 0".
-    """
-
-    grid: Grid
-    capacity: NDArray[np.int32]
-    remaining: NDArray[np.int32]
-    nets: NDArray[np.int64]
-    edges: NDArray[np.int64]
-    active: NDArray[np.int64]
-    heads: NDArray[np.int32]
-    targets: NDArray[np.int32]
-    labels: tuple[str, ...]
-    turn: int | None
-    caption: str
+    grid: Grid  # the grid of Gcells
+    capacity: NDArray[np.int32]  # (E,) of every edge at the start, in tracks
+    remaining: NDArray[np.int32]  # (E,) what is left now; negative if it overflows
+    nets: NDArray[np.int64]  # (uses,) the net of each use of an edge, by edge and turn order
+    edges: NDArray[np.int64]  # (uses,) int64, the edge
+    active: NDArray[np.int64]  # (n,) int64, the nets that are still being routed
+    heads: NDArray[np.int32]  # (n,) int32, the Gcell that the route of each of them has reached
+    targets: NDArray[np.int32]  # (n,) int32, the Gcell of the target pin of each of them
+    labels: tuple[str, ...]  # their agents' names
+    turn: int | None  # index into ``heads`` of the only net to move next, if any
+    caption: str  # one line about the moment, such as "step 12 joined 3/50 overflow 0"
 
 
 def scene_of(games: Games, m: int = 0) -> Scene:
@@ -109,13 +94,7 @@ def edge_states(scene: Scene) -> NDArray[np.int8]:
     capacity, remaining = scene.capacity, scene.remaining
     state = np.select(
         [~scene.grid.exists, remaining < 0, capacity <= 0, remaining == 0, remaining < capacity],
-        [
-            EdgeState.ABSENT,
-            EdgeState.OVERFLOWED,
-            EdgeState.ABSENT,
-            EdgeState.FULL,
-            EdgeState.USED,
-        ],
+        [EdgeState.ABSENT, EdgeState.OVERFLOWED, EdgeState.ABSENT, EdgeState.FULL, EdgeState.USED],
         EdgeState.FREE,
     )
     return state.astype(np.int8)
@@ -405,13 +384,7 @@ def _bars(scene: Scene, sheet: "Sheet", state: NDArray[np.int8]) -> list[list[Sh
 class Sheet:
     """The picture of a problem before anything is routed, and where things are in it, in px.
 
-    Args:
-        grid: the grid.
-        capacity: (E,) capacity of every edge.
-
     Attributes:
-        shapes: what is drawn.
-        canvas: (height, width, 3) uint8, the picture.
         shrink: how many of its pixels, along each side, become one of a scene's picture.
         pitch: distance between Gcells.
         square: side of a Gcell.
@@ -420,8 +393,7 @@ class Sheet:
         tracks: the most that an edge has.
         track: width of a net's line, or of an edge where nets are not drawn.
         start: where the first one begins, from the border between two rows of Gcells.
-        scale: of letters.
-        letters: how many of them a line of the caption has.
+        letters: how many of them, of size ``scale``, a line of the caption has.
         lines: how many lines the caption has.
     """
 
@@ -482,14 +454,7 @@ class Sheet:
     def bars(
         self, edges: NDArray[np.integer], low: Any, high: Any, inks: Sequence[Ink]
     ) -> list[Shape]:
-        """Bars on edges inside layers.
-
-        Args:
-            edges: the edges.
-            low: where each bar begins, from the border between two rows of Gcells.
-            high: where it ends.
-            inks: the colour of each, or of all.
-        """
+        """Bars on edges inside layers, from ``low`` to ``high`` beyond the border of two rows."""
         near, far = self._grid.ends(edges)
         half, low, high = self.square // 2, low - self.pitch // 2, high - self.pitch // 2
         x, y = self._x[near], self._y[near]
@@ -586,12 +551,7 @@ class Window:
         self._works = True
 
     def show(self, rgb: NDArray[np.uint8], fps: float) -> None:
-        """Shows a frame and waits ``1 / fps`` seconds, during which the window stays responsive.
-
-        Args:
-            rgb: (H, W, 3) uint8.
-            fps: frames per second; 0 does not wait.
-        """
+        """Shows a frame (H, W, 3) uint8, then stays responsive for ``1 / fps`` seconds, if any."""
         if not self._works:
             return
         try:

@@ -7,6 +7,7 @@ in the rules show that the comparison would notice them.
 """
 
 import types
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ import pytest
 
 from marouting import Adjustment, Engine, Net, Pin, Problem
 from marouting import game as source
-from marouting.game import NOBODY, Game, RipUp, Rules, Status
+from marouting.game import NOBODY, Game, Status
+from marouting.rules import Mask, Nets, RipUp, Rules
 
 SEEDS = range(40)
 MANY = range(40, 1500)
@@ -73,21 +75,21 @@ def random_rules(rng: np.random.Generator) -> dict[str, Any]:
     def one_of(*choices: Any) -> Any:
         return choices[rng.integers(len(choices))]
 
-    rules = {
+    rules: dict[str, Any] = {
         "turn_order": one_of("sequential", "round_robin"),
-        "net_order": one_of("half_perimeter", "half_perimeter_up", "file"),
+        "nets": Nets(order=one_of("half_perimeter", "half_perimeter_up", "file")),
         "max_steps": one_of(None, 3, 10, 20),
     }
     if rng.random() < 0.25:
         return rules
     rules |= {
         "overflow": one_of("forbidden", "allowed"),
-        "decomposition": one_of("mst", "mst", "steiner"),
+        "nets": replace(rules["nets"], decomposition=one_of("mst", "mst", "steiner")),
         "target": one_of("pin", "tree"),
-        "mask_visited": one_of(False, True),
+        "mask": Mask(visited=one_of(False, True)),
         "release_failed": one_of(False, True),
     }
-    if rules["decomposition"] == "mst":
+    if rules["nets"].decomposition == "mst":
         rules["next_pin"] = one_of("listed", "nearest")
     if rng.random() < 0.6:
         rounds = int(rng.integers(1, 4))

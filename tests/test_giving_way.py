@@ -91,7 +91,7 @@ def test_a_failed_task_gives_its_edges_back() -> None:
 
 def test_agents_are_asked() -> None:
     asked = {"rounds": 2, "choose": "agents"}
-    engine = Engine([CROSSING], net_order="file", rip_up=asked, max_steps=5)
+    engine = Engine([CROSSING], nets={"order": "file"}, rip_up=asked, max_steps=5)
     walk(engine, E, E, N, E, E, S, N, N, N, N, N)
     before = engine.solution()
     assert engine.games[0]["asked"]
@@ -294,7 +294,7 @@ OPTIONS: dict[str, Any] = {
     "max_steps": 9,
     "target": "tree",
     "next_pin": "nearest",
-    "mask_visited": True,
+    "mask": {"visited": True},
     "release_failed": True,
     "rip_up": {"rounds": 2, "neighbours": 1},
 }
@@ -346,7 +346,7 @@ def test_every_interface_plays_the_same_rounds(choose: str) -> None:
 
 
 @pytest.mark.parametrize("choose", ["all", "agents"])
-@pytest.mark.parametrize("more", [{}, {"mask_in_observation": True, "reward": "team"}])
+@pytest.mark.parametrize("more", [{}, {"mask": {"in_observation": True}, "reward": "team"}])
 def test_pettingzoo_accepts_rounds(choose: str, more: dict[str, Any]) -> None:
     options = {**OPTIONS, "rip_up": {**OPTIONS["rip_up"], "choose": choose}, **more}
     parallel_api_test(game.parallel_env(PROBLEM, **options), 300)
@@ -371,7 +371,10 @@ def test_only_the_generalist_negotiates() -> None:
     [
         ({"target": "net"}, "target: expected one of pin, tree"),
         ({"next_pin": "best"}, "next_pin: expected one of listed, nearest"),
-        ({"next_pin": "nearest", "decomposition": "steiner"}, "next_pin: expected listed"),
+        (
+            {"next_pin": "nearest", "nets": {"decomposition": "steiner"}},
+            "next_pin: expected listed",
+        ),
         (
             {"rip_up": "all"},
             "rip_up: expected a mapping of rounds, choose, neighbours or null, found 'all'",
@@ -382,7 +385,7 @@ def test_only_the_generalist_negotiates() -> None:
         ({"rip_up": {"neighbours": 1000}}, "rip_up.neighbours: expected 0 to"),
         ({"negotiation": Negotiation()}, "prices: expected false, unless overflow is allowed"),
         ({"release_failed": 2}, "release_failed: expected true or false"),
-        ({"mask_visited": "no"}, "mask_visited: expected true or false"),
+        ({"mask": {"visited": "no"}}, "mask.visited: expected true or false"),
     ],
 )
 def test_bad_options(bad: dict[str, Any], expected: str) -> None:

@@ -17,7 +17,8 @@ import marouting
 from marouting import Engine, EnvOptions, InputError, Problem, evaluate
 from marouting.batch.prices import Negotiation
 from marouting.batch.window import mirrored
-from marouting.game import NOBODY, RIP_UP, RipUp, Status
+from marouting.game import NOBODY, RIP_UP, Status
+from marouting.rules import RipUp
 from policies.generalist import SHIPPED
 from policies.generalist.outlook import OutlookObservation
 from policies.generalist.walk import Walker
@@ -181,7 +182,7 @@ rules = st.fixed_dictionaries(
         "next_pin": st.sampled_from(["listed", "nearest"]),
         "rip_up": st.sampled_from([None, {"rounds": 4}]),
         "negotiation": st.sampled_from([None, Negotiation()]),
-        "mask_visited": st.booleans(),
+        "mask": st.fixed_dictionaries({"visited": st.booleans()}),
     }
 )
 
@@ -291,7 +292,7 @@ GAME: dict[str, Any] = {
     "overflow": "allowed",
     "target": "tree",
     "next_pin": "nearest",
-    "mask_visited": True,
+    "mask": {"visited": True},
 }
 
 
@@ -436,7 +437,7 @@ def test_the_loop_stops_when_nets_have_walked_and_goes_on() -> None:
 def test_nets_follow_the_routes_of_another_game(seed: int, nets: int, max_pins: int) -> None:
     """By ordinary moves; what does not lead from pin to pin is left out."""
     problem = marouting.generate(1, (6, 5, 2), nets=nets, max_pins=max_pins, seed=seed)[0]
-    other: dict[str, Any] = {"decomposition": "steiner", "next_pin": "listed"}
+    other: dict[str, Any] = {"nets": {"decomposition": "steiner"}, "next_pin": "listed"}
     guide, engine = Engine([problem], **GAME | other), Engine([problem] * 2, **GAME)
     seen = OutlookObservation()
     # Along the cheapest ways.

@@ -161,7 +161,7 @@ rules = st.fixed_dictionaries(
         "target": st.sampled_from(["pin", "tree"]),
         "next_pin": st.sampled_from(["listed", "nearest"]),
         "rip_up": st.sampled_from([None, {"rounds": 2}, {"rounds": 2, "choose": "agents"}]),
-        "mask_visited": st.booleans(),
+        "mask": st.fixed_dictionaries({"visited": st.booleans()}),
     }
 )
 
@@ -216,7 +216,7 @@ def test_a_small_example_by_hand() -> None:
         Net("b", 1, (Pin(2, 0, 1), Pin(0, 0, 1)), 1),
     ]
     problem = Problem((3, 1, 1), (0,), (4,), tuple(nets), (1,), (0,), (0,))
-    engine = Engine([problem], turn_order="round_robin", net_order="file")
+    engine = Engine([problem], turn_order="round_robin", nets={"order": "file"})
     window = WindowObservation(radius=2, layers=0, channels=("capacity", "demand", "pins", "heads"))
     for row, sign in zip(rows_of(engine, window), (1, -1), strict=True):
         assert row[:2].tolist() == [sign, 1]

@@ -52,16 +52,7 @@ def put_best(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @compiled
 def take_routes(static: Static, dynamic: Dynamic, m: int, n: int, row: int, joined: int) -> None:
-    """A net uses just the edges of a set.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        m: the problem.
-        n: the agent.
-        row: of the set in ``dynamic.sets``.
-        joined: how many of the net's tasks these edges join.
-    """
+    """A net uses just the edges in a row of ``dynamic.sets``, which join so many of its tasks."""
     changed = False
     for byte in range(dynamic.used.shape[2]):
         bits = byte_of(dynamic.used, m, n, byte)

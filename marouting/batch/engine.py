@@ -23,23 +23,17 @@ from marouting.batch.rules import (
     settle_player,
     write_mask,
 )
-from marouting.batch.setup import (
-    More,
-    Room,
-    dynamic_state,
-    more_of,
-    replace_problem,
-    static_state,
-)
+from marouting.batch.setup import More, Room, dynamic_state, more_of, replace_problem, static_state
 from marouting.batch.state import Dynamic, Static
 from marouting.columns import check_rows
 from marouting.config import check
-from marouting.game import NOBODY, Rules
+from marouting.game import NOBODY
 from marouting.kernels import as_index, compiled, i64
 from marouting.observations import CHANNELS
 from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
+from marouting.rules import Rules
 
 
 @compiled
@@ -132,7 +126,7 @@ class Engine:
         room: how large problems are that may take the place of these, see :meth:`replace`; None:
             they stay.
         negotiation: how nets negotiate by prices, as only the generalist's do; None: they do not.
-        **changes: fields of :class:`marouting.game.Rules` that differ from ``rules``.
+        **changes: fields of :class:`marouting.rules.Rules` that differ from ``rules``.
 
     Attributes:
         rules: the options of the rules.
@@ -236,7 +230,7 @@ class Engine:
 
     @property
     def actions(self) -> int:
-        """How many actions an agent has; see :class:`marouting.game.Rules`."""
+        """How many actions an agent has; see :class:`marouting.rules.Rules`."""
         return self.rules.actions
 
     @property
@@ -261,14 +255,7 @@ class Engine:
         _reset(self.static, self.dynamic, which)
 
     def begin_plain(self, which: NDArray[np.bool_]) -> None:
-        """In games with prices: makes the first walk of some problems a plain one.
-
-        Args:
-            which: (M,) of which. They are to stand at the beginning of their episodes.
-
-        Raises:
-            ValueError: one of them does not, or no walk is priced.
-        """
+        """Makes priced first walks of problems ``which`` (M,), not begun, plain ones."""
         if not self.priced or self.games["steps"][which].any():
             raise ValueError("which: expected problems at the beginning of a priced first walk")
         self.games["plain"][which] = 1
@@ -349,11 +336,7 @@ class Engine:
         (_move_turn if moves.ndim == 1 else _move_all)(self.static, self.dynamic, moves)
 
     def settle(self, everyone: bool) -> None:
-        """The second half of a step: next tasks start, agents finish, the turn passes.
-
-        Args:
-            everyone: whether the moves were those of all agents, (M, N).
-        """
+        """The second half of a step of all agents, or of those whose turn it is: tasks start."""
         (_settle_all if everyone else _settle_turn)(self.static, self.dynamic)
 
     def step(self, moves: NDArray[np.integer]) -> None:
@@ -366,15 +349,7 @@ class Engine:
         return Dynamic._make(array.copy() for array in self.dynamic)
 
     def restore(self, saved: Dynamic) -> None:
-        """Puts all games back into a saved state.
-
-        Args:
-            saved: returned by :meth:`save` of this engine, or of one with the same problems and
-                rules.
-
-        Raises:
-            ValueError: its shapes do not fit.
-        """
+        """Puts all games back into a state of :meth:`save`; ValueError if its shapes do not fit."""
         for name, array in self.dynamic._asdict().items():
             kept = getattr(saved, name)
             if (kept.shape, kept.dtype) != (array.shape, array.dtype):
@@ -429,11 +404,7 @@ class Engine:
         return np.repeat(self._problems, self.nets.shape[1])
 
     def pairs(self, everyone: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Indices (problem, agent) of all M·N agents, or of the M agents whose turn it is.
-
-        Use them to ask for observations and masks. NOBODY stands for an absent agent, and for the
-        agent of a problem whose episode is over.
-        """
+        """Indices (problem, agent) of all M·N agents, or of the M to move; NOBODY for none."""
         if everyone:
             return self._each, self._rows.reshape(-1)
         return self._problems, self.games["agent"]
@@ -474,11 +445,6 @@ class Engine:
         )
 
     def solution(self, m: int = 0, used: NDArray[np.uint8] | None = None) -> Solution:
-        """The routes of problem ``m``.
-
-        Args:
-            m: the problem.
-            used: an earlier copy of ``dynamic.used[m]``; None: the present one.
-        """
+        """The routes of problem m, now or by ``used``, an earlier copy of ``dynamic.used[m]``."""
         agent, edge = numbers_of(self.dynamic.used[m : m + 1] if used is None else used[None], 0)
         return Solution.of_uses(self._held[m], self.nets[m, agent].astype(np.int64), edge)

@@ -31,9 +31,9 @@ from marouting.batch.bits import byte_of
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_on
 from marouting.checks import check_fields
-from marouting.game import MOST_ROUNDS
 from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.rules import MOST_ROUNDS
 
 UNIT = 16
 """The cost of an edge without a price."""
@@ -70,7 +70,7 @@ _FALL = 10  # per cent by which prices fall after plain rounds
 
 @dataclass(frozen=True, kw_only=True)
 class Negotiation:
-    """The rules beyond those of :class:`marouting.game.Rules` in games of the generalist.
+    """The rules beyond those of :class:`marouting.rules.Rules` in games of the generalist.
 
     Attributes:
         prices: whether nets negotiate by prices, if there are rip-up rounds; with ``overflow:
@@ -180,10 +180,7 @@ def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @compiled
 def _lower(static: Static, dynamic: Dynamic, m: int) -> None:
-    """Before priced rounds that follow plain ones: prices fall, and nets share cheaply again.
-
-    What is left of a price is a whole part of ``UNIT``, so that small ones go.
-    """
+    """Before priced rounds that follow plain ones: prices fall, and nets share cheaply again."""
     prices = as_index(static.options[Option.PRICES])
     for edge in range(static.capacity.shape[1]):
         price = i64(dynamic.numbers[m, prices + edge])

@@ -1,6 +1,6 @@
 """Rip-up and reroute: after all nets have routed, some are routed again around the others.
 
-:class:`marouting.game.RipUp` has the options, and :mod:`marouting.game` the same rules in plain
+:class:`marouting.rules.RipUp` has the options, and :mod:`marouting.game` the same rules in plain
 Python. A net's price, for ``choose: history``, is the number of rounds, this one included, at whose
 start its edges were full, summed over its edges; a net with an open task costs more than any other.
 
@@ -36,13 +36,7 @@ from marouting.batch.edges import use_edges
 from marouting.batch.places import grid_of
 from marouting.batch.prices import choose_kind, is_priced, net_cost
 from marouting.batch.state import Choice, Dynamic, Option, Static
-from marouting.batch.tasks import (
-    begin_net,
-    begin_task,
-    is_on,
-    next_task,
-    wait,
-)
+from marouting.batch.tasks import begin_net, begin_task, is_on, next_task, wait
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
@@ -63,15 +57,7 @@ def is_full(static: Static, dynamic: Dynamic, m: int, edge: int) -> bool:
 
 @compiled
 def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
-    """What a net's open tasks and full edges cost.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        m: the problem.
-        n: the agent.
-        now: whether an edge costs 1 if it is full now, or the rounds at whose start it was.
-    """
+    """A net's open tasks and full edges: those full now, or each by the rounds it was full in."""
     price = i64(0)
     for byte in range(dynamic.used.shape[2]):
         bits = byte_of(dynamic.used, m, n, byte)

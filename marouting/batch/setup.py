@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from marouting.batch.prices import WHOLE, Negotiation
 from marouting.batch.state import AGENT, GAME, Choice, Dynamic, Option, Static
 from marouting.errors import InputError
-from marouting.game import NOBODY, NetOrder, RipUp, Rules
+from marouting.game import NOBODY
 from marouting.kernels import compiled, i64
 from marouting.memory import PLAYED, TABLES, check_memory
 from marouting.problem.grid import VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem
+from marouting.rules import NetOrder, RipUp, Rules
 from marouting.trees.decomposition import two_pin_tasks
 
 
@@ -43,22 +44,20 @@ def static_state(
     room: Room | None = None,
     negotiation: Negotiation | None = None,
 ) -> tuple[Static, NDArray[np.int32]]:
-    """The constant arrays of a batch of problems with one grid shape.
+    """The constant arrays of M problems with one grid shape.
 
     Args:
-        problems: M problems.
+        problems: the problems.
         rules: the options of the rules.
-        ranks: (nets,) numbers; the net with the lowest one comes first. None: ``rules.net_order``.
+        ranks: (nets,) numbers; the net with the lowest one comes first. None: ``rules.nets.order``.
         room: the size of the arrays; None: what these problems need.
         negotiation: how nets negotiate; None: they do not.
 
     Returns:
-        The arrays, and (M, N) int32, the net of every agent (NOBODY where there is no agent). Nets
-        with all pins in one Gcell are not agents.
+        The arrays, and (M, N) int32, the net of every agent, NOBODY where there is no agent.
 
     Raises:
-        InputError: there is no problem, the grids differ, a problem has nothing to route, demands
-            do not fit into 32 bits, there is not one rank per net, or they take too much memory.
+        InputError: the problems cannot be played, or take too much memory.
     """
     if not problems:
         raise InputError("problems: expected at least one")
@@ -88,9 +87,9 @@ def static_state(
     first = np.zeros((shape[0], shape[1] + 1), np.int32)
     demand = np.zeros((*shape, grid.shape[2]), np.int32)
     size = np.empty(shape[1], np.int32)
-    extended = rules.target == "tree" or rules.next_pin == "nearest" or rules.mask_visited
+    extended = rules.target == "tree" or rules.next_pin == "nearest" or rules.mask.visited
     extended |= rules.release_failed or bool(rules.rip_up and rules.rip_up.rounds)
-    tasks = [two_pin_tasks(problem, rules.decomposition) for problem in problems]
+    tasks = [two_pin_tasks(problem, rules.nets.decomposition) for problem in problems]
     begins = np.cumsum([0, *map(len, tasks)]) if room is None else room.tasks * np.arange(shape[0])
     table = np.zeros((int(begins[-1]) + (room.tasks if room else 0), 2), np.int32)
     for m, (problem, count) in enumerate(zip(problems, counts, strict=True)):
@@ -111,7 +110,7 @@ def static_state(
         if overflow and most > UNLIMITED:
             raise InputError(f"problem {m}: expected demands that add up to at most {UNLIMITED}")
         order[m, :count] = _turns(
-            size[:count], agent_net[m, :count], rules.net_order if ranks is None else ranks
+            size[:count], agent_net[m, :count], rules.nets.order if ranks is None else ranks
         )
         order[m, count:] = NOBODY
     static = Static(
@@ -145,22 +144,9 @@ def _check_room(room: Room, agents: int, tasks: int) -> None:
 
 
 def replace_problem(
-    static: Static,
-    nets: NDArray[np.int32],
-    m: int,
-    problem: Problem,
-    rules: Rules,
-    room: Room,
+    static: Static, nets: NDArray[np.int32], m: int, problem: Problem, rules: Rules, room: Room
 ) -> None:
-    """Puts another problem in the place of one, in arrays that have room for it.
-
-    Args:
-        static: the constant arrays of M problems, changed.
-        nets: (M, N), the net of every agent, changed.
-        m: the place.
-        problem: the problem, on the same grid.
-        rules: the options of the rules, the same as before.
-        room: the size of the arrays.
+    """Puts another problem on the same grid in place m of arrays that have room for it.
 
     Raises:
         InputError: the problem is too large, on another grid, or has nothing to route.
@@ -194,7 +180,7 @@ def _options(
     options = np.full(len(Option), -1, np.int64)
     options[Option.TREE_TARGET] = rules.target == "tree"
     options[Option.NEAREST_NEXT] = nearest
-    options[Option.MASK_VISITED] = rules.mask_visited
+    options[Option.MASK_VISITED] = rules.mask.visited
     options[Option.RELEASE_FAILED] = rules.release_failed
     options[Option.ROUNDS] = rip_up.rounds
     options[Option.RIP_UP] = Choice[rip_up.choose.upper()]
@@ -204,7 +190,7 @@ def _options(
     options[Option.CALM] = round(negotiation.calm * 100)
     rows = {
         Option.TREE: agents * tree,
-        Option.VISITED: agents * rules.mask_visited,
+        Option.VISITED: agents * rules.mask.visited,
         Option.TAKEN: agents * rules.release_failed,
         Option.KEPT: again,
         Option.TRIED: agents * nearest,
@@ -265,16 +251,7 @@ def more_of(static: Static, dynamic: Dynamic) -> More:
 
 
 def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
-    """The arrays that change during an episode, before the first one.
-
-    Args:
-        static: the constant arrays of M problems.
-        grid: the grid of all of them.
-        agents: N, the agents of each.
-
-    Raises:
-        InputError: they take too much memory.
-    """
+    """The arrays that change during an episode; raises InputError if they take too much memory."""
     m, edges = static.capacity.shape
     ways, rows = -(-edges // 8), int(static.options[Option.ROWS])
     columns = int(static.options[Option.COLUMNS])
@@ -306,19 +283,7 @@ def _agents(
     demand: Any,
     half_perimeter: Any,
 ) -> int:
-    """The agents of a problem: the nets with pins in two Gcells or more.
-
-    Args:
-        pins: (nets + 1,), the first part of
-            :attr:`marouting.problem.problem.Problem.flat_pin_gcells`.
-        gcells: (pin Gcells,), the second part.
-        tasks: (K, 3), see :func:`marouting.trees.decomposition.two_pin_tasks`.
-        position: (G, 3), see :class:`Static`.
-        net_demand: (nets, Z), the demand of every net in every layer.
-        nets: (N,) to be filled with the net of every agent; NOBODY where there is no agent.
-        first: (N + 1,) to be filled as in :class:`Static`; its first entry is already set.
-        demand: (N, Z) to be filled as in :class:`Static`.
-        half_perimeter: (N,) to be filled with width + height of the box around every agent's pins.
+    """Fills in ``nets``, ``first``, ``demand`` and ``half_perimeter`` of a problem's agents.
 
     Returns:
         An upper bound for the demand on an edge: every agent uses it, in its most demanding layer.

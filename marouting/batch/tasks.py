@@ -125,15 +125,7 @@ def is_later(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> boo
 def next_nearest(
     static: Static, dynamic: Dynamic, m: int, n: int, far: int, after: int
 ) -> tuple[int, int]:
-    """The later task whose pin is next after another one, by their distance from the agent.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        m: the problem.
-        n: the agent.
-        far: the distance of the other one; -1 for the nearest pin of all.
-        after: the task of the other one, for ties go to the task listed first.
+    """The later task whose pin is next in distance from the agent after ``far`` and task ``after``.
 
     Returns:
         The task and the distance of its pin; NOBODY if there is none.

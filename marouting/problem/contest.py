@@ -142,10 +142,7 @@ def _via_demand(
 
 
 def _open_nets(
-    problem: Problem,
-    wired: NDArray[np.int64],
-    via_net: NDArray[np.int64],
-    via: NDArray[np.int64],
+    problem: Problem, wired: NDArray[np.int64], via_net: NDArray[np.int64], via: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """(open,) the nets whose pins are not joined.
 

@@ -92,11 +92,7 @@ def path_of(scenario: str) -> Path:
 
 
 def read_references(path: Path) -> dict[str, Record]:
-    """The references in a file by the digest of the problem; none if there is no file.
-
-    Raises:
-        InputError: the file cannot be read or does not hold references.
-    """
+    """The references in a file by their problems' digests, if there is one; raises InputError."""
     if not path.exists():
         return {}
     return build_json(References, read_text(path, MOST_BYTES), str(path)).references

@@ -154,15 +154,7 @@ class Scenario:
         return frozenset(map(digest, (*self.validation, *self.test)))
 
     def _draw(self, key: str, excluded: Collection[str]) -> Problem:
-        """Draws a problem that keeps the promises.
-
-        Args:
-            key: where its random numbers start, beside the scenario's name.
-            excluded: digests of the problems that it may not be.
-
-        Raises:
-            InputError: the level has hardly any such problems.
-        """
+        """Draws a problem that keeps the promises; raises InputError if there are hardly any."""
         for attempt in range(ATTEMPTS):
             text = f"{self.name}/{key}/{attempt}"
             seed = int.from_bytes(hashlib.sha256(text.encode()).digest())

@@ -8,7 +8,7 @@ import click
 
 from marouting import InputError, Problem, Solution, evaluate
 from marouting.files import check_writable, is_dir, stem_of, suffix_of, write_text
-from marouting.game import TurnOrder
+from marouting.rules import TurnOrder
 from policies.cli.completion import routers
 from policies.cli.options import FILE, NUMBER, WHOLE, allow_code_option, json_option, tell
 from policies.cli.source import ProblemFile, problem_argument

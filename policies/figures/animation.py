@@ -14,10 +14,11 @@ from PIL import Image
 from marouting.batch.engine import Engine
 from marouting.errors import InputError
 from marouting.files import writing
-from marouting.game import MOST_STEPS, NOBODY, TurnOrder
+from marouting.game import NOBODY
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Box, Disc, Ink, Scene, Shape, Sheet, Words, rgb_array, scene_of, shapes
+from marouting.rules import MOST_STEPS, TurnOrder
 from marouting.search.guides import RouteFollower
 
 HOLD = 2.0

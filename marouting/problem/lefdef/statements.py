@@ -14,13 +14,7 @@ ENCODING_ERRORS = "surrogateescape"
 
 
 class Copy:
-    """A copy of statements for klayout, each in the line in which it begins in the file.
-
-    So the lines in klayout's messages are those of the file.
-
-    Args:
-        file: is written to.
-    """
+    """A copy of statements for klayout, which keep their line numbers for its messages."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
@@ -43,14 +37,10 @@ def copying(path: str | os.PathLike[str]) -> Iterator[Copy]:
 
 
 class Statements:
-    """The words of a file, without comments.
+    """The words of a file, without comments; ``copy`` gets every word that is read.
 
     A text in quotes is one word. A semicolon or a parenthesis is a word of its own, also where no
     blank separates it from its neighbour.
-
-    Args:
-        lines: the file.
-        copy: gets every word that is read; None for no copy.
     """
 
     def __init__(self, lines: Lines, copy: Copy | None = None) -> None:

@@ -46,8 +46,7 @@ def capacity_of_layer(
         along: (n + 1,) the lines between Gcells that wires cross.
         across: (m + 1,) the other lines.
         boxes: (k, 4) what wires must avoid: the low and high sides along the wires, then across.
-        halo: (k,) twice the distance from each box that a wire's middle must keep; so far is far
-            enough.
+        halo: (k,) twice the distance from each box that a wire's middle must keep.
 
     Returns:
         (n, m) of the edge from each Gcell to the next one along the wires; 0 for the last.
