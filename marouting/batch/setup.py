@@ -214,8 +214,7 @@ def _options(
     return options
 
 
-_PLAIN = _options(Rules(), (0, 0, 0))
-"""The options of the paper's game: all are switched off."""
+_PLAIN = _options(Rules(), (0, 0, 0))  # the options of the paper's game: all are switched off
 
 
 class More(NamedTuple):
