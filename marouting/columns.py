@@ -135,7 +135,6 @@ class Columns:
         self.remaining = np.frombuffer(game.remaining, np.int32)[None]
         self.max_steps = game.max_steps
         self.mirror: Any = None  # of the game in the batch, see marouting.batch.mirror
-        self.static = SimpleNamespace(position=game.grid.position)  # as it was called before 0.3
 
     def uses(
         self, problems: NDArray[np.integer], agents: NDArray[np.integer], edges: NDArray[np.integer]

@@ -53,14 +53,11 @@ MOST = 2**31 - 1
 """The largest count; compiled code and arrays do not support integers of arbitrary size."""
 
 
-MOST_TEXT = 2**24
-"""The largest YAML file, in bytes."""
-
+MOST_TEXT = 2**24  # the largest YAML file, in bytes
 MOST_VALUES = 100_000
 """The largest number of values in YAML text; an alias counts as all that it stands for."""
 
-DEEPEST = 50
-"""How deep they may be nested."""
+DEEPEST = 50  # how deep they may be nested
 
 
 class _Loader(yaml.SafeLoader):
@@ -198,14 +195,9 @@ def config_file(path: str | os.PathLike[str]) -> Path:
     return next((file for file in shipped if is_file(file)), found)
 
 
-INCLUDE = "include"
-"""The key of a YAML file that names one or more files to begin from."""
-
-_MOST_FILES = 100
-"""The largest number of files that one begins from."""
-
-Keys = tuple[str, ...]
-"""The keys that lead to a value."""
+INCLUDE = "include"  # the key of a YAML file that names one or more files to begin from
+_MOST_FILES = 100  # the largest number of files that one begins from
+Keys = tuple[str, ...]  # the keys that lead to a value
 
 
 @dataclass(frozen=True)
@@ -458,8 +450,7 @@ _PLAIN: dict[Any, _Form] = {
 }
 
 
-_FEW = 5
-"""With fewer keys than so many, a message names all keys of a mapping."""
+_FEW = 5  # with fewer keys than so many, a message names all keys of a mapping
 
 
 @functools.cache
@@ -757,8 +748,7 @@ def _prefix(where: str) -> str:
     return f"{where}: " if where else ""
 
 
-_LISTED = 280
-"""The most characters of a list of known keys."""
+_LISTED = 280  # the most characters of a list of known keys
 
 
 _PRICES = "train.negotiation of a training: only the generalist negotiates by prices"

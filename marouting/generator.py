@@ -21,20 +21,11 @@ from marouting.problem.net import MAX_NUMBER, Adjustment, Net, Pin
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_grid
 from marouting.search.astar import sequential_astar
 
-TILE = 10
-"""Width and height of a Gcell in chip coordinates, as in the authors' published problems."""
-
-REDUCTION = 2
-"""By how much capacity is reduced by default: the authors' 5 becomes 3."""
-
-_MACRO = 10
-"""The fewest columns and rows on which there is room for macros."""
-
-_FREE_LAYERS = 2
-"""How many of the highest layers macros leave free."""
-
-ReducedPer = Literal["problem", "set"]
-"""Whose A* solutions decide which edges are reduced."""
+TILE = 10  # width and height of a Gcell in chip coordinates, as in the authors' published problems
+REDUCTION = 2  # by how much capacity is reduced by default: the authors' 5 becomes 3
+_MACRO = 10  # the fewest columns and rows on which there is room for macros
+_FREE_LAYERS = 2  # how many of the highest layers macros leave free
+ReducedPer = Literal["problem", "set"]  # whose A* solutions decide which edges are reduced
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,8 +20,7 @@ It has no reduced edges. They take a search, and compiling it would double the t
 ``env()`` takes on a new machine."""
 
 
-PLAYED = ("problem", "scenario", "split")
-"""The options that say which problems are played, not how."""
+PLAYED = ("problem", "scenario", "split")  # the options that say which problems are played, not how
 
 
 ProblemSource = str | tuple[str, ...] | GeneratorOptions

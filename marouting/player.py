@@ -42,14 +42,13 @@ from marouting.batch.rules import (
 from marouting.batch.state import GAME, MASKS, Dynamic, Option, Static
 from marouting.batch.tasks import wait
 from marouting.config import check
-from marouting.errors import InputError
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import as_index, compiled, i64, inlined, specialised
 from marouting.memory import check_memory
 from marouting.observations import Observation, PaperObservation, has_move_order, move_order_of
 from marouting.options import FORMS
 from marouting.problem.grid import MOVES
-from marouting.rewards import KNOWN, PaperReward, Reward
+from marouting.rewards import KNOWN, PaperReward, Reward, paid_by
 from marouting.source import ProblemSampler
 
 COMPILES = "the batch of games", 8
@@ -264,7 +263,7 @@ class Player:
             self._step(*self._arguments, True, restart)
         elif self.turned:
             chosen = self.buffers.actions.copy()
-            self.played = self._on_the_grid(chosen)
+            self.played = _picked(self._order(), chosen)
             self.buffers.actions[:] = self.played
             self._step_in_parts(restart)
             self.buffers.actions[:] = chosen  # learners remember what they chose
@@ -311,13 +310,7 @@ class Player:
         """The actions for ``buffers.actions`` that stand for moves on the grid, both (M, K)."""
         if not self.turned:
             return moves.astype(np.int8)
-        order = self._order()
-        place = np.argsort(order, axis=-1)  # the other way round
-        return _picked(place, moves)
-
-    def _on_the_grid(self, actions: NDArray[np.int8]) -> NDArray[np.int8]:
-        """The moves on the grid (M, K) that actions of the observation (M, K) are."""
-        return _picked(self._order(), actions)
+        return _picked(np.argsort(self._order(), axis=-1), moves)  # the other way round
 
     def _order(self) -> NDArray[np.int64]:
         """(M, K, A), see :func:`marouting.observations.move_order_of`."""
@@ -408,7 +401,7 @@ class Player:
         paid[:] = 0
         for movers, moves in self._turns(begins):
             _move(engine.static, engine.dynamic, movers, moves)
-            paid += self._pay(before, movers)
+            paid += paid_by(self.reward, engine, before, movers)
             _settle_movers(engine.static, engine.dynamic, before, movers, moves, self._arrived)
             if engine.static.extended:
                 # More may have changed than one edge of one net.
@@ -446,23 +439,6 @@ class Player:
                 moves,
             ):
                 yield movers, moves
-
-    def _pay(self, before: Earlier, movers: NDArray[np.int32]) -> NDArray[np.float32]:
-        """(M, N) float32, what moves pay; raises InputError for a wrong shape, NaN or infinity."""
-        paid = np.asarray(self.reward(self.engine, before, movers), np.float32)
-        if paid.shape != self.engine.nets.shape:
-            raise InputError(
-                f"reward: expected shape {self.engine.nets.shape}, found {paid.shape} from "
-                f"{type(self.reward).__name__}"
-            )
-        if not np.isfinite(paid).all():
-            raise InputError(
-                f"reward: expected finite numbers, found {paid[~np.isfinite(paid)][0]} from "
-                f"{type(self.reward).__name__}"
-            )
-        status = before.agents["status"]
-        playing = (status == Status.ACTIVE) | (status == Status.WAITING)
-        return np.where(playing & (movers != NOBODY)[:, None], paid, np.float32(0))
 
     def _look_back(self, asked: NDArray[np.int32]) -> None:
         """Writes what agents saw where they arrived, whose tasks ended or who pass the turn."""

@@ -218,8 +218,7 @@ _ADVANCE, _LINE = 6, 10  # px of a letter of scale 1, with the space to the next
 _CAPTION = 80  # letters of a caption that there is room for
 
 
-Ink = tuple[int, ...]
-"""A colour: red, green and blue, 0 to 255."""
+Ink = tuple[int, ...]  # A colour: red, green and blue, 0 to 255
 
 
 class Box(NamedTuple):

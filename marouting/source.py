@@ -33,8 +33,7 @@ Source = (
 """A problem or several, options of the generator, a file, a folder, a list of both; None: a small
 problem."""
 
-MOST_PROBLEMS = 10_000
-"""The most problems that an environment keeps."""
+MOST_PROBLEMS = 10_000  # the most problems that an environment keeps
 
 
 def checked_source(source: Source) -> tuple[Problem, ...] | GeneratorOptions | tuple[str, ...]:

@@ -9,9 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference import Game, contested, edge_number, gcell_of, random_moves
+from seeing import option_state
 
 from marouting import Adjustment, Engine, InputError, Move, Net, Pin, Problem, evaluate, generate
 from marouting.batch.prices import Negotiation
+from marouting.batch.state import Option
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.problem.problem import UNLIMITED
 from marouting.search.guides import AStar
@@ -165,7 +167,7 @@ def test_nets_negotiate_again_and_again(calm: float) -> None:
                 now, prices = engine.games[0], np.zeros(engine.grid.edges, np.int64)
                 for edge, price in game.prices.items():
                     prices[edge_number(problem, edge)] = price
-                np.testing.assert_array_equal(engine.more.prices[0], prices)
+                np.testing.assert_array_equal(option_state(engine, Option.PRICES)[0], prices)
                 assert (now["present"], now["plain"]) == (game.present, game.plain)
                 assert now["negotiations"] == game.negotiations
                 lasted |= game.present > 10 * game.first_present() and game.plain == 0

@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from seeing import option_state
 
 from marouting import Adjustment, Engine, Net, Pin, Problem
 from marouting import game as source
+from marouting.batch.state import Option
 from marouting.game import NOBODY, Game, Status
 from marouting.rules import Mask, Nets, RipUp, Rules
 
@@ -136,7 +138,7 @@ def state_of_engine(engine: Engine, m: int = 0) -> dict[str, Any]:
         "routes": [routes[net].tolist() for net in engine.nets[m, :count]],
         "trees": [
             np.flatnonzero(np.unpackbits(bits, bitorder="little")).tolist()
-            for bits in engine.more.tree[m, :count]
+            for bits in option_state(engine, Option.TREE)[m, :count]
         ],
         "masks": engine.masks(np.full(count, m), np.arange(count)).tolist(),
     }

@@ -8,10 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pettingzoo.test import api_test, parallel_api_test
+from seeing import option_state
 
 from marouting import Engine, InputError, Move, Net, Pin, Problem, evaluate, generate
 from marouting import global_routing_v0 as game
 from marouting.batch.prices import Negotiation
+from marouting.batch.state import Option
 from marouting.env.single import GlobalRoutingSingle
 from marouting.game import NOBODY, RIP_UP
 from marouting.search.guides import AStar
@@ -196,7 +198,7 @@ def test_nets_negotiate_and_end_with_the_best_routes(
     )
     guide, rng = AStar(engine), np.random.default_rng(seed)
     scores, number, over = [], 0, np.zeros(engine.grid.edges, np.bool_)
-    prices = engine.more.prices[0].copy()
+    prices = option_state(engine, Option.PRICES)[0].copy()
     while engine.games[0]["agent"] != NOBODY:
         problems, agents = engine.pairs(everyone=False)
         move = guide.moves(problems, agents)
@@ -208,10 +210,10 @@ def test_nets_negotiate_and_end_with_the_best_routes(
             number = game["round"]
             scores.append((-game["began_joined"], game["began_overflow"], game["began_wirelength"]))
             over = engine.dynamic.remaining[0] < 0
-            risen = engine.more.prices[0] > prices
+            risen = option_state(engine, Option.PRICES)[0] > prices
             if game["plain"] == 0 and not game["ripped"]:
                 assert (risen == over).all() or number == 1
-            prices = engine.more.prices[0].copy()
+            prices = option_state(engine, Option.PRICES)[0].copy()
     now = engine.metrics()
     assert all((-now.joined, now.overflow, now.wirelength) <= score for score in scores)
     assert (now.overflow, now.wirelength) == (
@@ -231,7 +233,7 @@ def test_prices_part_two_nets() -> None:
     prices = [0]
     while engine.games[0]["began_overflow"] > 0:
         assert engine.games[0]["plain"] == 0
-        prices.append(int(engine.more.prices[0].max()))
+        prices.append(int(option_state(engine, Option.PRICES)[0].max()))
         # Each in its turn tries the way over the upper row, which is two edges longer.
         walk(engine, N, E, E, S)
     assert prices == sorted(prices)
@@ -277,9 +279,9 @@ def test_agents_that_are_not_there_have_no_routes() -> None:
     while (engine.games["agent"] != NOBODY).any():
         masks = engine.masks(*engine.pairs(everyone=False))
         engine.step(np.array([rng.choice(np.flatnonzero(mask)) for mask in masks]))
-    assert engine.more.tree[:, :3].any(axis=2).all()
-    assert engine.more.tree[1].any(axis=1).all()
-    assert not engine.more.tree[[0, 2], 3:].any()
+    assert option_state(engine, Option.TREE)[:, :3].any(axis=2).all()
+    assert option_state(engine, Option.TREE)[1].any(axis=1).all()
+    assert not option_state(engine, Option.TREE)[[0, 2], 3:].any()
 
 
 def judged(engine: Engine, best: Any) -> Any:

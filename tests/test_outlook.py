@@ -10,12 +10,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import Edge, all_edges, between, contested, edge_number
-from seeing import Gcell, edge_costs, expected, gcell, is_priced, open_tasks, squash
+from seeing import Gcell, edge_costs, expected, gcell, is_priced, open_tasks, option_state, squash
 from torch import nn
 
 import marouting
 from marouting import Engine, EnvOptions, InputError, Problem, evaluate
 from marouting.batch.prices import Negotiation
+from marouting.batch.state import Option
 from marouting.batch.window import mirrored
 from marouting.game import NOBODY, RIP_UP, Status
 from marouting.rules import RipUp
@@ -60,7 +61,7 @@ def ways(engine: Engine, m: int, n: int, costs: dict[Edge, float | None], margin
             graph.add_edge(a, b, weight=cost)
     found = [gcell(engine, agent["target"])]
     if engine.rules.target == "tree":
-        tree = np.unpackbits(engine.more.tree[m, n], bitorder="little")
+        tree = np.unpackbits(option_state(engine, Option.TREE)[m, n], bitorder="little")
         found = [gcell(engine, int(g)) for g in np.flatnonzero(tree)]
     found = [cell for cell in found if cell in graph]
     return nx.multi_source_dijkstra_path_length(graph, set(found)), graph, found

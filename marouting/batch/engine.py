@@ -23,7 +23,7 @@ from marouting.batch.rules import (
     settle_player,
     write_mask,
 )
-from marouting.batch.setup import More, Room, dynamic_state, more_of, replace_problem, static_state
+from marouting.batch.setup import Room, dynamic_state, replace_problem, static_state
 from marouting.batch.state import Dynamic, Static
 from marouting.columns import check_rows
 from marouting.config import check
@@ -171,8 +171,6 @@ class Engine:
         self._held[:] = problems
         self.grid = Grid.of(problems[0].grid)
         self.dynamic = dynamic_state(self.static, self.grid, self.nets.shape[1])
-        self._whole: Engine | None = None
-        self._parts: list[tuple[Engine, slice]] = []
         self.replaced = np.zeros(len(problems), np.int64)
         self._rows = _rows_of(self.nets)
         self.reset()
@@ -217,11 +215,6 @@ class Engine:
             out = np.empty((len(self.games), columns, rows, layers * CHANNELS), np.float32)
         write_states(self.dynamic, out.reshape(len(out), -1, CHANNELS))
         return out
-
-    @property
-    def more(self) -> More:
-        """The state of the options beyond the paper's, by name; views, to be read."""
-        return more_of(self.static, self.dynamic)
 
     @property
     def max_steps(self) -> int:
@@ -280,20 +273,8 @@ class Engine:
             first=static.first[which],
             order=static.order[which],
         )
-        part._whole, part._parts = None, []
-        if isinstance(which, slice):
-            part._whole = self
-            self._parts.append((part, which))
-            self._share()
-        else:
-            part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
+        part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
         return part
-
-    def _share(self) -> None:
-        """Hands the arrays to the parts that share them."""
-        for part, which in self._parts:
-            part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
-            part._share()
 
     def replace(self, m: int, problem: Problem) -> None:
         """Puts another problem in the place of one; its episode is to be started by :meth:`reset`.

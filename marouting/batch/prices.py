@@ -35,32 +35,22 @@ from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.rules import MOST_ROUNDS
 
-UNIT = 16
-"""The cost of an edge without a price."""
-
-MOST = 60 * UNIT
-"""The most that an edge costs."""
-
-WHOLE = 1024
-"""``GAME.present`` and prices count in parts of this."""
+UNIT = 16  # the cost of an edge without a price
+MOST = 60 * UNIT  # the most that an edge costs
+WHOLE = 1024  # ``GAME.present`` and prices count in parts of this
 
 LEAST_PRESENT, MOST_PRESENT = 0.01, 2.0
 """The bounds of ``present``: a smaller one would not grow, being counted in whole parts, and a
 larger one would hide what prices say."""
 
-LARGEST = int(MOST_PRESENT * WHOLE)
-"""The largest ``present``, in parts of ``WHOLE``."""
-
-MOST_CALM = 1000.0
-"""The largest ``calm``: from the second negotiation on prices no longer rise."""
+LARGEST = int(MOST_PRESENT * WHOLE)  # the largest ``present``, in parts of ``WHOLE``
+MOST_CALM = 1000.0  # the largest ``calm``: from the second negotiation on prices no longer rise
 
 _RISE, MOST_RISE = 192, 640
 """What overflow adds to the price of an edge before a priced round, in parts of ``WHOLE``: as long
 as ``present`` is as at first, and at most."""
 
-NO_LIMIT = 1 << 55
-"""More overflow than there can be."""
-
+NO_LIMIT = 1 << 55  # more overflow than there can be
 _PRICED, _PLAIN = 10, 2
 """Rounds in a row without gain after which priced rounds end, and plain ones."""
 

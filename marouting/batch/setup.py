@@ -214,40 +214,7 @@ def _options(
     return options
 
 
-_PLAIN = _options(Rules(), (0, 0, 0))
-"""The options of the paper's game: all are switched off."""
-
-
-class More(NamedTuple):
-    """Views of the state of the options, by name; see :class:`Option`. Empty where switched off."""
-
-    tree: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
-    visited: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
-    taken: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
-    kept: NDArray[Any]  # (M, P, ceil(E / 8)) uint8
-    tried: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
-    best: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
-    line: NDArray[np.int64]  # (M, N)
-    again: NDArray[np.int64]  # (M, P)
-    kept_joined: NDArray[np.int64]  # (M, P)
-    history: NDArray[np.int64]  # (M, E)
-    prices: NDArray[np.int64]  # (M, E)
-    best_joined: NDArray[np.int64]  # (M, N)
-
-
-def more_of(static: Static, dynamic: Dynamic) -> More:
-    """The state of the options by name."""
-    found: list[NDArray[Any]] = []
-    for parts, array in (
-        (range(Option.TREE, Option.LINE), dynamic.sets),
-        (range(Option.LINE, Option.QUEUE + 1), dynamic.numbers),
-    ):
-        begins = [int(static.options[part]) for part in parts]
-        for place, begin in enumerate(begins):
-            later = [other for other in begins[place + 1 :] if other >= 0]
-            end = later[0] if later else array.shape[1]
-            found.append(array[:, begin:end] if begin >= 0 else array[:, :0])
-    return More(*found[:-1])
+_PLAIN = _options(Rules(), (0, 0, 0))  # the options of the paper's game: all are switched off
 
 
 def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:

@@ -14,8 +14,7 @@ from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 
 from marouting.columns import Columns, mask_table
-from marouting.errors import InputError
-from marouting.game import ACTIVE, NOBODY, WAITING, Game
+from marouting.game import ACTIVE, NOBODY, Game
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.observations import has_form, state_of, state_space_of
 from marouting.options import game_options
@@ -23,6 +22,7 @@ from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Window, ansi, rgb_array, scene_of
+from marouting.rewards import paid_by
 from marouting.rules import Rules, TurnOrder
 from marouting.source import ProblemStream, Source
 
@@ -225,15 +225,7 @@ class BaseGame:
         before = self.columns.before(self._figures)
         self.game.move(n, action)
         self._figures = self.columns.figures()
-        paid = np.asarray(self.reward(self.columns, before, np.array([n], np.int32)), np.float32)
-        shape, name = (1, len(self.names)), type(self.reward).__name__
-        if paid.shape != shape:
-            raise InputError(f"reward: expected shape {shape}, found {paid.shape} from {name}")
-        if not np.isfinite(paid).all():
-            found = paid[~np.isfinite(paid)][0]
-            raise InputError(f"reward: expected finite numbers, found {found} from {name}")
-        status = before.agents["status"][0]
-        return np.where((status == ACTIVE) | (status == WAITING), paid[0], np.float32(0))
+        return paid_by(self.reward, self.columns, before, np.array([n], np.int32))[0]
 
     def task_end(self, n: int) -> dict[str, Any]:
         """What the info after a move says of the task that has ended with it; empty if none has.

@@ -13,14 +13,11 @@ from marouting.problem.parts import joined_parts
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 
-SLOPE = 0.5
-"""Of the exponential in the cost of overflow."""
-
+SLOPE = 0.5  # of the exponential in the cost of overflow
 WITHOUT = 1.5
 """What half a track of demand weighs, in tracks of overflow, where there is no capacity."""
 
-_LEAST = 0.001
-"""What is less is no capacity."""
+_LEAST = 0.001  # what is less is no capacity
 
 
 @dataclass(frozen=True)

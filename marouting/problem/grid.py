@@ -36,9 +36,7 @@ class Move(enum.IntEnum):
 AXES = 3
 VIA_AXIS = 2
 
-MAX_GCELLS = 2**24
-"""The largest grid accepted, larger than any of the ISPD 2008 contest."""
-
+MAX_GCELLS = 2**24  # the largest grid accepted, larger than any of the ISPD 2008 contest
 MOVES = len(Move)
 
 

@@ -7,8 +7,7 @@ import numpy as np
 from marouting.generator import GeneratorOptions, generate_from
 from marouting.problem.problem import Problem
 
-Range = tuple[int, int]
-"""The least and the largest value, both included."""
+Range = tuple[int, int]  # the least and the largest value, both included
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,11 +13,8 @@ from marouting.config import build_json
 from marouting.errors import InputError
 from marouting.files import read_text
 
-FOLDER = Path(__file__).parent / "data"
-"""Where the files are."""
-
-MOST_BYTES = 2**24
-"""The largest file that is read."""
+FOLDER = Path(__file__).parent / "data"  # where the files are
+MOST_BYTES = 2**24  # the largest file that is read
 
 
 class Reference(NamedTuple):

@@ -26,16 +26,11 @@ from marouting.scenarios.levels import Level
 from marouting.scenarios.references import Best, Reference, references_of
 from marouting.search.astar import sequential_astar
 
-Split = Literal["train", "validation", "test"]
-"""The parts of a scenario."""
-
+Split = Literal["train", "validation", "test"]  # the parts of a scenario
 SPLITS: tuple[Split, ...] = get_args(Split)
 
-ORDERS = 8
-"""The most net orders in which A* tries to route a problem without overflow."""
-
-ATTEMPTS = 1000
-"""The most attempts for one problem. None of the scenarios comes near it."""
+ORDERS = 8  # the most net orders in which A* tries to route a problem without overflow
+ATTEMPTS = 1000  # the most attempts for one problem. None of the scenarios comes near it.
 
 
 class Scenario:

@@ -12,9 +12,7 @@ from marouting.files import write_text
 from marouting.problem.ispd.lines import Lines, Record, is_number, reading, unexpected
 from marouting.problem.net import Adjustment, Net, Pin
 
-Format = Literal["ispd2008", "ispd98", "ispd98-flat"]
-"""The formats of problems."""
-
+Format = Literal["ispd2008", "ispd98", "ispd98-flat"]  # the formats of problems
 FORMATS: tuple[Format, ...] = get_args(Format)
 
 
@@ -93,11 +91,8 @@ _FORMS: dict[Format, _Form] = {
         },
     ),
 }
-_WIDTH = 1
-"""The minimum width of nets in formats without one."""
-
-_LAYER = 1
-"""The layer of pins in formats without one, and the only layer of a flat grid."""
+_WIDTH = 1  # the minimum width of nets in formats without one
+_LAYER = 1  # the layer of pins in formats without one, and the only layer of a flat grid
 
 
 @dataclass(frozen=True)

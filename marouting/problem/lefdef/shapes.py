@@ -157,8 +157,7 @@ _KINDS = {
 }
 """klayout's kinds of shapes and what they are; klayout's name of a layer ends with ``.kind``."""
 
-_VIA = "via "
-"""How klayout's cells of vias begin; no macro's name has a blank."""
+_VIA = "via "  # how klayout's cells of vias begin; no macro's name has a blank
 
 
 def _located(
@@ -186,8 +185,7 @@ def _outside(db: Any, design: Design) -> NDArray[np.int64]:
     return np.array(sides, np.int64).reshape(-1, 4)
 
 
-_BOX = 160
-"""Bytes for each box while the places of all are found."""
+_BOX = 160  # bytes for each box while the places of all are found
 
 
 def moved_pins(shapes: Shapes, cell: int, turn: int, pin: str, moves: NDArray[np.int64]) -> Boxes:

@@ -9,8 +9,7 @@ from typing import TextIO
 from marouting.errors import InputError
 from marouting.problem.ispd.lines import Lines, unexpected
 
-ENCODING_ERRORS = "surrogateescape"
-"""For reading: comments may hold any bytes."""
+ENCODING_ERRORS = "surrogateescape"  # for reading: comments may hold any bytes
 
 
 class Copy:
@@ -153,8 +152,7 @@ class Statements:
 _BOM = "\ufeff"
 _MOST_WORDS = 2**22
 
-MOST_CUTS = 10**6
-"""The most cuts of a via made by rule, and vias of an array: each becomes a shape."""
+MOST_CUTS = 10**6  # the most cuts of a via made by rule, and vias of an array: each becomes a shape
 
 
 def _parts(token: str) -> list[str]:
@@ -185,8 +183,7 @@ def number(word: str, what: str) -> float:
     return value
 
 
-LARGEST = 1e9
-"""The largest number accepted; in a DEF's units the side of a wafer is below it."""
+LARGEST = 1e9  # the largest number accepted; in a DEF's units the side of a wafer is below it
 
 
 def whole(word: str, what: str, least: int = -(10**9)) -> int:

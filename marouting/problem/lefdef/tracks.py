@@ -9,11 +9,8 @@ from marouting.errors import InputError
 from marouting.memory import check_memory
 from marouting.problem.lefdef.def_text import Tracks
 
-_MOST = 2**20
-"""The most tracks of a layer, and lines between Gcells."""
-
-_CELL = 24
-"""Bytes for each track between two Gcells, while it is found out whether it is free."""
+_MOST = 2**20  # the most tracks of a layer, and lines between Gcells
+_CELL = 24  # bytes for each track between two Gcells, while it is found out whether it is free
 
 
 def places(tracks: Sequence[Tracks], low: int, high: int, file: str) -> NDArray[np.int64]:
