@@ -280,14 +280,22 @@ def origins_of(path: str | os.PathLike[str]) -> dict[Keys, tuple[str, int]]:
     return {keys: lines[keys] for keys, _ in leaves(whole) if keys in lines}
 
 
+_INSTEAD = {"scenario": ("problem",), "problem": ("scenario", "split")}
+"""Keys that stand in place of others."""
+
+
 def merged(raw: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
     """Plain data in which the values of ``more`` replace those of ``raw``, at any depth.
 
-    A mapping with another ``kind`` replaces all of a mapping: options belong to their piece.
+    A mapping with another ``kind`` replaces all of a mapping: options belong to their piece. A
+    scenario replaces a problem, and the other way round.
     """
-    result = dict(raw)
+    instead = {old for key in more if more[key] is not None for old in _INSTEAD.get(key, ())}
+    result = {key: value for key, value in raw.items() if key not in instead}
     for key, value in more.items():
         inner = result.get(key)
+        if isinstance(inner, str) and key in KINDS:
+            inner = {"kind": inner}
         result[key] = value
         if isinstance(inner, Mapping) and isinstance(value, Mapping):
             kind = inner.get("kind")
@@ -716,21 +724,32 @@ def check(name: str, holds: object, expected: str) -> None:
 
 
 def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """Plain data with single keys changed by ``key=value``: dots in the key, the value as YAML."""
-    changed = dict(raw)
-    for given in overrides:
-        key, equals, value = given.partition("=")
+    """Plain data with single keys changed; see :func:`merged`.
+
+    Args:
+        raw: plain data, as from YAML.
+        overrides: ``key=value``, with dots between the parts of a key and the value as in YAML. A
+            mapping replaces the whole of one.
+    """
+    changed, given = dict(raw), dict[str, Any]()
+    for text in overrides:
+        key, equals, written = text.partition("=")
         if not equals or not key:
-            raise InputError(f"{given}: expected key=value")
+            raise InputError(f"{text}: expected key=value")
+        value = parse_yaml(written, text)
         *parts, last = key.split(".")
-        place = changed
+        place = given
         for part in parts:
-            inner = place.get(part)
-            # A copy, because YAML's anchors can put one mapping in several places.
-            place[part] = dict(inner) if isinstance(inner, Mapping) else {}
+            if not isinstance(place.get(part), dict):
+                place[part] = {}
             place = place[part]
-        place[last] = parse_yaml(value, given)
-    return changed
+        place[last] = value
+        if isinstance(value, Mapping):
+            alone: dict[str, Any] = {last: None}
+            for part in reversed(parts):
+                alone = {part: alone}
+            changed = merged(changed, alone)
+    return merged(changed, given)
 
 
 def check_same(mine: Mapping[str, Any], kept: Mapping[str, Any], where: Path) -> None:

@@ -60,6 +60,12 @@ class GameOptions(Rules):
     render_mode: RenderMode | None = None
 
     @property
+    def endless(self) -> bool:
+        """Whether every episode plays a new problem."""
+        generated = isinstance(self.problem, GeneratorOptions) and self.problem.seed is None
+        return generated if self.scenario is None else self.split == "train"
+
+    @property
     def persists(self) -> bool:
         """Whether agents stay until all are done: by choice, or because they may be rerouted."""
         return self.agents_persist or bool(self.rip_up and self.rip_up.rounds)

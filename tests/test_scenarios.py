@@ -671,8 +671,8 @@ def test_a_training_takes_fixed_problems_side_by_side(tmp_path: Path) -> None:
 
 
 def test_a_training_refuses_problems_without_end(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"^split: expected validation or test, .*games"):
-        Run(training(tmp_path / "run", scenario="toy-4x4-v0"))
+    with pytest.raises(InputError, match=r"^train\.shared: expected true: a network for each"):
+        training(tmp_path / "run", scenario="toy-4x4-v0")
     assert not (tmp_path / "run").exists()
 
 
@@ -735,7 +735,7 @@ def test_a_generator_without_seed_holds_problems_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("train", "env", "said"),
     [
-        ({"games": 2}, {}, "train.games: expected null: a network for each of the problems that"),
+        ({"games": 2}, {}, "train.shared: expected true: games draw problems for one network"),
         ({"games": 0, "shared": True}, {}, "train.games: expected a number from 1 to 10000"),
         ({"validation": 3}, {}, "train.validation: expected null without train.games"),
         ({"games": 2, "shared": True, "validation": 21}, {"scenario": "toy-4x4-v0"},

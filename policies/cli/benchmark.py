@@ -36,8 +36,9 @@ RESULTS = Path("docs/results/benchmark")
     metavar="ROUTER",
     shell_complete=routers,
     help="Name of a router or learner, or module:Class, each with options, as in 'astar "
-    "best_of=16'; file of a trained policy; folder of solutions; or CSV file of published "
-    "figures. May be given several times. Without it and --config, all that do not learn.",
+    "best_of=16'; file of a trained policy or run folder of a training; folder of solutions; or "
+    "CSV file of published figures. May be given several times. Without it and --config, all that "
+    "do not learn.",
 )
 @click.option("--name", help="What tables call the router.  [default: made of --router]")
 @click.option(

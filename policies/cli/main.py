@@ -418,13 +418,16 @@ def train(
 ) -> None:
     """Train a learner on the problems of CONFIG, a YAML file.
 
-    Without CONFIG every key has its default. KEY=VALUE changes a key, such as train.episodes=200.
-    Everything is written to the run folder, the key `out`. A run that is resumed, finished or not,
-    may get more episodes, with --resume DIR train.episodes=N.
+    Without CONFIG every key has its default. KEY=VALUE changes a key, such as train.episodes=200
+    or learner.kind=ppo; the kinds are dqn, ppo, iql, ippo, mappo, imitation and module:Class, and
+    each takes its own defaults. env.scenario=toy-4x4-v0 trains one network on problems drawn from
+    the scenario's training split, and evaluates it on the validation problems. Everything is
+    written to the run folder, the key `out`. A run that is resumed, finished or not, may get more
+    episodes, with --resume DIR train.episodes=N.
     """
     from policies.cli.progress import training_bar
     from policies.cli.resolved import check_kind
-    from policies.cli.tables import show
+    from policies.cli.tables import FEW, show, show_training
     from policies.learned.config import load_config
     from policies.learned.run import Run
     from policies.results.run_folder import CHECKPOINT
@@ -443,6 +446,8 @@ def train(
     def tell_rows(rows: Sequence[Mapping[str, Any]]) -> None:
         if as_json:
             click.echo(as_text({"out": run.folder, "episodes": run.episodes[1], "rows": rows}))
+        elif len(run.problems) > FEW:
+            show_training(run, rows)
         else:
             show(rows, str(run.folder))
 
@@ -464,8 +469,8 @@ def train(
                 err=True,
             )
     click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
-    with training_bar(*run.episodes, run.best) as watch:
-        rows = run.execute(watch)
+    with training_bar(*run.episodes, run.best, run.reference) as watch:
+        rows = run.execute(lambda episodes: watch(episodes, run.trainer.walks))
     tell_rows(rows)
 
 

@@ -14,7 +14,7 @@ from marouting.options import PLAYED
 from marouting.registry import allowing_code
 from marouting.source import load_problems, problems_in
 from policies.engines import EngineName
-from policies.learned.config import Config, for_learner
+from policies.learned.config import config_of, for_learner
 from policies.results.rows import read_published
 from policies.results.statistics import ALL
 from policies.routers.registry import (
@@ -221,7 +221,9 @@ class Training:
         quiet = {"train": {"figures": False, "tensorboard": False}}
         told = {"env": self.env, "learner": self.learner, "train": self.train}
         raw = merged(merged(raw, quiet), told)
-        config: dict[str, Any] = plain(build(Config, for_learner(raw, learner, where), where))
+        if isinstance(raw.get("env"), Mapping):  # the problems are the experiment's
+            raw["env"] = {key: value for key, value in raw["env"].items() if key not in PLAYED}
+        config: dict[str, Any] = plain(config_of(for_learner(raw, learner, where), where))
         for name in PLAYED:
             del config["env"][name]
         return {"stack": self.stack, **{part: config[part] for part in PARTS}}
