@@ -1,6 +1,6 @@
 """An own policy as a router: it plays the environment, and the benchmark scores its routes.
 
-    marouting benchmark --scenario toy-4x4-v0 --router own_policy:OwnPolicy
+marouting benchmark --scenario toy-4x4-v0 --router own_policy:OwnPolicy
 """
 
 import numpy as np

@@ -59,12 +59,14 @@ class BenchmarkConfig:
         budget: of the entries that do not give their own, see
             :class:`policies.experiment.config.Budget`.
         seeds: how many seeds.
+        jobs: the number of processes; None stands for one per core.
         engine: where the work is done, as in an experiment.
     """
 
     routers: dict[str, dict[str, Any] | None] = field(default_factory=dict)
     budget: str | None = None
     seeds: int | None = None
+    jobs: int | None = None
     engine: EngineName = "local"
 
 

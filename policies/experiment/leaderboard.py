@@ -123,7 +123,8 @@ def _page(groups: Mapping[_Group, Sequence[Result]], drawn: set[str]) -> str:
     lines = [
         "# Leaderboard",
         "",
-        "Made by `marouting benchmark --leaderboard` from the files in "
+        "Made by `marouting benchmark --out docs/results/benchmark --leaderboard "
+        "docs/leaderboard.md` from the files in "
         "[results/benchmark](results/benchmark); do not edit it. [benchmark.md](benchmark.md) "
         "explains the protocol and how to add a row.",
         "",

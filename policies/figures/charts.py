@@ -196,6 +196,51 @@ def by_problem(
     return figure
 
 
+def gaps_by_router(gaps: Mapping[str, NDArray[np.floating]], title: str = "") -> Figure:
+    """How far each router's wirelength is above the optimum's, a dot for every problem.
+
+    Args:
+        gaps: (problems,) gap to the optimum of each router, NaN where it has open nets or overflow
+            that the optimum lacks, or where no optimum is known.
+        title: the title.
+
+    Returns:
+        One row per router with its mean, and the number of problems that are not shown.
+    """
+    if not gaps:
+        raise InputError("gaps: expected the values of at least one router")
+    figure = Figure(figsize=(9, 1.5 + 0.5 * len(gaps)), layout="constrained")
+    axes = figure.subplots()
+    labels = []
+    for row, (name, values) in enumerate(gaps.items()):
+        known = np.sort(values[~np.isnan(values)])
+        labels.append(literal(f"{name}\n{_gap_note(values)}"))
+        # A dot lies above or below its row so that it hides no other.
+        height = row + 0.3 * (np.arange(len(known)) * 0.618034 % 1 - 0.5)
+        axes.plot(known, height, "o", color=BLUE, markersize=4, alpha=0.35, markeredgewidth=0)
+        if len(known):
+            axes.plot(known.mean(), row, "|", color=INK, markersize=18, markeredgewidth=2)
+    axes.set_yticks(range(len(gaps)), labels, fontsize=9)
+    axes.set_ylim(len(gaps) - 0.5, -0.5)
+    axes.grid(axis="x", color=PALE, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.axvline(0, color=INK, linewidth=1, linestyle="--")
+    axes.set_xlabel("wirelength above the optimum's [%]; a dot for each problem, bars: means")
+    axes.set_title(fitted(literal(title), 6, 12), fontsize=12)
+    return figure
+
+
+def _gap_note(values: NDArray[np.floating]) -> str:
+    """The mean gap, and on how many problems there is none."""
+    known = values[~np.isnan(values)]
+    left_out = len(values) - len(known)
+    worse = f"{left_out} open or overflowed" if left_out else ""
+    if not len(known):
+        return worse
+    mean = f"mean {known.mean():.2f} %"
+    return f"{mean}, {worse}" if worse else mean
+
+
 def _most(whole: NDArray[np.float64]) -> NDArray[np.float64]:
     """(problems,) the highest value to draw where nets stayed open: a quarter above all others'.
 
@@ -220,10 +265,10 @@ def _label(
     notes = []
     if opened:
         of = "all" if opened == len(whole) else f"{opened}"
-        how = "hollow" if drawn else "off the scale"
+        how = "hollow marks" if drawn else "above this plot"
         if 0 < drawn < opened:
-            how += f", {opened - drawn} off the scale"
-        notes.append(f"nets open on {of}: {how}")
+            how += f", {opened - drawn} above this plot"
+        notes.append(f"open nets on {of} problems: {how}")
     if missing:
         notes.append(f"no result on {missing}")
     return literal(f"{name} ({'; '.join(notes)})" if notes else name)

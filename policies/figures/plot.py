@@ -25,6 +25,7 @@ from policies.results.statistics import (
     baseline,
     by_router,
     by_set,
+    mean_gap,
     mean_overflow,
     mean_wirelength,
     open_wirelength,
@@ -109,9 +110,9 @@ def run_figures(
 def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Path]:
     """Writes the figures of an experiment, by default into its ``figures``; returns the files.
 
-    For each set, and for ``all`` if there are several, ``SET_wirelength.png`` and
-    ``SET_overflow.png``, problem by problem, and, where A* is one of several routers,
-    ``SET_decrease.png``.
+    For each set, and for ``all`` if there are several: ``SET_gap.png``, the gap to the optimum, or
+    where none is known ``SET_wirelength.png``, problem by problem; ``SET_overflow.png``; and, where
+    A* is one of several routers, ``SET_decrease.png``.
     """
     folder = experiment / "figures" if folder is None else folder
     written: list[Path] = []
@@ -131,10 +132,16 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
         order = np.argsort(lengths[sort_by], kind="stable")
         title = f"{name}: {len(order)} problems"
         by = f"{called.get(sort_by, sort_by)}'s wirelength"
+        gaps = {called.get(router, router): mean_gap(own) for router, own in routers.items()}
+        known = not all(np.isnan(values).all() for values in gaps.values())
+        if known:
+            write(figures.gaps_by_router(gaps, title), f"{name}_gap")
         for quantity, unit, (whole, opened) in (
             ("wirelength", "edges", _wirelengths(routers, called)),
             ("overflow", "tracks", _overflows(routers, called)),
         ):
+            if known and quantity == "wirelength":
+                continue
             figure = figures.by_problem(whole, order, f"{quantity} [{unit}]", by, title, opened)
             write(figure, f"{name}_{quantity}")
         if astar is None:

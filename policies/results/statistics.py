@@ -177,6 +177,11 @@ def mean_overflow(problems: _Problems) -> NDArray[np.float64]:
     return _over_seeds(_values(problems, lambda row: row["overflow"]))
 
 
+def mean_gap(problems: _Problems) -> NDArray[np.float64]:
+    """(problems,) the gap to the optimum in %, averaged over the seeds; NaN where there is none."""
+    return _over_seeds(_values(problems, lambda row: row["gap"]))
+
+
 def _values(problems: _Problems, value: Callable[[Row], float | None]) -> NDArray[np.float64]:
     """(problems, seeds) a value of every row; NaN for None, and where there is no row."""
     return _array([[value(row) for row in rows] for rows in problems.values()])
