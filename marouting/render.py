@@ -485,7 +485,7 @@ class Sheet:
     ) -> list[Shape]:
         """Bars on edges inside layers, from ``low`` to ``high`` beyond the border of two rows.
 
-        ``whole`` ones run from the middle of a Gcell to that of the next, others between the Gcells.
+        ``whole`` ones run from the middle of a Gcell to that of the next, others between Gcells.
         """
         near, far = self._grid.ends(edges)
         low, high = low - self.pitch // 2, high - self.pitch // 2

@@ -90,7 +90,7 @@ def benchmark(
 ) -> None:
     """Score routers on the problems of a scenario.
 
-    The score is 0 for sequential A* and 1 for the best solution known; docs/benchmark.md explains
+    The score is 0 for sequential A* and 1 for the best solution known; docs/scenarios.md explains
     it. Each router gets a result file OUT/SCENARIO.NAME.json. A benchmark that was stopped goes on
     when the same command is given again. KEY=VALUE changes a key of --config, or an option of a
     single --router; jobs=N is the number of processes (one per core unless it is given), and

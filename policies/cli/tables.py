@@ -171,7 +171,7 @@ _BENCHMARK_NOTES = (
     "problems with open nets. overflow: in all, in tracks. gap: mean wirelength above the "
     "reference, of the solutions with its open nets and overflow (the number of problems, if not "
     "all). at ref.: solutions as good as the reference. W/T/L: wins, ties and losses against A*. "
-    "seconds: median per problem. All per seed. ?: not known. docs/benchmark.md explains the "
+    "seconds: median per problem. All per seed. ?: not known. docs/scenarios.md explains the "
     "protocol."
 )
 

@@ -48,7 +48,7 @@ class ExperimentConfig:
             the same routers and sets or with others.
         seeds: a router that draws random numbers is run once for each seed.
         engine: where the work is done: ``local``, in processes of this machine, or ``ray``, as
-            tasks of Ray (docs/scale.md).
+            tasks of Ray (docs/performance.md).
         jobs: the number of processes; None stands for one per core. A Ray that runs already has
             its own.
         reference: the name of a router that all others are compared with, besides A*.
