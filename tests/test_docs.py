@@ -368,8 +368,6 @@ def test_links_lead_somewhere(page: Path) -> None:
             target = (page.parent / path) if path else page
             assert target.exists(), link
             assert not anchor or anchor in anchors(target), link
-    for include in re.findall(r"^<!-- include: (\S+) -->$", text, re.MULTILINE):
-        assert (page.parent / include).exists(), include
     for path in re.findall(r"`((?:marouting|policies|tests|configs|docs)/[\w/.]*)`", text):
         assert (ROOT / path).exists(), path
 
