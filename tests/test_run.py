@@ -156,7 +156,7 @@ def test_a_scenario_and_a_learner_are_all_that_has_to_be_said(
     assert (config.env.problem, config.env.split, config.env.agents) == (None, "train", agents)
     assert (config.learner.name, config.env.observation.name) == (learner, "window")
     assert getattr(config.learner.options, "critic", None) == critic
-    assert (train.shared, train.games, train.episodes) == (True, 32, 20_000)
+    assert (train.shared, train.games, train.episodes) == (True, 32, 10_000)
     assert build(Config, plain(config)) == config
     # As in a file that says no more, and with what is told in place of it.
     told = load_config(None, [f"learner.kind={learner}", TOY, "train.games=4", "train.episodes=9"])
@@ -164,6 +164,8 @@ def test_a_scenario_and_a_learner_are_all_that_has_to_be_said(
     own = load_config(None, [f"learner.kind={learner}", "env.problem={count: 3}"])
     assert (own.train.shared, own.train.games, own.train.episodes) == (None, None, 1000)
     assert own.env.observation.name == "paper"
+    if critic is None:
+        assert [c.learner.options.steps_per_update for c in (config, told, own)] == [8, 8, 1]
 
 
 def test_a_change_of_kind_or_source_discards_what_belongs_to_the_one_before(tmp_path: Path) -> None:

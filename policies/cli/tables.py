@@ -13,7 +13,6 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from policies.results.rows import Row
 from policies.results.run_folder import POLICY, RESULT
 from policies.results.validation import Validation
 
@@ -62,7 +61,7 @@ FEW = 5
 """Problems whose rows are printed one by one; of more, :func:`show_training` prints means."""
 
 
-def show_training(run: "Run", rows: Sequence[Row]) -> None:
+def show_training(run: "Run", rows: Sequence[Mapping[str, Any]]) -> None:
     """Prints what a training on many problems has come to, and what to do next."""
     routers = list(dict.fromkeys(row["router"] for row in rows))
     found = [

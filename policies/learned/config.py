@@ -149,8 +149,9 @@ def load_config(
 def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
     """The configuration in plain data.
 
-    Some defaults depend on other keys: ``env.agents`` on the learner, what agents see and how a
-    training runs on whether its problems never end.
+    Some defaults depend on other keys: ``env.agents`` on the learner; what agents see, how a
+    training runs, and options of learners (:attr:`.Learner.endless`) on whether its problems never
+    end.
 
     Args:
         raw: the configuration.
@@ -159,21 +160,23 @@ def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
     Raises:
         InputError: names the key, what was expected and what was found.
     """
-    env, train, learner = raw.get("env", {}), raw.get("train", {}), raw.get("learner")
-    if not isinstance(env, Mapping) or not isinstance(train, Mapping):
+    env, train, learner = raw.get("env", {}), raw.get("train", {}), raw.get("learner", {})
+    learner = {"kind": learner} if isinstance(learner, str) else learner
+    if not all(isinstance(part, Mapping) for part in (env, train, learner)):
         return build(Config, raw, where)  # which refuses it
-    kind = learner.get("kind") if isinstance(learner, Mapping) else learner
-    if isinstance(kind, str) and kind in names("learner"):
-        agents = getattr(lookup("learner", kind), "agents", None)
-        env = env if agents is None else {"agents": agents, **env}
+    kind = learner.get("kind", names("learner")[0])
+    cls = lookup("learner", kind) if kind in names("learner") else None
+    agents = getattr(cls, "agents", None)
+    env = env if agents is None else {"agents": agents, **env}
     if _endless(env):
         env = {"observation": "window", **env}
+        learner = {"kind": kind, **getattr(cls, "endless", {}), **learner}
     if train.get("games") is not None or _endless(env):
         train = {**DRAWN, **{key: value for key, value in train.items() if value is not None}}
-    return build(Config, {**raw, "env": env, "train": train}, where)
+    return build(Config, {**raw, "env": env, "learner": learner, "train": train}, where)
 
 
-DRAWN = {"shared": True, "games": 32, "episodes": 20_000, "evaluate_every": 500}
+DRAWN = {"shared": True, "games": 32, "episodes": 10_000, "evaluate_every": 100}
 """How a training runs whose games draw problems, unless it is told otherwise."""
 
 

@@ -99,6 +99,9 @@ class Learner(PerNetworkState, abc.ABC):
     agents: ClassVar[Agents | None] = None
     """The only ``env.agents`` that it is for; None: it is for both."""
 
+    endless: ClassVar[Mapping[str, Any]] = {}
+    """Options whose defaults are others where problems never end."""
+
     rows: ClassVar[tuple[str, ...]] = ("updates", "loss")
     path: str = "torch"
     learning_starts: int = 0

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from policies.results.rows import Row
 from policies.results.statistics import gap
 
 
@@ -29,7 +29,9 @@ class Validation:
     compared: int
 
     @staticmethod
-    def of(rows: Iterable[Row], reference: Mapping[str, tuple[int, int]]) -> "Validation":
+    def of(
+        rows: Iterable[Mapping[str, Any]], reference: Mapping[str, tuple[int, int]]
+    ) -> "Validation":
         """The means of some rows, one for each problem.
 
         Args:

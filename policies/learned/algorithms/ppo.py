@@ -94,7 +94,7 @@ class PPOOptions:
 class PPO(Learner):
     """PPO in torch, on any device, for any network, observation and reward."""
 
-    Options = PPOOptions
+    Options: ClassVar[type[PPOOptions]] = PPOOptions
     rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "keys", "progress")
     parts: ClassVar[tuple[str, ...]] = (
         "networks", "critic", "adam", "critic_adam", "rollout", "explore",
