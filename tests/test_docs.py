@@ -383,8 +383,8 @@ def anchors(page: Path) -> set[str]:
 @pytest.mark.parametrize(
     ("mark", "command"),
     [
-        ("install", "python -m pip install -e '.[test]' && marouting quickstart"),
-        ("test", "python -m pytest"),
+        ("install", "python -m pip install -e '.[learn]' && marouting quickstart"),
+        ("test", "python -m pip install -e '.[test]' && python -m pytest"),
     ],
 )
 def test_the_commands_stand_where_ci_reads_them(mark: str, command: str) -> None:
