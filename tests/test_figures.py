@@ -3,7 +3,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from strategies import solved_problems
 
@@ -103,7 +103,6 @@ def test_utilisation_without_capacity():
     assert "no capacity" in [text.get_text() for text in legend.get_texts()]
 
 
-@settings(deadline=None, max_examples=60)
 @given(solved_problems(), st.sampled_from([1, 2, 3, 1024]))
 def test_utilisation_against_tables_of_all_edges(solution, most):
     problem = solution.problem

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from marouting import evaluate, sequential_astar
@@ -10,7 +10,6 @@ from policies.bench import scaling
 from policies.bench.measure import Bench
 
 
-@settings(deadline=None, max_examples=30)
 @given(st.integers(2, 12), st.integers(1, 30), st.integers(2, 12))
 def test_problems_lie_in_their_windows(side: int, nets: int, window: int) -> None:
     window = min(window, side)
