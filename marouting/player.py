@@ -211,7 +211,7 @@ class Player:
         self.paid = np.zeros(engine.nets.shape, np.float32) if own_reward else None
         self._before: Earlier | None = None
         self.kernel_buffers = buffers
-        if engine.actions == MOVES:  # masks are written in pairs of bytes, which is faster
+        if self.compiled:  # masks are written in pairs of bytes, which is faster
             self.kernel_buffers = buffers._replace(
                 mask=buffers.mask.view(np.int16), final_mask=buffers.final_mask.view(np.int16)
             )
@@ -607,8 +607,8 @@ def _free(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
 
 @inlined
 def _write_mask(mask: Any, m: int, row: int, free: int) -> None:
-    """Writes a mask, whose pairs of bytes are faster to write than its bytes."""
-    if mask.shape[2] > MOVES:
+    """Writes a mask, in bytes or in pairs of bytes."""
+    if mask.shape[2] >= MOVES:
         write_moves(free, mask[m], row)
         return
     for pair in range(_MASKS.shape[1]):

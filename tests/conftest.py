@@ -8,14 +8,44 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 # Test processes run side by side: threads of one would be in the way of the others. Libraries read
 # this when they are first imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
+PER_COMMIT = 30
+"""Examples of a test that does not say how many; with -m slow there are many times more."""
+
+
+def examples(number: int) -> Any:
+    """A test has so many examples; with -m slow more, in the same proportion as others."""
+    return settings(max_examples=number * settings.default.max_examples // PER_COMMIT)
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    """Before test processes start: compiles what they share, if all tests are to run."""
+    """Sets how many examples tests have; compiles what test processes share before they start."""
+    for name, number in (("commit", PER_COMMIT), ("slow", 20 * PER_COMMIT)):
+        settings.register_profile(
+            name,
+            deadline=None,
+            max_examples=number,
+            suppress_health_check=[*settings.default.suppress_health_check, HealthCheck.too_slow],
+        )
+    settings.load_profile("slow" if config.getoption("markexpr") == "slow" else "commit")
+    warm_up(config)
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """With -m slow, tests with examples run as well, and have more of them."""
+    slow = item.config.getoption("markexpr") == "slow"
+    if slow and hasattr(getattr(item, "obj", None), "hypothesis"):
+        item.add_marker("slow")
+
+
+def warm_up(config: pytest.Config) -> None:
+    """Compiles what all tests share, if all of them are to run side by side."""
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
     if not whole or hasattr(config, "workerinput") or not config.getoption("numprocesses", 0):
         return

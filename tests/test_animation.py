@@ -7,7 +7,8 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from conftest import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from strategies import problems
 
@@ -109,7 +110,7 @@ def check(scenes, fps=7.0):
     return film
 
 
-@settings(deadline=None, max_examples=12)
+@examples(12)
 @given(problems(), st.integers(0, 9))
 def test_an_svg_shows_the_states_of_the_game(problem, seed):
     if any(len(cells) > 1 for cells in problem.pin_gcells):

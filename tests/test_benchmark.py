@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from conftest import in_this_process
-from hypothesis import assume, given, settings
+from conftest import examples, in_this_process
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -47,7 +47,7 @@ def sign(x: float) -> int:
     return (x > 0) - (x < 0)
 
 
-@settings(max_examples=500, deadline=None)
+@examples(100)
 @given(FIGURES, FIGURES, FIGURES, FIGURES)
 def test_scores_are_in_the_order_of_open_nets_overflow_and_wirelength(
     one: Figures, other: Figures, astar: Figures, reference: Figures
@@ -58,7 +58,6 @@ def test_scores_are_in_the_order_of_open_nets_overflow_and_wirelength(
     assert -3 < mine < 4
 
 
-@settings(deadline=None)
 @given(FIGURES, FIGURES, FIGURES)
 def test_a_score_is_the_share_of_the_way(
     found: Figures, astar: Figures, reference: Figures

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from reference import contested, edge_number
 from seeing import cheapest_tree, edge_costs, gcell, is_priced
@@ -27,7 +27,6 @@ RULES: dict[str, Any] = {
 }
 
 
-@settings(deadline=None, max_examples=30)
 @given(contested(max_nets=4), st.sampled_from(["listed", "nearest"]), st.integers(0, 2**30))
 def test_agents_walk_along_cheapest_trees(problem: Problem, next_pin: str, seed: int) -> None:
     engine = Engine([problem], next_pin=next_pin, **RULES)

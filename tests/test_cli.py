@@ -21,7 +21,8 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from hypothesis import example, given, settings
+from conftest import examples
+from hypothesis import example, given
 from hypothesis import strategies as st
 from test_bad_files import GR
 
@@ -1291,7 +1292,7 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("scratch") / "config.yaml"
 
 
-@settings(max_examples=300, deadline=None)
+@examples(100)
 @given(
     edits=st.lists(
         st.tuples(
@@ -1318,7 +1319,7 @@ KEY_TEXT = (
 )
 
 
-@settings(max_examples=300, deadline=None)
+@examples(100)
 @given(
     st.lists(
         st.builds(
@@ -1354,7 +1355,6 @@ TEXT = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"
 TEXT |= st.sampled_from(["0E0", "1e5", "1:30", "010", "0x1f", "1_0", "true", "null", ".inf"])
 
 
-@settings(max_examples=50, deadline=None)
 @given(
     config=st.builds(
         Config,

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from strategies import solved_problems
 
@@ -12,7 +12,6 @@ figures = pytest.importorskip("policies.figures", exc_type=ImportError)
 congestion = pytest.importorskip("policies.figures.congestion", exc_type=ImportError)
 
 
-@settings(deadline=None, max_examples=60)
 @given(solved_problems(), st.sampled_from([1, 2, 3, 1024]))
 def test_the_fullest_edge_of_every_field(solution, most):
     problem = solution.problem

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import networkx as nx
 import numpy as np
-from hypothesis import given, settings
+from conftest import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from reference import Gcell, contested, distance, gcell_of, pin_gcells
 from strategies import problems
@@ -24,7 +25,7 @@ def tasks_of(problem: Problem) -> list[list[tuple[Gcell, Gcell]]]:
     return tasks
 
 
-@settings(deadline=None, max_examples=150)
+@examples(100)
 @given(any_problem)
 def test_tasks_are_a_minimum_spanning_tree_of_the_pins(problem: Problem) -> None:
     for net, tasks in enumerate(tasks_of(problem)):
@@ -43,7 +44,6 @@ def test_tasks_are_a_minimum_spanning_tree_of_the_pins(problem: Problem) -> None
         assert sum(distance(a, b) for a, b in tasks) == shortest
 
 
-@settings(deadline=None, max_examples=100)
 @given(any_problem)
 def test_which_tree_and_in_which_order(problem: Problem) -> None:
     """Of equally distant pairs the first one counts; branches to later pins come first."""
@@ -65,7 +65,6 @@ def test_which_tree_and_in_which_order(problem: Problem) -> None:
         assert tasks == expected
 
 
-@settings(deadline=None, max_examples=100)
 @given(any_problem)
 def test_every_task_starts_at_a_pin_already_reached(problem: Problem) -> None:
     for net, tasks in enumerate(tasks_of(problem)):
@@ -76,7 +75,6 @@ def test_every_task_starts_at_a_pin_already_reached(problem: Problem) -> None:
             reached.add(target)
 
 
-@settings(deadline=None, max_examples=50)
 @given(any_problem)
 def test_form_of_the_table(problem: Problem) -> None:
     table = two_pin_tasks(problem)
@@ -86,7 +84,6 @@ def test_form_of_the_table(problem: Problem) -> None:
     np.testing.assert_array_equal(table, two_pin_tasks(replace(problem)))
 
 
-@settings(deadline=None, max_examples=50)
 @given(any_problem, st.randoms(use_true_random=False))
 def test_tasks_of_a_net_depend_on_its_own_pins_alone(problem: Problem, random: object) -> None:
     """A net's tasks stay the same among other nets, in another order."""

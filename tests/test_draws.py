@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -236,7 +236,6 @@ def test_an_order_of_nets_needs_problems_that_stay() -> None:
 PLACES = st.lists(st.tuples(st.integers(0, 2), st.sampled_from(SET)), min_size=1, max_size=8)
 
 
-@settings(deadline=None, max_examples=40)
 @given(PLACES, st.sampled_from(list(RULES.values())), st.booleans())
 def test_a_replaced_problem_is_as_in_a_new_engine(
     places: list[tuple[int, Problem]], rules: dict[str, Any], parts: bool

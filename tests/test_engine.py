@@ -5,7 +5,8 @@ from typing import Any
 import networkx as nx
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from conftest import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference import Game, contested, edge_number, gcell_of, random_moves
@@ -98,7 +99,7 @@ def compare(engine: Engine, game: Game) -> None:
     assert now.tasks == sum(len(a.tasks) for a in agents)
 
 
-@settings(deadline=None, max_examples=80)
+@examples(60)
 @given(contested(), options, seeds, st.sampled_from(["turn", "all", "mixed"]))
 def test_engine_plays_by_the_rules(
     problem: Problem, chosen: dict[str, Any], seed: int, form: str
@@ -127,7 +128,7 @@ def test_engine_plays_by_the_rules(
 forms = st.sampled_from(["turn", "all", "mixed"])
 
 
-@settings(deadline=None, max_examples=80)
+@examples(60)
 @given(contested(max_nets=8, max_capacity=2), options, extensions, seeds, forms)
 def test_engine_plays_by_the_options(
     problem: Problem, chosen: dict[str, Any], more: dict[str, Any], seed: int, form: str
@@ -177,7 +178,6 @@ def test_nets_negotiate_again_and_again(calm: float) -> None:
     assert lasted  # so long that overflow adds the most to prices
 
 
-@settings(deadline=None, max_examples=60)
 @given(contested(max_nets=10), options, seeds)
 def test_what_must_hold_in_every_game(problem: Problem, chosen: dict[str, Any], seed: int) -> None:
     """Properties that need no model of the rules."""
@@ -257,7 +257,6 @@ def assert_same_play(batch: Engine, m: int, single: Engine) -> None:
     assert batch.metrics(m) == single.metrics()
 
 
-@settings(deadline=None, max_examples=30)
 @given(batches(), options, seeds, st.booleans())
 def test_a_batch_is_its_problems_played_alone(
     problems: list[Problem], chosen: dict[str, Any], seed: int, everyone: bool
@@ -283,7 +282,6 @@ def test_a_batch_is_its_problems_played_alone(
         assert batch.solution(m) == single.solution()
 
 
-@settings(deadline=None, max_examples=30)
 @given(batches(), options, seeds)
 def test_reset_of_some_problems_leaves_the_others_alone(
     problems: list[Problem], chosen: dict[str, Any], seed: int
@@ -316,7 +314,6 @@ def assert_equal_play(one: Engine, other: Engine) -> None:
         )
 
 
-@settings(deadline=None, max_examples=30)
 @given(batches(), options, seeds, st.booleans())
 def test_move_and_settle_make_a_step(
     problems: list[Problem], chosen: dict[str, Any], seed: int, everyone: bool
@@ -341,7 +338,6 @@ def test_move_and_settle_make_a_step(
         assert_equal_play(halves, whole)
 
 
-@settings(deadline=None, max_examples=50)
 @given(contested(), options, seeds)
 def test_turns_of_a_cycle_are_one_step_of_all(
     problem: Problem, chosen: dict[str, Any], seed: int
@@ -367,7 +363,6 @@ def test_turns_of_a_cycle_are_one_step_of_all(
         np.testing.assert_array_equal(one_by_one.dynamic.used, at_once.dynamic.used)
 
 
-@settings(deadline=None, max_examples=30)
 @given(batches(), options, seeds, st.booleans())
 def test_nobody_moves_nothing(
     problems: list[Problem], chosen: dict[str, Any], seed: int, everyone: bool

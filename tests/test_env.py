@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
@@ -189,7 +189,6 @@ def play_side_by_side(
             assert metrics["wirelength"] == judged.wirelength
 
 
-@settings(deadline=None, max_examples=40)
 @given(contested(), game_options, face_options, seeds)
 def test_aec_and_parallel_play_the_engines_game(
     problem: Problem, rules: dict[str, Any], form: dict[str, Any], seed: int
@@ -205,7 +204,6 @@ def test_any_number_of_nets(nets: int, cycles: int, turn_order: str) -> None:
     play_side_by_side(problem, options, seed=nets, cycles=cycles)
 
 
-@settings(deadline=None, max_examples=30)
 @given(contested(), game_options, seeds)
 def test_observations_are_those_of_the_model(
     problem: Problem, rules: dict[str, Any], seed: int
@@ -231,7 +229,6 @@ def test_observations_are_those_of_the_model(
             env.step(None)
 
 
-@settings(deadline=None, max_examples=30)
 @given(contested(), game_options, face_options, seeds)
 def test_single_plays_the_aec_game(
     problem: Problem, rules: dict[str, Any], form: dict[str, Any], seed: int
@@ -271,7 +268,6 @@ def test_single_plays_the_aec_game(
 # Spaces ------------------------------------------------------------------------------------------
 
 
-@settings(deadline=None, max_examples=60)
 @given(contested(max_nets=10), game_options, face_options, seeds)
 def test_spaces_hold_every_observation_and_state(
     problem: Problem, rules: dict[str, Any], form: dict[str, Any], seed: int

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import yaml
 from conftest import in_this_process
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -976,7 +976,6 @@ def test_decreases_fall_into_their_bars() -> None:
         figures.by_problem({}, np.arange(2), "wirelength", "astar")
 
 
-@settings(max_examples=25, deadline=None)
 @given(st.lists(st.integers(-500, 500), min_size=1, max_size=30))
 def test_every_decrease_is_in_a_bar(values: list[int]) -> None:
     figure = figures.decrease_histogram({"a": np.array(values, np.float64)}, "astar")

@@ -9,18 +9,22 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from marouting import generate
 from marouting.files import TEMPORARY
+from policies.cli.main import status
 from policies.results.folder import LOCK
 
 TRAINING = {
     "seed": 1,
     "env": {"problem": {"grid": [4, 4, 2], "nets": 3, "reduced_edges": 0}},
     "learner": {"kind": "dqn", "burn_in_size": 20, "buffer_size": 40, "batch_size": 4},
-    "train": {"episodes": 4, "checkpoint_seconds": 0, "tensorboard": False, "figures": False},
+    "train": {"episodes": 2, "checkpoint_seconds": 0, "tensorboard": False, "figures": False},
 }
 EXPERIMENT = {
     "problems": {"a": {"grid": [4, 4, 2], "nets": 3, "count": 2, "reduced_edges": 0}},
@@ -42,7 +46,7 @@ import contextlib, errno, io, json, os, shutil, sys
 from pathlib import Path
 from policies.cli.main import status
 
-folder, commands = Path(sys.argv[1]), json.loads(sys.argv[2])
+folder = Path(sys.argv[1])
 left = [-1]  # operations until one fails
 failed = []
 
@@ -80,50 +84,69 @@ def files():
         for path in sorted((folder / "out").rglob("*")) if path.is_file()
     }
 
-os.chdir(folder)
-run(commands[0])
-report = {"whole": files(), "faults": []}
-for fault in range(500):
+def report(command, resume):
+    run(command)
+    whole, faults = files(), []
+    for fault in range(500):
+        shutil.rmtree("out")
+        code, errors = run(command, fault)
+        if not failed:
+            break
+        event = failed[0]
+        left_behind = sorted(files()) if Path("out").exists() else []
+        after = run(resume if Path("out/metrics.jsonl").exists() else command)
+        faults.append([event, code, errors, left_behind, *after, files()])
     shutil.rmtree("out")
-    code, errors = run(commands[0], fault)
-    if not failed:
-        break
-    event = failed[0]
-    left_behind = sorted(files()) if Path("out").exists() else []
-    again = commands[-1] if Path("out/metrics.jsonl").exists() else commands[0]
-    after = run(again)
-    report["faults"].append([event, code, errors, left_behind, *after, files()])
-print(json.dumps(report))
+    return whole, faults
+
+os.chdir(folder)
+commands = json.loads(sys.argv[2])
+resume = [*commands["train"], "--resume", "out"] if "train" in commands else None
+print(json.dumps({name: report(command, resume) for name, command in commands.items()}))
 """
 
 
-@pytest.mark.parametrize(
-    "command",
-    [pytest.param(name, marks=pytest.mark.slow) if name in _LONG else name for name in COMMANDS],
-)
-def test_every_operation_on_a_file_fails_once(command: str, tmp_path: Path) -> None:
-    """One line names the file; nothing half-written stays; the same command then succeeds."""
-    (tmp_path / "training.yaml").write_text(json.dumps(TRAINING))
-    (tmp_path / "experiment.yaml").write_text(json.dumps(EXPERIMENT))
-    marouting("generate", "--grid", "4", "4", "2", "--nets", "3", "--out", ".", cwd=tmp_path)
-    (tmp_path / "problem_000.gr").rename(tmp_path / "problem.gr")
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    commands = [COMMANDS[command]]
-    if command == "train":
-        commands.append(["train", "../training.yaml", "out=out", "--resume", "out"])
+def faults_of(names: Sequence[str], folder: Path) -> dict[str, Any]:
+    """What comes of commands and their faults, in a process whose files the hook sees."""
+    (folder / "training.yaml").write_text(json.dumps(TRAINING))
+    (folder / "experiment.yaml").write_text(json.dumps(EXPERIMENT))
+    generate(1, (4, 4, 2), nets=3)[0].write(folder / "problem.gr")
+    work = folder / "folder"
+    work.mkdir()
+    commands = json.dumps({name: COMMANDS[name] for name in names})
     done = subprocess.run(
-        [sys.executable, "-c", _SCRIPT, str(folder), json.dumps(commands)],
+        [sys.executable, "-c", _SCRIPT, str(work), commands],
         capture_output=True,
         text=True,
         timeout=600,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout)
-    assert len(report["faults"]) >= 2
-    print(f"{command}: {len(report['faults'])} faults")
-    for event, code, errors, left, again, complaints, files in report["faults"]:
+    return dict(json.loads(done.stdout))
+
+
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Faults of the commands that are soon at their end."""
+    return faults_of([name for name in COMMANDS if name not in _LONG], tmp_path_factory.mktemp("f"))
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name not in _LONG])
+def test_every_operation_on_a_file_fails_once(command: str, few: dict[str, Any]) -> None:
+    """One line names the file; nothing half-written stays; the same command then succeeds."""
+    check_faults(command, *few[command])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", sorted(_LONG))
+def test_every_operation_of_a_longer_command_fails_once(command: str, tmp_path: Path) -> None:
+    check_faults(command, *faults_of([command], tmp_path)[command])
+
+
+def check_faults(command: str, whole: dict[str, str], faults: list[Any]) -> None:
+    assert len(faults) >= 2
+    print(f"{command}: {len(faults)} faults")
+    for event, code, errors, left, again, complaints, files in faults:
         if event == "os.mkdir" and code == 0:
             continue  # the folder was there already
         assert code == 2, (event, errors)
@@ -134,40 +157,40 @@ def test_every_operation_on_a_file_fails_once(command: str, tmp_path: Path) -> N
         assert "Traceback" not in errors
         assert not [name for name in left if name.endswith((TEMPORARY, LOCK))], (event, left)
         assert again == 0, (event, complaints)
-        assert files.keys() == report["whole"].keys(), event
+        assert files.keys() == whole.keys(), event
         for name, content in files.items():
             if not name.endswith((".json", ".csv", ".pt")):  # with times
-                assert content == report["whole"][name], (event, name)
+                assert content == whole[name], (event, name)
 
 
-def marouting(*arguments: str, cwd: Path, before: str = "") -> subprocess.CompletedProcess[str]:
-    """Runs a command."""
-    code = f"{before}\nimport sys; from policies.cli.main import main; main(sys.argv[1:])"
-    return subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+_FULL = """
+import os, resource, sys
+from policies.cli.main import status
+
+for size in map(int, sys.argv[1:]):
+    if not os.fork():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+        os._exit(status(["train", "training.yaml", f"out=out{size}"]))
+    print("status", os.waitstatus_to_exitcode(os.wait()[1]), file=sys.stderr)
+"""
 
 
-_FULL = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({}, resource.RLIM_INFINITY))"
-
-
-@pytest.mark.parametrize("size", [40, 1000, 3000, 20000])
-def test_a_training_on_a_disk_that_fills_up(tmp_path: Path, size: int) -> None:
+def test_a_training_on_a_disk_that_fills_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     training = {**TRAINING, "train": {**TRAINING["train"], "tensorboard": True}}  # type: ignore[dict-item]
-    (tmp_path / "training.yaml").write_text(json.dumps(training))
-    command = "train", "training.yaml", "out=out"
-    done = marouting(*command, cwd=tmp_path, before=_FULL.format(size))
-    assert done.returncode == 2, done.stderr
+    Path("training.yaml").write_text(json.dumps(training))
+    sizes = 40, 1000, 3000, 20000
+    done = subprocess.run(
+        [sys.executable, "-c", _FULL, *map(str, sizes)],
+        capture_output=True, text=True, timeout=100, check=True,
+    )  # fmt: skip
     assert "Traceback" not in done.stderr
-    line = done.stderr.splitlines()[-1]
-    assert line.startswith(f"marouting: out{os.sep}"), line
-    assert "cannot be written: " in line
-    resumed = ("--resume", "out") if (tmp_path / "out" / "metrics.jsonl").exists() else ()
-    done = marouting(*command, *resumed, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert not list((tmp_path / "out").rglob(f"*{TEMPORARY}"))
+    for size, errors in zip(sizes, done.stderr.split("status 2\n"), strict=False):
+        out, line = Path(f"out{size}"), errors.splitlines()[-1]
+        assert line.startswith(f"marouting: {out}{os.sep}"), line
+        assert "cannot be written: " in line
+        resumed = ("--resume", str(out)) if (out / "metrics.jsonl").exists() else ()
+        assert status(["train", "training.yaml", f"out={out}", *resumed]) == 0
+        assert not list(out.rglob(f"*{TEMPORARY}"))

@@ -3,7 +3,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from strategies import solved_problems
 
@@ -109,7 +109,6 @@ def test_congestion_without_capacity():
     assert any("(arrow: no capacity)" in bar.get_ylabel() for bar in bars)
 
 
-@settings(deadline=None, max_examples=60)
 @given(solved_problems(), st.sampled_from([1, 2, 3, 1024]))
 def test_utilisation_against_tables_of_all_edges(solution, most):
     problem = solution.problem

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from reference import Edge, between, edge_number, gcell_of, is_via, pin_gcells
 
@@ -76,7 +76,6 @@ def test_no_seed_gives_another_set_every_time() -> None:
     assert generate(1, seed=None) != generate(1, seed=None)
 
 
-@settings(deadline=None, max_examples=80)
 @given(arguments)
 def test_what_every_problem_is_like(chosen: dict[str, Any]) -> None:
     (problem,) = generate(1, **chosen)
@@ -103,7 +102,6 @@ def test_what_every_problem_is_like(chosen: dict[str, Any]) -> None:
     assert evaluate(problem, sequential_astar(problem)).connected
 
 
-@settings(deadline=None, max_examples=60)
 @given(arguments, st.integers(1, 3))
 def test_reduced_edges_are_the_most_used(chosen: dict[str, Any], count: int) -> None:
     problems = generate(count, **chosen)

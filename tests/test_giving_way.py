@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pettingzoo.test import api_test, parallel_api_test
 from seeing import option_state
@@ -144,7 +144,6 @@ rounds = st.fixed_dictionaries(
 )
 
 
-@settings(deadline=None, max_examples=40)
 @given(rounds, st.integers(0, 999))
 def test_no_round_makes_anything_worse(options: dict[str, Any], seed: int) -> None:
     problem = generate(1, grid=(5, 5, 2), nets=8, max_pins=3, capacity=1, seed=seed)
@@ -175,7 +174,6 @@ def test_no_round_makes_anything_worse(options: dict[str, Any], seed: int) -> No
     assert ended.joined >= now.joined
 
 
-@settings(deadline=None, max_examples=25)
 @given(
     CHOICES,
     st.sampled_from(["sequential", "round_robin"]),

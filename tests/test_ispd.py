@@ -7,7 +7,7 @@ from pathlib import Path
 import networkx
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from strategies import problems, solved_problems
 
 from marouting import Adjustment, Net, Pin, Problem, Solution, evaluate, sequential_astar
@@ -109,7 +109,6 @@ def test_the_last_adjustment_of_an_edge_counts(tmp_path: Path) -> None:
     assert Problem.read(tmp_path / "again.gr") == problem
 
 
-@settings(deadline=None)
 @given(problem=problems())
 def test_a_problem_is_read_as_it_was_written(
     problem: Problem, tmp_path_factory: pytest.TempPathFactory
@@ -123,7 +122,6 @@ def test_a_problem_is_read_as_it_was_written(
     assert file.read_bytes() == written
 
 
-@settings(deadline=None)
 @given(solution=solved_problems())
 def test_a_solution_is_read_as_it_was_written(
     solution: Solution, tmp_path_factory: pytest.TempPathFactory

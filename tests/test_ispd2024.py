@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from marouting import InputError, Problem, Solution, evaluate
@@ -332,7 +332,6 @@ def cases(draw: st.DrawFn) -> tuple[str, str, str]:
     return "\n".join(lines) + "\n", nets, routes
 
 
-@settings(max_examples=80, deadline=None)
 @given(case=cases())
 def test_any_routes_cost_what_the_evaluator_says(
     case: tuple[str, str, str], tmp_path_factory: pytest.TempPathFactory
@@ -351,7 +350,6 @@ def test_any_routes_cost_what_the_evaluator_says(
     assert np.array_equal(moved.uses[1], solution.uses[1])
 
 
-@settings(max_examples=40, deadline=None)
 @given(case=cases())
 def test_negotiated_congestion_keeps_to_the_directions_of_layers(
     case: tuple[str, str, str], tmp_path_factory: pytest.TempPathFactory

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from numpy.typing import NDArray
 from strategies import problems
 from test_bad_files import refused
@@ -185,7 +185,6 @@ def test_a_benchmark_is_routed(tmp_path: Path, text: str, problem: Problem) -> N
 
 
 @pytest.mark.parametrize("format", list(TEXTS))
-@settings(deadline=None)
 @given(problem=problems())
 def test_what_a_format_holds_is_read_as_it_was_written(
     problem: Problem, format: Format, tmp_path_factory: pytest.TempPathFactory
@@ -201,7 +200,6 @@ def test_what_a_format_holds_is_read_as_it_was_written(
 
 
 @pytest.mark.parametrize("format", FORMATS)
-@settings(deadline=None)
 @given(problem=problems(max_layers=2, max_nets=2))
 def test_a_problem_is_held_whole_or_refused(
     problem: Problem, format: Format, tmp_path_factory: pytest.TempPathFactory

@@ -1,19 +1,22 @@
 """Compiled code: what is on disk is never staler than the sources, and numba's private parts."""
 
+import importlib
 import json
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 import wheels
 
 import marouting
-from marouting import kernels
+from marouting import compiling, kernels
 
 _PLAY = """
 import marouting, numpy as np
@@ -45,6 +48,7 @@ def play(copy: Path, cache: Path | None) -> list[int]:
     return list(map(int, done.stdout.split()))
 
 
+@pytest.mark.slow
 def test_an_edited_rule_is_played_by_code_that_was_compiled_before(tmp_path: Path) -> None:
     """The batch inlines the rule into a function of another file, whose own source is the same."""
     copy, cache = tmp_path / "copy", tmp_path / "cache"
@@ -79,138 +83,159 @@ def test_an_upgrade_is_played_by_code_that_was_compiled_before_it(tmp_path: Path
             assert play(site, cache) == [3, wirelength]
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new", "same"),
-    [
-        ("calls", "X, 2)", "X, 3)", False),  # the function itself
-        ("rules", "a + b", "a - b", False),  # what it calls
-        ("deeper", "LEAST = 1", "LEAST = 2", False),  # a constant of what that calls
-        ("deeper", "EVEN = 1", "EVEN = 7", False),  # another, and there is something equal to both
-        ("deeper", "x: int", "y: int", False),  # a field of an argument
-        ("other", "1", "2", True),  # imported, and not compiled into it
-    ],
-)
-def test_a_stamp_depends_on_what_is_compiled_into_a_function(
-    tmp_path: Path, file: str, old: str, new: str, same: bool
-) -> None:
-    sources = {
-        "calls": "from pack.other import Y\nfrom pack.rules import add\n"
-        "from marouting.kernels import compiled\nX = Y\n\n\n"
-        "@compiled\ndef call():\n    return add(X, 2)\n",
-        "rules": "from pack.deeper import Point, least\n"
-        "from marouting.kernels import compiled\n\n\n"
-        "@compiled\ndef add(a, b: Point):\n    return least(a + b)\n",
-        "deeper": "from typing import NamedTuple\nfrom marouting.kernels import compiled\n"
-        "LEAST = 1\nEVEN = 1\nODD = 7\n\n\nclass Point(NamedTuple):\n    x: int\n\n\n"
-        "@compiled\ndef least(a):\n    return later(a)\n\n\n"
-        "@compiled\ndef later(a):\n    return max(a, LEAST, EVEN, ODD, len(repr(THING)))\n\n\n"
-        "class Thing:\n    __module__ = None\n\n\nTHING = Thing()\n",
-        "other": "Y = 4  # 1\n",
-        "__init__": "",
-    }
-
-    def stamp(seed: int = 0) -> str:
-        (tmp_path / "pack").mkdir(exist_ok=True)
-        for name, text in sources.items():
-            (tmp_path / "pack" / f"{name}.py").write_text(text)
-        code = "from marouting import compiling; from pack import calls; "
-        done = subprocess.run(
-            [sys.executable, "-c", f"{code}print(compiling.stamp(calls.call.py_func))"],
-            env={
-                **os.environ,
-                "PYTHONPATH": os.pathsep.join(
-                    (str(tmp_path), str(Path(marouting.__file__).parents[1]))
-                ),
-                "PYTHONDONTWRITEBYTECODE": "1",
-                "PYTHONHASHSEED": str(seed),
-            },
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    before = stamp()
-    assert [stamp(seed) for seed in (1, 2, 3)] == [before] * 3
-    assert sources[file].count(old) == 1
-    sources[file] = sources[file].replace(old, new)
-    assert (stamp() == before) == same
+SOURCES = {
+    "calls": "from pack.other import Y\nfrom pack.rules import add\n"
+    "from marouting.kernels import compiled\nX = Y\n\n\n"
+    "@compiled\ndef call():\n    return add(X, 2)\n",
+    "rules": "from pack.deeper import Point, least\n"
+    "from marouting.kernels import compiled\n\n\n"
+    "@compiled\ndef add(a, b: Point):\n    return least(a + b)\n",
+    "deeper": "from typing import NamedTuple\nfrom marouting.kernels import compiled\n"
+    "LEAST = 1\nEVEN = 1\nODD = 7\n\n\nclass Point(NamedTuple):\n    x: int\n\n\n"
+    "@compiled\ndef least(a):\n    return later(a)\n\n\n"
+    "@compiled\ndef later(a):\n    return max(a, LEAST, EVEN, ODD, len(repr(THING)))\n\n\n"
+    "class Thing:\n    __module__ = None\n\n\nTHING = Thing()\n",
+    "other": "Y = 4  # 1\n",
+    "__init__": "",
+}
 
 
-def run_mine(
-    folder: Path, cache: Path, before: str = "", source: str = "2 * x"
-) -> tuple[list[int], str]:
-    """The result of a compiled function and whether it was on disk, and standard error."""
-    (folder / "mine.py").write_text(
-        "from marouting.kernels import compiled\n\n\n@compiled\ndef part(x):\n"
-        f"    return {source}\n\n\n@compiled\ndef double(x):\n    return part(x)\n"
-    )
-    path = os.pathsep.join((str(folder), str(Path(marouting.__file__).parents[1])))
+def python(code: str, path: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Runs code in a process that finds modules in a folder, and this checkout."""
+    checkout = str(Path(marouting.__file__).parents[1])
     done = subprocess.run(
-        [sys.executable, "-c", f"{before}\nimport mine\nprint(mine.double(21))\n"
-         "print(sum(mine.double.stats.cache_hits.values()))"],
-        env={**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(cache)},
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join((str(path), checkout)), **variables},
         capture_output=True,
         text=True,
         timeout=300,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
-    return list(map(int, done.stdout.split())), done.stderr
+    return done
 
 
-@pytest.fixture(scope="module")
-def mine(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[Path, bytes]]:
-    """A folder with a module, a cache that has its code, and the files there."""
-    folder = tmp_path_factory.mktemp("mine")
-    cache = folder / "cache"
-    assert run_mine(folder, cache)[0] == [42, 0]
-    assert run_mine(folder, cache)[0] == [42, 1]
-    files = {file: file.read_bytes() for file in sorted(cache.rglob("mine*.nb?"))}
+def imported(folder: Path, name: str, sources: dict[str, str]) -> Any:
+    """A module by its sources, imported anew as in another process."""
+    package = name.partition(".")[0]
+    for known in [known for known in sys.modules if known.partition(".")[0] == package]:
+        del sys.modules[known]
+    for file, text in sources.items():
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / file).write_text(text)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        patch.setattr(sys, "dont_write_bytecode", True)
+        return importlib.import_module(name)
+
+
+def test_a_stamp_depends_on_what_is_compiled_into_a_function(tmp_path: Path) -> None:
+    def stamp(number: int, **sources: str) -> str:
+        files = {f"pack/{name}.py": text for name, text in (SOURCES | sources).items()}
+        return compiling.stamp(imported(tmp_path / str(number), "pack.calls", files).call.py_func)
+
+    before = stamp(0)
+    code = "from marouting import compiling; from pack import calls; "
+    code += "print(compiling.stamp(calls.call.py_func))"
+    for seed in "12":
+        assert python(code, tmp_path / "0", PYTHONHASHSEED=seed).stdout == f"{before}\n"
+    for number, (file, old, new, same) in enumerate(
+        [
+            ("calls", "X, 2)", "X, 3)", False),  # the function itself
+            ("rules", "a + b", "a - b", False),  # what it calls
+            ("deeper", "LEAST = 1", "LEAST = 2", False),  # a constant of what that calls
+            ("deeper", "EVEN = 1", "EVEN = 7", False),  # another; something is equal to both
+            ("deeper", "x: int", "y: int", False),  # a field of an argument
+            ("other", "1", "2", True),  # imported, and not compiled into it
+        ]
+    ):
+        assert SOURCES[file].count(old) == 1
+        changed = {file: SOURCES[file].replace(old, new)}
+        assert (stamp(number + 1, **changed) == before) == same, (file, old)
+
+
+MINE = (
+    "from marouting.kernels import compiled\nfrom mine.rules import part\n\n\n"
+    "@compiled\ndef double(x):\n    return part(x)\n"
+)
+RULES = "from marouting.kernels import compiled\n\n\n@compiled\ndef part(x):\n    return {source}\n"
+
+
+def mine_in(source: str) -> dict[str, str]:
+    """A package with a kernel, and the rule in another file that is compiled into it."""
+    files = {"__init__": "", "calls": MINE, "rules": RULES.format(source=source)}
+    return {f"mine/{name}.py": text for name, text in files.items()}
+
+
+@pytest.fixture
+def run_mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[int, int]]:
+    """Runs the kernel as in another process: its result, and whether the code was on disk."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    compiling.stamp.cache_clear()
+
+    def run_mine(source: str = "2 * x", argument: int = 21) -> tuple[int, int]:
+        double = imported(tmp_path, "mine.calls", mine_in(source)).double
+        return double(argument), sum(double.stats.cache_hits.values())
+
+    return run_mine
+
+
+@pytest.fixture
+def kept(tmp_path: Path, run_mine: Callable[..., tuple[int, int]]) -> dict[Path, bytes]:
+    """The files with the kernel's code on disk."""
+    assert run_mine() == (42, 0)
+    assert run_mine() == (42, 1)
+    files = {file: file.read_bytes() for file in (tmp_path / "cache").rglob("*.nb?")}
     assert {file.suffix for file in files} == {".nbi", ".nbc"}
-    return folder, cache, files
+    return files
 
 
-@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
-@pytest.mark.parametrize("damage", ["empty", "truncated", "garbage", "flipped"])
-def test_a_damaged_file_of_compiled_code_is_made_again(
-    mine: tuple[Path, Path, dict[Path, bytes]], suffix: str, damage: str
+def test_an_edited_rule_is_compiled_into_what_calls_it(
+    kept: dict[Path, bytes], run_mine: Callable[..., tuple[int, int]]
 ) -> None:
-    folder, cache, files = mine
-    for file, content in files.items():
-        file.write_bytes(content)
-        if file.suffix == suffix:
-            half = len(content) // 2
-            flipped = content[:half] + bytes([content[half] ^ 1]) + content[half + 1 :]
-            file.write_bytes(
-                {"empty": b"", "truncated": content[:half], "garbage": b"no pickle"}.get(
-                    damage, flipped
-                )
-            )
-    assert run_mine(folder, cache) in (([42, 0], ""), ([42, 1], ""))
-    assert run_mine(folder, cache) == ([42, 1], "")
-
-
-def test_older_code_under_the_name_of_newer_code_is_not_run(
-    mine: tuple[Path, Path, dict[Path, bytes]],
-) -> None:
-    """As after a process that was killed between writing the index and writing the code."""
-    folder, cache, files = mine
-    assert run_mine(folder, cache, source="3 * x")[0] == [63, 0]
-    for file, content in files.items():
+    """The file of the function that is called from Python is the same."""
+    assert run_mine("3 * x") == (63, 0)
+    assert run_mine("3 * x") == (63, 1)
+    # As after a process that was killed between writing the index and writing the code: older code
+    # under the name of newer code.
+    for file, content in kept.items():
         if file.suffix == ".nbc":
             file.write_bytes(content)
-    assert run_mine(folder, cache, source="3 * x")[0] == [63, 0]
+    assert run_mine("3 * x") == (63, 0)
 
 
-def test_compiling_is_announced_before_it_begins(tmp_path: Path) -> None:
+def test_a_damaged_file_of_compiled_code_is_made_again(
+    kept: dict[Path, bytes], run_mine: Callable[..., tuple[int, int]]
+) -> None:
+    def flipped(content: bytes) -> bytes:
+        half = len(content) // 2
+        return content[:half] + bytes([content[half] ^ 1]) + content[half + 1 :]
+
+    for suffix in (".nbi", ".nbc"):
+        for damage in (lambda _: b"", lambda c: c[: len(c) // 2], lambda _: b"no pickle", flipped):
+            for file, content in kept.items():
+                file.write_bytes(damage(content) if file.suffix == suffix else content)
+            assert run_mine() in ((42, 0), (42, 1))
+            assert run_mine() == (42, 1)
+
+
+def test_compiling_is_announced_before_it_begins(
+    run_mine: Callable[..., tuple[int, int]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """Once in a process, and not where the code is on disk."""
-    before = 'import mine\nmine.COMPILES = "what is mine", 7\n'
-    line = "compiling what is mine, once per version: about 7 s\n"
-    assert run_mine(tmp_path, tmp_path / "cache", before) == ([42, 0], line)
-    assert run_mine(tmp_path, tmp_path / "cache", before) == ([42, 1], "")
-    again = before + "print(mine.part(21), int(mine.double(2.0)))"
-    assert run_mine(tmp_path, tmp_path / "cache", again, "x + x") == ([42, 4, 42, 0], line)
+    monkeypatch.setattr("test_kernels.MINE", f'COMPILES = "what is mine", 7\n{MINE}')
+    for source, argument, said in (
+        ("2 * x", 21, 1),
+        ("2 * x", 21, 0),  # on disk
+        ("x + x", 21, 1),
+        ("x + x", 2.0, 0),  # compiled, and announced before
+    ):
+        if argument == 21:
+            monkeypatch.setattr(compiling, "_said", set())  # as in another process
+        assert run_mine(source, argument)[0] == 2 * argument
+        line = "compiling what is mine, once per version: about 7 s\n"
+        assert capsys.readouterr().err == line * said
 
 
 @pytest.mark.slow
@@ -235,14 +260,14 @@ _FULL = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))"
 _NOWHERE = "import numba.core.caching as c; c.CacheImpl._locator_classes = []"
 
 
-@pytest.mark.parametrize("trouble", ["full disk", "nowhere to write"])
+@pytest.mark.parametrize("trouble", [_FULL, _NOWHERE], ids=["full disk", "nowhere to write"])
 def test_where_nothing_can_be_kept_one_line_says_so(tmp_path: Path, trouble: str) -> None:
-    cache = tmp_path / "cache"
-    before = {"full disk": _FULL, "nowhere to write": _NOWHERE}[trouble]
+    imported(tmp_path, "mine", mine_in("2 * x"))
+    code = f"{trouble}\nfrom mine.calls import double\nprint(double(21), double.stats.cache_hits)"
     for _ in range(2):
-        results, errors = run_mine(tmp_path, cache, before)
-        assert results == [42, 0]
-        (line,) = errors.splitlines()
+        done = python(code, tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+        assert done.stdout == "42 Counter()\n"
+        (line,) = done.stderr.splitlines()
         assert "compiled code is not kept on disk: " in line
 
 

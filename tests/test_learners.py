@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from torch import Tensor, nn
@@ -265,7 +265,6 @@ def test_work_is_recorded_after_the_first_calls() -> None:
     assert calls[-WARM_UP - 2 :] == ["plain"] * (WARM_UP + 2)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     rows=st.integers(1, 37),
     depth=st.integers(0, 37),
@@ -291,7 +290,6 @@ def test_products_of_matrices(
     assert out[-1] == 7
 
 
-@settings(deadline=None, max_examples=30)
 @given(st.integers(1, 70), st.sampled_from([1, 6, 16, 64, 100, 160]), st.integers(0, 9999))
 def test_a_row_with_zeros_comes_out_the_same(depth: int, columns: int, seed: int) -> None:
     """To the last bit, whatever is passed over, and as in a tile of many rows."""
@@ -482,7 +480,6 @@ def test_unfinished_returns_are_forgotten_when_games_start_anew() -> None:
     assert replay.stored.tolist() == [1]
 
 
-@settings(max_examples=30, deadline=None)
 @given(capacity=st.integers(1, 200), seed=st.integers(0, 99))
 def test_a_sum_tree_finds_what_a_cumulated_sum_finds(capacity: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

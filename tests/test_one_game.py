@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from conftest import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference import contested
@@ -234,7 +235,7 @@ def routes(env: Any) -> list[list[int]]:
     return [edges.tolist() for edges in played.solution().edges]
 
 
-@settings(deadline=None, max_examples=100)
+@examples(60)
 @given(contested(max_nets=5), rules(), rewards, st.booleans(), seeds)
 def test_the_same_moves_are_the_same_game(
     problem: Problem, options: dict[str, Any], reward: Any, persist: bool, seed: int
@@ -342,7 +343,6 @@ BATCHES = ("batch", "rows", "vector")
 
 
 @pytest.mark.parametrize("interface", INTERFACES)
-@settings(deadline=None, max_examples=20)
 @given(
     contested(max_nets=5),
     rules(),

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_bad_files import GR
 
@@ -266,7 +266,6 @@ def as_segments(solution: Solution, shift: int) -> str:
     return text
 
 
-@settings(deadline=None)
 @given(data=st.data())
 def test_round_trips(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     numbers = st.integers(1, 4)

@@ -13,7 +13,8 @@ from typing import Any
 import networkx as nx
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from conftest import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference import contested
@@ -152,7 +153,6 @@ def joined(shape: Shape, edges: NDArray[np.int64], pins: NDArray[np.int64]) -> n
 # --- trees ----------------------------------------------------------------------------------------
 
 
-@settings(deadline=None)
 @given(priced())
 def test_no_set_of_edges_is_cheaper(case: tuple[Shape, Costs, NDArray[np.int64]]) -> None:
     shape, price, pins = case
@@ -165,7 +165,6 @@ def test_no_set_of_edges_is_cheaper(case: tuple[Shape, Costs, NDArray[np.int64]]
         assert price.reshape(-1)[edges].sum() == cost
 
 
-@settings(deadline=None)
 @given(priced(cheapest=1))
 def test_the_result_is_a_tree_if_no_edge_is_free(
     case: tuple[Shape, Costs, NDArray[np.int64]],
@@ -200,7 +199,6 @@ def test_two_pins_are_joined_by_a_shortest_path(seed: int) -> None:
             assert cost == NEVER
 
 
-@settings(deadline=None)
 @given(priced(cheapest=1))
 def test_trees_across_every_edge(case: tuple[Shape, Costs, NDArray[np.int64]]) -> None:
     shape, price, pins = case
@@ -370,7 +368,6 @@ tiny = st.sampled_from(TINY).flatmap(
 )
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(tiny)
 def test_no_combination_of_trees_is_better(problem: Problem) -> None:
     best = best_of_all(problem)
@@ -437,7 +434,7 @@ def shortest(problem: Problem) -> int:
     return total
 
 
-@settings(deadline=None, max_examples=10, suppress_health_check=[HealthCheck.too_slow])
+@examples(10)
 @given(st.one_of(problems(max_side=4), contested(max_nets=8)))
 def test_bounds_grow_towards_the_optimum(problem: Problem) -> None:
     """Shortest trees bound less than the relaxation, and that less than the optimum."""
@@ -455,7 +452,7 @@ def test_bounds_grow_towards_the_optimum(problem: Problem) -> None:
         assert relaxed.status == "relaxation"
 
 
-@settings(deadline=None, max_examples=10)
+@examples(10)
 @given(contested(max_nets=4))
 def test_without_congestion_the_bound_is_that_of_steiner_trees(problem: Problem) -> None:
     room = (1000,) * problem.grid[2]

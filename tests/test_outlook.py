@@ -7,7 +7,8 @@ import networkx as nx
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from conftest import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from reference import Edge, all_edges, between, contested, edge_number
 from seeing import Gcell, edge_costs, expected, gcell, is_priced, open_tasks, option_state, squash
@@ -188,7 +189,7 @@ rules = st.fixed_dictionaries(
 )
 
 
-@settings(deadline=None, max_examples=15)
+@examples(15)
 @given(
     contested(max_nets=4),
     st.builds(OutlookObservation, st.integers(0, 2), st.integers(1, 4)),
@@ -225,7 +226,6 @@ def test_every_number_is_as_the_oracle_says(
             engine.step(rng.integers(-1, 6, engine.nets.shape))
 
 
-@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["pin", "tree"]), st.booleans(), st.booleans())
 def test_rows_do_not_depend_on_what_was_seen_before(
     seed: int, target: Any, own: bool, prices: bool
@@ -433,7 +433,6 @@ def test_the_loop_stops_when_nets_have_walked_and_goes_on() -> None:
     assert engine.metrics(1).wirelength == before[1]
 
 
-@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32), nets=st.integers(1, 20), max_pins=st.integers(2, 6))
 def test_nets_follow_the_routes_of_another_game(seed: int, nets: int, max_pins: int) -> None:
     """By ordinary moves; what does not lead from pin to pin is left out."""

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import scipy.optimize
 import scipy.sparse
-from hypothesis import HealthCheck, given, settings
+from conftest import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from reference import contested, pin_gcells
 from strategies import problems
@@ -204,7 +205,6 @@ def test_nothing_to_route() -> None:
 # Properties
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.one_of(problems(), contested(max_nets=10, max_pins=9)),
     st.fixed_dictionaries(
@@ -231,7 +231,6 @@ def test_every_net_is_joined_and_the_best_is_kept(
         assert best == (judged.overflow, weighted)
 
 
-@settings(deadline=None, max_examples=25)
 @given(
     st.sampled_from(
         [
@@ -252,7 +251,6 @@ def test_never_worse_than_sequential_astar(options: dict[str, Any], seed: int) -
     assert figures(problem, routed.solution) <= figures(problem, sequential_astar(problem))
 
 
-@settings(deadline=None, max_examples=30)
 @given(contested(max_nets=1, max_pins=12), st.integers(0, 2**31 - 1))
 def test_nets_with_room_get_steiner_trees(problem: Problem, seed: int) -> None:
     room = (1000,) * problem.grid[2]
@@ -309,7 +307,6 @@ def test_a_short_limit_of_time_is_looked_at_often() -> None:
     assert router(seconds=0.0).solve(problem).iterations <= 5
 
 
-@settings(deadline=None, max_examples=30)
 @given(problems(), st.sampled_from([0.0, 0.01, 1.0]))
 def test_patterns_join_every_net_within_its_pins(problem: Problem, via_weight: float) -> None:
     """The first pass is a whole solution: trees in the boxes around their pins."""
@@ -480,7 +477,7 @@ tight = st.sampled_from(
 )
 
 
-@settings(deadline=None, max_examples=15)
+@examples(15)
 @given(tight, st.integers(0, 2**31 - 1), st.integers(0, 2**31 - 1), st.integers(1, 60))
 def test_more_passes_are_never_worse(
     options: dict[str, Any], which: int, seed: int, passes: int
@@ -498,7 +495,7 @@ def test_more_passes_are_never_worse(
         best = min(best, (done.overflow, done.wirelength))
 
 
-@settings(deadline=None, max_examples=5)
+@examples(5)
 @given(st.integers(0, 2**31 - 1), st.integers(0, 2**31 - 1))
 def test_more_time_is_never_worse(which: int, seed: int) -> None:
     """Wherever the clock interrupts a pass."""
@@ -510,7 +507,6 @@ def test_more_time_is_never_worse(which: int, seed: int) -> None:
     assert ranks == sorted(ranks, reverse=True)
 
 
-@settings(deadline=None, max_examples=60)
 @given(st.integers(0, 2**31 - 1), st.integers(2, 9), st.integers(2, 9), st.integers(0, 60))
 def test_one_net_finds_the_way_of_least_overflow(
     seed: int, columns: int, rows: int, percent: int

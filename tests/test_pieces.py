@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference import contested
@@ -133,7 +133,6 @@ PIECES: dict[str, dict[str, Any]] = {
 }
 
 
-@settings(deadline=None, max_examples=25)
 @given(
     contested(max_nets=6),
     st.sampled_from(sorted(PIECES)),
@@ -235,7 +234,6 @@ def test_rewards_that_float32_cannot_hold_are_refused(key: str) -> None:
             PaperReward(**{key: value})
 
 
-@settings(deadline=None, max_examples=20)
 @given(contested(max_nets=6), st.booleans(), st.booleans(), st.integers(0, 1000))
 def test_any_pieces_play_as_the_compiled_ones(
     problem: Problem, everyone: bool, sequential: bool, seed: int

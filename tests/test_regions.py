@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from marouting import Problem, Solution, evaluate, generate
@@ -112,7 +112,6 @@ CUTS = (st.integers(0, 1000), st.sampled_from([0, 1]), st.sampled_from([2, 3]), 
 """Seed, axis, regions, reach."""
 
 
-@settings(max_examples=25, deadline=None)
 @given(*CUTS)
 def test_what_is_cut_joins_again(seed: int, axis: int, regions: int, reach: int) -> None:
     """The routes of a region solve its problem, and put back they are what they were."""
@@ -154,7 +153,6 @@ def tracks_over(piece: Piece, solution: Solution) -> int:
     return over
 
 
-@settings(max_examples=25, deadline=None)
 @given(*CUTS)
 def test_what_regions_find_fits_together(seed: int, axis: int, regions: int, reach: int) -> None:
     """Each has its share of the tracks, so that all together overflow no more than each alone."""

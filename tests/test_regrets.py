@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from conftest import examples
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from reference import contested, edge_number
 from seeing import cheapest_tree, edge_costs, gcell, is_priced
@@ -53,7 +54,6 @@ def play(engine: Engine, solution: Solution | None, rng: np.random.Generator) ->
     return engine.solution()
 
 
-@settings(deadline=None, max_examples=25)
 @given(contested(max_nets=5), st.sampled_from(["forbidden", "allowed"]), st.integers(0, 1000))
 def test_moves_without_regret_are_as_good_as_the_optimum(
     problem: Problem, overflow: str, seed: int
@@ -69,7 +69,7 @@ def test_moves_without_regret_are_as_good_as_the_optimum(
     assert (played.overflow, played.wirelength) == (0, figures.wirelength)
 
 
-@settings(deadline=None, max_examples=15)
+@examples(15)
 @given(contested(max_nets=4), st.integers(0, 1000))
 def test_in_priced_rounds_a_net_gets_its_cheapest_tree(problem: Problem, seed: int) -> None:
     rules = RULES | {"rip_up": {"rounds": 6, "choose": "conflicts"}, "negotiation": Negotiation()}
@@ -97,7 +97,7 @@ def test_in_priced_rounds_a_net_gets_its_cheapest_tree(problem: Problem, seed: i
     assert priced >= int((engine.tasks > 0).sum())
 
 
-@settings(deadline=None, max_examples=15)
+@examples(15)
 @given(
     st.lists(st.tuples(*[st.integers(0, 5)] * 2, st.integers(1, 2)), min_size=2, max_size=5),
     st.integers(0, 1000),

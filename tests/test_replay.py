@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from strategies import problems
 
@@ -58,7 +58,6 @@ def test_routes_come_out_as_they_went_in(turn_order: Any, decomposition: Any) ->
             assert evaluate(problem, again[m]).connected or metrics.joined < metrics.tasks
 
 
-@settings(deadline=None, max_examples=40)
 @given(problems(), st.sampled_from(["sequential", "round_robin"]))
 def test_overflow_is_replayed_where_it_is_allowed(problem: Problem, turn_order: Any) -> None:
     if not any(len(cells) > 1 for cells in problem.pin_gcells):

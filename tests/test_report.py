@@ -7,7 +7,7 @@ from pathlib import Path
 import networkx as nx
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from reference import distance, gcell_of, pin_gcells
 from strategies import problems, solved_problems
 
@@ -19,7 +19,6 @@ from policies.results.report import report, steiner_bounds
 # --- guides ---------------------------------------------------------------------------------------
 
 
-@settings(deadline=None, max_examples=60)
 @given(solution=solved_problems())
 def test_a_guide_is_connected_and_covers_every_pin(
     solution: Solution, tmp_path_factory: pytest.TempPathFactory
@@ -78,7 +77,6 @@ def test_a_guide_is_connected_and_covers_every_pin(
 # --- reports --------------------------------------------------------------------------------------
 
 
-@settings(deadline=None, max_examples=60)
 @given(solution=solved_problems())
 def test_the_figures_of_a_report(solution: Solution) -> None:
     problem = solution.problem
@@ -130,7 +128,6 @@ def test_the_figures_of_a_report(solution: Solution) -> None:
     json.dumps(found)
 
 
-@settings(deadline=None, max_examples=60)
 @given(problem=problems())
 def test_bounds_of_wires(problem: Problem) -> None:
     """Of nets of up to three pins it is half the perimeter; never more than a spanning tree."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numba.core.dispatcher import Dispatcher
 from reference import STEPS, Edge, between, capacity_of, distance, gcell_of, is_via
@@ -367,7 +367,6 @@ def test_random_policy_draws_evenly_from_the_open_moves() -> None:
     assert by_aec(policy, problem_of(0), max_steps=5).problem == problem_of(0)
 
 
-@settings(max_examples=25, deadline=None)
 @given(problems(), st.integers(0, 3))
 def test_random_routes_take_no_more_than_there_is(problem: Problem, seed: int) -> None:
     router = RandomRouter(seed, max_steps=20)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -128,11 +129,6 @@ DRAWN: dict[str, Kind] = {
 }
 
 
-def drawing(examples: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    checks = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture]
-    return settings(max_examples=examples, deadline=None, suppress_health_check=checks)
-
-
 @pytest.mark.parametrize("kind", [*READ.values(), *DRAWN.values()], ids=[*READ, *map(str, DRAWN)])
 def test_the_files_are_good_before_they_are_spoiled(kind: Kind, tmp_path: Path) -> None:
     name, data, as_text, read = kind
@@ -247,14 +243,14 @@ def valid(draw: st.DrawFn) -> list[dict[str, Any]]:
     return rows
 
 
-@drawing(100)
+@settings(suppress_health_check=[*HealthCheck])
 @given(rows=valid())
 def test_any_rows_have_statistics(rows: list[dict[str, Any]], tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text(json.dumps(rows))
     summarised(tmp_path / "results.json")
 
 
-@drawing(6)
+@settings(examples(6), suppress_health_check=[*HealthCheck])
 @given(rows=valid())
 def test_any_rows_are_drawn(rows: list[dict[str, Any]], tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text(json.dumps(rows))

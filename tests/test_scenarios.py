@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pettingzoo.test import api_test, parallel_api_test
 from strategies import problems as any_problem
@@ -244,7 +244,6 @@ def test_infeasible_problems_are_not_kept() -> None:
 
 
 @given(any_problem(), st.data())
-@settings(max_examples=60, deadline=None)
 def test_a_digest_tells_what_is_to_be_routed(problem: Problem, data: st.DataObject) -> None:
     nets = data.draw(st.permutations(problem.nets))
     width, height = problem.tile

@@ -7,7 +7,7 @@ from typing import Any
 import networkx as nx
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from reference import STEPS, Game, between, contested, distance, gcell_of, random_moves
 from strategies import problems
@@ -48,7 +48,6 @@ def walk(engine: Engine, game: Game, n: int, start: int, target: int) -> tuple[l
     return moves, cost
 
 
-@settings(deadline=None, max_examples=60)
 @given(contested(max_nets=8), seeds, st.sampled_from(["forbidden", "allowed"]))
 def test_path_cost_is_networkx_shortest_path(problem: Problem, seed: int, overflow: Any) -> None:
     rng = np.random.default_rng(seed)
@@ -163,7 +162,6 @@ def test_a_target_without_a_way_in_does_not_cost_the_whole_grid() -> None:
     assert np.count_nonzero(working.search.nodes["stamp"]) < 400
 
 
-@settings(deadline=None, max_examples=40)
 @given(contested(max_nets=8), net_orders)
 def test_router_is_optimal_net_by_net_and_task_by_task(problem: Problem, net_order: Any) -> None:
     """Replays sequential A* in a game; each task's path is checked against networkx."""
@@ -186,7 +184,6 @@ def test_router_is_optimal_net_by_net_and_task_by_task(problem: Problem, net_ord
     assert evaluate(problem, routed).connected
 
 
-@settings(deadline=None, max_examples=40)
 @given(contested(max_nets=8, max_pins=2), net_orders)
 def test_routes_of_two_pin_nets_are_optimal_given_the_earlier(
     problem: Problem, net_order: Any
@@ -205,7 +202,6 @@ def test_routes_of_two_pin_nets_are_optimal_given_the_earlier(
             game.users[edge].add(n)
 
 
-@settings(deadline=None, max_examples=60)
 @given(st.one_of(problems(), contested(max_nets=12)), net_orders)
 def test_every_net_is_joined_and_the_same_again(problem: Problem, net_order: Any) -> None:
     routed = sequential_astar(problem, net_order)
@@ -235,7 +231,6 @@ def test_nothing_to_route() -> None:
     assert (judged.overflow, judged.wirelength, judged.connected) == (0, 0, True)
 
 
-@settings(deadline=None, max_examples=30)
 @given(contested(max_nets=8), st.sampled_from(["sequential", "round_robin"]))
 def test_policy_walks_manhattan_length_where_there_is_room(problem: Problem, order: Any) -> None:
     wide = (1000,) * problem.grid[2]
@@ -250,7 +245,6 @@ def test_policy_walks_manhattan_length_where_there_is_room(problem: Problem, ord
     assert evaluate(problem, engine.solution()).connected
 
 
-@settings(deadline=None, max_examples=30)
 @given(contested(max_nets=8), seeds)
 def test_policy_moves_of_all_agents_at_once(problem: Problem, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -359,7 +353,6 @@ def test_ending_of_every_task_is_joined() -> None:
 # --- orders, trees as targets, decompositions -----------------------------------------------------
 
 
-@settings(deadline=None, max_examples=80)
 @given(
     st.integers(0, 2**32),
     st.tuples(st.integers(2, 7), st.integers(2, 7), st.integers(1, 3)),
@@ -429,7 +422,6 @@ def _cell(problem: Problem, pin: int) -> int:
     return int(problem.gcells(np.array([problem.nets[0].pins[pin]]))[0])
 
 
-@settings(deadline=None, max_examples=60)
 @given(problems(), st.sampled_from(["pin", "tree"]), st.sampled_from(["mst", "steiner"]))
 def test_every_net_is_joined_whatever_the_options(
     problem: Problem, target: Any, decomposition: Any

@@ -8,7 +8,8 @@ from typing import Any
 import networkx as nx
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from conftest import examples
+from hypothesis import given
 from reference import Gcell, gcell_of, pin_gcells, plain_evaluation
 from strategies import solved_problems
 
@@ -155,7 +156,6 @@ def test_edges_are_kept_sorted_once_and_read_only() -> None:
     assert solution == solution_of(ROW, (via(1), x_edge(0, 0)), ())
 
 
-@settings(deadline=None)
 @given(solution=solved_problems())
 def test_uses_say_what_edges_say(solution: Solution) -> None:
     problem, (net, edge) = solution.problem, solution.uses
@@ -180,13 +180,11 @@ def test_equal_means_same_problem_and_same_edges() -> None:
         hash(solution)
 
 
-@settings(deadline=None)
 @given(solution=solved_problems())
 def test_evaluation_against_plain_definitions(solution: Solution) -> None:
     assert evaluate(solution.problem, solution) == plain_evaluation(solution)
 
 
-@settings(deadline=None)
 @given(solution=solved_problems())
 def test_edges_in_use_against_tables_of_all_edges(solution: Solution) -> None:
     problem = solution.problem
@@ -267,7 +265,7 @@ def graphs_of(solution: Solution) -> list["nx.Graph[Gcell]"]:
     return graphs
 
 
-@settings(deadline=None, max_examples=300)
+@examples(100)
 @given(solution=solved_problems())
 def test_pruned_keeps_the_shortest_ways_from_the_first_pin_and_no_more(solution: Solution) -> None:
     problem, pruned = solution.problem, solution.pruned()
@@ -290,7 +288,7 @@ def test_pruned_keeps_the_shortest_ways_from_the_first_pin_and_no_more(solution:
             assert {cell for cell, degree in tree.degree if degree == 1} <= set(inside)
 
 
-@settings(deadline=None, max_examples=200)
+@examples(100)
 @given(solution=solved_problems())
 def test_pruned_is_never_worse_and_stays_as_it_is(solution: Solution) -> None:
     pruned = solution.pruned()

@@ -8,7 +8,7 @@ from typing import Any
 import networkx as nx
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from reference import Gcell, contested, distance, gcell_of, pin_gcells
 from strategies import problems
@@ -72,7 +72,6 @@ def hanan(points: Sequence[Gcell]) -> list[Gcell]:
     return list(itertools.product(*(sorted(set(axis)) for axis in zip(*points, strict=True))))
 
 
-@settings(deadline=None, max_examples=60)
 @given(any_problem)
 def test_tasks_are_a_tree_that_can_be_walked(problem: Problem) -> None:
     table = steiner_tasks(problem)
@@ -94,7 +93,6 @@ def test_tasks_are_a_tree_that_can_be_walked(problem: Problem) -> None:
             assert ends.count(point) >= 3  # or the net would not branch there
 
 
-@settings(deadline=None, max_examples=60)
 @given(any_problem)
 def test_length_lies_between_the_bounds(problem: Problem) -> None:
     for net, length in enumerate(steiner_length(problem).tolist()):
@@ -111,7 +109,6 @@ points = st.tuples(st.integers(0, 6), st.integers(0, 6), st.integers(0, 2))
 planar = st.tuples(st.integers(0, 9), st.integers(0, 9), st.just(1))
 
 
-@settings(deadline=None, max_examples=40)
 @given(
     st.one_of(
         st.lists(points, min_size=1, max_size=4, unique=True),
@@ -123,7 +120,6 @@ def test_few_pins_get_a_shortest_tree(pins: list[Gcell]) -> None:
     assert steiner_length(problem).tolist() == [shortest_length(pins, hanan(pins))]
 
 
-@settings(deadline=None, max_examples=25)
 @given(st.lists(planar, min_size=6, max_size=EXACT_PINS, unique=True))
 def test_no_longer_than_networkx_finds(pins: list[Gcell]) -> None:
     grid = nx.Graph()
@@ -137,7 +133,6 @@ def test_no_longer_than_networkx_finds(pins: list[Gcell]) -> None:
     assert 2 * length >= found.size(weight="weight") >= length
 
 
-@settings(deadline=None, max_examples=30)
 @given(any_problem, st.randoms(use_true_random=False))
 def test_tasks_of_a_net_depend_on_its_own_pins_alone(problem: Problem, random: Any) -> None:
     order = list(range(len(problem.nets)))
@@ -229,7 +224,6 @@ def tree_of(lattice: Lattice) -> nx.Graph:
     return graph
 
 
-@settings(deadline=None, max_examples=40)
 @given(
     st.sampled_from([(5, 5, 1), (3, 3, 2), (2, 4, 3), (1, 9, 2)]),
     st.integers(2, 4),
@@ -263,7 +257,6 @@ def test_exact_tree_is_a_cheapest_one(size: tuple[int, int, int], pins: int, see
         terminals = terminals[::-1] if not again else terminals
 
 
-@settings(deadline=None, max_examples=40)
 @given(st.integers(1, 6), st.integers(1, 6), seeds)
 def test_one_group_is_joined_by_a_shortest_path(starts: int, goals: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

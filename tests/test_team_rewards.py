@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from marouting import InputError, generate, global_routing_v0
@@ -66,14 +66,12 @@ def gained(env: Any, prices: dict[str, float]) -> float:
     )
 
 
-@settings(max_examples=60, deadline=None)
 @given(games, prices)
 def test_differences_add_up_to_the_change_of_the_metrics(game: Any, prices: Any) -> None:
     env, paid, _ = play(game, {"kind": "difference", **prices})
     assert sum(paid.values()) == pytest.approx(gained(env, prices), abs=0.05)
 
 
-@settings(max_examples=60, deadline=None)
 @given(games, prices)
 def test_a_member_of_the_team_that_stays_is_paid_the_whole_change(game: Any, prices: Any) -> None:
     env, paid, last = play(game, {"kind": "team", **prices})
@@ -84,7 +82,6 @@ def test_a_member_of_the_team_that_stays_is_paid_the_whole_change(game: Any, pri
     assert paid[agent] == pytest.approx(gained(env, prices), abs=0.05)
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.fixed_dictionaries(plain), st.sampled_from([0.25, 1.0, 3.0]))
 def test_potentials_pay_the_way_from_start_to_target(game: Any, scale: float) -> None:
     env, paid, _ = play(game, {"kind": "potential", "scale": scale})
@@ -97,7 +94,6 @@ def test_potentials_pay_the_way_from_start_to_target(game: Any, scale: float) ->
         assert paid[agent] <= whole + 0.01
 
 
-@settings(max_examples=30, deadline=None)
 @given(games)
 def test_a_mixture_is_the_weighted_sum(game: Any) -> None:
     parts = [{"kind": "paper"}, {"kind": "team", "open": 3.0}, {"kind": "potential", "gamma": 0.5}]

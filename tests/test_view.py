@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from strategies import solved_problems
 
 from marouting import InputError, Solution, evaluate, generate, sequential_astar
@@ -71,7 +71,6 @@ def empty(problem):
     return Solution(problem, [np.empty(0, np.int64)] * len(problem.nets))
 
 
-@settings(deadline=None, max_examples=40)
 @given(solved_problems())
 def test_the_data_of_a_page_are_the_solution(solution):
     problem = solution.problem

@@ -16,9 +16,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from conftest import examples
 from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pettingzoo.test import api_test, parallel_api_test, seed_test, state_test
@@ -167,7 +168,6 @@ rules = st.fixed_dictionaries(
 )
 
 
-@settings(deadline=None, max_examples=20)
 @given(
     contested(max_nets=5),
     windows,
@@ -259,7 +259,7 @@ def mirror_of(problem: Problem, axes: tuple[bool, bool]) -> Problem:
     return replace(problem, nets=tuple(nets), adjustments=tuple(adjustments))
 
 
-@settings(deadline=None, max_examples=15)
+@examples(15)
 @given(
     contested(max_nets=5, max_pins=2),
     st.sampled_from([(True, False), (False, True), (True, True)]),
@@ -384,7 +384,7 @@ def test_widths_scale_with_capacities() -> None:
 # --- up to date -----------------------------------------------------------------------------------
 
 
-@settings(deadline=None, max_examples=10)
+@examples(10)
 @given(contested(max_nets=6), st.integers(0, 1000))
 def test_the_past_of_an_engine_makes_no_difference(problem: Problem, seed: int) -> None:
     """Steps, resets, orders, saved states, parts: the same as in an engine that just got there."""
@@ -440,7 +440,7 @@ def test_rows_in_any_order_and_rows_of_nobody() -> None:
 # --- the global state -----------------------------------------------------------------------------
 
 
-@settings(deadline=None, max_examples=10)
+@examples(10)
 @given(contested(max_nets=5), windows, rules, st.integers(0, 1000))
 def test_the_state_is_as_the_oracle_says(
     problem: Problem, window: WindowObservation, rules: dict[str, Any], seed: int
@@ -541,7 +541,7 @@ class ByTurns(PaperReward):
     """The paper's reward, not known as such: the player asks it after every move."""
 
 
-@settings(deadline=None, max_examples=15)
+@examples(15)
 @given(
     contested(max_nets=6),
     st.booleans(),

@@ -202,6 +202,7 @@ def _capacity(problem: Problem) -> NDArray[np.int32]:
         return problem.capacity
     capacity = problem.capacity.reshape(-1, problem.grid[2], AXES).copy()
     capacity[:, :, :VIA_AXIS][:, ~chip.wires] = -1
+    capacity.setflags(write=False)  # as the problem's, or numba would compile the router once more
     return capacity.reshape(-1)
 
 
