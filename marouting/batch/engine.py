@@ -16,12 +16,13 @@ from marouting.batch.bits import clear, has, numbers_of
 from marouting.batch.observation import write_states
 from marouting.batch.prices import Negotiation
 from marouting.batch.rules import (
+    free_moves,
     move_everyone,
     move_player,
     reset_problem,
     settle_everyone,
     settle_player,
-    write_mask,
+    write_moves,
 )
 from marouting.batch.setup import Room, dynamic_state, replace_problem, static_state
 from marouting.batch.state import Dynamic, Static
@@ -81,7 +82,10 @@ def _forget(dynamic: Dynamic, m: int) -> None:
 def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: Any) -> None:
     """Fills ``out`` (K, A) with masks."""
     for i in range(len(problems)):
-        write_mask(static, dynamic, as_index(problems[i]), i64(agents[i]), out, i)
+        m, n, free = as_index(problems[i]), i64(agents[i]), i64(0)
+        if n != NOBODY:
+            free = free_moves(static, dynamic, m, as_index(n))
+        write_moves(free, out, i)
 
 
 @compiled
@@ -129,10 +133,7 @@ class Engine:
         **changes: fields of :class:`marouting.rules.Rules` that differ from ``rules``.
 
     Attributes:
-        rules: the options of the rules.
-        negotiation: how nets negotiate, or None.
         priced: whether there are priced rounds.
-        room: how large problems may be that take the place of others.
         grid: the grid that all problems share.
         nets: (M, N) int32, the net of every agent; NOBODY where there is no agent.
         static: the arrays that do not change during an episode.
