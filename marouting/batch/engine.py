@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import clear, has, numbers_of
+from marouting.batch.bits import numbers_of
 from marouting.batch.observation import write_states
 from marouting.batch.prices import Negotiation
 from marouting.batch.rules import (
@@ -73,12 +73,6 @@ def _settle_all(static: Static, dynamic: Dynamic) -> None:
 
 
 @compiled
-def _forget(dynamic: Dynamic, m: int) -> None:
-    clear(dynamic.used, m)
-    clear(dynamic.sets, m)
-
-
-@compiled
 def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: Any) -> None:
     """Fills ``out`` (K, A) with masks."""
     for i in range(len(problems)):
@@ -86,12 +80,6 @@ def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: An
         if n != NOBODY:
             free = free_moves(static, dynamic, m, as_index(n))
         write_moves(free, out, i)
-
-
-@compiled
-def _uses(dynamic: Dynamic, problems: Any, agents: Any, edges: Any, out: Any) -> None:
-    for k in range(len(edges)):
-        out[k] = has(dynamic.used, as_index(problems[k]), as_index(agents[k]), i64(edges[k]))
 
 
 def _rows_of(nets: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -205,9 +193,8 @@ class Engine:
         self, problems: NDArray[np.integer], agents: NDArray[np.integer], edges: NDArray[np.integer]
     ) -> NDArray[np.bool_]:
         """(K,) whether agents (K,) of problems (K,) use edges (K,)."""
-        out = np.empty(len(edges), np.bool_)
-        _uses(self.dynamic, problems, agents, edges, out)
-        return out
+        uses = self.dynamic.used[problems, agents, edges >> 3] >> (edges & 7) & 1
+        return uses.astype(np.bool_)
 
     def state(self, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """(M, X, Y, 5 Z), the global states; see :func:`marouting.observations.state_space`."""
@@ -296,10 +283,8 @@ class Engine:
         self._held[m] = problem
         self._rows[m] = _rows_of(self.nets[m : m + 1])
         self.replaced[m] += 1
-        _forget(self.dynamic, m)
-        for array in (self.dynamic.agents, self.dynamic.games, self.dynamic.numbers):
+        for array in self.dynamic:
             array[m] = np.zeros((), array.dtype)
-        self.dynamic.remaining[m] = 0
         self.games["agent"][m] = NOBODY
 
     def move(self, moves: NDArray[np.integer]) -> None:
