@@ -37,7 +37,7 @@ from marouting.errors import InputError
 from marouting.problem.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem
 from marouting.problem.solution import Solution
-from marouting.rules import RipUp, Rules
+from marouting.rules import RipUp, Rules, net_ranks
 from marouting.trees.decomposition import two_pin_tasks
 
 RIP_UP = MOVES
@@ -132,9 +132,8 @@ class Game:
         self.capacity = array("i", problem.capacity.tobytes())
         self.remaining = array("i", self.capacity)
         self.low, self.high = (end[self.nets, :2] for end in problem.pin_boxes())  # column, row
-        sign = {"half_perimeter": -1, "half_perimeter_up": 1, "file": 0}[self.rules.nets.order]
-        half_perimeter = (self.high - self.low).sum(axis=1)
-        self.order: list[int] = np.argsort(sign * half_perimeter, kind="stable").tolist()
+        ranks = net_ranks(problem, self.rules.nets.order)[self.nets]
+        self.order: list[int] = np.argsort(ranks, kind="stable").tolist()
         self.max_steps = self.rules.steps_per_task(problem.grid)
         self.sequential = self.rules.turn_order != "round_robin"
         self.rip_up = self.rules.rip_up or RipUp(rounds=0)

@@ -144,18 +144,9 @@ def generate(
 ) -> list[Problem]:
     """Generates problems; the same arguments give the same problems.
 
-    Every net spans at least two Gcells. The nets of problem i do not depend on the count.
-
-    Args:
-        count: number of problems.
-        grid: columns, rows and layers of Gcells.
-        nets: nets per problem.
-        max_pins: pins per net, drawn uniformly from 2…max_pins.
-        capacity: capacity, in tracks, of an edge along its layer's direction.
-        reduced_edges: how many edges get a reduced capacity: those that sequential A* uses most
-            before the reduction (ties: lowest edge number).
-        seed: seed of the random numbers, from 0; None: a different set every time.
-        **options: the other attributes of :class:`GeneratorOptions`.
+    Every net spans at least two Gcells. The nets of problem i do not depend on the count. The
+    arguments are the attributes of :class:`GeneratorOptions`, where they are explained; ``options``
+    are its other ones.
 
     Returns:
         The problems, ``count`` of them.

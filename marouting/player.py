@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import copy_row, swap_rows
+from marouting.batch.bits import copy_row
 from marouting.batch.engine import Engine
 from marouting.batch.observation import paper_reward, see_paper, write_paper
 from marouting.batch.rules import (
@@ -40,7 +40,6 @@ from marouting.batch.rules import (
     write_moves,
 )
 from marouting.batch.state import GAME, MASKS, Dynamic, Option, Static
-from marouting.batch.tasks import wait
 from marouting.config import check
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import as_index, compiled, i64, inlined, specialised
@@ -396,7 +395,8 @@ class Player:
         """Makes the moves, each with a call of the reward, and writes what came of them."""
         b, engine, paid = self.buffers, self.engine, self.paid
         assert paid is not None
-        _forget(engine.dynamic)
+        for name in ("added_overflow", "crossing", "ending"):
+            engine.agents[name] = 0
         before.agents[...] = engine.agents
         paid[:] = 0
         for movers, moves in self._turns(begins):
@@ -470,11 +470,12 @@ class Player:
 
     def _swap_arrived(self, problems: NDArray[Any], agents: NDArray[Any]) -> None:
         """Swaps what changes for agents (K,) when their next tasks begin, as far as it is seen."""
-        engine, at = self.engine, (problems, agents)
-        there = engine.agents[at]
-        engine.agents[at] = self._arrived.agents[at]
-        self._arrived.agents[at] = there
-        _swap_sets(engine.static, engine.dynamic, self._arrived, problems, agents)
+        now, arrived, at = self.engine.dynamic, self._arrived, (problems, agents)
+        now.agents[at], arrived.agents[at] = arrived.agents[at], now.agents[at]
+        for option in (Option.VISITED, Option.TRIED):
+            if (begin := self.engine.static.options[option]) >= 0:
+                rows = problems, begin + agents
+                now.sets[rows], arrived.sets[rows] = arrived.sets[rows], now.sets[rows]
 
     def _see(
         self, problems: NDArray[np.integer], agents: NDArray[np.integer], out: NDArray[np.float32]
@@ -513,13 +514,6 @@ def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.
     """(M, K) the entries of orders (M, K, A) at moves (M, K); no move stays none."""
     found = np.take_along_axis(order, np.maximum(moves, 0)[..., None].astype(np.int64), -1)
     return np.where(moves == NOBODY, NOBODY, found[..., 0]).astype(np.int8)
-
-
-@compiled
-def _forget(dynamic: Dynamic) -> None:
-    for m in range(dynamic.agents.shape[0]):
-        for n in range(dynamic.agents.shape[1]):
-            wait(dynamic, m, n)
 
 
 @compiled
@@ -575,19 +569,6 @@ def _settle_movers(
         before.remaining[m, edge] = dynamic.remaining[m, edge]
         before.agents[m, n] = dynamic.agents[m, n]
         before.games[m] = dynamic.games[m]
-
-
-@compiled
-def _swap_sets(
-    static: Static, dynamic: Dynamic, arrived: Dynamic, problems: Any, agents: Any
-) -> None:
-    """Swaps the sets of agents (K,) that change when their next tasks begin."""
-    for k in range(len(problems)):
-        m, n = as_index(problems[k]), as_index(agents[k])
-        for option in range(Option.VISITED, Option.TRIED + 1):
-            if (option == Option.VISITED or option == Option.TRIED) and static.options[option] >= 0:
-                row = as_index(static.options[option] + n)
-                swap_rows(dynamic.sets, arrived.sets, m, row)
 
 
 # --- what a step writes ---------------------------------------------------------------------------

@@ -3,9 +3,13 @@
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from marouting.checks import check_fields
 from marouting.errors import InputError
-from marouting.problem.grid import MOVES
+from marouting.problem.grid import MOVES, VIA_AXIS
+from marouting.problem.problem import Problem
 from marouting.trees.decomposition import Decomposition
 
 MOST_STEPS, MOST_ROUNDS, MOST_NEIGHBOURS = 1_000_000, 100_000, 100
@@ -128,3 +132,10 @@ class Rules:
     def steps_per_task(self, grid: tuple[int, int, int]) -> int:
         """Steps after which a task fails on a grid of X×Y×Z Gcells."""
         return self.max_steps or max(50, 2 * (grid[0] + grid[1]))
+
+
+def net_ranks(problem: Problem, order: NetOrder) -> NDArray[np.int64]:
+    """(nets,) numbers by which nets are ordered, lowest first; equal ones stay in file order."""
+    low, high = problem.pin_boxes()
+    sign = {"half_perimeter": -1, "half_perimeter_up": 1, "file": 0}[order]
+    return sign * (high - low)[:, :VIA_AXIS].sum(axis=1)

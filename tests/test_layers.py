@@ -40,6 +40,7 @@ ROOMS = {
         ),
         ("problem",),
         ("trees",),
+        ("rules",),
         ("game",),
         ("columns",),
         ("observations", "rewards"),

@@ -12,16 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import clear, has, numbers_of
+from marouting.batch.bits import numbers_of
 from marouting.batch.observation import write_states
 from marouting.batch.prices import Negotiation
 from marouting.batch.rules import (
+    free_moves,
     move_everyone,
     move_player,
     reset_problem,
     settle_everyone,
     settle_player,
-    write_mask,
+    write_moves,
 )
 from marouting.batch.setup import Room, dynamic_state, replace_problem, static_state
 from marouting.batch.state import Dynamic, Static
@@ -72,22 +73,13 @@ def _settle_all(static: Static, dynamic: Dynamic) -> None:
 
 
 @compiled
-def _forget(dynamic: Dynamic, m: int) -> None:
-    clear(dynamic.used, m)
-    clear(dynamic.sets, m)
-
-
-@compiled
 def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: Any) -> None:
     """Fills ``out`` (K, A) with masks."""
     for i in range(len(problems)):
-        write_mask(static, dynamic, as_index(problems[i]), i64(agents[i]), out, i)
-
-
-@compiled
-def _uses(dynamic: Dynamic, problems: Any, agents: Any, edges: Any, out: Any) -> None:
-    for k in range(len(edges)):
-        out[k] = has(dynamic.used, as_index(problems[k]), as_index(agents[k]), i64(edges[k]))
+        m, n, free = as_index(problems[i]), i64(agents[i]), i64(0)
+        if n != NOBODY:
+            free = free_moves(static, dynamic, m, as_index(n))
+        write_moves(free, out, i)
 
 
 def _rows_of(nets: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -129,10 +121,7 @@ class Engine:
         **changes: fields of :class:`marouting.rules.Rules` that differ from ``rules``.
 
     Attributes:
-        rules: the options of the rules.
-        negotiation: how nets negotiate, or None.
         priced: whether there are priced rounds.
-        room: how large problems may be that take the place of others.
         grid: the grid that all problems share.
         nets: (M, N) int32, the net of every agent; NOBODY where there is no agent.
         static: the arrays that do not change during an episode.
@@ -204,9 +193,8 @@ class Engine:
         self, problems: NDArray[np.integer], agents: NDArray[np.integer], edges: NDArray[np.integer]
     ) -> NDArray[np.bool_]:
         """(K,) whether agents (K,) of problems (K,) use edges (K,)."""
-        out = np.empty(len(edges), np.bool_)
-        _uses(self.dynamic, problems, agents, edges, out)
-        return out
+        uses = self.dynamic.used[problems, agents, edges >> 3] >> (edges & 7) & 1
+        return uses.astype(np.bool_)
 
     def state(self, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """(M, X, Y, 5 Z), the global states; see :func:`marouting.observations.state_space`."""
@@ -295,10 +283,8 @@ class Engine:
         self._held[m] = problem
         self._rows[m] = _rows_of(self.nets[m : m + 1])
         self.replaced[m] += 1
-        _forget(self.dynamic, m)
-        for array in (self.dynamic.agents, self.dynamic.games, self.dynamic.numbers):
+        for array in self.dynamic:
             array[m] = np.zeros((), array.dtype)
-        self.dynamic.remaining[m] = 0
         self.games["agent"][m] = NOBODY
 
     def move(self, moves: NDArray[np.integer]) -> None:

@@ -315,12 +315,3 @@ def write_moves(free: int, out: Any, row: int) -> None:
         out[row, move] = MASKS[free & _SIX, move]
     if out.shape[1] > MOVES:
         out[row, RIP_UP] = free >> RIP_UP & 1
-
-
-@inlined
-def write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
-    """Fills a row of ``out`` (K, 6 or 7) with an agent's action mask, or that of NOBODY."""
-    free = i64(0)
-    if n != NOBODY:
-        free = free_moves(static, dynamic, m, as_index(n))
-    write_moves(free, out, row)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,10 @@ from marouting.batch.prices import WHOLE, Negotiation
 from marouting.batch.state import AGENT, GAME, Choice, Dynamic, Option, Static
 from marouting.errors import InputError
 from marouting.game import NOBODY
-from marouting.kernels import compiled, i64
 from marouting.memory import PLAYED, TABLES, check_memory
-from marouting.problem.grid import VIA_AXIS, Grid
+from marouting.problem.grid import Grid
 from marouting.problem.problem import UNLIMITED, Problem
-from marouting.rules import NetOrder, RipUp, Rules
+from marouting.rules import RipUp, Rules, net_ranks
 from marouting.trees.decomposition import two_pin_tasks
 
 
@@ -40,7 +39,6 @@ class Room(NamedTuple):
 def static_state(
     problems: Sequence[Problem],
     rules: Rules,
-    ranks: NDArray[np.integer] | None = None,
     room: Room | None = None,
     negotiation: Negotiation | None = None,
 ) -> tuple[Static, NDArray[np.int32]]:
@@ -49,7 +47,6 @@ def static_state(
     Args:
         problems: the problems.
         rules: the options of the rules.
-        ranks: (nets,) numbers; the net with the lowest one comes first. None: ``rules.nets.order``.
         room: the size of the arrays; None: what these problems need.
         negotiation: how nets negotiate; None: they do not.
 
@@ -67,52 +64,38 @@ def static_state(
     if any(problem.grid != problems[0].grid for problem in problems):
         shapes = sorted({problem.grid for problem in problems})
         raise InputError(f"problems: expected one grid shape, found {shapes}")
-    if ranks is not None and any(np.shape(ranks) != (len(p.nets),) for p in problems):
-        raise InputError(f"net_order: expected one number per net, found shape {np.shape(ranks)}")
     grid = Grid.of(problems[0].grid)
     overflow = rules.overflow == "allowed"
-    pins = [problem.flat_pin_gcells for problem in problems]
-    counts = [int(np.count_nonzero(first[1:] - first[:-1] > 1)) for first, _ in pins]
-    for m, count in enumerate(counts):
-        if not count:
+    routed = [np.flatnonzero(np.diff(p.flat_pin_gcells[0]) > 1) for p in problems]
+    for m, nets in enumerate(routed):
+        if not len(nets):
             raise InputError(f"problem {m}: expected a net with pins in two Gcells or more")
-    shape = len(problems), room.nets if room else max(counts)
+    shape = len(problems), room.nets if room else max(map(len, routed))
     check_memory(
         grid.gcells * (TABLES + PLAYED * shape[0]) + 8 * math.prod(shape) * grid.shape[2],
         "{} problems of up to {} nets on a grid of {}",
         *shape,
         grid,
     )
-    agent_net, order = np.empty((2, *shape), np.int32)
+    agent_net, order = np.full((2, *shape), NOBODY, np.int32)
     first = np.zeros((shape[0], shape[1] + 1), np.int32)
     demand = np.zeros((*shape, grid.shape[2]), np.int32)
-    size = np.empty(shape[1], np.int32)
     extended = rules.target == "tree" or rules.next_pin == "nearest" or rules.mask.visited
     extended |= rules.release_failed or bool(rules.rip_up and rules.rip_up.rounds)
     tasks = [two_pin_tasks(problem, rules.nets.decomposition) for problem in problems]
     begins = np.cumsum([0, *map(len, tasks)]) if room is None else room.tasks * np.arange(shape[0])
     table = np.zeros((int(begins[-1]) + (room.tasks if room else 0), 2), np.int32)
-    for m, (problem, count) in enumerate(zip(problems, counts, strict=True)):
+    for m, (problem, nets, own) in enumerate(zip(problems, routed, tasks, strict=True)):
         if room is not None:
-            _check_room(room, count, len(tasks[m]))
-        first[m, 0] = begins[m]
-        table[begins[m] : begins[m] + len(tasks[m])] = tasks[m][:, 1:]
-        most = _agents(
-            *pins[m],
-            tasks[m],
-            grid.position,
-            problem.net_demand,
-            agent_net[m],
-            first[m],
-            demand[m],
-            size,
-        )
-        if overflow and most > UNLIMITED:
+            _check_room(room, len(nets), len(own))
+        table[begins[m] : begins[m] + len(own)] = own[:, 1:]
+        first[m] = begins[m] + len(own)  # also where there is no agent
+        first[m, : len(nets)] = begins[m] + np.searchsorted(own[:, 0], nets)
+        agent_net[m, : len(nets)], demand[m, : len(nets)] = nets, problem.net_demand[nets]
+        if overflow and demand[m].max(axis=1).sum(dtype=np.int64) > UNLIMITED:
             raise InputError(f"problem {m}: expected demands that add up to at most {UNLIMITED}")
-        order[m, :count] = _turns(
-            size[:count], agent_net[m, :count], rules.nets.order if ranks is None else ranks
-        )
-        order[m, count:] = NOBODY
+        ranks = net_ranks(problem, rules.nets.order)[nets]
+        order[m, : len(nets)] = np.argsort(ranks, kind="stable")
     static = Static(
         neighbour=grid.neighbour,
         edge=grid.edge,
@@ -236,67 +219,3 @@ def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
         sets=np.zeros((m, rows, ways), np.uint8),
         numbers=np.zeros((m, columns), np.int64),
     )
-
-
-@compiled
-def _agents(
-    pins: Any,
-    gcells: Any,
-    tasks: Any,
-    position: Any,
-    net_demand: Any,
-    nets: Any,
-    first: Any,
-    demand: Any,
-    half_perimeter: Any,
-) -> int:
-    """Fills in ``nets``, ``first``, ``demand`` and ``half_perimeter`` of a problem's agents.
-
-    Returns:
-        An upper bound for the demand on an edge: every agent uses it, in its most demanding layer.
-    """
-    n = most = task = 0
-    for net in range(len(pins) - 1):
-        if pins[net + 1] - pins[net] < 2:
-            continue
-        nets[n] = net
-        before = task
-        while task < len(tasks) and tasks[task, 0] == net:
-            task += 1
-        first[n + 1] = first[n] + task - before
-        half_perimeter[n] = 0
-        for axis in range(VIA_AXIS):
-            least = largest = position[gcells[pins[net]], axis]
-            for pin in range(pins[net] + 1, pins[net + 1]):
-                at = position[gcells[pin], axis]
-                if at < least:
-                    least = at
-                elif at > largest:
-                    largest = at
-            half_perimeter[n] += largest - least
-        worst = i64(0)
-        for layer in range(demand.shape[1]):
-            demand[n, layer] = net_demand[net, layer]
-            if demand[n, layer] > worst:
-                worst = i64(demand[n, layer])
-        most += worst
-        n += 1
-    for absent in range(n, len(nets)):
-        nets[absent] = NOBODY
-        first[absent + 1] = first[n]
-    return most
-
-
-def _turns(
-    half_perimeter: NDArray[np.int32],
-    nets: NDArray[np.int32],
-    net_order: NetOrder | NDArray[np.integer],
-) -> NDArray[np.int64]:
-    """Agents in turn order, given the half-perimeters (N,) of their nets, and the nets (N,)."""
-    if not isinstance(net_order, str):
-        return np.argsort(net_order[nets], kind="stable")
-    if net_order == "file":
-        return np.arange(len(half_perimeter))
-    if net_order == "half_perimeter":
-        half_perimeter = -half_perimeter
-    return np.argsort(half_perimeter, kind="stable")

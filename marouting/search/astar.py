@@ -35,7 +35,7 @@ from marouting.memory import SEARCH, TABLES, check_memory
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_problem
 from marouting.problem.solution import Solution
-from marouting.rules import NetOrder, Target
+from marouting.rules import NetOrder, Target, net_ranks
 from marouting.trees.decomposition import Decomposition, two_pin_tasks
 
 COMPILES = "A*", 8
@@ -404,9 +404,7 @@ def sequential_astar(
         ranks = np.asarray(net_order)
     else:
         check_choice("net_order", net_order, NetOrder)
-        low, high = problem.pin_boxes()
-        sign = {"half_perimeter": -1, "half_perimeter_up": 1, "file": 0}[net_order]
-        ranks = sign * (high - low)[:, :VIA_AXIS].sum(axis=1)
+        ranks = net_ranks(problem, net_order)
     rows = two_pin_tasks(problem, decomposition)
     demand = problem.net_demand
     if demand[np.unique(rows[:, 0])].max(axis=1, initial=0).sum(dtype=np.int64) > UNLIMITED:
