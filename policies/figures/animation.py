@@ -197,7 +197,7 @@ class _Film:
         columns, rows, _ = grid.shape
         self._pitch = min(52.0, max(600 / max(columns, rows), 2.0))
         self._rows = rows
-        self.width = round(max(columns * self._pitch, 300)) + 2 * EDGE
+        self.width = round(max(columns * self._pitch, 420)) + 2 * EDGE
         self.height = round(rows * self._pitch) + 2 * EDGE + HEAD + FOOT
         self._left = (self.width - columns * self._pitch) / 2
         self._runs: defaultdict[int, list[list[_Use]]] = defaultdict(list)
@@ -312,8 +312,15 @@ class _Film:
         uses = [use for run in runs for use in run]
         route = "".join(self._path(net, run) for run in runs)
         active = [n for n, scene in enumerate(self.scenes) if net in scene.active]
-        share = [(moment, round(edges / len(uses), 4)) for moment, edges in _steps(uses)]
-        times, values = self._timed([(0, 0), *share])
+        stops: list[tuple[int, float]] = [(0, 0.0)]
+        done = 0
+        for run in runs:
+            # A run ends just before the next one begins, which may be elsewhere.
+            own = [(moment, (done + edges) / len(uses)) for moment, edges in _steps(run)]
+            stops += [(own[0][0], stops[-1][1]), *own[:-1]]
+            stops.append((own[-1][0], own[-1][1] - 1e-4))
+            done += len(run)
+        times, values = self._timed(stops)
         motion = (
             f'<animateMotion dur="{self._seconds:g}s" repeatCount="indefinite" calcMode="linear" '
             f'keyTimes="{times}" keyPoints="{values}" path="{route}"/>'
@@ -393,7 +400,7 @@ class _Film:
             if stop not in kept[-1:]:
                 kept.append(stop)
         times = [*(self._time(moment) for moment, _ in kept), "1"]
-        values = [*(f"{value:g}" for _, value in kept), f"{kept[-1][1]:g}"]
+        values = [*(f"{value:.5g}" for _, value in kept), f"{kept[-1][1]:.5g}"]
         return ";".join(times), ";".join(values)
 
     def _time(self, moment: int) -> str:
@@ -459,7 +466,7 @@ def _steps(uses: Sequence[_Use]) -> Iterator[tuple[int, int]]:
 def _straight(a: tuple[int, float], b: tuple[int, float], c: tuple[int, float]) -> bool:
     """Whether the second of three stops lies on the way from the first to the third."""
     on = (b[1] - a[1]) * (c[0] - a[0]) - (c[1] - a[1]) * (b[0] - a[0])
-    return a[0] < c[0] and abs(on) < 1e-3
+    return a[0] < c[0] and abs(on) < 1e-9
 
 
 def _point(grid: Grid, cell: int) -> Point:
