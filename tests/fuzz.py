@@ -567,34 +567,34 @@ def all_trained() -> None:
 
 KINDS: dict[str, Kind] = {
     **{
-        f"problem, {format}": Kind(functools.partial(problems, format=format), 200, 20_000)
+        f"problem, {format}": Kind(functools.partial(problems, format=format), 80, 20_000)
         for format in PROBLEMS
     },
-    "problem, LEF/DEF": Kind(designs, 150, 5_000),
+    "problem, LEF/DEF": Kind(designs, 80, 5_000),
     **{
-        f"problem, {contest}": Kind(functools.partial(contests, files=files), 200, 5_000)
+        f"problem, {contest}": Kind(functools.partial(contests, files=files), 80, 5_000)
         for contest, files in (("ispd2024", (CAP, NET, ROUTES)), ("ispd2025", ISPD2025))
     },
-    "problem, compressed": Kind(compressed, 200, 5_000),
-    "solution": Kind(solutions, 200, 20_000),
-    "guide": Kind(guides, 200, 5_000),
-    "segments": Kind(segments, 200, 5_000),
-    "configuration of a training": Kind(trainings, 100, 10_000),
-    "configuration of an experiment": Kind(experiments, 60, 4_000),
-    "overrides": Kind(overrides, 100, 10_000),
+    "problem, compressed": Kind(compressed, 80, 5_000),
+    "solution": Kind(solutions, 80, 20_000),
+    "guide": Kind(guides, 80, 5_000),
+    "segments": Kind(segments, 80, 5_000),
+    "configuration of a training": Kind(trainings, 50, 10_000),
+    "configuration of an experiment": Kind(experiments, 30, 4_000),
+    "overrides": Kind(overrides, 50, 10_000),
     **{
-        f"rows of {kind}": Kind(functools.partial(rows, kind=kind, kinds=READ), 100, 5_000)
+        f"rows of {kind}": Kind(functools.partial(rows, kind=kind, kinds=READ), 50, 5_000)
         for kind in READ
     },
     **{
-        f"figures of {kind}": Kind(functools.partial(rows, kind=kind, kinds=DRAWN), 10, 200)
+        f"figures of {kind}": Kind(functools.partial(rows, kind=kind, kinds=DRAWN), 6, 200)
         for kind in DRAWN
     },
-    "checkpoint": Kind(checkpoints, 60, 3_000, all_trained),
-    "policy": Kind(policies, 60, 2_000, all_trained),
-    "training": Kind(started_anew, 30, 2_000, all_trained),
-    "run folder": Kind(run_folders, 40, 1_000, all_trained),
-    "result of a benchmark": Kind(benchmarks, 100, 5_000),
+    "checkpoint": Kind(checkpoints, 30, 3_000, all_trained),
+    "policy": Kind(policies, 30, 2_000, all_trained),
+    "training": Kind(started_anew, 15, 2_000, all_trained),
+    "run folder": Kind(run_folders, 20, 1_000, all_trained),
+    "result of a benchmark": Kind(benchmarks, 50, 5_000),
     "experiment folder": Kind(experiment_folders, 4, 200, compared),
 }
 

@@ -2,6 +2,7 @@
 
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 import wheels
 
 import marouting
+from marouting import registry
 from marouting.config import config_file, read_yaml
 from marouting.scenarios.references import path_of
 
@@ -20,7 +22,7 @@ EXAMPLES = ROOT / "docs" / "examples"
 NAMES = sorted(file.stem for file in EXAMPLES.glob("*.py"))
 
 
-def python(*arguments: str | Path, cwd: Path, path: Path = ROOT) -> str:
+def python(*arguments: str | Path, cwd: Path, path: Path) -> str:
     """What Python prints, with ``path`` as the one place it finds the packages in."""
     done = subprocess.run(
         [sys.executable, *map(str, arguments)],
@@ -126,15 +128,18 @@ def check_own_algorithm(out: str) -> None:
     assert len(re.findall(r" sarsa +0 +\d+ +8/8", out)) == 2
 
 
-def run_example(name: str, folder: Path, path: Path = ROOT) -> None:
-    """Runs a copy of an example in a folder and checks what it prints."""
-    shutil.copy(EXAMPLES / f"{name}.py", folder)
-    globals()[f"check_{name}"](python(f"{name}.py", cwd=folder, path=path))
-
-
+@pytest.mark.usefixtures("at_once")
 @pytest.mark.parametrize("name", NAMES)
-def test_an_example_does_what_it_says(name: str, tmp_path: Path) -> None:
-    run_example(name, tmp_path)
+def test_an_example_does_what_it_says(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(
+        registry, "_registered", {k: {**v} for k, v in registry._registered.items()}
+    )
+    runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    sys.modules.pop(name, None)
+    globals()[f"check_{name}"](capsys.readouterr().out)
 
 
 def test_every_example_is_listed_and_short() -> None:
@@ -182,7 +187,8 @@ def test_own_pieces_with_an_installed_wheel(name: str, installed: Path, tmp_path
         "-c", "import marouting; print(marouting.__file__)", cwd=tmp_path, path=installed
     )
     assert Path(where.strip()).is_relative_to(installed)
-    run_example(name, tmp_path, path=installed)
+    shutil.copy(EXAMPLES / f"{name}.py", tmp_path)
+    globals()[f"check_{name}"](python(f"{name}.py", cwd=tmp_path, path=installed))
 
 
 @pytest.mark.slow

@@ -58,8 +58,6 @@ SMALL: dict[str, dict[str, Any]] = {
 DRAWN = {**PROBLEMS, "count": 1, "seed": None, "max_pins": 3}
 """A generator of another problem for every episode."""
 
-PNG = b"\x89PNG\r\n\x1a\n"
-
 
 @pytest.fixture(autouse=True)
 def _one_thread() -> None:
@@ -340,7 +338,10 @@ def test_results_are_those_of_the_solutions(finished: Path) -> None:
             assert (routed.solution, routed.report) == (solution, {"from": row["from"]})
 
 
-def test_figures_are_pictures(tmp_path: Path) -> None:
+def test_figures_of_every_router_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their content, and that they are pictures, is for others to test."""
+    drawn: list[Path] = []
+    monkeypatch.setattr("policies.figures.save", lambda _, path: drawn.append(path))
     config = config_in(tmp_path / "run", 2, problem={**PROBLEMS, "count": 1}, figures=True)
     Run(config).execute()
     figures = tmp_path / "run" / "figures"
@@ -350,8 +351,7 @@ def test_figures_are_pictures(tmp_path: Path) -> None:
         f"problem_000/{stem}.png"
         for stem in ("comparison", *(f"{r}_{kind}" for r in routers for kind in kinds))
     }
-    assert {str(path.relative_to(figures)) for path in figures.rglob("*.*")} == expected
-    assert all((figures / name).read_bytes().startswith(PNG) for name in expected)
+    assert {str(path.relative_to(figures)) for path in drawn} == expected
 
 
 def test_tensorboard_shows_the_metrics(finished: Path) -> None:
@@ -606,7 +606,7 @@ KINDS: dict[str, dict[str, Any]] = {
     },
     "drawn, torch": {
         "shared": True,
-        "episodes": 24,
+        "episodes": 18,
         "games": 2,
         "agents": "multi",
         "scenario": "toy-4x4-v0",
@@ -853,7 +853,7 @@ def stopped(process: subprocess.Popen[str], ready: Callable[[], bool], number: i
     return process.returncode
 
 
-LONG = 3000  # episodes: some seconds after the first is logged
+LONG = 1500  # episodes: some seconds after the first is logged
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,8 @@ trainer stores and logs; the same training uninterrupted, alone, or by another l
 """
 
 import hashlib
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -803,9 +804,15 @@ def kind_config(kind: str, agents: str, shared: bool, episodes: int = 6) -> Conf
     )
 
 
-@pytest.mark.parametrize("shared", [False, True])
-@pytest.mark.parametrize("agents", ["single", "multi"])
-@pytest.mark.parametrize("kind", KINDS)
+def pairs() -> Iterator[Any]:
+    """Every kind with both settings of agents and of sharing; all combinations with -m slow."""
+    for number, kind in enumerate(KINDS):
+        for agents, shared in itertools.product(("single", "multi"), (False, True)):
+            often = ((agents == "multi") + shared + number) % 2 == 0
+            yield pytest.param(kind, agents, shared, marks=[] if often else pytest.mark.slow)
+
+
+@pytest.mark.parametrize(("kind", "agents", "shared"), pairs())
 def test_every_learner_goes_on_from_a_state(kind: str, agents: str, shared: bool) -> None:
     problems = {"p": tiny(), "q": tiny(1, nets=2)}
     config = kind_config(kind, agents, shared)
