@@ -60,6 +60,15 @@ class MLP(nn.Module):
         return duel(x) if self.dueling else x
 
 
+def plain_sizes(module: nn.Module) -> tuple[int, ...] | None:
+    """Units of the layers of a network that compiled code can play, inputs first; None: it cannot.
+
+    That is an :class:`MLP` with ReLUs that is not dueling.
+    """
+    plain = isinstance(module, MLP) and module.activation == "relu" and not module.dueling
+    return module.sizes if plain else None
+
+
 class Affine(nn.Module):
     """A fully connected layer, x W + b, with initial weights from torch's global random numbers.
 
