@@ -65,8 +65,9 @@ def plain_sizes(module: nn.Module) -> tuple[int, ...] | None:
 
     That is an :class:`MLP` with ReLUs that is not dueling.
     """
-    plain = isinstance(module, MLP) and module.activation == "relu" and not module.dueling
-    return module.sizes if plain else None
+    if not isinstance(module, MLP) or module.activation != "relu" or module.dueling:
+        return None
+    return module.sizes
 
 
 class Affine(nn.Module):
