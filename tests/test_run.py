@@ -234,6 +234,9 @@ def test_a_training_across_problems_ends_with_means(
     assert line[1:4] == [f"{connected}/20", "0.00", f"{wirelength:.1f}"]
     assert status(["train", "--resume", "run"]) == 0
     assert capsys.readouterr().out == shown
+    assert status(["config", "--schema", "train"]) == 0
+    schema = json.loads(capsys.readouterr().out)["properties"]["learner"]
+    assert {"dqn", "ppo", "iql", "ippo", "mappo"} <= set(schema["examples"])
     entry = from_text("run", None, None)
     assert (entry.name, entry.router, entry.trains) == ("run", "mappo", False)
     assert TrainedPolicy.load(entry.options["checkpoint"]).env.agents == "multi"

@@ -23,7 +23,7 @@ from marouting.config import (
     yaml_line,
 )
 from marouting.errors import InputError
-from marouting.registry import allowing_code
+from marouting.registry import allowing_code, names
 
 Origins = dict[Keys, str]
 """Where each value is from, by its key and the keys that lead there."""
@@ -133,6 +133,8 @@ def _properties(kind: Any) -> dict[str, Any]:
     for field in fields(kind):
         if field.name in found and field.name in about:
             found[field.name]["description"] = about[field.name]
+        if field.name in found and "kind" in field.metadata:
+            found[field.name]["examples"] = list(names(field.metadata["kind"]))
         if field.name in found and isinstance(field.default, bool | int | float | str):
             found[field.name]["default"] = field.default
     return found

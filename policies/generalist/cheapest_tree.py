@@ -131,11 +131,7 @@ def _edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int)
 
 @compiled
 def _set_costs(static: Static, dynamic: Dynamic, t: Trees, m: int, n: int) -> None:
-    """Gives the edges of the box their costs.
-
-    Two neighbouring columns (or rows) are as far apart as the cheapest of the edges between them
-    costs, so that searches know how much a tree must still cost at least.
-    """
+    """Gives the edges of the box their costs, and lines of columns and rows the least of them."""
     nx, ny, nz = t.lattice.size[0], t.lattice.size[1], t.lattice.size[2]
     set_size(t.lattice, nx, ny, nz)
     begin_lines(t.lattice, i64(UNIT))
@@ -198,11 +194,7 @@ def _find(static: Static, t: Trees, pins: int, random: int) -> None:
 def plan_tree(
     static: Static, dynamic: Dynamic, t: Trees, m: int, n: int, most: int, margin: int, random: int
 ) -> bool:
-    """Finds a cheapest tree for the net of an agent that uses no edge, in a game with prices.
-
-    Returns:
-        Whether there is a tree: the net has not too many pins, and they are not too far apart.
-    """
+    """Finds a cheapest tree for a net that uses no edge; whether its pins are few and near."""
     t.of[m, 0], t.of[m, 1], t.of[m, 2] = n, dynamic.games[m].round, dynamic.games[m].picked
     t.found[m] = False
     pins = _find_pins(static, t, m, n, most)

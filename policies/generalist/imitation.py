@@ -43,7 +43,7 @@ from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.networks.adam import Adam
-from policies.learned.networks.stack import Stack, View
+from policies.learned.networks.stack import View
 from policies.learned.per_network import COUNT
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
@@ -138,10 +138,7 @@ class Imitation(Learner):
         check("agents", not player.everyone, "single, for imitation")
         check("rip_up.choose", setup.actions == MOVES, "all, conflicts or history, for imitation")
         self.path = f"torch, batched on {setup.device}"
-        seeds = setup.network_keys("weights").astype(np.int64).tolist()
-        self.networks = Stack(
-            lambda: o.network.make(setup.obs_shape, setup.actions), seeds, self.device
-        )
+        self.networks = self._stack("weights", setup.obs_shape, setup.actions)
         self.adam = Adam(self.networks.flat)
         self.explore = Exploration(setup.game_keys("explore"))
         self.keys = setup.network_keys("sample")
@@ -216,11 +213,7 @@ class Imitation(Learner):
                 return
 
     def _begin(self, player: Player) -> NDArray[np.bool_]:
-        """Before a move: chooses how episodes begin, and makes room for nets that have to walk.
-
-        Returns:
-            (M,) whose states may be learned from.
-        """
+        """Begins episodes and walks; returns (M,) whose states may be learned from."""
         engine, last = player.engine, self.last[0]
         games, learns = engine.games, player.buffers.active[:, 0].copy()
         priced, begins = engine.priced, games["steps"] == 0

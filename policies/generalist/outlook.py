@@ -362,10 +362,7 @@ def _note(
 def _are_found(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
 ) -> bool:
-    """Whether the cheapest ways are known: all that they follow from is as it was.
-
-    To look costs a small part of finding them, and while an agent walks it is all that is needed.
-    """
+    """Whether the cheapest ways are known: all that they follow from is as it was."""
     found = ways.found[m]
     margin = widened(static, dynamic, m, margin)
     if found[0] != n or found[1] != dynamic.agents[m, n].task or found[2] != margin:
@@ -400,11 +397,7 @@ def _are_found(
 def find_ways(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
 ) -> None:
-    """Begins to find what the cheapest ways cost from the Gcells of the box to the end of the task.
-
-    :func:`_reach` carries the searches on as far as somebody looks. While only this agent moves,
-    what they find stays the same until its next task begins.
-    """
+    """Begins the searches for a task's cheapest ways, which :func:`_reach` carries on."""
     columns, rows, layers = grid_of(static)
     margin = widened(static, dynamic, m, margin)
     ways.found[m, 0] = NOBODY
@@ -437,11 +430,7 @@ def find_ways(
 def _reach(
     static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, kind: int, cell: int
 ) -> int:
-    """The cost of the cheapest way from a Gcell to the end of a task; ``kind`` 1: by slack.
-
-    The search for all Gcells (Dijkstra's, with a bucket for every cost) goes on until it has passed
-    this one.
-    """
+    """The cost of the cheapest way from a Gcell to a task's end; ``kind`` 1: with slack."""
     kind = min(kind, i64(ways.kinds[m]) - 1)
     front = ways.front[m, kind]
     columns, rows, _ = grid_of(static)
@@ -531,10 +520,7 @@ def note_move(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> N
 
 @compiled
 def find_wires(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> None:
-    """Finds how far the open pins are from the Gcells at the net's edges and from the agent.
-
-    While the agent walks, :func:`note_move` after every move keeps them right.
-    """
+    """Finds how far open pins are from what the net has wired; :func:`note_move` keeps it right."""
     ways.counts[m] += 1
     ways.start[m] = dynamic.agents[m, n].cell
     ways.wired[static.first[m, n] : static.first[m, n + 1]] = _FARTHEST
@@ -624,8 +610,7 @@ def _find_pins(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> 
 def _span(static: Static, ways: Ways, m: int, pins: int, cell: int) -> int:
     """Edges of the spanning tree from a Gcell, times _UNIT, by Prim's algorithm.
 
-    Nodes are the end of the task (0) and the open pins that are seen (from 1), in ``ways.span``
-    their distance to the tree, or -1 once they are in it.
+    Nodes are the end of the task (0) and the open pins that are seen (from 1).
     """
     ways.span[0] = ways.cost[m, 0, cell]
     for k in range(pins):

@@ -23,6 +23,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import nn
 
 from marouting import EnvOptions, Problem, Solution
 from marouting.batch.engine import Engine
@@ -35,7 +36,7 @@ from policies.generalist.cheapest_tree import MOST_PINS
 from policies.generalist.outlook import DETOURS, OutlookObservation
 from policies.generalist.walk import MOST_STEPS, Walker, take_best
 from policies.learned.counter_rng import keys
-from policies.learned.networks.mlp import MLP
+from policies.learned.networks.mlp import plain_sizes
 from policies.learned.policy import Routed, TrainedPolicy
 
 _SURE = 8.0
@@ -280,12 +281,11 @@ def _read(
     """A policy's observation, and its network's layers and weights; raises InputError."""
     seen, module = policy.env.observation.make(), policy.module
     check(f"{where}: observation", isinstance(seen, OutlookObservation), "outlook")
-    fits = isinstance(module, MLP) and module.activation == "relu" and not module.dueling
-    check(f"{where}: network", fits, "an mlp with activation relu, not dueling")
+    sizes = plain_sizes(module)
+    check(f"{where}: network", sizes is not None, "an mlp with activation relu, not dueling")
     assert isinstance(seen, OutlookObservation)
-    assert isinstance(module, MLP)
-    flat = [weights.detach().numpy().reshape(-1) for weights in module.parameters()]
-    return seen, module.sizes, np.concatenate(flat)
+    assert sizes is not None
+    return seen, sizes, nn.utils.parameters_to_vector(module.parameters()).detach().numpy()
 
 
 def _cost(engine: Engine, m: int) -> tuple[int, int, int]:

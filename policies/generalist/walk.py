@@ -215,10 +215,7 @@ def _in_frame(rows: Any, row: int, move: int) -> int:
 def _choose(
     given: WalkState, m: int, row: int, free: int, at: int, late: bool, temperature: float
 ) -> int:
-    """The move on the grid that a row takes; its scores begin at ``at``.
-
-    A draw adds to every score −log(−log(u)) times the temperature, for u in (0, 1) (Gumbel).
-    """
+    """The move on the grid that a row takes, drawn by Gumbel noise; its scores begin at ``at``."""
     if late:
         cheapest = i64(0)
         for way in range(1, MOVES):
@@ -251,12 +248,10 @@ def _walk(static: Static, dynamic: Dynamic, given: WalkState, steps: int, stops:
             n = i64(dynamic.games[m].agent)
             if not given.playing[m] or n == NOBODY or dynamic.games[m].active == 0:
                 continue
+            move = i64(NOBODY)
             if dynamic.games[m].asked:
-                move = RIP_UP if _gives_way(static, dynamic, given, i64(m), n) else 0
-                _step(static, dynamic, given, i64(m), as_index(n), move, stops)
-                answered = True
-                continue
-            if given.guided[m]:
+                move = i64(RIP_UP if _gives_way(static, dynamic, given, i64(m), n) else 0)
+            elif given.guided[m]:
                 given.searches[0] += 1
                 move = move_along(
                     static,
@@ -269,13 +264,10 @@ def _walk(static: Static, dynamic: Dynamic, given: WalkState, steps: int, stops:
                     given.seen,
                     i64(given.searches[0]),
                 )
-                if move != NOBODY:
-                    _step(static, dynamic, given, i64(m), as_index(n), move, stops)
-                    answered = True
-                    continue
-            move = _on_tree(static, dynamic, given, i64(m), as_index(n))
+            if move == NOBODY:
+                move = _on_tree(static, dynamic, given, i64(m), as_index(n))
+                given.counters[m] += move != NOBODY
             if move != NOBODY:
-                given.counters[m] += 1
                 _step(static, dynamic, given, i64(m), as_index(n), move, stops)
                 answered = True
                 continue

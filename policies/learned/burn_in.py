@@ -72,16 +72,6 @@ def read_solutions(burn_in: str, problems: Mapping[str, Problem]) -> list[Soluti
     Raises:
         InputError: there is no such guide, or a solution cannot be read or does not fit.
     """
-    paths = solution_files(burn_in, tuple(problems))
-    return list(map(Solution.read, paths, problems.values()))
-
-
-def solution_files(burn_in: str, wanted: Sequence[str]) -> list[Path]:
-    """The files that a burn-in replays, one for each problem; none if it replays no files.
-
-    Raises:
-        InputError: there are no such files.
-    """
     if burn_in in (*GUIDES, *names("router")):
         return []
     path = Path(burn_in)
@@ -91,10 +81,10 @@ def solution_files(burn_in: str, wanted: Sequence[str]) -> list[Path]:
             f"or a solution file or a folder of them, found {burn_in!r}"
         )
     if is_dir(path):
-        return [_file(path, name) for name in wanted]
-    if len(wanted) > 1:
+        return [Solution.read(_file(path, name), problem) for name, problem in problems.items()]
+    if len(problems) > 1:
         raise InputError(f"burn_in: {path}: expected a folder, with a solution for each problem")
-    return [path]
+    return [Solution.read(path, problem) for problem in problems.values()]
 
 
 def _file(folder: Path, name: str) -> Path:

@@ -74,11 +74,9 @@ def read_checkpoint(path: str | os.PathLike[str], *, training: bool) -> Mapping[
 
 
 def _count(value: Any, most: int, deep: int) -> int:
-    """How many values there are in a value; raises ValueError for what no checkpoint holds.
+    """How many values there are; raises ValueError for any but plain data and plain tensors.
 
-    That is anything but plain data and plain tensors: torch reads without running code much else,
-    such as parameters, that is in no file of ours and that what follows is not made for. The same
-    list may stand in a list more than once, so a small file can stand for any number of values.
+    The same list may stand in a list more than once: a small file can stand for many values.
     """
     if deep == 0:
         raise ValueError(f"values are nested more than {_DEEPEST} deep")

@@ -17,7 +17,7 @@ from policies.generalist.outlook import OutlookObservation
 from policies.generalist.walk import Walker
 from policies.learned.compiled.gradient import q_values, units_of
 from policies.learned.exploration import choose
-from policies.learned.networks.mlp import MLP
+from policies.learned.networks.mlp import plain_sizes
 
 _MANY = 4
 """Rip-up rounds from which on the loop for ``outlook`` is worth being loaded or compiled."""
@@ -25,11 +25,9 @@ _MANY = 4
 
 def layers_of(player: Player, module: nn.Module, *, masking: bool) -> tuple[int, ...] | None:
     """Units of a network's layers, inputs first, if :func:`play_out` does it in these games."""
-    if not isinstance(module, MLP) or module.activation != "relu" or module.dueling:
-        return None
     known = player.fast.observation and player.fast.reward
     fits = known or (masking and _looks_out(player))
-    return module.sizes if fits and player.engine.actions == MOVES else None
+    return plain_sizes(module) if fits and player.engine.actions == MOVES else None
 
 
 def _looks_out(player: Player) -> bool:

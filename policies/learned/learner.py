@@ -131,6 +131,11 @@ class Learner(PerNetworkState, abc.ABC):
         module: nn.Module = options.network.make(obs_shape, actions)
         return module
 
+    def _stack(self, purpose: str, sees: tuple[int, ...], outputs: int) -> Stack:
+        """Its networks with random weights, by random numbers of their own for a purpose."""
+        seeds = self.setup.network_keys(purpose).astype(np.int64).tolist()
+        return Stack(lambda: self.options.network.make(sees, outputs), seeds, self.device)
+
     @classmethod
     def masks(cls, options: Any) -> bool:
         """Whether only moves that cross an edge are chosen: ``masking`` among the options."""

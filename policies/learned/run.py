@@ -52,11 +52,7 @@ _FILES = (CONFIG, METRICS, EVALUATIONS, CHECKPOINT, POLICY, RESULT)
 
 def write_config(config: Config, path: Path) -> None:
     """Writes a whole configuration as YAML."""
-    write_text(path, _yaml(config))
-
-
-def _yaml(config: Config) -> str:
-    return yaml_text(plain(config))
+    write_text(path, yaml_text(plain(config)))
 
 
 def _own_code(config: Config) -> list[str]:
@@ -366,25 +362,15 @@ class Run:
 
 @dataclass
 class _Interrupts:
-    """Signals that are held back.
-
-    Attributes:
-        held: those that have come.
-        begun: whether the trainer has made a step. Until then nothing is lost by Ctrl-C, and much
-            may have to be compiled, so that it is not held back.
-    """
+    """Signals that have come and are held back."""
 
     held: list[int] = field(default_factory=list)
-    begun: bool = False
+    begun: bool = False  # whether there has been a step: until then Ctrl-C loses nothing
 
 
 @contextlib.contextmanager
 def _holding_interrupts() -> Iterator[_Interrupts]:
-    """Holds Ctrl-C and SIGTERM back: within a step of the trainer there is no state to save.
-
-    Yields:
-        What has come of them. A second one is not held back.
-    """
+    """Holds Ctrl-C and SIGTERM back, but not a second one: within a step no state can be saved."""
     interrupts = _Interrupts()
     usual: dict[int, tuple[Any, ...]] = {
         signal.SIGINT: (signal.default_int_handler, interrupt),

@@ -158,10 +158,7 @@ class Trainer:
         return problems * (not self.config.train.shared)
 
     def _keep(self, which: NDArray[np.integer]) -> None:
-        """Goes on with some of the problems that still train (places, ascending).
-
-        What the others had is kept for checkpoints: the training may be given more episodes.
-        """
+        """Goes on with some of the problems (places, ascending); checkpoints keep the others'."""
         leaving = np.setdiff1d(np.arange(len(self.places)), which)
         rows = {
             part: {name: torch.stack([row[i] for i in leaving]) for name, row in of.items()}
@@ -361,14 +358,14 @@ class Trainer:
     def policy_of(self, problem: str) -> TrainedPolicy:
         """The saved network of a problem: that of the best evaluation, or of the last."""
         row = int(self._networks(np.array([self.names.index(problem)]))[0])
-        setup, learner = self.learner.setup, self.config.learner
-        module = learner.cls.network(learner.options, setup.obs_shape, setup.actions)
-        module.load_state_dict(self._state_dict(self._policies[row]))
-        masking = learner.cls.masks(learner.options)
-        origin = policy_origin(int(self.policy_episode[row]))
         config = self.config
         return TrainedPolicy(
-            module, masking, setup.obs_shape, config.env, origin, config.train.negotiation
+            self._module(self._policies[row].clone()),
+            config.learner.cls.masks(config.learner.options),
+            self.learner.setup.obs_shape,
+            config.env,
+            policy_origin(int(self.policy_episode[row])),
+            config.train.negotiation,
         )
 
     def origin(self, problem: str) -> str:
@@ -387,10 +384,7 @@ class Trainer:
         }
 
     def _rows(self) -> dict[str, dict[str, Tensor]]:
-        """What a checkpoint holds of the problems that still train, a row each.
-
-        Where problems share a network, none of them leaves, and there is a row for all.
-        """
+        """What a checkpoint holds of the problems that still train, a row each, or one for all."""
         rows = 1 if self.config.train.shared else len(self.places)
         before = torch.from_numpy(self._before.reshape(rows, -1, 2))
         return {"training": self.learner.state(), "games": {"before": before}}
@@ -434,17 +428,18 @@ class Trainer:
             "obs_shape": list(self.learner.setup.obs_shape),
             "env": env,
             "negotiation": plain(self.config.train.negotiation),
-            "weights": [self._state_dict(row) for row in self._policies],
+            "weights": [
+                {name: tensor.detach() for name, tensor in self._module(row).state_dict().items()}
+                for row in self._policies
+            ],
         }
 
-    def _state_dict(self, flat: Tensor) -> dict[str, Tensor]:
-        """The ``state_dict`` of a network with the weights (P,)."""
-        learner = self.config.learner
-        module = learner.cls.network(
-            learner.options, self.learner.setup.obs_shape, self.learner.setup.actions
-        )
+    def _module(self, flat: Tensor) -> nn.Module:
+        """A network of the learner's with the weights (P,)."""
+        learner, setup = self.config.learner, self.learner.setup
+        module: nn.Module = learner.cls.network(learner.options, setup.obs_shape, setup.actions)
         nn.utils.vector_to_parameters(flat, module.parameters())
-        return {name: tensor.detach() for name, tensor in module.state_dict().items()}
+        return module
 
     def state(self) -> dict[str, Any]:
         """Everything that it takes to go on as if never stopped."""

@@ -31,7 +31,6 @@ from policies.learned.memory.prioritised import Prioritised
 from policies.learned.memory.replay import Replay
 from policies.learned.networks.adam import Adam
 from policies.learned.networks.graph import Recorded, recorder
-from policies.learned.networks.stack import Stack
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,13 +125,12 @@ class DQN(Learner):
         )
         self.learning_starts, self.burn_in = o.burn_in_size, o.burn_in
         self.path = "torch, CUDA graph" if device.type == "cuda" else f"torch, batched on {device}"
-        self.networks = self._stack()
+        self.networks = self._stack("weights", setup.obs_shape, setup.actions)
         self.adam = Adam(self.networks.flat)
         self.memory = self._memory()
         self.explore = Exploration(setup.game_keys("explore"))
-        self.pending_updates = np.zeros(
-            len(names), np.int64
-        )  # moves not yet answered by a gradient step
+        # Moves that no gradient step has answered yet.
+        self.pending_updates = np.zeros(len(names), np.int64)
         # Without a target network there are no weights to keep for it.
         self.target = self.networks.flat[:, : None if o.target_period else 0].clone()
         self._burning_in = False
@@ -146,11 +144,6 @@ class DQN(Learner):
     def limits(self) -> dict[str, tuple[float, float]]:
         """See :meth:`.PerNetworkState.limits`."""
         return {**super().limits(), "pending_updates": (0, self.options.steps_per_update - 1)}
-
-    def _stack(self) -> Stack:
-        seeds = self.setup.network_keys("weights").astype(np.int64).tolist()
-        make = lambda: self.network(self.options, self.setup.obs_shape, self.setup.actions)  # noqa: E731
-        return Stack(make, seeds, self.device)
 
     def _memory(self) -> Replay:
         o, setup, priority = self.options, self.setup, {}

@@ -146,11 +146,8 @@ def _play_threaded(
     steps: int, static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers,
     fast: FastPath, play: Play, nets: Networks, rule: StepRule, steps_per_update: int,
 ) -> None:  # fmt: skip
-    """:func:`_play`, with the networks shared out among numba's threads.
-
-    Each network and its games belong to one thread: the results do not depend on how many there
-    are. Numba's cache does not look at options, so this has to be a function of its own.
-    """
+    """:func:`_play`, with the networks shared out among threads."""
+    # A function of its own: numba's cache does not look at options.
     for n in prange(len(nets.updates)):
         _play_network(
             n, steps, static, dynamic, b, kernel_buffers, fast, play, nets, rule, steps_per_update

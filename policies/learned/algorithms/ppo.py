@@ -31,7 +31,7 @@ from policies.learned.learner import Learner, Setup
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.memory.rollout import LONGEST, Rollout, shuffled
 from policies.learned.networks.adam import Adam
-from policies.learned.networks.stack import Stack, View
+from policies.learned.networks.stack import View
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,10 +130,6 @@ class PPO(Learner):
         """See :meth:`.PerNetworkState.limits`."""
         return {**super().limits(), "progress": (0.0, 1.0)}
 
-    def _stack(self, purpose: str, sees: tuple[int, ...], outputs: int) -> Stack:
-        seeds = self.setup.network_keys(purpose).astype(np.int64).tolist()
-        return Stack(lambda: self.options.network.make(sees, outputs), seeds, self.device)
-
     @classmethod
     def schedules(cls, options: PPOOptions) -> tuple[str, ...]:
         """See :meth:`policies.learned.learner.Learner.schedules`."""
@@ -202,12 +198,7 @@ class PPO(Learner):
     def _gathered(
         self, obs: NDArray[np.float32], asked: NDArray[np.bool_], states: Any
     ) -> tuple[NDArray[np.bool_], Tensor, Tensor]:
-        """Some rows of all games, one network's after another's.
-
-        Returns:
-            (L, B) where in the next two a row is, (L, B, *S) what the actor sees, and what the
-            critic does.
-        """
+        """(L, B) where there is a row, (L, B, *S) what the actor sees, and what the critic does."""
         counts = self._games(asked).sum(axis=(1, 2))
         where = np.arange(counts.max(initial=0)) < counts[:, None]
         inputs = np.zeros((*where.shape, *obs.shape[2:]), np.float32)

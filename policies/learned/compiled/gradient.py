@@ -89,11 +89,7 @@ def gradient_buffers(nets: Networks, batch: int) -> GradientBuffers:
 
 @compiled
 def forward(sizes: Any, weights: Any, x: Any, batch: int, activations: Any) -> int:
-    """The network for ``batch`` inputs ``x`` (batch · F,), row after row.
-
-    Fills ``activations`` with the outputs of each layer (batch rows each), one after the other, and
-    returns the place of the last ones.
-    """
+    """Fills ``activations`` with the outputs of all layers; returns where the last are."""
     at, place = 0, 0
     last = len(sizes) - 2
     for i in range(last + 1):
@@ -114,11 +110,7 @@ def forward(sizes: Any, weights: Any, x: Any, batch: int, activations: Any) -> i
 
 @compiled
 def _backward(sizes: Any, weights: Any, batch: int, b: GradientBuffers) -> None:
-    """Fills ``b.gradient``: the derivatives of a loss by the weights (P,) of a network.
-
-    ``b`` holds the activations that :func:`forward` left for ``obs``. Like them lie the slopes, the
-    derivatives by the outputs of each layer; those by the last ones are given.
-    """
+    """Fills ``b.gradient`` by activations that :func:`forward` left and the last layer's slopes."""
     at = len(weights)
     place = batch * units_of(sizes)
     for i in range(len(sizes) - 2, -1, -1):

@@ -169,7 +169,6 @@ class Replay(PerNetworkState):
         if not here:
             place = place.to(self.device)
             self.store.view(-1, width)[place] = torch.from_numpy(rows[:count]).to(self.device)
-        if not here:
             self._stored.copy_(torch.from_numpy(self.stored))
         self._added(place)
 
@@ -221,11 +220,7 @@ def _add(
     n_step: int, gamma: float, waiting: Any, unfinished: Any, capacity: int, stored: Any,
     place: Any, here: bool, rows: Any,
 ) -> int:  # fmt: skip
-    """Makes rows of what a step finished.
-
-    Returns:
-        How many rows there are.
-    """
+    """Makes rows of what a step finished; returns how many."""
     games, features = len(acted) // len(stored), obs.shape[2]
     rest = 2 * features
     count = 0

@@ -60,6 +60,16 @@ class MLP(nn.Module):
         return duel(x) if self.dueling else x
 
 
+def plain_sizes(module: nn.Module) -> tuple[int, ...] | None:
+    """Units of the layers of a network that compiled code can play, inputs first; None: it cannot.
+
+    That is an :class:`MLP` with ReLUs that is not dueling.
+    """
+    if not isinstance(module, MLP) or module.activation != "relu" or module.dueling:
+        return None
+    return module.sizes
+
+
 class Affine(nn.Module):
     """A fully connected layer, x W + b, with initial weights from torch's global random numbers.
 
