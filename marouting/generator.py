@@ -328,7 +328,7 @@ def _adjusted(
     """What gives edges a capacity of their own; in it layers count from 1."""
     position = problem.topology.position + np.array([0, 0, 1])
     ends = (position[end].tolist() for end in problem.topology.ends(edges))
-    return tuple(Adjustment(*a, *b, capacity) for a, b in zip(*ends, strict=True))
+    return tuple(Adjustment._make((*a, *b, capacity)) for a, b in zip(*ends, strict=True))
 
 
 def _nets(
