@@ -295,13 +295,8 @@ def _without(problem: Problem, closed: NDArray[np.bool_], layers: int) -> Proble
     for axis in range(VIA_AXIS):
         none[:, :, :layers, axis] = (closed | np.roll(closed, -1, axis))[..., None]
     within = (problem.capacity > 0) & (problem.capacity < UNLIMITED)
-    near, far = problem.topology.ends(np.flatnonzero(none.reshape(-1) & within))
-    position = problem.topology.position
-    adjustments = tuple(
-        Adjustment(*_gcell(a), *_gcell(b), 0)
-        for a, b in zip(position[near], position[far], strict=True)
-    )
-    return replace(problem, adjustments=problem.adjustments + adjustments)
+    closed_edges = np.flatnonzero(none.reshape(-1) & within)
+    return replace(problem, adjustments=problem.adjustments + _adjusted(problem, closed_edges, 0))
 
 
 def _macros(options: GeneratorOptions, rng: np.random.Generator) -> NDArray[np.bool_]:
@@ -324,12 +319,16 @@ def _reduced(problems: Iterable[Problem], edges: int, capacity: int) -> tuple[Ad
     # layer's direction have none.
     reducible = np.flatnonzero((problem.capacity > 0) & (problem.capacity < UNLIMITED))
     busiest = np.argsort(-demand[reducible], kind="stable")[:edges]
-    near, far = problem.topology.ends(reducible[busiest])
-    position = problem.topology.position
-    return tuple(
-        Adjustment(*_gcell(position[a]), *_gcell(position[b]), capacity)
-        for a, b in zip(near, far, strict=True)
-    )
+    return _adjusted(problem, reducible[busiest], capacity)
+
+
+def _adjusted(
+    problem: Problem, edges: NDArray[np.integer], capacity: int
+) -> tuple[Adjustment, ...]:
+    """What gives edges a capacity of their own; in it layers count from 1."""
+    position = problem.topology.position + np.array([0, 0, 1])
+    ends = (position[end].tolist() for end in problem.topology.ends(edges))
+    return tuple(Adjustment._make((*a, *b, capacity)) for a, b in zip(*ends, strict=True))
 
 
 def _nets(
@@ -376,9 +375,3 @@ def _nets(
         return Net(f"A{index + 1}", index + 1, tuple(Pin(int(x), int(y), 1) for x, y in at))
 
     return tuple(map(net, range(options.nets)))
-
-
-def _gcell(position: np.ndarray) -> tuple[int, int, int]:
-    """A Gcell (3,) as adjustments name it, with the layer from 1."""
-    x, y, z = position.tolist()
-    return x, y, z + 1
