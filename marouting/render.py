@@ -197,6 +197,9 @@ _SMALLEST = 2  # a smaller pitch is drawn at this one and shrunk, px
 _ROOMY = 16  # with a smaller pitch, nets side by side cannot be told apart, px
 _MARK = 3  # the least reach of heads and targets, px
 
+Ink = tuple[int, ...]
+"""A colour: red, green and blue, 0 to 255."""
+
 _BACKGROUND = (255, 255, 255)
 _GCELL = (208, 211, 217)
 _FREE = (232, 234, 239)
@@ -219,7 +222,7 @@ PALETTE = np.array(
 )
 """(48, 3) uint8, the colours of nets: net i has the colour i % 48, in every picture."""
 
-USE = (
+USE: tuple[tuple[float, Ink], ...] = (
     (0.0, (242, 245, 250)),
     (0.5, (143, 180, 217)),
     (1.0, (18, 58, 117)),
@@ -252,10 +255,6 @@ _FONT = (
 )
 _ADVANCE, _HEIGHT, _LINE = 8, 16, 18  # px of a letter of scale 1, and of a line of text
 _CAPTION = 80  # letters of a caption that there is room for
-
-
-Ink = tuple[int, ...]
-"""A colour: red, green and blue, 0 to 255."""
 
 
 class Box(NamedTuple):
@@ -336,8 +335,8 @@ def _paint(canvas: NDArray[np.uint8], drawn: Iterable[Shape]) -> None:
         else:
             letters = _lettering(shape.text, shape.scale)
             space = canvas[shape.y :, shape.x :][: letters.shape[0], : letters.shape[1]]
-            ink = letters[: space.shape[0], : space.shape[1], None]
-            space[...] = np.rint(space * (1 - ink) + np.array(_INK) * ink)
+            black = letters[: space.shape[0], : space.shape[1], None]
+            space[...] = np.rint(space * (1 - black) + np.array(_INK) * black)
 
 
 @functools.lru_cache(maxsize=64)
@@ -417,8 +416,8 @@ def _bars(scene: Scene, sheet: "Sheet", state: NDArray[np.int8]) -> list[list[Sh
     share = (scene.capacity[used] - scene.remaining[used]) / capacity
     order = np.argsort(share, kind="stable")
     share = np.where(scene.capacity[used] > 0, share, USE[-1][0])[order]
-    stops, colours = zip(*USE, strict=True)
-    parts = [np.interp(share, stops, part) for part in zip(*colours, strict=True)]
+    stops = [stop for stop, _ in USE]
+    parts = [np.interp(share, stops, [ink[part] for _, ink in USE]) for part in range(3)]
     inks = list(map(tuple, np.stack(parts, axis=1).astype(int).tolist()))
     return [sheet.bars(used[order], 0, sheet.pitch, inks, whole=True)]
 

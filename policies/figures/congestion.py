@@ -57,7 +57,7 @@ def label_of_use(values: NDArray[np.float64]) -> dict[str, Any]:
 
 def show_use(
     axes: Axes,
-    values: NDArray[np.float64],
+    values: NDArray[Any],
     side: int,
     scale: ScalarMappable,
     corner: tuple[float, float] = (-0.5, -0.5),
@@ -71,7 +71,8 @@ def show_use(
         origin="lower",
         extent=(left, left + wide * side, bottom, bottom + high * side),
         cmap=scale.cmap,
-        norm=scale.norm,
+        vmin=0,
+        vmax=scale.get_clim()[1],
         interpolation="nearest",
     )
 
