@@ -52,6 +52,7 @@ from policies.routers.registry import is_learner, make_router, router_names, unk
 
 if TYPE_CHECKING:
     from policies.learned.router import LearnedRouter
+    from policies.routers.base import Router
 
 _RENAMED = {
     "animate": "view … --out FILE.svg",
