@@ -16,7 +16,7 @@ import sys
 import textwrap
 import warnings
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -176,6 +176,9 @@ _SMALLEST = 2  # a smaller pitch is drawn at this one and shrunk, px
 _ROOMY = 16  # with a smaller pitch, nets side by side cannot be told apart, px
 _MARK = 3  # the least reach of heads and targets, px
 
+Ink = tuple[int, ...]
+"""A colour: red, green and blue, 0 to 255."""
+
 _BACKGROUND = (255, 255, 255)
 _GCELL = (208, 211, 217)
 _FREE = (232, 234, 239)
@@ -198,7 +201,7 @@ PALETTE = np.array(
 )
 """(48, 3) uint8, the colours of nets: net i has the colour i % 48, in every picture."""
 
-USE = (
+USE: tuple[tuple[float, Ink], ...] = (
     (0.0, (242, 245, 250)),
     (0.5, (143, 180, 217)),
     (1.0, (18, 58, 117)),
@@ -233,9 +236,6 @@ _ADVANCE, _HEIGHT, _LINE = 8, 16, 18  # px of a letter of scale 1, and of a line
 _CAPTION = 80  # letters of a caption that there is room for
 
 
-Ink = tuple[int, ...]  # A colour: red, green and blue, 0 to 255
-
-
 class Box(NamedTuple):
     """A filled rectangle of a picture, in px; right and bottom are just outside of it."""
 
@@ -244,6 +244,13 @@ class Box(NamedTuple):
     right: int
     bottom: int
     ink: Ink
+
+
+class Bars(NamedTuple):
+    """Many boxes: (n, 4) int, as in Box, and (n, 3) or (1, 3) uint8, their colours."""
+
+    sides: NDArray[np.integer]
+    inks: NDArray[np.uint8]
 
 
 class Disc(NamedTuple):
@@ -264,7 +271,7 @@ class Words(NamedTuple):
     scale: int
 
 
-Shape = Box | Disc | Words
+Shape = Box | Bars | Disc | Words
 
 
 def colour_of(net: int) -> Ink:
@@ -306,16 +313,19 @@ def rgb_array(scene: Scene) -> NDArray[np.uint8]:
 def _paint(canvas: NDArray[np.uint8], drawn: Iterable[Shape]) -> None:
     """Draws shapes into pixels; what does not fit is left out."""
     for shape in drawn:
-        if isinstance(shape, Box):
+        if isinstance(shape, Bars):
+            inks = np.broadcast_to(shape.inks, (len(shape.sides), 3))
+            for (left, top, right, bottom), ink in zip(shape.sides.tolist(), inks, strict=True):
+                canvas[top:bottom, left:right] = ink
+        elif isinstance(shape, Box):
             canvas[shape.top : shape.bottom, shape.left : shape.right] = shape.ink
         elif isinstance(shape, Disc):
-            x, y, r, ink = shape
-            canvas[y - r : y + r, x - r : x + r][_disc(r)] = ink
+            x, y, r, colour = shape
+            canvas[y - r : y + r, x - r : x + r][_disc(r)] = colour
         else:
             letters = _lettering(shape.text, shape.scale)
             space = canvas[shape.y :, shape.x :][: letters.shape[0], : letters.shape[1]]
-            ink = letters[: space.shape[0], : space.shape[1], None]
-            space[...] = np.rint(space * (1 - ink) + np.array(_INK) * ink)
+            np.minimum(space, letters[: space.shape[0], : space.shape[1]], out=space)
 
 
 @functools.lru_cache(maxsize=64)
@@ -325,20 +335,21 @@ def _disc(radius: int) -> NDArray[np.bool_]:
 
 
 @functools.lru_cache(maxsize=256)
-def _lettering(text: str, scale: int) -> NDArray[np.float64]:
-    """(16 · scale, 8 · scale · len(text)) float64, how much ink the letters have, from 0 to 1."""
+def _lettering(text: str, scale: int) -> NDArray[np.uint8]:
+    """(16 · scale, 8 · scale · len(text), 1) uint8, letters on white, from white to black."""
     letters = _letters()
     known = [ord(c) - ord(" ") if " " <= c <= "~" else ord("?") - ord(" ") for c in text]
-    drawn = letters[:, known].reshape(_HEIGHT, -1)
+    drawn = letters[:, known].reshape(_HEIGHT, -1, 1)
     return drawn.repeat(scale, axis=0).repeat(scale, axis=1)
 
 
 @functools.cache
-def _letters() -> NDArray[np.float64]:
-    """(16, 95, 8) float64, how much ink each letter has, from 0 to 1."""
+def _letters() -> NDArray[np.uint8]:
+    """(16, 95, 8) uint8, each letter on white."""
     bits = np.unpackbits(np.frombuffer(zlib.decompress(base64.b64decode(_FONT)), np.uint8))
     levels = bits.reshape(-1, 2) @ [2, 1]
-    return levels[: _HEIGHT * 95 * _ADVANCE].reshape(_HEIGHT, 95, _ADVANCE) / 3
+    levels = levels[: _HEIGHT * 95 * _ADVANCE].reshape(_HEIGHT, 95, _ADVANCE)
+    return np.array([255, 177, 98, _INK[0]], np.uint8)[levels]
 
 
 def shapes(scene: Scene) -> list[list[Shape]]:
@@ -374,17 +385,17 @@ def _nets(scene: Scene, sheet: "Sheet", state: NDArray[np.int8]) -> list[list[Sh
     slot = np.arange(len(scene.edges)) - np.searchsorted(scene.edges, scene.edges)
     drawn = (slot < sheet.tracks) & (scene.edges % AXES != VIA_AXIS)
     low = sheet.start + slot[drawn] * sheet.track
-    inks = [colour_of(net) for net in scene.nets[drawn].tolist()]
+    inks = PALETTE[scene.nets[drawn] % len(PALETTE)]
     return [
         [
-            *sheet.bars(full, sheet.start - border, room + border, [_INK]),
-            *sheet.bars(over, sheet.start - 2 * border, most + 2 * border, [_OVERFLOWED]),
+            sheet.bars(full, sheet.start - border, room + border, [_INK]),
+            sheet.bars(over, sheet.start - 2 * border, most + 2 * border, [_OVERFLOWED]),
         ],
         [
-            *sheet.bars(full, sheet.start, room, [_FREE]),
-            *sheet.bars(over, sheet.start, most, [_FREE]),
+            sheet.bars(full, sheet.start, room, [_FREE]),
+            sheet.bars(over, sheet.start, most, [_FREE]),
         ],
-        sheet.bars(scene.edges[drawn], low, low + sheet.track, inks, whole=True),
+        [sheet.bars(scene.edges[drawn], low, low + sheet.track, inks, whole=True)],
     ]
 
 
@@ -395,10 +406,9 @@ def _bars(scene: Scene, sheet: "Sheet", state: NDArray[np.int8]) -> list[list[Sh
     share = (scene.capacity[used] - scene.remaining[used]) / capacity
     order = np.argsort(share, kind="stable")
     share = np.where(scene.capacity[used] > 0, share, USE[-1][0])[order]
-    stops, colours = zip(*USE, strict=True)
-    parts = [np.interp(share, stops, part) for part in zip(*colours, strict=True)]
-    inks = list(map(tuple, np.stack(parts, axis=1).astype(int).tolist()))
-    return [sheet.bars(used[order], 0, sheet.pitch, inks, whole=True)]
+    stops = [stop for stop, _ in USE]
+    parts = [np.interp(share, stops, [ink[part] for _, ink in USE]) for part in range(3)]
+    return [[sheet.bars(used[order], 0, sheet.pitch, np.stack(parts, axis=1), whole=True)]]
 
 
 class Sheet:
@@ -453,7 +463,7 @@ class Sheet:
         self._y = top + row * panel + (height - 1 - y) * pitch + pitch // 2
         free = np.flatnonzero(inside & (capacity > 0))
         end = self.start + self.track * (capacity[free] if self.roomy else 1)
-        self.shapes: list[Shape] = self.bars(free, self.start, end, [_FREE], whole=not self.roomy)
+        self.shapes: list[Shape] = [self.bars(free, self.start, end, [_FREE], whole=not self.roomy)]
         if self.roomy:
             half = self.square // 2
             self.shapes += [self.around(gcell, half, _GCELL) for gcell in range(grid.gcells)]
@@ -480,9 +490,9 @@ class Sheet:
         edges: NDArray[np.integer],
         low: Any,
         high: Any,
-        inks: Sequence[Ink],
+        inks: Any,
         whole: bool = False,
-    ) -> list[Shape]:
+    ) -> Bars:
         """Bars on edges inside layers, from ``low`` to ``high`` beyond the border of two rows.
 
         ``whole`` ones run from the middle of a Gcell to that of the next, others between Gcells.
@@ -493,8 +503,8 @@ class Sheet:
         x, y = self._x[near], self._y[near]
         along_x = np.stack((x + half, y + low, self._x[far] - half, y + high), axis=1)
         along_y = np.stack((x + low, self._y[far] + half, x + high, y - half), axis=1)
-        sides: list[Any] = np.where((edges % AXES == 0)[:, None], along_x, along_y).tolist()
-        return [Box(a, b, c, d, inks[n % len(inks)]) for n, (a, b, c, d) in enumerate(sides)]
+        sides = np.where((edges % AXES == 0)[:, None], along_x, along_y)
+        return Bars(sides, np.asarray(inks).astype(np.uint8))
 
     def around(self, gcell: int, reach: int, ink: Ink) -> Box:
         """A square around the middle of a Gcell."""
@@ -521,7 +531,7 @@ class Sheet:
         def disc(radius: int, ink: Ink) -> Disc:
             return Disc(side // 2, side // 2, radius * unit, ink)
 
-        signs: dict[str, list[Shape]] = {
+        signs: dict[str, list[Box | Disc]] = {
             "head": [disc(4, _INK), disc(3, net[0])],
             "target": [box(0, net[0]), box(unit, _BACKGROUND)],
             "to move": [box(0, _HALO)],

@@ -14,8 +14,10 @@ from strategies import problems
 
 from marouting import Engine, InputError, Solution, evaluate, generate, sequential_astar
 from marouting.render import colour_of, rgb_array, scene_of
+from marouting.search.guides import AStar
 
 animation = pytest.importorskip("policies.figures.animation", exc_type=ImportError)
+film = pytest.importorskip("policies.figures.film", exc_type=ImportError)
 cli = pytest.importorskip("policies.cli.main", exc_type=ImportError)
 Image = pytest.importorskip("PIL.Image")
 
@@ -91,23 +93,23 @@ def css(net):
 def check(scenes, fps=7.0):
     text = animation.svg(scenes, "title", fps)
     assert text == animation.svg(scenes, "title", fps)
-    film = Film(text, len(scenes), fps)
+    shown = Film(text, len(scenes), fps)
     moving = {net for scene in scenes for net in scene.nets[scene.edges % 3 != 2].tolist()}
     for moment, scene in [*enumerate(scenes), (None, scenes[-1])]:
         inside = scene.edges % 3 != 2
-        assert film.lines(moment) == Counter(map(css, scene.nets[inside].tolist()))
+        assert shown.lines(moment) == Counter(map(css, scene.nets[inside].tolist()))
         columns = zip(
             scene.nets[~inside].tolist(), (scene.edges[~inside] // 3).tolist(), strict=True
         )
         layers = scene.grid.shape[2]
         dots = len({(net, gcell // layers) for net, gcell in columns})
-        assert dots <= film.vias(moment) <= np.count_nonzero(~inside)
-        assert film.heads(moment) == Counter(css(n) for n in scene.active.tolist() if n in moving)
+        assert dots <= shown.vias(moment) <= np.count_nonzero(~inside)
+        assert shown.heads(moment) == Counter(css(n) for n in scene.active.tolist() if n in moving)
     # Nothing runs in it but the animation.
-    tags = {e.tag.removeprefix(SVG) for e in film.root.iter()}
+    tags = {e.tag.removeprefix(SVG) for e in shown.root.iter()}
     still = {"svg", "title", "style", "rect", "g", "path", "circle", "text"}
     assert tags <= {*still, "animate", "animateMotion"}
-    return film
+    return shown
 
 
 @examples(12)
@@ -122,8 +124,8 @@ def test_what_is_given_back_vanishes_and_comes_again():
     scenes = animation.record(wandering(problem), 200)
     pairs = [set(zip(s.nets.tolist(), s.edges.tolist(), strict=True)) for s in scenes]
     assert any(before - after for before, after in itertools.pairwise(pairs))
-    film = check(scenes)
-    drawn = [film.lines(moment).total() for moment in range(len(scenes))]
+    shown = check(scenes)
+    drawn = [shown.lines(moment).total() for moment in range(len(scenes))]
     assert any(before > after for before, after in itertools.pairwise(drawn))
 
 
@@ -138,6 +140,65 @@ def test_a_solution_is_replayed_to_its_end(turn_order):
     check(scenes)
     uses = scenes[-1].nets, scenes[-1].edges
     assert sorted(zip(*uses, strict=True)) == list(zip(*solution.uses, strict=True))
+
+
+def place(head, moment, share):
+    """Where the head of an agent is at a moment, in px."""
+    (motion,) = head.findall(f"{SVG}animateMotion")
+    times, points = (
+        [float(part) for part in motion.get(name).split(";")] for name in ("keyTimes", "keyPoints")
+    )
+    runs = [
+        np.array([point.split() for point in run.split("L")], float)
+        for run in motion.get("path").split("M")[1:]
+    ]
+    lines = [line for run in runs for line in itertools.pairwise(run)]
+    lengths = [np.abs(end - start).sum() for start, end in lines]
+    left = np.interp(moment * share + 1e-6, times, points) * sum(lengths)
+    for (start, end), length in zip(lines, lengths, strict=True):
+        if left < length:
+            return start + (end - start) * left / length
+        left -= length
+    return lines[-1][1]
+
+
+def ripping_up(problem):
+    """A* with a rip-up round, in which nets walk again from their first pins."""
+    engine = Engine([problem], rip_up={"rounds": 1}, max_steps=50)
+    guide = AStar(engine)
+    yield engine
+    while (engine.games["agent"] >= 0).any():
+        engine.step(guide.moves(*engine.pairs(everyone=False)))
+        yield engine
+
+
+@pytest.mark.parametrize("game", ["replay", "rip-up"])
+def test_heads_are_where_the_agents_are(game):
+    (problem,) = generate(1, grid=(6, 6, 2), nets=12, capacity=3, seed=5)
+    states = (
+        ripping_up(problem)
+        if game == "rip-up"
+        else animation.replay(problem, sequential_astar(problem), "round_robin")
+    )
+    scenes = animation.record(states, 900)
+    fps = 7.0
+    svg = Film(animation.svg(scenes, "title", fps), len(scenes), fps)
+    heads = {
+        head.get("fill"): head
+        for head in svg.root.iter(f"{SVG}circle")
+        if head.findall(f"{SVG}animateMotion")
+    }
+    offsets = {}
+    for moment, scene in enumerate(scenes):
+        routed = set(scene.nets[scene.edges % 3 != 2].tolist())
+        for net, cell in zip(scene.active.tolist(), scene.heads.tolist(), strict=True):
+            if net in routed:
+                x, y, _ = np.unravel_index(cell, problem.grid)
+                at = place(heads[css(net)], moment, svg.share)
+                offsets.setdefault(net, []).append(at - 52 * np.array([x, 5 - y]))
+    assert len(offsets) > 8
+    for net, own in offsets.items():  # its track, the same everywhere
+        assert np.ptp(own, axis=0).max() < 1.5, net
 
 
 @pytest.mark.parametrize("most", [2, 3, 10, 86, 87, 500])
@@ -204,7 +265,7 @@ def test_what_cannot_be_drawn(tmp_path, monkeypatch):
         animation.record(wandering(problem), 1)
     with pytest.raises(InputError, match="at least one state"):
         animation.record([])
-    monkeypatch.setattr(animation, "MOST_PARTS", 5)
+    monkeypatch.setattr(film, "MOST_PARTS", 5)
     with pytest.raises(InputError, match="expected at most 5 parts"):
         animation.save_animation(scenes, tmp_path / "a.svg")
     assert not list(tmp_path.iterdir())

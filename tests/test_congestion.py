@@ -87,3 +87,11 @@ def test_one_net_less_is_drawn(busy, monkeypatch):
     figure = figures.solution_2d(*busy)
     assert "congestion" not in titles(figure)[0]
     assert figure.legends
+
+
+@pytest.mark.parametrize("most", [100.5, 133.3, 266.7, 599, 4321])
+def test_exactly_full_is_blue_whatever_the_scale(most):
+    scale = congestion.scale_of_use(np.array([[3.0, most]]))
+    full, above = scale.to_rgba(np.array([100.0, most])).tolist()
+    assert full[2] > full[0] + 0.3
+    assert above[0] > above[2] + 0.3

@@ -172,7 +172,7 @@ def test_full_is_blue_and_overflow_is_orange_on_one_scale(worked):
     assert np.nanmax([image.get_array().max() for image in maps]) == 150
     for image in maps:
         assert image.norm.vmax == 150
-        colours = image.cmap(image.norm(np.array([0, 50, 100, 101, 150])))[:, :3] * 255
+        colours = image.cmap(image.norm(np.array([0, 50, 100, 100.2, 150])))[:, :3] * 255
         expected = [ink for _, ink in USE]
         np.testing.assert_allclose(colours, expected, atol=6)
     assert solution.problem.grid == (3, 3, 2)

@@ -11,7 +11,7 @@ from hypothesis import given
 from reference import distance, gcell_of, pin_gcells
 from strategies import problems, solved_problems
 
-from marouting import Adjustment, Net, Pin, Problem, Solution, evaluate, generate
+from marouting import Adjustment, Net, Pin, Problem, Solution, evaluate, generate, sequential_astar
 from policies.cli.main import status
 from policies.figures import congestion_map
 from policies.results.report import report, steiner_bounds
@@ -221,8 +221,15 @@ def test_the_command(crowded: Solution, capsys: pytest.CaptureFixture[str]) -> N
     assert "expected a picture's suffix" in capsys.readouterr().err
 
 
-def test_a_map_has_a_panel_for_every_layer() -> None:
+def test_a_map_has_a_panel_for_every_layer_with_routes() -> None:
     (problem,) = generate(1, grid=(6, 5, 3), nets=8)
-    figure = congestion_map(problem, Solution(problem, [np.empty(0, np.int64)] * 8), "x_$1")
-    titles = [axes.get_title() for part in figure.subfigs for axes in part.axes]
-    assert [title for title in titles if title] == ["all layers", "Metal1", "Metal2", "Metal3"]
+    nothing = [np.empty(0, np.int64)] * 8
+    for routes, layers in (
+        (sequential_astar(problem), ["Metal1", "Metal2"]),
+        (Solution(problem, nothing), []),
+    ):
+        figure = congestion_map(problem, routes, "x_$1")
+        titles = [axes.get_title() for axes in figure.axes]
+        assert [title for title in titles if title] == ["all layers", *layers]
+        missing = [name for name in ("Metal1", "Metal2", "Metal3") if name not in layers]
+        assert f"no routes in {', '.join(missing)}" in figure.get_suptitle()

@@ -70,8 +70,8 @@ BASELINES = Path("configs/benchmark/baselines.yaml")
     "--leaderboard",
     type=FILE,
     metavar="PAGE",
-    help="Only write this page, the leaderboard, from the result files in --out; its plots lie "
-    "beside it, in pictures/leaderboard.",
+    help="Only write this page, the leaderboard, from the result files in --out; plots lie "
+    "beside it, in pictures/leaderboard. Without it, none is written.",
 )
 @allow_code_option
 @json_option

@@ -51,6 +51,7 @@ from policies.routers.base import LEFT_ALONE, small_problem, solve, warm_up
 from policies.routers.registry import is_learner, make_router, router_names, unknown
 
 if TYPE_CHECKING:
+    from policies.learned.router import LearnedRouter
     from policies.routers.base import Router
 
 _RENAMED = {
@@ -238,7 +239,14 @@ def route(
         check_writable(out)
     with contextlib.ExitStack() as stack:
         if learner:
-            solver = _learned(router, checkpoint, problem.stem, config, overrides, stack)
+            learned = _learned(router, checkpoint, problem.stem, config, overrides, stack)
+            solver: Router = learned
+            if checkpoint is None and max(map(len, loaded.pin_gcells), default=0) > 1:
+                click.echo(
+                    f"{router}: no --checkpoint, so it is trained on this problem as in the paper: "
+                    f"{learned.config.train.episodes} episodes (train.episodes=N)",
+                    err=True,
+                )
         else:
             options = override({} if config is None else read_yaml(config), overrides)
             where = f"--router {router}" if config is None else str(config)
@@ -269,7 +277,7 @@ def _learned(
     config: Path | None,
     overrides: Sequence[str],
     stack: contextlib.ExitStack,
-) -> "Router":
+) -> "LearnedRouter":
     """A learner as a router, with a progress bar for its training until the stack is closed."""
     from policies.cli.progress import training_bar
     from policies.learned.config import load_config
@@ -278,11 +286,6 @@ def _learned(
     settings = load_config(config, overrides, learner)
     watch = None
     if checkpoint is None:
-        click.echo(
-            f"{learner}: without --checkpoint it is trained on this problem, as in the paper: "
-            f"{settings.train.episodes} episodes (train.episodes=N)",
-            err=True,
-        )
         watch = stack.enter_context(training_bar(0, settings.train.episodes))
     return LearnedRouter(settings, checkpoint, watch, network=problem)
 

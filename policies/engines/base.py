@@ -22,7 +22,7 @@ class Call:
     Attributes:
         function: what is called: of a module, so that the other process finds it by its name, or a
             method of an object.
-        arguments: what it is called with; :meth:`Engine.share` wraps those that many calls have.
+        arguments: what it is called with.
         gpus: the number of GPUs that it needs.
     """
 
@@ -33,10 +33,6 @@ class Call:
 
 class Engine(Protocol):
     """Runs calls."""
-
-    def share(self, value: Any) -> Any:
-        """An argument for many calls, which goes to every machine once where that is possible."""
-        ...
 
     def run(self, calls: Sequence[Call]) -> Iterator[dict[int, Any]]:
         """Makes calls, in order as far as there is room; they end with the engine.

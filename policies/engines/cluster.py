@@ -99,10 +99,6 @@ class RayEngine:
         self._threads = threads
         self._running: dict[Any, int] = {}
 
-    def share(self, value: Any) -> Any:
-        """A reference to the value, which every machine fetches once."""
-        return ray.put(value)
-
     def run(self, calls: Sequence[Call]) -> Iterator[dict[int, Any]]:
         """Makes calls; see :meth:`policies.engines.base.Engine.run`."""
         gpus = max((call.gpus for call in calls), default=0)

@@ -32,10 +32,6 @@ class LocalEngine:
             jobs, context, _begin, (self._lifeline, registered(), code_allowed())
         )
 
-    def share(self, value: Any) -> Any:
-        """The value itself: it goes with every call."""
-        return value
-
     def run(self, calls: Sequence[Call]) -> Iterator[dict[int, Any]]:
         """Makes calls; see :meth:`policies.engines.base.Engine.run`."""
         try:

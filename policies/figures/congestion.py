@@ -32,6 +32,10 @@ def crowded_note(problem: Problem) -> str:
     return f"{len(problem.nets)} nets are too many to draw: congestion map"
 
 
+_SHADES = 8192
+"""Of a scale: so many that a hundredth of a per cent above full is seen."""
+
+
 def scale_of_use(values: NDArray[np.float64]) -> ScalarMappable:
     """The colours of demand / capacity in %, as in all pictures; of infinity it is the darkest."""
     finite = values[np.isfinite(values)]
@@ -39,9 +43,11 @@ def scale_of_use(values: NDArray[np.float64]) -> ScalarMappable:
     known = [(100 * share, tuple(part / 255 for part in ink)) for share, ink in USE]
     stops = [(value, ink) for value, ink in known if value <= 100]
     if most > 100:
-        stops += [(100.1, known[-2][1]), (max(most, 100.2), known[-1][1])]
+        step = 2 * most / _SHADES  # exactly full has the colour of full
+        stops[-1] = (100 + step, stops[-1][1])
+        stops += [(100 + 2 * step, known[-2][1]), (max(most, 100 + 3 * step), known[-1][1])]
     colours = LinearSegmentedColormap.from_list(
-        "use", [(value / stops[-1][0], ink) for value, ink in stops], N=1024
+        "use", [(value / stops[-1][0], ink) for value, ink in stops], N=_SHADES
     )
     shown = colours.with_extremes(over=STRAY, bad=NO_CAPACITY)
     return ScalarMappable(Normalize(0, stops[-1][0]), shown)
@@ -57,7 +63,7 @@ def label_of_use(values: NDArray[np.float64]) -> dict[str, Any]:
 
 def show_use(
     axes: Axes,
-    values: NDArray[np.float64],
+    values: NDArray[Any],
     side: int,
     scale: ScalarMappable,
     corner: tuple[float, float] = (-0.5, -0.5),
@@ -71,7 +77,8 @@ def show_use(
         origin="lower",
         extent=(left, left + wide * side, bottom, bottom + high * side),
         cmap=scale.cmap,
-        norm=scale.norm,
+        vmin=0,
+        vmax=scale.get_clim()[1],
         interpolation="nearest",
     )
 

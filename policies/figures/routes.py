@@ -103,7 +103,7 @@ def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
         if axes is panels[0]:
             vias, largest = _scale_of_vias(own)
             show_use(axes, own, side, vias, corner)
-            more = f", at most {largest}" if largest > vias.norm.vmax else ""
+            more = f", at most {largest}" if largest > vias.get_clim()[1] else ""
             extend = "max" if more else "neither"
             bar = figure.colorbar(vias, cax=place, extend=extend, label=f"vias [count]{more}")
             bar.locator = MaxNLocator(nbins=8, integer=True)
