@@ -8,14 +8,14 @@ The docstring is the page, as PettingZoo does it. The table of arguments, at the
 
 import inspect
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 
 from docstrings import ROOT, markdown
 
 from marouting import global_routing_v0
 from marouting.config import attributes
-from marouting.game import RipUp, Rules
 from marouting.options import GameOptions
+from marouting.rules import Mask, Nets, RipUp, Rules
 
 PAGE = ROOT / "docs" / "environment.md"
 NOTE = (
@@ -39,12 +39,15 @@ def page() -> str:
 
 def _arguments() -> Iterator[str]:
     """A row for every option: what its docstring says of it, and its default."""
-    for cls, prefix in ((GameOptions, ""), (Rules, ""), (RipUp, "rip_up.")):
+    inner = ((Nets, "nets."), (Mask, "mask."), (RipUp, "rip_up."))
+    for cls, prefix in ((GameOptions, ""), (Rules, ""), *inner):
         defaults = {field.name: field for field in fields(cls if prefix else GameOptions)}
         for name, about in attributes(cls).items():
             field = defaults[name]
             default = field.metadata.get("name", field.default)  # of a piece, or another value
-            yield f"| `{prefix}{name}` | `{default!r}` | {about} |"
+            nested = is_dataclass(default)  # its fields have rows of their own
+            shown = f"{type(default).__name__}()" if nested else repr(default)
+            yield f"| `{prefix}{name}` | `{shown}` | {about} |"
 
 
 if __name__ == "__main__":

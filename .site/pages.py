@@ -4,7 +4,6 @@ The Markdown files read well on GitHub as they are. On the site
 
 * README.md, CONTRIBUTING.md and CHANGELOG.md are pages;
 * a link to a source file or a folder leads to a page with its text or its files;
-* ``<!-- include: PATH -->`` is replaced by the file;
 * code such as ``marouting.evaluate`` leads to the API reference, and ``marouting.batch.rules`` to
   the text of the module. The pages of the reference are made of reference.yml and the docstrings;
   that of the command line is what ``--help`` prints.
@@ -31,7 +30,6 @@ OUTSIDE = {
 
 FENCE = re.compile(r"^ *```.*?^ *```[^\n]*$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"(\]\()([^)\s]+)(\))")
-INCLUDE = re.compile(r"^<!-- include: (\S+) -->$", re.MULTILINE)
 CODE = re.compile(r"(?<![\[`])`([a-z_.A-Z0-9]+)(\(…?\))?`(?![\]`])")
 SPAN = re.compile(r"(`[^`\n]+`)")
 STAR = re.compile(r"(?<=\bA)\*(?![\w*])")
@@ -101,8 +99,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
             line if line.startswith("#") else CODE.sub(to_reference, line) for line in lines
         )
 
-    markdown = _outside_fences(markdown, text)
-    return INCLUDE.sub(lambda match: _included(uri, match[1]), markdown)
+    return _outside_fences(markdown, text)
 
 
 def _outside_fences(markdown: str, change: Callable[[str], str]) -> str:
@@ -185,14 +182,6 @@ def _source_page(target: Path) -> str:
         uri = posixpath.relpath(path.relative_to(DOCS).as_posix(), home) if published else ""
         lines.append(f"- [{path.name}]({uri})" if published else f"- `{path.name}`")
     return title + "\n".join(lines) + "\n"
-
-
-def _included(page: str, name: str) -> str:
-    """A file of this repository as a block of code."""
-    target, _ = _target(page, name)
-    assert target is not None
-    text = target.read_text(encoding="utf-8").rstrip()
-    return f'````{LANGUAGES[target.suffix]} title="{target.name}"\n{text}\n````'
 
 
 def _reference_page(page: dict[str, Any]) -> str:

@@ -7,11 +7,7 @@ from marouting.config import check, hints_of, of_key
 
 
 def check_fields(options: Any, **bounds: tuple[float, float]) -> None:
-    """Checks the fields of a dataclass by their types, and makes nested ones of mappings.
-
-    Args:
-        options: an object of the dataclass.
-        **bounds: for each field that is a number the least and the largest one.
+    """Checks the fields of a dataclass by their types and bounds; makes nested ones of mappings.
 
     Raises:
         InputError: a value is none of its field's; the message names the field, what was expected

@@ -134,8 +134,8 @@ class Columns:
         self.games: Any = _Figures(game)
         self.remaining = np.frombuffer(game.remaining, np.int32)[None]
         self.max_steps = game.max_steps
-        self.mirror: Any = None  # of the game in the batch, see marouting.batch.mirror
         self.static = SimpleNamespace(position=game.grid.position)  # as it was called before 0.3
+        self.mirror: Any = None  # of the game in the batch, see marouting.batch.mirror
 
     def uses(
         self, problems: NDArray[np.integer], agents: NDArray[np.integer], edges: NDArray[np.integer]

@@ -43,14 +43,7 @@ from numba.extending import typeof_impl
 def compile_with(
     function: Callable[..., Any], options: dict[str, Any], kind: Any, *, part: bool
 ) -> Any:
-    """A function compiled by numba, with the result kept on disk.
-
-    Args:
-        function: as Python.
-        options: numba's.
-        kind: the class of the kernels that it may call, see :class:`marouting.kernels.Kernel`.
-        part: whether it is for kernels that call it, not for Python.
-    """
+    """A function compiled by numba and kept on disk; a ``part`` is for kernels that call it."""
     _make_known(kind)
     options = options | {"no_cfunc_wrapper": True, "no_cpython_wrapper": part}
     pipeline = _PartCompiler if part else _WholeCompiler
@@ -63,11 +56,7 @@ def compile_with(
 
 
 class _Part(JITCodeLibrary):
-    """The code of a function that kernels call: LLVM's, which is linked into theirs.
-
-    It is optimised and made machine code there. Numba would do so here, too, and again for every
-    function on the way to the outermost one.
-    """
+    """The code of a function that kernels call: LLVM's, made machine code only within theirs."""
 
     def _optimize_final_module(self) -> None:
         pass

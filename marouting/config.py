@@ -53,14 +53,11 @@ MOST = 2**31 - 1
 """The largest count; compiled code and arrays do not support integers of arbitrary size."""
 
 
-MOST_TEXT = 2**24
-"""The largest YAML file, in bytes."""
-
+MOST_TEXT = 2**24  # the largest YAML file, in bytes
 MOST_VALUES = 100_000
 """The largest number of values in YAML text; an alias counts as all that it stands for."""
 
-DEEPEST = 50
-"""How deep they may be nested."""
+DEEPEST = 50  # how deep they may be nested
 
 
 class _Loader(yaml.SafeLoader):
@@ -198,14 +195,9 @@ def config_file(path: str | os.PathLike[str]) -> Path:
     return next((file for file in shipped if is_file(file)), found)
 
 
-INCLUDE = "include"
-"""The key of a YAML file that names one or more files to begin from."""
-
-_MOST_FILES = 100
-"""The largest number of files that one begins from."""
-
-Keys = tuple[str, ...]
-"""The keys that lead to a value."""
+INCLUDE = "include"  # the key of a YAML file that names one or more files to begin from
+_MOST_FILES = 100  # the largest number of files that one begins from
+Keys = tuple[str, ...]  # the keys that lead to a value
 
 
 @dataclass(frozen=True)
@@ -278,12 +270,7 @@ def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def origins_of(path: str | os.PathLike[str]) -> dict[Keys, tuple[str, int]]:
-    """The file and the line of every value that :func:`read_yaml` reads.
-
-    Returns:
-        The file's name and the line, from 1, by the keys that lead to the value; of mappings only
-        what is in them.
-    """
+    """The file and line of every value that :func:`read_yaml` reads, by the keys to it."""
     files = _files(path)
     whole: dict[str, Any] = {}
     for file in files:
@@ -293,14 +280,22 @@ def origins_of(path: str | os.PathLike[str]) -> dict[Keys, tuple[str, int]]:
     return {keys: lines[keys] for keys, _ in leaves(whole) if keys in lines}
 
 
+_INSTEAD = {"scenario": ("problem",), "problem": ("scenario", "split")}
+"""Keys that stand in place of others."""
+
+
 def merged(raw: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
     """Plain data in which the values of ``more`` replace those of ``raw``, at any depth.
 
-    A mapping with another ``kind`` replaces all of a mapping: options belong to their piece.
+    A mapping with another ``kind`` replaces all of a mapping: options belong to their piece. A
+    scenario replaces a problem, and the other way round.
     """
-    result = dict(raw)
+    instead = {old for key in more if more[key] is not None for old in _INSTEAD.get(key, ())}
+    result = {key: value for key, value in raw.items() if key not in instead}
     for key, value in more.items():
         inner = result.get(key)
+        if isinstance(inner, str) and key in KINDS:
+            inner = {"kind": inner}
         result[key] = value
         if isinstance(inner, Mapping) and isinstance(value, Mapping):
             kind = inner.get("kind")
@@ -381,17 +376,11 @@ def build(schema: type[Schema], raw: Any, where: str = "") -> Schema:
     """Fills a dataclass or another type from plain data, which must be what the type declares.
 
     Nothing is converted, except that a whole number may stand for any number and a list for a
-    tuple.
-
-    Args:
-        schema: the type. A dataclass takes the keys of its fields and no others; a TypedDict leaves
-            others out.
-        raw: plain data, as from YAML.
-        where: the start of error messages: the file, or the key that leads here.
+    tuple. A dataclass takes the keys of its fields and no others; a TypedDict leaves others out.
 
     Raises:
-        InputError: the data does not fit; the message names the key, what was expected and what was
-            found.
+        InputError: the data does not fit; after ``where`` the message names the key, what was
+            expected and what was found.
     """
     try:
         return cast(Schema, taken(raw, schema))
@@ -409,12 +398,7 @@ def build_json(schema: type[Schema], text: str | bytes, where: str = "") -> Sche
 
 
 class Meets(NamedTuple):
-    """A condition on a value, as in ``Annotated[str, Meets(str.isupper, "capitals")]``.
-
-    Attributes:
-        holds: whether a value meets it.
-        expected: what is expected, in words.
-    """
+    """A condition on a value and, in words, what is expected: ``Annotated[str, Meets(…)]``."""
 
     holds: Callable[[Any], object]
     expected: str
@@ -426,12 +410,7 @@ def between(least: float, most: float) -> Meets:
 
 
 def taken(value: Any, hint: Any) -> Any:
-    """A value as its type has it.
-
-    Args:
-        value: plain data; NumPy's numbers and paths will do as well.
-        hint: the type. What is neither a dataclass nor a type of plain data takes any value.
-    """
+    """A value, in plain data, NumPy's numbers or paths, as its type has it."""
     if hasattr(value, "tolist"):  # NumPy's
         value = value.tolist()
     forms = _forms(hint)
@@ -444,13 +423,7 @@ def taken(value: Any, hint: Any) -> Any:
 
 
 class _Form(NamedTuple):
-    """What a type takes.
-
-    Attributes:
-        words: that in words.
-        fits: whether it may be a value, whatever is inside of it.
-        take: such a value as the type has it; raises InputError if what is inside does not fit.
-    """
+    """What a type takes: in words; whether a value may be one; the value as the type has it."""
 
     words: str
     fits: Callable[[Any], object]
@@ -485,8 +458,7 @@ _PLAIN: dict[Any, _Form] = {
 }
 
 
-_FEW = 5
-"""With fewer keys than so many, a message names all keys of a mapping."""
+_FEW = 5  # with fewer keys than so many, a message names all keys of a mapping
 
 
 @functools.cache
@@ -606,31 +578,16 @@ _CONTEXT = {"network": 2, "learner": 1}
 
 
 class Component(NamedTuple):
-    """A piece that a configuration names, before it is made.
+    """A piece that a configuration names, before it is made."""
 
-    Attributes:
-        kind: one of :data:`marouting.registry.KINDS`.
-        name: a registered name or ``module:Class``.
-        cls: the class.
-        options: the checked options, with defaults filled in: the piece itself if its class is a
-            dataclass, an instance of the class's ``Options`` if it has one, and keyword arguments
-            by name otherwise.
-        given: whether the piece was given as an object.
-    """
-
-    kind: str
-    name: str
-    cls: type[Any]
-    options: Any
-    given: bool = False
+    kind: str  # one of :data:`marouting.registry.KINDS`
+    name: str  # a registered name or ``module:Class``
+    cls: type[Any]  # the class
+    options: Any  # checked: the piece, its class's ``Options`` or keyword arguments
+    given: bool = False  # whether the piece was given as an object
 
     def make(self, *context: Any) -> Any:
-        """Makes the piece.
-
-        Args:
-            *context: what its kind needs. A network gets the shape of an observation and the number
-                of outputs, a learner its :class:`policies.learned.learner.Setup`.
-        """
+        """Makes the piece with what its kind needs: a network's shapes, a learner's Setup."""
         if self.given:
             return self.options
         if isinstance(self.options, Mapping):
@@ -645,13 +602,7 @@ Named = Component
 
 
 def piece_field(kind: str, name: str | None = None, **options: Any) -> Any:
-    """A field of a schema that holds a piece.
-
-    Args:
-        kind: one of :data:`marouting.registry.KINDS`.
-        name: the default piece; None: the first one registered.
-        **options: the options of the default piece that differ from its own defaults.
-    """
+    """A field of a schema that holds a piece, by default that of a name with these options."""
     return field(default=None, metadata={"kind": kind, "name": name, "options": options})
 
 
@@ -676,9 +627,8 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> C
 
     Args:
         kind: one of :data:`marouting.registry.KINDS`.
-        raw: a name or ``module:Class``; a mapping with the name under ``kind`` and options under
-            all other keys; a :class:`Component`; None for the default; or the piece itself, as an
-            object.
+        raw: a name or ``module:Class``; a mapping with ``kind`` and options; None for the default;
+            or the piece itself, as an object.
         default: the name if none is given; None: the first one registered.
         where: the start of error messages.
     """
@@ -774,26 +724,32 @@ def check(name: str, holds: object, expected: str) -> None:
 
 
 def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """Plain data with single keys changed.
+    """Plain data with single keys changed; see :func:`merged`.
 
     Args:
         raw: plain data, as from YAML.
-        overrides: ``key=value``, with dots between the parts of a key and the value as in YAML.
+        overrides: ``key=value``, with dots between the parts of a key and the value as in YAML. A
+            mapping replaces the whole of one.
     """
-    changed = dict(raw)
-    for given in overrides:
-        key, equals, value = given.partition("=")
+    changed, given = dict(raw), dict[str, Any]()
+    for text in overrides:
+        key, equals, written = text.partition("=")
         if not equals or not key:
-            raise InputError(f"{given}: expected key=value")
+            raise InputError(f"{text}: expected key=value")
+        value = parse_yaml(written, text)
         *parts, last = key.split(".")
-        place = changed
+        place = given
         for part in parts:
-            inner = place.get(part)
-            # A copy, because YAML's anchors can put one mapping in several places.
-            place[part] = dict(inner) if isinstance(inner, Mapping) else {}
+            if not isinstance(place.get(part), dict):
+                place[part] = {}
             place = place[part]
-        place[last] = parse_yaml(value, given)
-    return changed
+        place[last] = value
+        if isinstance(value, Mapping):
+            alone: dict[str, Any] = {last: None}
+            for part in reversed(parts):
+                alone = {part: alone}
+            changed = merged(changed, alone)
+    return merged(changed, given)
 
 
 def check_same(mine: Mapping[str, Any], kept: Mapping[str, Any], where: Path) -> None:
@@ -811,8 +767,7 @@ def _prefix(where: str) -> str:
     return f"{where}: " if where else ""
 
 
-_LISTED = 280
-"""The most characters of a list of known keys."""
+_LISTED = 280  # the most characters of a list of known keys
 
 
 _PRICES = "train.negotiation of a training: only the generalist negotiates by prices"
@@ -829,6 +784,12 @@ RENAMED = {
     "next_task": "next_pin",
     "taught": "expert_fraction",
     "warmth": "temperature",
+    "net_order": "nets: {order: …}",
+    "decomposition": "nets: {decomposition: …}",
+    "mask_visited": "mask: {visited: …}",
+    "mask_in_observation": "mask: {in_observation: …}",
+    "observation_key": "mask: {observation_key: …}",
+    "mask_key": "mask: {mask_key: …}",
     "rip_up_rounds": "rip_up: {rounds: …}",
     "rip_up_neighbours": "rip_up: {neighbours: …}",
     "present": "present_factor",

@@ -3,8 +3,7 @@
 import difflib
 from collections.abc import Iterable
 
-LONGEST = 500
-"""The most characters of a message. Of a longer one, the middle is left out."""
+LONGEST = 500  # the most characters of a message. Of a longer one, the middle is left out.
 
 
 class InputError(ValueError):

@@ -21,12 +21,10 @@ from marouting.errors import InputError
 TEMPORARY = ".marouting-tmp"
 """How the names of temporary files end, so that what a killed process left can be told."""
 
-LONGEST_LINE = 2**20
-"""The most bytes in a line of a file that is read line by line."""
+LONGEST_LINE = 2**20  # the most bytes in a line of a file that is read line by line
 
 
-_GZIP = b"\x1f\x8b"
-"""What data compressed by gzip begin with."""
+_GZIP = b"\x1f\x8b"  # what data compressed by gzip begin with
 
 
 @contextlib.contextmanager
@@ -102,12 +100,7 @@ def is_zipped(path: str | os.PathLike[str]) -> bool:
 
 
 def beside(path: str | os.PathLike[str], suffix: str) -> Path:
-    """The file that is named as another one, but for the suffix.
-
-    Returns:
-        The file with just this suffix; if there is none, one with the suffix in capitals or with
-        ``.gz`` after it, should there be one.
-    """
+    """The file named as another but for its suffix, also in capitals or with ``.gz`` after it."""
     folder, stem = Path(path).parent, stem_of(path)
     plain = folder / f"{stem}{suffix}"
     if not plain.exists():
@@ -178,9 +171,7 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
 FILE_NAME = f"a name for files: not empty or too long, no dot at its start, no {os.sep} or controls"
 """What :func:`is_file_name` asks for, as error messages say it."""
 
-_LONGEST = 255
-"""Bytes in a file's name; no common file system takes more."""
-
+_LONGEST = 255  # bytes in a file's name; no common file system takes more
 _UNFIT = re.compile(rf"[/{re.escape(os.sep)}\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 """What parts folders, controls terminals, breaks lines, or is no character in UTF-8."""
 

@@ -12,9 +12,9 @@ start to its target, one Gcell a move. The edges that it crosses become the net'
   some failed. The game is over when no agent is active.
 * Nets move in **turn order**: one after the other to its end, or one move each in turn.
 
-These are the paper's rules; options add to them. A step has three parts, so that others can look
-in between: :meth:`Game.move` (what did the move do?), :meth:`Game.settle` (the next task begins)
-and :meth:`Game.pass_turn` (whose turn is it?)::
+These are the paper's rules; the options of :mod:`marouting.rules` add to them. A step has three
+parts, so that others can look in between: :meth:`Game.move` (what did the move do?),
+:meth:`Game.settle` (the next task begins) and :meth:`Game.pass_turn` (whose turn is it?)::
 
     game = Game(problem, Rules(turn_order="round_robin"))
     while game.active:
@@ -28,19 +28,17 @@ many problems at once, compiled; ``tests/test_game.py`` holds the two equal.
 import copy
 from array import array
 from collections import Counter
-from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.checks import check_fields
 from marouting.errors import InputError
 from marouting.problem.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem
 from marouting.problem.solution import Solution
-from marouting.trees.decomposition import Decomposition, two_pin_tasks
+from marouting.rules import RipUp, Rules, net_ranks
+from marouting.trees.decomposition import two_pin_tasks
 
 RIP_UP = MOVES
 """Action 6, where agents are asked: the net is ripped up and routed again."""
@@ -83,90 +81,6 @@ BLOCKED, NEW, OWN = Crossing.BLOCKED.value, Crossing.NEW.value, Crossing.OWN.val
 ANSWERED = Crossing.ANSWERED.value
 GOES_ON, JOINED, FAILED = Ending.NONE.value, Ending.JOINED.value, Ending.FAILED.value
 
-MOST_STEPS, MOST_ROUNDS, MOST_NEIGHBOURS = 1_000_000, 100_000, 100
-"""The largest ``max_steps``, ``rip_up.rounds`` and ``rip_up.neighbours``."""
-
-TurnOrder = Literal["sequential", "round_robin"]
-NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
-Target = Literal["pin", "tree"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class RipUp:
-    """Rip-up and reroute: after all nets have routed, some are routed again around the others.
-
-    Attributes:
-        rounds: how often. Agents stay until the last round is over.
-        choose: which nets, and in which order: ``all``; ``conflicts``, those with open tasks or on
-            full edges; ``history``, those on edges that were full in this or earlier rounds, the
-            most often first; or ``agents``, whose agent takes a seventh action when it is asked.
-        neighbours: how many nets that stand in its way are ripped up together with a net.
-    """
-
-    rounds: int = 1
-    choose: Literal["all", "conflicts", "history", "agents"] = "all"
-    neighbours: int = 0
-
-    def __post_init__(self) -> None:
-        check_fields(self, rounds=(0, MOST_ROUNDS), neighbours=(0, MOST_NEIGHBOURS))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rules:
-    """The options of the rules; the defaults are the paper's.
-
-    Attributes:
-        turn_order: ``sequential``, a net finishes before the next one starts (the paper), or
-            ``round_robin``, each net makes one move in turn. None: ``round_robin`` in the
-            interfaces where every net is an agent, otherwise ``sequential``.
-        net_order: ``half_perimeter``, largest bounding box first (the authors' code), ties in file
-            order; ``half_perimeter_up``, smallest first; or ``file``.
-        max_steps: steps after which a task fails (the paper's T_max), up to a million. None: 50 as
-            in the paper, or 2 (X + Y) if that is more, because 50 steps do not cross a large grid.
-        overflow: ``forbidden``, a move across a full edge is blocked (the paper), or ``allowed``,
-            it overflows the edge, at a price that the reward sets.
-        decomposition: the tree along which a net's pins are split into tasks: ``mst``, a minimum
-            spanning tree (the paper), or ``steiner``, a rectilinear Steiner tree.
-        target: what ends a task: ``pin``, the task's target pin (the paper), or ``tree``: the agent
-            starts at the new pin, and any Gcell that the net's edges join to its first pin will do.
-        next_pin: ``listed``, tasks in the order of the decomposition (the paper), or ``nearest``,
-            the open pin nearest to the net's tree is next. For ``decomposition: mst`` only.
-        mask_visited: whether masks leave out Gcells visited in the task, while others are left.
-        release_failed: whether a failed task releases the edges that it took.
-        rip_up: rip-up and reroute, a :class:`RipUp` or a mapping of its fields; None: off.
-    """
-
-    turn_order: TurnOrder | None = None
-    net_order: NetOrder = "half_perimeter"
-    max_steps: int | None = None
-    overflow: Literal["forbidden", "allowed"] = "forbidden"
-    decomposition: Decomposition = "mst"
-    target: Target = "pin"
-    next_pin: Literal["listed", "nearest"] = "listed"
-    mask_visited: bool = False
-    release_failed: bool = False
-    rip_up: RipUp | None = None
-
-    def __post_init__(self) -> None:
-        check_fields(self, max_steps=(1, MOST_STEPS))
-        if self.next_pin == "nearest" and self.decomposition != "mst":
-            raise InputError("next_pin: expected listed, for a decomposition other than mst")
-
-    @property
-    def actions(self) -> int:
-        """How many actions an agent has: six moves and, when asked, ripping up."""
-        return MOVES + self.asks
-
-    @property
-    def asks(self) -> bool:
-        """Whether agents are asked whether to rip up their nets."""
-        rip_up = self.rip_up
-        return rip_up is not None and rip_up.rounds > 0 and rip_up.choose == "agents"
-
-    def steps_per_task(self, grid: tuple[int, int, int]) -> int:
-        """Steps after which a task fails on a grid of X×Y×Z Gcells."""
-        return self.max_steps or max(50, 2 * (grid[0] + grid[1]))
-
 
 class Game:
     """One problem, played by the rules; None stands for the paper's.
@@ -203,7 +117,7 @@ class Game:
         self.problem, self.rules = problem, rules or Rules()
         self.grid, self.layers = Grid.of(problem.grid), problem.grid[2]
         tasks: dict[int, list[tuple[int, int]]] = {}
-        for net, start, target in two_pin_tasks(problem, self.rules.decomposition).tolist():
+        for net, start, target in two_pin_tasks(problem, self.rules.nets.decomposition).tolist():
             tasks.setdefault(net, []).append((start, target))
         self.nets, self.tasks = list(tasks), list(tasks.values())
         if not self.nets:
@@ -218,9 +132,8 @@ class Game:
         self.capacity = array("i", problem.capacity.tobytes())
         self.remaining = array("i", self.capacity)
         self.low, self.high = (end[self.nets, :2] for end in problem.pin_boxes())  # column, row
-        sign = {"half_perimeter": -1, "half_perimeter_up": 1, "file": 0}[self.rules.net_order]
-        half_perimeter = (self.high - self.low).sum(axis=1)
-        self.order: list[int] = np.argsort(sign * half_perimeter, kind="stable").tolist()
+        ranks = net_ranks(problem, self.rules.nets.order)[self.nets]
+        self.order: list[int] = np.argsort(ranks, kind="stable").tolist()
         self.max_steps = self.rules.steps_per_task(problem.grid)
         self.sequential = self.rules.turn_order != "round_robin"
         self.rip_up = self.rules.rip_up or RipUp(rounds=0)
@@ -294,7 +207,7 @@ class Game:
             self.crossing[n] = BLOCKED
         cell = self.cell[n]
         self.steps[n] += 1
-        if self.rules.mask_visited:
+        if self.rules.mask.visited:
             self.visited[n].add(cell)
         if cell in self.tree[n] if self.to_tree else cell == self.target[n]:
             self._end_task(n, JOINED)
@@ -341,7 +254,7 @@ class Game:
         for bit, edge, _ in exits:
             if edge in used or remaining[edge] >= needed:  # as in move
                 free |= bit
-        if self.rules.mask_visited:
+        if self.rules.mask.visited:
             new = sum(bit for bit, _, ahead in exits if ahead not in self.visited[n])
             free = free & new or free
         return free

@@ -17,29 +17,15 @@ from marouting.checks import check_fields
 from marouting.errors import InputError
 from marouting.memory import ADJUSTMENT, NET, PIN, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
-from marouting.problem.net import (
-    MAX_NUMBER,
-    Adjustment,
-    Net,
-    Pin,
-)
+from marouting.problem.net import MAX_NUMBER, Adjustment, Net, Pin
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_grid
 from marouting.search.astar import sequential_astar
 
-TILE = 10
-"""Width and height of a Gcell in chip coordinates, as in the authors' published problems."""
-
-REDUCTION = 2
-"""By how much capacity is reduced by default: the authors' 5 becomes 3."""
-
-_MACRO = 10
-"""The fewest columns and rows on which there is room for macros."""
-
-_FREE_LAYERS = 2
-"""How many of the highest layers macros leave free."""
-
-ReducedPer = Literal["problem", "set"]
-"""Whose A* solutions decide which edges are reduced."""
+TILE = 10  # width and height of a Gcell in chip coordinates, as in the authors' published problems
+REDUCTION = 2  # by how much capacity is reduced by default: the authors' 5 becomes 3
+_MACRO = 10  # the fewest columns and rows on which there is room for macros
+_FREE_LAYERS = 2  # how many of the highest layers macros leave free
+ReducedPer = Literal["problem", "set"]  # whose A* solutions decide which edges are reduced
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,18 +144,9 @@ def generate(
 ) -> list[Problem]:
     """Generates problems; the same arguments give the same problems.
 
-    Every net spans at least two Gcells. The nets of problem i do not depend on the count.
-
-    Args:
-        count: number of problems.
-        grid: columns, rows and layers of Gcells.
-        nets: nets per problem.
-        max_pins: pins per net, drawn uniformly from 2…max_pins.
-        capacity: capacity, in tracks, of an edge along its layer's direction.
-        reduced_edges: how many edges get a reduced capacity: those that sequential A* uses most
-            before the reduction (ties: lowest edge number).
-        seed: seed of the random numbers, from 0; None: a different set every time.
-        **options: the other attributes of :class:`GeneratorOptions`.
+    Every net spans at least two Gcells. The nets of problem i do not depend on the count. The
+    arguments are the attributes of :class:`GeneratorOptions`, where they are explained; ``options``
+    are its other ones.
 
     Returns:
         The problems, ``count`` of them.
@@ -358,11 +335,7 @@ def _reduced(problems: Iterable[Problem], edges: int, capacity: int) -> tuple[Ad
 def _nets(
     options: GeneratorOptions, rng: np.random.Generator, macros: NDArray[np.bool_]
 ) -> tuple[Net, ...]:
-    """The nets of a problem.
-
-    Their pins lie in layer 1 outside of macros, and are drawn again until they are in two Gcells or
-    more.
-    """
+    """The nets of a problem: pins lie in layer 1 outside of macros, in two Gcells or more."""
     sides = np.array(options.grid[:2])
     spots = rng.integers(sides, size=(options.hot_spots, 2))
     # How often each distance is drawn; pins off the grid are drawn again.

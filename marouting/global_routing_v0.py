@@ -1,9 +1,9 @@
 """# Global Routing, version 0.
 
-![An episode: 30 nets walk one after another](pictures/episode.svg)
+![An episode: each color is a net, each head an agent](pictures/episode.svg)
 
-Every net of a chip is an agent that routes over one shared grid of Gcells. Routes take capacity
-from the edges that they cross, so the nets have to share it.
+Every net of a chip is an agent, and all agents route on one grid of Gcells. A route uses capacity
+of the edges that it crosses, so nets compete for edges.
 
 | | |
 |---|---|
@@ -20,8 +20,8 @@ from the edges that they cross, so the nets have to share it.
 | Render modes | `ansi`, `rgb_array`, `human` |
 
 A net's pins are split into two-pin **tasks**, which its agent routes one after the other: it starts
-at one pin and walks, one Gcell per step, to the other. `env.unwrapped.solution()` holds the routes,
-which `marouting.evaluate` judges by the rules of the ISPD 2008 contest.
+at one pin and moves to the other, one Gcell per step. `env.unwrapped.solution()` returns the
+routes, which `marouting.evaluate` judges by the rules of the ISPD 2008 contest.
 :mod:`marouting.game` has all rules of the game.
 
 ## Usage
@@ -40,8 +40,8 @@ print(env.render())
 
 `parallel_env` is the same game with PettingZoo's Parallel interface: in each step the nets move one
 after the other in turn order, as they do in `env`. `raw_env` is `env` without the wrappers that
-check actions and the order of calls.
-`gymnasium.make("marouting/GlobalRouting-v0")` is the game for one player, who moves all nets.
+check actions and the order of calls. `gymnasium.make("marouting/GlobalRouting-v0")` is the game for
+one player, who moves all nets.
 
 ## Agents
 
@@ -60,7 +60,7 @@ together; from the first step on, `info["active"]` says whether an agent still p
 | 3 | SOUTH, −y |
 | 4 | UP, +z: a via to the layer above |
 | 5 | DOWN, −z: a via to the layer below |
-| 6 | rip up the own net, if asked; only with `rip_up={"choose": "agents"}` |
+| 6 | rip up the agent's own net; only with `rip_up={"choose": "agents"}` |
 
 A move across an edge without enough remaining capacity, or off the grid, is **blocked**: the agent
 stays, and the step counts. An edge that the net already uses is free to cross again. Vias have
@@ -68,10 +68,11 @@ unlimited capacity.
 
 ## Action mask
 
-`info["action_mask"]` and `action_mask(agent)`: int8 of length 6, 1 for the moves that cross an
-edge. It is never all zero: an agent that is boxed in has all ones. The infos of `reset` hold
-nothing else. With `mask_in_observation` observations are dictionaries with the keys `observation`
-and `action_mask`; `observation_key` and `mask_key` give both other names.
+`info["action_mask"]` and `action_mask(agent)` hold an int8 array of length 6, with 1 for every move
+that is not blocked. The mask is never all zero: if all moves are blocked, it is all ones. The infos
+of `reset` hold nothing else. With `mask={"in_observation": True}` observations are dictionaries
+with the keys `observation` and `action_mask`; `observation_key` and `mask_key` beside it give both
+other names.
 
 ## Observation space
 
@@ -84,9 +85,29 @@ The paper's 12 numbers, in Gcells and tracks:
 | 6–9 | remaining capacity of the edges of moves 0 to 3 | 0 off the grid, negative in overflow |
 | 10–11 | the same for moves 4 and 5, the vias | 10, or 0 off the grid |
 
-The observations `window` (:class:`marouting.batch.window.WindowObservation`) and `outlook`
-(:class:`policies.generalist.outlook.OutlookObservation`) show more, in numbers of order 1, with the
-same shape on every grid.
+Two other observations have numbers of order 1 and the same shape on every grid, so that one network
+fits all problems:
+
+* `window` (:class:`marouting.batch.window.WindowObservation`): the Gcells around the agent, with
+  remaining capacity, the demand expected of other nets, its own edges and pins, and other agents.
+  It is mirrored so that the target lies ahead; `mirrored` turns its moves into those of the grid,
+  and trainings do so by themselves.
+* `outlook` (:class:`policies.generalist.outlook.OutlookObservation`): each move's extra
+  shortest-path cost, the net's open pins, and a window with all layers in one. The generalist
+  learns from it.
+
+```python
+import numpy as np
+from marouting import global_routing_v0
+from marouting.batch.window import mirrored, move_order
+
+env = global_routing_v0.env(observation={"kind": "window", "radius": 3, "layers": 1})
+env.reset(seed=42)
+observation, *_, info = env.last()
+free = np.take_along_axis(info["action_mask"], move_order(observation), -1)
+ahead = free.argmax()  # 0, the first move of the window: towards the target in x
+env.step(int(mirrored(ahead, observation)))
+```
 
 ## State
 
@@ -98,8 +119,17 @@ grid.
 ## Rewards
 
 The agent that moves gets +100 when it reaches the target pin of its task, and −1 for any other
-move. `reward="normalised"` pays +1 and −0.01. With the rewards `team`, `difference`, `potential`
-and `mixed` nets are paid for what they do to each other.
+move. `reward="normalised"` pays +1 and −0.01. For cooperative rewards there are `team`,
+`difference`, `potential` and `mixed` (:mod:`marouting.rewards`):
+
+```python
+from marouting import global_routing_v0
+
+env = global_routing_v0.parallel_env(
+    problem={"nets": 10, "count": 50},
+    reward={"kind": "mixed", "parts": [{"kind": "paper"}, {"kind": "team", "weight": 0.1}]},
+)
+```
 
 ## End of an episode
 
@@ -112,20 +142,69 @@ wirelength, tasks joined, tasks, steps), and as `overflow`, `wirelength`, `joine
 
 The info after a move that ended a task, the last one as well, has `task_ended` (1: joined, 2: it
 failed), and as `task_obs` and `task_mask` what the agent saw where it arrived; the observation is
-that of its next task. In the AEC environment it comes with the agent's next turn. To bootstrap,
-use `task_obs` after a failed task, which only ran out of steps, and nothing after a joined one.
+that of its next task. In the AEC environment it comes with the agent's next turn. To bootstrap, use
+`task_obs` after a failed task, which only ran out of steps, and nothing after a joined one.
 
-With `rip_up={"rounds": 2}` nets are ripped up after all have been routed, and rerouted around the
-others. Agents stay then, as with `agents_persist`; from the first step on `info["active"]` tells
-who still moves. The infos of `reset` hold masks only.
+## Rip-up and reroute
+
+With `rip_up={"rounds": K}` nets are ripped up after all have been routed, and rerouted around the
+others. A reroute that makes the solution worse is undone. `choose` selects the nets of a round.
+With `choose: agents` each agent decides in its turn: action 6 rips up its own net.
+
+```python
+from marouting import global_routing_v0
+
+env = global_routing_v0.parallel_env(
+    target="tree",
+    next_pin="nearest",
+    mask={"visited": True},
+    release_failed=True,
+    rip_up={"rounds": 3, "choose": "conflicts", "neighbours": 2},
+    reward={"kind": "difference", "open": 20},
+)
+```
+
+Agents that wait for the next round stay in `agents`, with a mask whose only move does nothing. From
+the first step on, `info["active"]` says who still moves. Nets that all move as A* does connect 4 of
+10 test problems of `multi-pin-8x8-v0` completely by the paper's rules, and 9 of 10 with three
+rounds and two neighbours ([`rip_up.py`](examples/rip_up.py)).
 
 ## Problems
 
-The problem may be a `Problem`, a `.gr` file, or a mapping of the generator's options
-(:class:`marouting.generator.GeneratorOptions`); or several of them, such as a folder: then every
-episode plays one, drawn at random, and `problem_name` names it. With `scenario` and `split` it
-plays a level of the benchmark (:mod:`marouting.scenarios`): a new training problem in every
-episode, or one of the validation or test problems.
+`problem` is a `Problem`, a file, or a mapping of the generator's options
+(:class:`marouting.generator.GeneratorOptions`). It may also be several of these, such as a folder;
+then every episode plays one of them, drawn at random, and `problem_name` names it. With `scenario`
+and `split` the environment plays a level of the benchmark (:mod:`marouting.scenarios`): a new
+training problem in every episode, or one of the validation or test problems.
+
+## Many problems at once
+
+`BatchEnv` plays M problems side by side in arrays of shape (M, agents, …), compiled. It plays the
+same game: `tests/test_game.py` compares the two. `info` says which agents moved (`acted`), whether
+a task ended (`task_ended`: 1 joined, 2 failed), and what they observed on arrival, before the next
+task began (`final_obs`):
+
+```python
+import numpy as np
+import marouting
+from marouting.vector import BatchEnv
+
+env = BatchEnv(marouting.generate(8, nets=10, seed=1))
+obs, info = env.reset()
+before = obs.copy()  # the next step overwrites the arrays
+actions = info["action_mask"].argmax(axis=-1)
+obs, reward, terminated, truncated, info = env.step(actions)
+ended = info["task_ended"] != 0
+next_obs = np.where(ended[..., None], info["final_obs"], obs)
+bootstrap = info["task_ended"] != 1  # a failed task only ran out of steps
+# Where info["acted"], a transition is (before, actions, reward, next_obs, bootstrap).
+```
+
+`BatchEnv(64, scenario="mixed-v0")` plays 64 games, each with a new problem in every episode; the
+names are in `info["problem"]`. `BatchEnv(64, problem={"nets": 10, "seed": None})` and `BatchEnv(64,
+problem="folder")` do the same. The same seed gives the same problems for any number of `threads`.
+`save()` and `restore()` handle the state of all games, and `set_order()` the turn order.
+[`batch_ppo.py`](examples/libraries/batch_ppo.py) is PPO on it in 60 lines.
 
 ## Arguments
 

@@ -65,6 +65,7 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         self._mode = modes[autoreset_mode]
         rules = {key: value for key, value in options.items() if key not in ("threads", "seed")}
         self._options = game_options({**rules, "render_mode": render_mode})
+        self._mask = self._options.mask
         check("agents_persist", not self._options.agents_persist, "false: only one player")
         check("render_mode", render_mode != "human", "ansi, rgb_array or None, for many games")
         problem = self._options.problem if problem is None else problem
@@ -77,9 +78,9 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         self.num_envs, self.render_mode = num_envs, render_mode
         self.metadata = METADATA | {"autoreset_mode": self._mode}
         space: Space[Any] = self._batch.single_observation_space
-        if self._options.mask_in_observation:
+        if self._mask.in_observation:
             mask = Box(0, 1, (self._options.actions,), np.int8)
-            space = Dict({self._options.observation_key: space, self._options.mask_key: mask})
+            space = Dict({self._mask.observation_key: space, self._mask.mask_key: mask})
         self.single_observation_space = space
         self.single_action_space = self._batch.single_action_space
         self.observation_space = batch_space(space, num_envs)
@@ -157,7 +158,7 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
             )
         if self._mode is AutoresetMode.SAME_STEP and over.any():
             for m in np.flatnonzero(over).tolist():
-                last = {name: infos[name][m] for name in (self._options.mask_key, "net")} | told[m]
+                last = {name: infos[name][m] for name in (self._mask.mask_key, "net")} | told[m]
                 obs_ = {k: v[m] for k, v in seen.items()} if isinstance(seen, dict) else seen[m]
                 told[m] = {"final_obs": obs_, "final_info": last}
             obs, batch = self._batch.reset(options={"reset_mask": over})
@@ -171,13 +172,7 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
     def _seen(
         self, obs: NDArray[np.float32], batch: Info, told: NDArray[np.bool_]
     ) -> tuple[Any, Info]:
-        """Observations of the nets to move, and of those that moved last where games are over.
-
-        Args:
-            obs: those of the batch.
-            batch: its info.
-            told: (M,) the games that have infos, which come with the observations.
-        """
+        """What nets see that are to move, or moved last where games are over; infos where told."""
         now, mask, seen = batch["agents"][:, 0], batch["action_mask"][:, 0].copy(), obs[:, 0].copy()
         self._movers = np.where(now == NOBODY, self._movers, now)
         if self._over.any():  # nobody is to move: shown is the net that moved last
@@ -186,23 +181,23 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
             self._observation.write(self._batch.engine, *which, out)
             seen[games], mask[games] = out, self._batch.engine.masks(*which)
         shown: Any = seen
-        if self._options.mask_in_observation:
-            keys = self._options.observation_key, self._options.mask_key
+        if self._mask.in_observation:
+            keys = self._mask.observation_key, self._mask.mask_key
             shown = dict(zip(keys, (seen, mask.copy()), strict=True))
         if not told.any():
             return shown, {}
         nets = self._batch.engine.nets[self._games, self._movers]
         names = np.array([f"net_{net}" for net in nets.tolist()], object)
         mask[~told], names[~told] = 0, None
-        key = self._options.mask_key
+        key = self._mask.mask_key
         return shown, {key: mask, f"_{key}": told.copy(), "net": names, "_net": told.copy()}
 
     def _task_end(self, batch: Info, m: int) -> Info:
         """What the info of a game says of the task that has ended with the move."""
         seen: Any = batch["final_obs"][m, 0].copy()
         mask = batch["final_mask"][m, 0].copy()
-        if self._options.mask_in_observation:
-            seen = {self._options.observation_key: seen, self._options.mask_key: mask.copy()}
+        if self._mask.in_observation:
+            seen = {self._mask.observation_key: seen, self._mask.mask_key: mask.copy()}
         return {"task_ended": int(batch["task_ended"][m, 0]), "task_obs": seen, "task_mask": mask}
 
     def _named(self, infos: Info, batch: Info, begun: NDArray[np.bool_]) -> Info:

@@ -87,11 +87,7 @@ else:
 
 @compiled
 def as_index(index: Any) -> int:
-    """A non-negative index as int64.
-
-    Numba lets negative indices count from the end, and checking for them takes as long as the rest
-    of an access.
-    """
+    """A non-negative index as int64: numba need not check whether it counts from the end."""
     return np.int64(np.uint32(index))  # type: ignore[return-value]
 
 
@@ -99,14 +95,7 @@ def specialised(kernel: Any, *examples: Any) -> Callable[..., Any]:
     """The machine code of a kernel, for arguments of the types of the examples.
 
     Numba looks up the types of all arguments at every call. For the engine's tuples, this takes
-    several times as long as a move.
-
-    Args:
-        kernel: a kernel.
-        *examples: arguments with the types, dimensions and memory layouts of all later calls.
-
-    Returns:
-        A function that looks up nothing, or the kernel itself if numba does not provide one.
+    several times as long as a move. Where numba offers no such code it is the kernel itself.
     """
     from marouting.compiling import specialised
 

@@ -13,14 +13,9 @@ from pathlib import Path
 
 from marouting.errors import InputError
 
-VARIABLE = "MAROUTING_MAX_GIB"
-"""The environment variable that sets the limit, in GiB."""
-
-SHARE = 0.75
-"""The limit without it, as a share of the memory that this process may use."""
-
-SMALL = 2**24
-"""So many bytes are always there, and not worth a look at the limit."""
+VARIABLE = "MAROUTING_MAX_GIB"  # the environment variable that sets the limit, in GiB
+SHARE = 0.75  # the limit without it, as a share of the memory that this process may use
+SMALL = 2**24  # so many bytes are always there, and not worth a look at the limit
 
 # Bytes per Gcell.
 TABLES = 64  #: topology

@@ -266,13 +266,7 @@ def state_space_of(observation: Observation, problems: Sequence[Problem], overfl
 def state_of(
     observation: Observation, games: Games, out: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """The global states (M, …) that go with an observation: its own, or else those of the games.
-
-    Args:
-        observation: the observation.
-        games: the games.
-        out: the array to fill and return; None: a new array.
-    """
+    """The global states (M, …) that go with an observation: its own, or those of the games."""
     own: Any = observation
     states: NDArray[np.float32] = (
         own.state(games, out) if _has_state(observation) else games.state(out)
@@ -285,13 +279,7 @@ def _has_state(observation: Observation) -> bool:
 
 
 def has_form(piece: object, plain: str, columns: str) -> bool:
-    """Whether a piece has its form for a plain game, and no later class only that by columns.
-
-    Args:
-        piece: an observation or a reward.
-        plain: the method for a plain game: ``see`` or ``pay``.
-        columns: the method by columns: ``write`` or ``__call__``.
-    """
+    """Whether a piece has a method ``plain``, and no later class only that by ``columns``."""
     for cls in type(piece).__mro__:
         if plain in vars(cls):
             return True

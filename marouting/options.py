@@ -6,8 +6,8 @@ from typing import Any, Literal
 
 from marouting.config import Named, build, check, piece_field, take_pieces, unknown_key
 from marouting.errors import UnknownOption
-from marouting.game import Rules, TurnOrder
 from marouting.generator import GeneratorOptions
+from marouting.rules import Rules, TurnOrder
 from marouting.scenarios import Split, get
 
 Agents = Literal["single", "multi"]
@@ -20,8 +20,7 @@ It has no reduced edges. They take a search, and compiling it would double the t
 ``env()`` takes on a new machine."""
 
 
-PLAYED = ("problem", "scenario", "split")
-"""The options that say which problems are played, not how."""
+PLAYED = ("problem", "scenario", "split")  # the options that say which problems are played, not how
 
 
 ProblemSource = str | tuple[str, ...] | GeneratorOptions
@@ -31,7 +30,7 @@ ProblemSource = str | tuple[str, ...] | GeneratorOptions
 class GameOptions(Rules):
     """The options of every interface of the environment; the defaults are the paper's.
 
-    The options of the rules come from :class:`marouting.game.Rules`.
+    The options of the rules come from :class:`marouting.rules.Rules`.
 
     Attributes:
         problem: a ``.gr`` file, a folder of them, a list of both, or options of the generator
@@ -49,11 +48,6 @@ class GameOptions(Rules):
             rewards of 0 and a mask whose only move does nothing, and all end together. Of several
             problems, the agents of all take part in each. For PettingZoo's interfaces, and
             libraries that cannot do with agents that leave.
-        mask_in_observation: whether observations are ``{"observation", "action_mask"}``; the mask
-            is in ``info["action_mask"]`` either way.
-        observation_key: the name of the observation beside its mask, where a library wants another
-            (RLlib: ``observations``).
-        mask_key: the name of the mask, likewise, in observation and info.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
     """
 
@@ -63,10 +57,13 @@ class GameOptions(Rules):
     observation: Named = piece_field("observation", "paper")
     reward: Named = piece_field("reward", "paper")
     agents_persist: bool = False
-    mask_in_observation: bool = False
-    observation_key: str = "observation"
-    mask_key: str = "action_mask"
     render_mode: RenderMode | None = None
+
+    @property
+    def endless(self) -> bool:
+        """Whether every episode plays a new problem."""
+        generated = isinstance(self.problem, GeneratorOptions) and self.problem.seed is None
+        return generated if self.scenario is None else self.split == "train"
 
     @property
     def persists(self) -> bool:
@@ -88,8 +85,8 @@ class GameOptions(Rules):
             what = " and ".join((*methods, f"{columns} or {plain}"))
             fits = defined.issuperset(methods) and defined & {columns, plain}
             check(name, fits, f"an object that has {what}, found {given.name}")
-        taken = {self.observation_key, *TOLD}
-        check("mask_key", self.mask_key not in taken, "a name of its own")
+        taken = {self.mask.observation_key, *TOLD}
+        check("mask.mask_key", self.mask.mask_key not in taken, "a name of its own")
 
 
 FORMS = {"observation": ("write", "see", "space"), "reward": ("__call__", "pay")}

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import copy_row, swap_rows
+from marouting.batch.bits import copy_row
 from marouting.batch.engine import Engine
 from marouting.batch.observation import paper_reward, see_paper, write_paper
 from marouting.batch.rules import (
@@ -40,28 +40,25 @@ from marouting.batch.rules import (
     write_moves,
 )
 from marouting.batch.state import GAME, MASKS, Dynamic, Option, Static
-from marouting.batch.tasks import wait
 from marouting.config import check
-from marouting.errors import InputError
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import as_index, compiled, i64, inlined, specialised
 from marouting.memory import check_memory
 from marouting.observations import Observation, PaperObservation, has_move_order, move_order_of
 from marouting.options import FORMS
 from marouting.problem.grid import MOVES
-from marouting.rewards import KNOWN, PaperReward, Reward
+from marouting.rewards import KNOWN, PaperReward, Reward, paid_by
 from marouting.source import ProblemSampler
 
 COMPILES = "the batch of games", 8
 
 
 class StepBuffers(NamedTuple):
-    """The input and output of a step of M problems.
+    """The input and output of a step of M problems, with K rows each.
 
-    Each problem has K rows: one for each of its N agents, or only one for the agent whose turn it
-    is (K = 1). S is the shape of an observation, A the number of actions. ``final_obs`` and
-    ``final_mask`` are only written where ``obs`` no longer shows the result of the move: where the
-    task ended, or where the row now belongs to another agent.
+    A row is one of the N agents, or the only one is that whose turn it is (K = 1). ``final_obs``
+    and ``final_mask`` are only written where ``obs`` no longer shows the result of the move: where
+    the task ended, or where the row now belongs to another agent.
     """
 
     agents: NDArray[np.int32]  # (M, K) the agent of each row, or NOBODY
@@ -84,11 +81,7 @@ class StepBuffers(NamedTuple):
     def of(
         cls, problems: int, rows: int, shape: tuple[int, ...], actions: int = MOVES
     ) -> "StepBuffers":
-        """Buffers for a number of problems, rows per problem, shape of observations, actions.
-
-        Raises:
-            InputError: they would take too much memory.
-        """
+        """New buffers; raises InputError if they would take too much memory."""
         size = math.prod(shape)
         bytes_of_obs = 2 * np.dtype(np.float32).itemsize * problems * rows * size
         check_memory(bytes_of_obs, "{} observations of {} numbers", problems * rows, size)
@@ -149,21 +142,12 @@ class Player:
         reward: what moves pay.
         everyone: whether all agents have a row, or only the one whose turn it is.
         buffers: the arrays to use; None: new ones.
-        draws: what the games play, another problem in every episode; the engine plays the present
-            ones and has room for the others. None: the engine's problems stay.
-        turned: whether actions and masks are in the order of an observation's own moves, if it has
-            one (:func:`marouting.observations.move_order_of`), as learners want them, and not
-            in that of the grid.
+        draws: what the games play, another problem in every episode; None: the problems stay.
+        turned: whether actions and masks are in the order of an observation's own moves, as
+            learners want them (:func:`marouting.observations.move_order_of`).
 
     Attributes:
-        engine: the games.
-        observation: what agents see.
-        reward: what moves pay.
-        everyone: whether all agents have a row.
         played: (M, K) the moves on the grid of the last step.
-        buffers: see :class:`StepBuffers`.
-        draws: what the games play; None: the engine's problems stay.
-        turned: whether actions and masks are in the order of the observation's own moves.
         fast: what the compiled step knows about the pieces.
         paid: (M, N) float32, what the last step paid every agent. None with the paper's reward,
             which pays only the agent that moves.
@@ -278,7 +262,7 @@ class Player:
             self._step(*self._arguments, True, restart)
         elif self.turned:
             chosen = self.buffers.actions.copy()
-            self.played = self._on_the_grid(chosen)
+            self.played = _picked(self._order(), chosen)
             self.buffers.actions[:] = self.played
             self._step_in_parts(restart)
             self.buffers.actions[:] = chosen  # learners remember what they chose
@@ -304,15 +288,7 @@ class Player:
         return saved._replace(counts=self.draws.counts.copy(), seeds=self.draws.seeds.copy())
 
     def go_to(self, counts: NDArray[np.int64], seeds: NDArray[np.object_] | None = None) -> None:
-        """Puts the problems in place that games play when they have begun some episodes.
-
-        Args:
-            counts: (M,) how many.
-            seeds: (M,) of the games, see :class:`marouting.source.ProblemSampler`; None: as now.
-
-        Raises:
-            ValueError: the problems of these games stay, or the shape does not fit.
-        """
+        """Puts the problems in place that games play after ``counts`` (M,) episodes have begun."""
         if self.draws is None or counts.shape != self.draws.counts.shape:
             raise ValueError(f"counts: expected those of other games, found shape {counts.shape}")
         self._replace(self.draws.go_to(counts, seeds))
@@ -333,13 +309,7 @@ class Player:
         """The actions for ``buffers.actions`` that stand for moves on the grid, both (M, K)."""
         if not self.turned:
             return moves.astype(np.int8)
-        order = self._order()
-        place = np.argsort(order, axis=-1)  # the other way round
-        return _picked(place, moves)
-
-    def _on_the_grid(self, actions: NDArray[np.int8]) -> NDArray[np.int8]:
-        """The moves on the grid (M, K) that actions of the observation (M, K) are."""
-        return _picked(self._order(), actions)
+        return _picked(np.argsort(self._order(), axis=-1), moves)  # the other way round
 
     def _order(self) -> NDArray[np.int64]:
         """(M, K, A), see :func:`marouting.observations.move_order_of`."""
@@ -425,12 +395,13 @@ class Player:
         """Makes the moves, each with a call of the reward, and writes what came of them."""
         b, engine, paid = self.buffers, self.engine, self.paid
         assert paid is not None
-        _forget(engine.dynamic)
+        for name in ("added_overflow", "crossing", "ending"):
+            engine.agents[name] = 0
         before.agents[...] = engine.agents
         paid[:] = 0
         for movers, moves in self._turns(begins):
             _move(engine.static, engine.dynamic, movers, moves)
-            paid += self._pay(before, movers)
+            paid += paid_by(self.reward, engine, before, movers)
             _settle_movers(engine.static, engine.dynamic, before, movers, moves, self._arrived)
             if engine.static.extended:
                 # More may have changed than one edge of one net.
@@ -469,23 +440,6 @@ class Player:
             ):
                 yield movers, moves
 
-    def _pay(self, before: Earlier, movers: NDArray[np.int32]) -> NDArray[np.float32]:
-        """(M, N) float32, what moves pay; raises InputError for a wrong shape, NaN or infinity."""
-        paid = np.asarray(self.reward(self.engine, before, movers), np.float32)
-        if paid.shape != self.engine.nets.shape:
-            raise InputError(
-                f"reward: expected shape {self.engine.nets.shape}, found {paid.shape} from "
-                f"{type(self.reward).__name__}"
-            )
-        if not np.isfinite(paid).all():
-            raise InputError(
-                f"reward: expected finite numbers, found {paid[~np.isfinite(paid)][0]} from "
-                f"{type(self.reward).__name__}"
-            )
-        status = before.agents["status"]
-        playing = (status == Status.ACTIVE) | (status == Status.WAITING)
-        return np.where(playing & (movers != NOBODY)[:, None], paid, np.float32(0))
-
     def _look_back(self, asked: NDArray[np.int32]) -> None:
         """Writes what agents saw where they arrived, whose tasks ended or who pass the turn."""
         b, engine = self.buffers, self.engine
@@ -516,11 +470,12 @@ class Player:
 
     def _swap_arrived(self, problems: NDArray[Any], agents: NDArray[Any]) -> None:
         """Swaps what changes for agents (K,) when their next tasks begin, as far as it is seen."""
-        engine, at = self.engine, (problems, agents)
-        there = engine.agents[at]
-        engine.agents[at] = self._arrived.agents[at]
-        self._arrived.agents[at] = there
-        _swap_sets(engine.static, engine.dynamic, self._arrived, problems, agents)
+        now, arrived, at = self.engine.dynamic, self._arrived, (problems, agents)
+        now.agents[at], arrived.agents[at] = arrived.agents[at], now.agents[at]
+        for option in (Option.VISITED, Option.TRIED):
+            if (begin := self.engine.static.options[option]) >= 0:
+                rows = problems, begin + agents
+                now.sets[rows], arrived.sets[rows] = arrived.sets[rows], now.sets[rows]
 
     def _see(
         self, problems: NDArray[np.integer], agents: NDArray[np.integer], out: NDArray[np.float32]
@@ -559,13 +514,6 @@ def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.
     """(M, K) the entries of orders (M, K, A) at moves (M, K); no move stays none."""
     found = np.take_along_axis(order, np.maximum(moves, 0)[..., None].astype(np.int64), -1)
     return np.where(moves == NOBODY, NOBODY, found[..., 0]).astype(np.int8)
-
-
-@compiled
-def _forget(dynamic: Dynamic) -> None:
-    for m in range(dynamic.agents.shape[0]):
-        for n in range(dynamic.agents.shape[1]):
-            wait(dynamic, m, n)
 
 
 @compiled
@@ -621,19 +569,6 @@ def _settle_movers(
         before.remaining[m, edge] = dynamic.remaining[m, edge]
         before.agents[m, n] = dynamic.agents[m, n]
         before.games[m] = dynamic.games[m]
-
-
-@compiled
-def _swap_sets(
-    static: Static, dynamic: Dynamic, arrived: Dynamic, problems: Any, agents: Any
-) -> None:
-    """Swaps the sets of agents (K,) that change when their next tasks begin."""
-    for k in range(len(problems)):
-        m, n = as_index(problems[k]), as_index(agents[k])
-        for option in range(Option.VISITED, Option.TRIED + 1):
-            if (option == Option.VISITED or option == Option.TRIED) and static.options[option] >= 0:
-                row = as_index(static.options[option] + n)
-                swap_rows(dynamic.sets, arrived.sets, m, row)
 
 
 # --- what a step writes ---------------------------------------------------------------------------

@@ -72,16 +72,7 @@ def registered() -> list[tuple[str, str, str]]:
 
 
 def lookup(kind: str, name: str, where: str = "") -> type[Any]:
-    """The class that a name refers to.
-
-    Args:
-        kind: one of :data:`KINDS`.
-        name: one of :func:`names`, or ``module:Class``.
-        where: the start of error messages: the file or key that holds the name.
-
-    Raises:
-        InputError: the name is unknown, or what it refers to cannot be imported or is not a class.
-    """
+    """The class of a name or ``module:Class``; raises InputError, beginning with ``where``."""
     _check_kind(kind)
     prefix = f"{where}: " if where else ""
     found = _registered[kind].get(name)
@@ -101,12 +92,7 @@ def lookup(kind: str, name: str, where: str = "") -> type[Any]:
 
 @contextlib.contextmanager
 def allowing_code(which: bool | Iterable[str] = True) -> Iterator[None]:
-    """Within the block, lets files name these classes too.
-
-    Args:
-        which: True for any code; False for no more; or the names that files may use, each
-            ``module:Class``, such as those of a configuration that has been read before.
-    """
+    """Within the block, lets files name any code (True), no more (False) or these classes too."""
     before = _allowed.get()
     if not isinstance(which, bool) and not isinstance(before, bool):
         which = before.union(which)

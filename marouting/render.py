@@ -5,6 +5,7 @@ a :class:`Sheet`, and an animation of the same. Nothing here needs more than num
 :class:`Window` loads matplotlib when it is first shown.
 """
 
+import base64
 import colorsys
 import contextlib
 import enum
@@ -14,6 +15,7 @@ import os
 import sys
 import textwrap
 import warnings
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -32,34 +34,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One moment of the game, as pictures show it.
+    """One moment of the game, as pictures show it."""
 
-    Attributes:
-        grid: the grid of Gcells.
-        capacity: (E,) int32, capacity of every edge at the start, in tracks.
-        remaining: (E,) int32, remaining capacity now; negative for an overflowed edge.
-        nets: (uses,) int64, the net of each use of an edge by a net, including vias; ordered by
-            edge, and within an edge by the turn order of the nets.
-        edges: (uses,) int64, the edge.
-        active: (n,) int64, the nets that are still being routed.
-        heads: (n,) int32, the Gcell that the route of each of them has reached.
-        targets: (n,) int32, the Gcell of the target pin of each of them.
-        labels: their agents' names.
-        turn: index into ``heads`` of the net to move next; None if all nets move or none does.
-        caption: one line about the moment, such as "step 12  joined 3/50  overflow 0".
-    """
-
-    grid: Grid
-    capacity: NDArray[np.int32]
-    remaining: NDArray[np.int32]
-    nets: NDArray[np.int64]
-    edges: NDArray[np.int64]
-    active: NDArray[np.int64]
-    heads: NDArray[np.int32]
-    targets: NDArray[np.int32]
-    labels: tuple[str, ...]
-    turn: int | None
-    caption: str
+    grid: Grid  # the grid of Gcells
+    capacity: NDArray[np.int32]  # (E,) of every edge at the start, in tracks
+    remaining: NDArray[np.int32]  # (E,) what is left now; negative if it overflows
+    nets: NDArray[np.int64]  # (uses,) the net of each use of an edge, by edge and turn order
+    edges: NDArray[np.int64]  # (uses,) int64, the edge
+    active: NDArray[np.int64]  # (n,) int64, the nets that are still being routed
+    heads: NDArray[np.int32]  # (n,) int32, the Gcell that the route of each of them has reached
+    targets: NDArray[np.int32]  # (n,) int32, the Gcell of the target pin of each of them
+    labels: tuple[str, ...]  # their agents' names
+    turn: int | None  # index into ``heads`` of the only net to move next, if any
+    caption: str  # one line about the moment, such as "step 12 joined 3/50 overflow 0"
 
 
 def scene_of(games: Games, m: int = 0) -> Scene:
@@ -109,13 +96,7 @@ def edge_states(scene: Scene) -> NDArray[np.int8]:
     capacity, remaining = scene.capacity, scene.remaining
     state = np.select(
         [~scene.grid.exists, remaining < 0, capacity <= 0, remaining == 0, remaining < capacity],
-        [
-            EdgeState.ABSENT,
-            EdgeState.OVERFLOWED,
-            EdgeState.ABSENT,
-            EdgeState.FULL,
-            EdgeState.USED,
-        ],
+        [EdgeState.ABSENT, EdgeState.OVERFLOWED, EdgeState.ABSENT, EdgeState.FULL, EdgeState.USED],
         EdgeState.FREE,
     )
     return state.astype(np.int8)
@@ -191,13 +172,14 @@ def ansi(scene: Scene) -> str:
 
 _SHORTEST, _LONGEST = 200, 1200  # bounds of the longer side of a picture, px
 _PITCH = 48  # distance between Gcells if there is room, px
-_SMALLEST = 4  # with a smaller pitch, a Gcell and its edges cannot be told apart, px
-_ROOMY = 12  # with a smaller pitch, nets side by side cannot be told apart, px
+_SMALLEST = 2  # a smaller pitch is drawn at this one and shrunk, px
+_ROOMY = 16  # with a smaller pitch, nets side by side cannot be told apart, px
+_MARK = 3  # the least reach of heads and targets, px
 
 _BACKGROUND = (255, 255, 255)
 _GCELL = (208, 211, 217)
 _FREE = (232, 234, 239)
-_OVERFLOWED = (214, 39, 40)
+_OVERFLOWED = (226, 88, 12)
 _INK = (20, 20, 20)
 _HALO = (255, 196, 61)  # around the head and the target of the net to move
 
@@ -216,31 +198,42 @@ PALETTE = np.array(
 )
 """(48, 3) uint8, the colours of nets: net i has the colour i % 48, in every picture."""
 
-# Viridis from light to dark: on a white background, dark means heavily used.
-_RAMP = np.array(
-    [(253, 231, 37), (94, 201, 98), (33, 145, 140), (59, 82, 139), (68, 1, 84)], np.float64
+USE = (
+    (0.0, (242, 245, 250)),
+    (0.5, (143, 180, 217)),
+    (1.0, (18, 58, 117)),
+    (1.001, (247, 165, 43)),
+    (2.0, (140, 13, 13)),
 )
+"""The colours of demand / capacity in all pictures: pale to dark blue, orange to red above 1."""
 
-# 5 columns for each letter, two hexadecimal digits a column; the lowest bit is the top row of 8.
-_FONT = {
-    " ": "0000000000", "%": "2313086462", "(": "001c224100", ")": "0041221c00", "+": "08083e0808",
-    ",": "0080703000", "-": "0808080808", ".": "0000606000", "/": "2010080402", ":": "0000140000",
-    "=": "1414141414", "?": "0201590906", "_": "4040404040",
-    "0": "3e5149453e", "1": "00427f4000", "2": "7249494946", "3": "2141494d33", "4": "1814127f10",
-    "5": "2745454539", "6": "3c4a494931", "7": "4121110907", "8": "3649494936", "9": "464949291e",
-    "a": "2054547840", "b": "7f28444438", "c": "3844444428", "d": "384444287f", "e": "3854545418",
-    "f": "00087e0902", "g": "18a4a49c78", "h": "7f08040478", "i": "00447d4000", "j": "2040403d00",
-    "k": "7f10284400", "l": "00417f4000", "m": "7c04780478", "n": "7c08040478", "o": "3844444438",
-    "p": "fc18242418", "q": "18242418fc", "r": "7c08040408", "s": "4854545424", "t": "04043f4424",
-    "u": "3c4040207c", "v": "1c2040201c", "w": "3c4030403c", "x": "4428102844", "y": "4c9090907c",
-    "z": "4464544c44",
-}  # fmt: skip
-_ADVANCE, _LINE = 6, 10  # px of a letter of scale 1, with the space to the next, and of a line
+# DejaVu Sans Mono, the printable characters of ASCII from the space on, side by side in one picture
+# with 2 bits a pixel, compressed.
+_FONT = (
+    "eNrdlr9v20YUxx95rQSS1qZBhU5RBhp4cWWTDq6J0qbgLe3WoYCHDhkE1wWyBDgYHBTAgDl1KBJAyZIOCcDRQ4YOGTy0"
+    "KP+AFuDSrQMH/QEeMiiA7PQ9Uj9s13aADikQAiTuJ+9z733fuwP4oJ6R8x4WEQWAl81rPn+Q3kMu24mVIURX/+CVrTcW"
+    "Ffu7ecnKxPugL1fiknOK3k5mZapcTWEntha6KjUGomXpdfAKW3O7pRfD0Cu6WTtv53AUHNWLaOIVXrH8i1fUxyKLito4"
+    "GgXTYFovQhlMvKOwgxCv96VXBDQ+ovf3EyUHjbymOqYRHQsI2U5Ea+tT9Ppy+vq/6O0Ffc33iqfQAt6Rlaxu2XP+sBdb"
+    "mR/7sf2LD50m+Ij9ePmXproh67nCTiuMkdZcb4aSLGi4NvzyrsQYexirITbtREkjR27L9xF6gsZamZueVY74j/T7Jze2"
+    "noJkevqrN1rQDxSShwmsZnxQAEZhiCIhq30CsEOLGccdKYkQItMrqOg3c4T7Dz6X1NNRkuYA0ytMHWcgDcSC1rKylqr8"
+    "9yn5zjsgP028g7Wim3QzRAH7w7WC+7wD9zcv35/4aCT5DsOVYCI0q2RO74Sr+gFeI3ra42n6XEmiVxA7JshvF5CiH/aY"
+    "vjbeP24nkD5506AdMjXTmxn9Fxrhhxe3ydrYMVKpOyU9qu8f13N3BLkgvVuZkaXl1Tp2mjgkYo3Dnl9GbSpg91HPR+rD"
+    "oafxep3c7uPI6Ri/BWqDVfa6ogdYGVxLasnu16WHstWt/eNZDCc3nxN96hUtslgfIfeK/h73POTP0E6eOTKMCqYPJsHE"
+    "/BpNmT5KELb/vHmP6HtGRjSL6WW4/YcgtduJoHWsec5pYek7JYUOiZDp12jE9jcET30KXbIL07fUNu1eKhjV2fbZxldV"
+    "rLydWq92DtO/OBtYmVVqiqNTaLY98cShAeQyYvvlkl7oHz9GpXoL28vK9p+RcrYfb/5tZDAm29Ncpm8Mbj13R3ZSp1Uo"
+    "vmb07YlPcw3uT4U2M/qNrKIPpS9DdMBNmX7F7D4SScOQ6ln3ybeHs+1n1j3rp3SPea1ZJqhihXXv0gDyRmkdJcvMDDPl"
+    "wDMnmqjGQvclvTahQRg0wpccEax3kEzvjO7cl7R2g22UzOkVVrYPYWl7Vs7S9pRVfaZ30ls/uyM3dc9ELXVmq0Qf71XR"
+    "zPTcKhIHOOcg+EMw12PEOvSxGbPvq6gV+skbsm1vkXNK+p2U90L0e0jg5BvJTIi1rDdUXOKMki/oh6T7j0j3Ldb9jL4v"
+    "NNOj6pHuHYoN7qvl60OpSDvn6DeT9hgO2y+Wp5Uo6SXppzuNJu0CTJfU60K78EZlzqlGaQNpIxpX+R7BG5f6T8JGcEz0"
+    "d72C2grltkn3XiEyVGnDTjjfw2BO3z2Y5Zyx0N6Bj9GU6DvWhOmrnOPwSUT5SGRSxVJkwWR5Ws3iU5+9KVR9eNlZuZjZ"
+    "effBai68KYTLm8Kpx4fFKbxoaJ07Z/X5m8Ip+tlTqw6rS4Bqy9Lrd9L7F7ZeaJhmPFfD5fT15R7+5+ftydm6l/M30FfR"
+    "r38wF+J/ABnyg7o="
+)
+_ADVANCE, _HEIGHT, _LINE = 8, 16, 18  # px of a letter of scale 1, and of a line of text
 _CAPTION = 80  # letters of a caption that there is room for
 
 
-Ink = tuple[int, ...]
-"""A colour: red, green and blue, 0 to 255."""
+Ink = tuple[int, ...]  # A colour: red, green and blue, 0 to 255
 
 
 class Box(NamedTuple):
@@ -263,7 +256,7 @@ class Disc(NamedTuple):
 
 
 class Words(NamedTuple):
-    """A line of text, in letters that are ``6 · scale`` px wide and ``8 · scale`` px high."""
+    """A line of text, in letters that are ``8 · scale`` px wide and ``16 · scale`` px high."""
 
     x: int
     y: int
@@ -288,14 +281,15 @@ def rgb_array(scene: Scene) -> NDArray[np.uint8]:
     The caption stands above, a legend below. Gcells are grey squares, and the roads between them
     are edges. Where there is room for it, every net that uses an edge is a line on it, in the
     colour that the net has in all pictures; edges that are used up have dark borders, overflowed
-    ones red borders. Otherwise edges are bars, and used ones go from yellow over green to dark
-    violet (full); overflowed ones are red and wide. Edges without capacity are left out. A black
-    dot in a Gcell means that a via up or down from it is in use. Discs are the heads of the nets,
-    and outlined squares their targets; those of the net to move have yellow frames.
+    ones orange borders. Otherwise every edge is a field between its two Gcells, whose colour says
+    how full it is: pale to dark blue (full), and orange to red where it overflows. Edges without
+    capacity are left out. A black dot in a Gcell means that a via up or down from it is in use.
+    Discs are the heads of the nets, and outlined squares their targets; those of the net to move
+    have yellow frames.
 
     Returns:
         (H, W, 3) uint8. H and W are even and the same for every scene of a problem; the longer one
-        is between about 200 and 1200. (Grids of more than about 250 Gcells per side are drawn
+        is between about 200 and 1200. (Where a Gcell has less than 2 px, the picture is drawn
         larger and shrunk.)
     """
     sheet = Sheet.of(scene)
@@ -320,7 +314,8 @@ def _paint(canvas: NDArray[np.uint8], drawn: Iterable[Shape]) -> None:
         else:
             letters = _lettering(shape.text, shape.scale)
             space = canvas[shape.y :, shape.x :][: letters.shape[0], : letters.shape[1]]
-            space[letters[: space.shape[0], : space.shape[1]]] = _INK
+            ink = letters[: space.shape[0], : space.shape[1], None]
+            space[...] = np.rint(space * (1 - ink) + np.array(_INK) * ink)
 
 
 @functools.lru_cache(maxsize=64)
@@ -330,17 +325,26 @@ def _disc(radius: int) -> NDArray[np.bool_]:
 
 
 @functools.lru_cache(maxsize=256)
-def _lettering(text: str, scale: int) -> NDArray[np.bool_]:
-    """(8 · scale, 6 · scale · len(text)) bool, where the letters have ink."""
-    columns = b"".join(bytes.fromhex(_FONT.get(c, _FONT["?"])) + b"\0" for c in text.lower())
-    bits = np.unpackbits(np.frombuffer(columns, np.uint8)[None], axis=0, bitorder="little")
-    return bits.astype(np.bool_).repeat(scale, axis=0).repeat(scale, axis=1)
+def _lettering(text: str, scale: int) -> NDArray[np.float64]:
+    """(16 · scale, 8 · scale · len(text)) float64, how much ink the letters have, from 0 to 1."""
+    letters = _letters()
+    known = [ord(c) - ord(" ") if " " <= c <= "~" else ord("?") - ord(" ") for c in text]
+    drawn = letters[:, known].reshape(_HEIGHT, -1)
+    return drawn.repeat(scale, axis=0).repeat(scale, axis=1)
+
+
+@functools.cache
+def _letters() -> NDArray[np.float64]:
+    """(16, 95, 8) float64, how much ink each letter has, from 0 to 1."""
+    bits = np.unpackbits(np.frombuffer(zlib.decompress(base64.b64decode(_FONT)), np.uint8))
+    levels = bits.reshape(-1, 2) @ [2, 1]
+    return levels[: _HEIGHT * 95 * _ADVANCE].reshape(_HEIGHT, 95, _ADVANCE) / 3
 
 
 def shapes(scene: Scene) -> list[list[Shape]]:
     """What a scene adds to its :class:`Sheet`, level by level: later levels cover earlier ones."""
     sheet, state = Sheet.of(scene), edge_states(scene)
-    half, rim = sheet.square // 2, max(1, sheet.pitch // 12)
+    half, rim = sheet.mark, max(1, sheet.pitch // 12)
     targets, heads, turn = scene.targets.tolist(), scene.heads.tolist(), scene.turn
     inks = [colour_of(net) for net in scene.active.tolist()]
     nets = sorted(range(len(inks)), key=lambda n: n == turn)  # the net to move is in the foreground
@@ -348,13 +352,13 @@ def shapes(scene: Scene) -> list[list[Shape]]:
     vias = np.unique(_via_gcells(scene)).tolist()
     words = textwrap.wrap(scene.caption, sheet.letters)[: sheet.lines]
     signs: list[Shape] = [
+        *(sheet.disc(gcell, 0.3 * half, _INK) for gcell in (vias if sheet.roomy else ())),
         *(sheet.around(gcell, half + 2 * rim, _HALO) for gcell in marked),
         *(sheet.around(gcell, half, _GCELL) for gcell in marked),
         *(sheet.around(targets[n], half, inks[n]) for n in nets),
         *(sheet.around(targets[n], half - rim, _GCELL) for n in nets),
-        *(sheet.disc(heads[n], 0.75 * half, _INK) for n in nets),
-        *(sheet.disc(heads[n], 0.75 * half - rim / 2, inks[n]) for n in nets),
-        *(sheet.disc(gcell, 0.3 * half, _INK) for gcell in vias),
+        *(sheet.disc(heads[n], half, _INK) for n in nets),
+        *(sheet.disc(heads[n], half - rim / 2, inks[n]) for n in nets),
         *(sheet.words(row, line) for row, line in enumerate(words)),
     ]
     edges = _nets(scene, sheet, state) if sheet.roomy else _bars(scene, sheet, state)
@@ -380,48 +384,37 @@ def _nets(scene: Scene, sheet: "Sheet", state: NDArray[np.int8]) -> list[list[Sh
             *sheet.bars(full, sheet.start, room, [_FREE]),
             *sheet.bars(over, sheet.start, most, [_FREE]),
         ],
-        sheet.bars(scene.edges[drawn], low, low + sheet.track, inks),
+        sheet.bars(scene.edges[drawn], low, low + sheet.track, inks, whole=True),
     ]
 
 
 def _bars(scene: Scene, sheet: "Sheet", state: NDArray[np.int8]) -> list[list[Shape]]:
-    """Every edge in use as a bar, the darker the fuller; overflowed ones are red and wide."""
-    over, used = (
-        np.flatnonzero(state == EdgeState.OVERFLOWED),
-        np.flatnonzero(state >= EdgeState.USED),
-    )
+    """Every edge in use as a field of the colour that says how full it is, the fullest on top."""
+    used = np.flatnonzero(state >= EdgeState.USED)
     capacity = np.maximum(scene.capacity[used], 1)
-    share = (capacity - scene.remaining[used]) / capacity
-    stops = np.linspace(0, 1, len(_RAMP))
-    shades = np.stack([np.interp(share, stops, part) for part in _RAMP.T], axis=1).astype(int)
-    inks = list(map(tuple, shades.tolist()))
-    end, more = sheet.start + sheet.track, sheet.track // 2
-    return [
-        sheet.bars(used, sheet.start, end, inks),
-        sheet.bars(over, sheet.start - more, end + more, [_OVERFLOWED]),
-    ]
+    share = (scene.capacity[used] - scene.remaining[used]) / capacity
+    order = np.argsort(share, kind="stable")
+    share = np.where(scene.capacity[used] > 0, share, USE[-1][0])[order]
+    stops, colours = zip(*USE, strict=True)
+    parts = [np.interp(share, stops, part) for part in zip(*colours, strict=True)]
+    inks = list(map(tuple, np.stack(parts, axis=1).astype(int).tolist()))
+    return [sheet.bars(used[order], 0, sheet.pitch, inks, whole=True)]
 
 
 class Sheet:
     """The picture of a problem before anything is routed, and where things are in it, in px.
 
-    Args:
-        grid: the grid.
-        capacity: (E,) capacity of every edge.
-
     Attributes:
-        shapes: what is drawn.
-        canvas: (height, width, 3) uint8, the picture.
         shrink: how many of its pixels, along each side, become one of a scene's picture.
         pitch: distance between Gcells.
         square: side of a Gcell.
+        mark: half the side of heads and targets.
         margin: around the panels, one for each layer.
         roomy: whether nets are drawn side by side.
         tracks: the most that an edge has.
-        track: width of a net's line, or of an edge where nets are not drawn.
+        track: width of a net's line, or of an edge where nets are not drawn side by side.
         start: where the first one begins, from the border between two rows of Gcells.
-        scale: of letters.
-        letters: how many of them a line of the caption has.
+        letters: how many of them, of size ``scale``, a line of the caption has.
         lines: how many lines the caption has.
     """
 
@@ -431,42 +424,45 @@ class Sheet:
         columns = math.ceil(math.sqrt(layers))
         rows = math.ceil(layers / columns)
         longest = max(columns * width, rows * height)
-        # All lengths are even, because video encoders need even sides.
         pitch = min(max(_PITCH, math.ceil(_SHORTEST / longest)), 9 * _LONGEST // (10 * longest))
-        self.pitch = pitch = max(pitch // 2 * 2, _SMALLEST)
-        self.square = max(2, pitch // 4 * 2)
-        self.margin = margin = max(pitch // 4 * 2, 8)
-        side = longest * pitch + (max(columns, rows) + 1) * margin
-        self.shrink = math.ceil(side / _LONGEST)
+        pitch = pitch // 2 * 2 if pitch >= _ROOMY else max(pitch, _SMALLEST)
+        self.pitch, self.square = pitch, max(2, pitch // 4 * 2)
+        shrink = longest * pitch / (_LONGEST - 9 * (max(columns, rows) + 1))
+        # Whole Gcells become a pixel, or a Gcell whole pixels: no pattern comes of it.
+        self.shrink = 1 if shrink <= 1 else _up_to(math.ceil(shrink), _SMALLEST)
+        self.mark = max(self.square // 2, _MARK * self.shrink)
+        self.margin = margin = max(pitch // 4 * 2, 8 * self.shrink)
+        # Video encoders need even sides.
         across = _up_to(columns * (width * pitch + margin) + margin, 2 * self.shrink)
-        self.scale = self.shrink * (2 if across >= 400 * self.shrink else 1)
+        self.scale = self.shrink
         self.letters = max(1, (across - 2 * margin) // (_ADVANCE * self.scale))
         self.lines = math.ceil(_CAPTION / self.letters)
 
         inside = grid.exists & (np.arange(grid.edges) % AXES != VIA_AXIS)
         self.tracks = int(capacity.max(initial=1, where=inside))
         self.roomy = pitch >= _ROOMY and self.tracks <= self.square
-        self.track = self.square // self.tracks if self.roomy else 2 * max(1, pitch // 10)
-        self.start = (pitch - self.track * (self.tracks if self.roomy else 1)) // 2
+        self.track = self.square // self.tracks if self.roomy else pitch
+        self.start = (pitch - self.track * self.tracks) // 2 if self.roomy else 0
 
         self._grid, line = grid, _LINE * self.scale
         x, y, z = np.unravel_index(np.arange(grid.gcells), grid.shape)
         row, column = np.divmod(z, columns)
         panel = line + height * pitch + margin
         self._x = margin + column * (width * pitch + margin) + x * pitch + pitch // 2
-        self._y = (self.lines + 1) * line + row * panel + (height - 1 - y) * pitch + pitch // 2
+        top = (self.lines + 1) * line + 6 * self.scale
+        self._y = top + row * panel + (height - 1 - y) * pitch + pitch // 2
         free = np.flatnonzero(inside & (capacity > 0))
         end = self.start + self.track * (capacity[free] if self.roomy else 1)
-        self.shapes: list[Shape] = [
-            *self.bars(free, self.start, end, [_FREE]),
-            *(self.around(gcell, self.square // 2, _GCELL) for gcell in range(grid.gcells)),
-        ]
+        self.shapes: list[Shape] = self.bars(free, self.start, end, [_FREE], whole=not self.roomy)
+        if self.roomy:
+            half = self.square // 2
+            self.shapes += [self.around(gcell, half, _GCELL) for gcell in range(grid.gcells)]
         fits = 8 * _ADVANCE * self.scale <= width * pitch + margin
         for layer in range(layers):
             corner = self.around(grid.number(0, height - 1, layer), pitch // 2, _INK)
             name = f"{'layer ' if fits else 'l'}{layer + 1}"
             self.shapes.append(Words(corner.left, corner.top - line, name, self.scale))
-        bottom = self.lines * line + rows * panel
+        bottom = top - line + rows * panel
         self.shapes += self._legend(layers > 1, bottom, across - margin)
         last = max(shape.y for shape in self.shapes if isinstance(shape, Words))
         bottom = _up_to(last + line + margin // 2, 2 * self.shrink)
@@ -480,18 +476,20 @@ class Sheet:
         return _sheet(scene.grid, scene.capacity.tobytes())
 
     def bars(
-        self, edges: NDArray[np.integer], low: Any, high: Any, inks: Sequence[Ink]
+        self,
+        edges: NDArray[np.integer],
+        low: Any,
+        high: Any,
+        inks: Sequence[Ink],
+        whole: bool = False,
     ) -> list[Shape]:
-        """Bars on edges inside layers.
+        """Bars on edges inside layers, from ``low`` to ``high`` beyond the border of two rows.
 
-        Args:
-            edges: the edges.
-            low: where each bar begins, from the border between two rows of Gcells.
-            high: where it ends.
-            inks: the colour of each, or of all.
+        ``whole`` ones run from the middle of a Gcell to that of the next, others between Gcells.
         """
         near, far = self._grid.ends(edges)
-        half, low, high = self.square // 2, low - self.pitch // 2, high - self.pitch // 2
+        low, high = low - self.pitch // 2, high - self.pitch // 2
+        half = 0 if whole else self.square // 2
         x, y = self._x[near], self._y[near]
         along_x = np.stack((x + half, y + low, self._x[far] - half, y + high), axis=1)
         along_y = np.stack((x + low, self._y[far] + half, x + high, y - half), axis=1)
@@ -509,11 +507,11 @@ class Sheet:
 
     def words(self, row: int, text: str) -> Words:
         """A line of the caption."""
-        return Words(self.margin, self.margin // 2 + row * _LINE * self.scale, text, self.scale)
+        return Words(self.margin, (2 + row * _LINE) * self.scale, text, self.scale)
 
     def _legend(self, vias: bool, top: int, right: int) -> Iterator[Shape]:
         """What the marks and colours mean."""
-        unit = self.scale
+        unit = 2 * self.scale
         side, net = 8 * unit, [colour_of(n) for n in range(3)]
         lines = [Box(0, (1 + 2 * n) * unit, side, (3 + 2 * n) * unit, net[n]) for n in range(3)]
 
@@ -528,25 +526,24 @@ class Sheet:
             "target": [box(0, net[0]), box(unit, _BACKGROUND)],
             "to move": [box(0, _HALO)],
         }
-        if vias:
+        if vias and self.roomy:
             signs["via"] = [box(0, _GCELL), disc(2, _INK)]
         if self.roomy:
             signs["nets, by colour"] = [*lines]
             signs["full"] = [box(0, _INK), *lines]
             signs["overflowed"] = [box(0, _OVERFLOWED), *lines]
         else:
-            ramp = enumerate(_RAMP.astype(int).tolist())
-            fifth = side / len(_RAMP)
-            signs["used to full"] = [
-                Box(round(n * fifth), 0, round((n + 1) * fifth), side, tuple(ink))
-                for n, ink in ramp
-            ]
-            signs["overflowed"] = [box(0, _OVERFLOWED)]
+            ramp = [ink for _, ink in USE]
+            for words, part in (("free to full", ramp[:3]), ("overflowed", ramp[3:])):
+                wide = side // len(part)
+                signs[words] = [
+                    Box(n * wide, 0, (n + 1) * wide, side, ink) for n, ink in enumerate(part)
+                ]
         left = self.margin
         for words, sign in signs.items():
-            width = side + unit * (_ADVANCE * len(words) + 3)
+            width = side + self.scale * _ADVANCE * len(words) + 3 * unit
             if left > self.margin and left + width > right:
-                top, left = top + _LINE * unit, self.margin
+                top, left = top + _LINE * self.scale, self.margin
             for shape in sign:
                 if isinstance(shape, Box):
                     yield Box(
@@ -555,7 +552,7 @@ class Sheet:
                     )  # fmt: skip
                 else:
                     yield shape._replace(x=shape.x + left, y=shape.y + top)
-            yield Words(left + side + 3 * unit, top, words, unit)
+            yield Words(left + side + 3 * unit, top, words, self.scale)
             left += width + 7 * unit
 
 
@@ -586,12 +583,7 @@ class Window:
         self._works = True
 
     def show(self, rgb: NDArray[np.uint8], fps: float) -> None:
-        """Shows a frame and waits ``1 / fps`` seconds, during which the window stays responsive.
-
-        Args:
-            rgb: (H, W, 3) uint8.
-            fps: frames per second; 0 does not wait.
-        """
+        """Shows a frame (H, W, 3) uint8, then stays responsive for ``1 / fps`` seconds, if any."""
         if not self._works:
             return
         try:

@@ -57,7 +57,8 @@ from numpy.typing import NDArray
 
 from marouting.columns import Before, Games
 from marouting.config import check, piece
-from marouting.game import NOBODY, Crossing, Ending, Game
+from marouting.errors import InputError
+from marouting.game import ACTIVE, NOBODY, WAITING, Crossing, Ending, Game
 from marouting.registry import register
 
 _MOST = 1e30
@@ -283,6 +284,23 @@ class MixedReward:
         for weight, reward in self.rewards:
             paid += weight * np.asarray(reward(games, before, movers))
         return paid
+
+
+def paid_by(
+    reward: Reward, games: Games, before: Before, movers: NDArray[np.int32]
+) -> NDArray[np.float32]:
+    """(M, N) what a reward pays for moves; raises InputError for a wrong shape, NaN or infinity."""
+    paid = np.asarray(reward(games, before, movers), np.float32)
+    name = type(reward).__name__
+    if paid.shape != games.nets.shape:
+        expected = f"expected shape {games.nets.shape}, found {paid.shape}"
+        raise InputError(f"reward: {expected} from {name}")
+    if not np.isfinite(paid).all():
+        found = paid[~np.isfinite(paid)][0]
+        raise InputError(f"reward: expected finite numbers, found {found} from {name}")
+    status = before.agents["status"]
+    playing = (status == ACTIVE) | (status == WAITING)
+    return np.where(playing & (movers != NOBODY)[:, None], paid, np.float32(0))
 
 
 def _to_movers(

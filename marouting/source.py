@@ -33,8 +33,7 @@ Source = (
 """A problem or several, options of the generator, a file, a folder, a list of both; None: a small
 problem."""
 
-MOST_PROBLEMS = 10_000
-"""The most problems that an environment keeps."""
+MOST_PROBLEMS = 10_000  # the most problems that an environment keeps
 
 
 def checked_source(source: Source) -> tuple[Problem, ...] | GeneratorOptions | tuple[str, ...]:
@@ -137,14 +136,12 @@ class ProblemStream:
             of the generator with ``seed=None``, by which every episode plays a new one.
         scenario: the name of a scenario, in place of a source.
         split: which problems of the scenario.
-        held_out: how many of the first numbers are never drawn, where every episode plays a new
-            problem of a generator.
+        held_out: how many of the first numbers of a generator's problems are never drawn.
 
     Attributes:
         problems: those known beforehand, by name; where every episode plays a new one, an example.
-        bounds: problems of which one has at least as many nets, and one at least as much capacity,
-            as any that will be played.
-        room: room for any problem that will be played.
+        bounds: problems with at least as many nets, and as much capacity, as any to be played.
+        room: room for any of these.
         many: whether there are several.
         nets: the numbers of the nets that have something to route in at least one of them.
 
@@ -208,11 +205,6 @@ class ProblemStream:
         found.problems = dict(problems)
         return found
 
-    @property
-    def endless(self) -> bool:
-        """Whether every episode plays a new problem."""
-        return self._drawn is not None
-
     def number(self, rng: np.random.Generator) -> int:
         """Draws the number of a problem."""
         if self._drawn is not None:
@@ -239,15 +231,10 @@ class ProblemSampler:
     the episode: not on the other games, and not on who asks first.
 
     Attributes:
-        episodes: the problems to draw from.
         seeds: (M,) objects, the seed of each game.
         counts: (M,) int64, the episodes that each game has begun.
-        problems: (M,) objects, the problem that each game plays; before its first episode, the one
-            that it will play.
+        problems: (M,) objects, what each game plays, or will play first.
         names: (M,) objects, their names.
-
-    Raises:
-        InputError: the seed or the number of games is none.
     """
 
     def __init__(self, episodes: ProblemStream, seed: int, games: int) -> None:
@@ -270,11 +257,7 @@ class ProblemSampler:
         return part
 
     def begin(self, seeds: Sequence[int | None], which: NDArray[np.bool_]) -> None:
-        """Begins with other seeds, and the first episodes, in the games in ``which`` (M,).
-
-        A game whose seed is None goes on as it is. The next episodes play the problems drawn; until
-        then those of the last ones stay in place. Raises InputError for what is no seed.
-        """
+        """Begins with other seeds and first episodes in games ``which`` (M,) that are given one."""
         for m in np.flatnonzero(which).tolist():
             if seeds[m] is not None:
                 self.seeds[m], self.counts[m] = _checked_seed(seeds[m]), 0
@@ -282,11 +265,7 @@ class ProblemSampler:
     def go_to(
         self, counts: NDArray[np.integer], seeds: NDArray[np.object_] | None = None
     ) -> list[int]:
-        """Goes to where each game has begun some number of episodes (M,), perhaps with other seeds.
-
-        Returns:
-            The games that play another problem now than before.
-        """
+        """Goes to some numbers of begun episodes (M,); returns the games whose problem changes."""
         if seeds is not None:
             self.seeds[:] = seeds
         self.counts[:] = counts

@@ -154,14 +154,13 @@ class Game:
 
     problem: Problem
     turn_order: str = "sequential"
-    net_order: str = "half_perimeter"
     max_steps: int = 50
     overflow: str = "forbidden"
-    decomposition: Any = "mst"
     target: str = "pin"
     next_pin: str = "listed"
-    mask_visited: bool = False
     release_failed: bool = False
+    nets: dict[str, Any] = field(default_factory=dict)
+    mask: dict[str, Any] = field(default_factory=dict)
     rip_up: dict[str, Any] | None = None
     negotiation: Negotiation = field(default_factory=lambda: Negotiation(prices=False))
     agents: list[Agent] = field(init=False)
@@ -197,13 +196,15 @@ class Game:
         self.rounds, self.choose = rip_up["rounds"], rip_up["choose"]
         self.neighbours = rip_up.get("neighbours", 0)
         tasks: dict[int, list[tuple[Gcell, Gcell]]] = {}
-        for net, start, target in two_pin_tasks(problem, self.decomposition).tolist():
+        decomposition: Any = self.nets.get("decomposition", "mst")
+        for net, start, target in two_pin_tasks(problem, decomposition).tolist():
             ends = gcell_of(problem, start), gcell_of(problem, target)
             tasks.setdefault(net, []).append(ends)
         self.agents = [Agent(net, tasks[net], tasks[net][0][0]) for net in sorted(tasks)]
         self.order = list(range(len(self.agents)))
-        if self.net_order != "file":
-            up = self.net_order == "half_perimeter_up"
+        order = self.nets.get("order", "half_perimeter")
+        if order != "file":
+            up = order == "half_perimeter_up"
             self.order.sort(key=lambda n: self.half_perimeter(n) * (1 if up else -1))
         self.capacity = {edge: capacity_of(problem, edge) for edge in all_edges(problem)}
         self.users = {edge: set() for edge in self.capacity}
@@ -500,10 +501,10 @@ class Game:
             return None
         return edge if self.overflow == "allowed" or self.has_room(n, edge) else None
 
-    def mask(self, n: int) -> list[int]:
+    def action_mask(self, n: int) -> list[int]:
         """The action mask: never all zero."""
         mask = [int(self.way(n, move) is not None) for move in range(6)]
-        if self.mask_visited:
+        if self.mask.get("visited"):
             at, visited = self.agents[n].at, self.agents[n].visited
             ahead = [tuple(a + d for a, d in zip(at, step, strict=True)) for step in STEPS]
             fresh = [int(m and a not in visited) for m, a in zip(mask, ahead, strict=True)]

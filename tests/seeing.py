@@ -9,9 +9,11 @@ from typing import Any
 
 import networkx as nx
 import numpy as np
+from numpy.typing import NDArray
 from reference import Edge, all_edges, edge_number
 
 from marouting import Engine
+from marouting.batch.state import Option
 from marouting.game import Status
 
 Gcell = tuple[int, int, int]
@@ -26,6 +28,15 @@ def gcell(engine: Engine, number: int) -> Gcell:
     return x, y, z
 
 
+def option_state(engine: Engine, option: Option) -> NDArray[Any]:
+    """The agents' sets of an option, as bits, or its numbers of edges; empty if it is off."""
+    begin, agents = int(engine.static.options[option]), engine.nets.shape[1]
+    array, size = engine.dynamic.numbers, engine.grid.edges
+    if option < Option.LINE:
+        array, size = engine.dynamic.sets, agents
+    return array[:, begin : begin + size] if begin >= 0 else array[:, :0]
+
+
 def open_tasks(engine: Engine, m: int, n: int) -> list[tuple[Gcell, Gcell]]:
     """The ends of an agent's open tasks, the present one from where the agent is."""
     agent = engine.agents[m, n]
@@ -34,11 +45,11 @@ def open_tasks(engine: Engine, m: int, n: int) -> list[tuple[Gcell, Gcell]]:
     first, end = engine.static.first[m, n : n + 2].tolist()
     rows = [row for row in range(first, end) if row > agent["task"]]
     if engine.rules.next_pin == "nearest":
-        tried = np.unpackbits(engine.more.tried[m, n], bitorder="little")
+        tried = np.unpackbits(option_state(engine, Option.TRIED)[m, n], bitorder="little")
         rows = [row for row in range(first, end) if not tried[row - first]]
     if engine.rules.next_pin == "nearest" or engine.rules.target == "tree":
         # The tree as it was when the present task began: test_engine holds it against the model.
-        tree = np.unpackbits(engine.more.tree[m, n], bitorder="little")
+        tree = np.unpackbits(option_state(engine, Option.TREE)[m, n], bitorder="little")
         rows = [row for row in rows if not tree[engine.static.tasks[row, 1]]]
     later = [engine.static.tasks[row] for row in rows]
     return [
@@ -66,7 +77,7 @@ def edge_costs(
         own = np.unpackbits(engine.dynamic.used[m, n], bitorder="little")[number]
         remaining = int(engine.dynamic.remaining[m, number]) + demand * int(own)
         if is_priced(engine, m):
-            game, price = engine.games[m], int(engine.more.prices[m, number])
+            game, price = engine.games[m], int(option_state(engine, Option.PRICES)[m, number])
             cost, over = 16 + int(price / 64 + 0.5), demand - remaining
             if over > 0 and demand:
                 cost = cost * (1024 + int(game["present"]) * over // demand) // 1024

@@ -109,7 +109,7 @@ POLICIES: dict[str, Callable[[dict[str, Any]], Any]] = {
 }
 
 ROUTE = ("route", "p.gr", "--router", "dqn")
-BENCHMARK = ("benchmark", "--scenario", "toy-4x4-v0", "--jobs", "1")
+BENCHMARK = ("benchmark", "--scenario", "toy-4x4-v0", "jobs=1")
 
 COMMANDS: dict[str, tuple[tuple[str, ...], str]] = {
     "train": (("train", "train.yaml"), "train.yaml:4: env.reward.kind: names code, evil:Team; "),

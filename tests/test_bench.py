@@ -1,14 +1,12 @@
 """The speed command: what it measures is there and adds up; how fast it is, no test asks."""
 
 import json
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from policies.bench.__main__ import SECTIONS, main, number
 from policies.bench.measure import Bench, rate
-from policies.bench.training import operations
 from policies.cli.main import status
 
 
@@ -26,13 +24,6 @@ def test_rates_are_taken_in_turns() -> None:
     assert row.ratio == pytest.approx(row.value / row.against)
     assert row.best >= row.value > 0
     assert rate(lambda: 0.0) == 0
-
-
-def test_operations_of_a_gradient_step() -> None:
-    # One layer of 3 by 5: forward twice, and its derivative by weights, two operations each.
-    assert operations((3, 5), 7) == 2 * 7 * 3 * 15
-    # A second layer of 5 by 2 adds its derivative by the inputs.
-    assert operations((3, 5, 2), 7) == 2 * 7 * (3 * 15 + 4 * 10)
 
 
 def test_the_command_prints_and_stores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -64,11 +55,6 @@ def test_the_former_command_names_the_new_one(capsys: pytest.CaptureFixture[str]
         (["search", "--repeats", "0"], "repeats"),
         (["search", "--threads", "0"], "threads"),
         (["search", "--out", "/dev/null/x.json"], "/dev/null/x.json"),
-        pytest.param(
-            ["jumanji"],
-            "expected the package jumanji",
-            marks=pytest.mark.skipif(find_spec("jumanji") is not None, reason="it is installed"),
-        ),
     ],
 )
 def test_what_cannot_be_measured(
@@ -82,7 +68,7 @@ def test_what_cannot_be_measured(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("section", [name for name in SECTIONS if name != "jumanji"])
+@pytest.mark.parametrize("section", SECTIONS)
 def test_every_section_measures(section: str) -> None:
     rows = list(SECTIONS[section](Bench(repeats=1)))
     assert rows

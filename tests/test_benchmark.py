@@ -215,7 +215,7 @@ def test_a_damaged_file_is_one_line(
     path.write_text(damage(text), encoding="utf-8")
     assert damage(text) != text
     page = tmp_path / "docs" / "leaderboard.md"
-    command = ["benchmark", "--leaderboard", "--results", str(tmp_path), "--page", str(page)]
+    command = ["benchmark", "--leaderboard", str(page), "--out", str(tmp_path)]
     assert status(command) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
@@ -244,7 +244,7 @@ def test_the_leaderboard_is_made_of_files_alone(
     )
     made("best", outcomes=best).write(results)
     page = tmp_path / "docs" / "leaderboard.md"
-    command = ["benchmark", "--leaderboard", "--results", str(results), "--page", str(page)]
+    command = ["benchmark", "--leaderboard", str(page), "--out", str(results)]
     assert status(command) == 0
     written = [Path(line) for line in capsys.readouterr().out.splitlines()]
     assert [path.name for path in written] == [
@@ -393,7 +393,7 @@ def problems() -> dict[str, Problem]:
 
 
 def command(*more: str) -> list[str]:
-    split = ["--split", "validation", "--seeds", "2", "--jobs", "1", "--out", "out"]
+    split = ["--split", "validation", "--seeds", "2", "jobs=1", "--out", "out"]
     routers = [word for router in ROUTERS for word in ("--router", router)]
     return ["benchmark", "--scenario", SCENARIO, *split, *routers, *more]
 
@@ -521,11 +521,11 @@ def test_a_run_goes_on(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
         (["--scenario", SCENARIO, "--router", "astar", "--budget", "x"], r"budget: expected"),
         (["--scenario", SCENARIO, "--router", "astar", "--router", "astar"], r"there are two"),
         (["--scenario", SCENARIO, "--router", "astar", "--seeds", "0"], r"seeds: expected"),
-        (["--scenario", SCENARIO, "--router", "astar", "--jobs", "0"], r"jobs: expected"),
+        (["--scenario", SCENARIO, "--router", "astar", "jobs=0"], r"jobs: expected"),
         (["--scenario", SCENARIO, "--router", "mine.py"], r"mine\.py"),
         (["--scenario", SCENARIO, "--router", "solved"], r"one solution test_000\.\*, found none"),
         (["--scenario", SCENARIO, "--router", "other.csv"], r"a row for toy-4x4-v0,test_000"),
-        (["--leaderboard", "--router", "astar"], r"--leaderboard: expected no"),
+        (["--leaderboard", "l.md", "--router", "astar"], r"--leaderboard: expected no"),
     ],
 )
 def test_wrong_input_is_one_line(

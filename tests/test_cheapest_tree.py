@@ -19,7 +19,7 @@ from policies.generalist.router import GeneralistOptions, GeneralistRouter
 RULES: dict[str, Any] = {
     "turn_order": "sequential",
     "target": "tree",
-    "mask_visited": True,
+    "mask": {"visited": True},
     "overflow": "allowed",
     "rip_up": {"rounds": 6, "choose": "conflicts"},
     "negotiation": Negotiation(),

@@ -128,18 +128,16 @@ def test_generate_writes_what_the_library_generates(
     assert [Problem.read(path) for path in written] == expected
     printed(capsys, "generate", "--out", "set")
     assert [Problem.read(path) for path in Path("set").iterdir()] == generate()
-    printed(capsys, "generate", "--out", "reduced", "--reduced-capacity", "1")
-    assert Problem.read("reduced/problem_000.gr") == generate(reduced_capacity=1)[0]
 
 
 ROUTERS: dict[str, list[str]] = {
     "astar": [],
-    "random": ["--seed", "3"],
+    "random": ["seed=3"],
     "greedy": [],
-    "pathfinder": ["--seed", "3"],
+    "pathfinder": ["seed=3"],
     "optimal": [],
-    "dqn": ["--seed", "3", *FAST],
-    "ppo": ["--seed", "3", "env.max_steps=12", "train.episodes=5"],
+    "dqn": ["seed=3", *FAST],
+    "ppo": ["seed=3", "env.max_steps=12", "train.episodes=5"],
 }
 
 
@@ -215,7 +213,7 @@ def test_astar_is_the_default_router(here: Path, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.usefixtures("here")
 def test_route_trains_what_the_configuration_says(capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["route", "p.gr", "--router", "dqn", "--config", "small.yaml", "--seed", "4"]
+    command = ["route", "p.gr", "--router", "dqn", "--config", "small.yaml", "seed=4"]
     printed(capsys, *command, "--out", "a.solution", "learner.masking=true")
     problem = Problem.read("p.gr")
     expected = LearnedRouter(load_config("small.yaml", ["seed=4", "learner.masking=true"])).route(
@@ -711,8 +709,8 @@ USAGE: dict[str, tuple[list[str], str]] = {
     "unknown router": (["route", "p.gr", "--router", "dijkstra"], "dijkstra"),
     "missing argument": (["evaluate", "p.gr"], "SOLUTION"),
     "too many arguments": (["evaluate", "p.gr", "p.solution", "x"], "x"),
-    "missing value": (["route", "p.gr", "--seed"], "--seed"),
-    "ill-typed value": (["route", "p.gr", "--seed", "one"], "one"),
+    "missing value": (["generate", "--out", "g", "--seed"], "--seed"),
+    "ill-typed value": (["generate", "--out", "g", "--seed", "one"], "one"),
     "generate without out": (["generate"], "--out"),
     "half a grid": (["generate", "--out", "g", "--grid", "4", "4"], "--grid"),
     "checkpoint without a learner": (["route", "p.gr", "--checkpoint", "c.pt"], "--checkpoint"),
@@ -730,7 +728,7 @@ USAGE: dict[str, tuple[list[str], str]] = {
     "max pins": (["generate", "--out", "g", "--max-pins", "1"], "max_pins"),
     "capacity": (["generate", "--out", "g", "--capacity", "-1"], "capacity"),
     "negative seed": (["generate", "--out", "g", "--seed", "-1"], "seed"),
-    "negative route seed": (["route", "p.gr", "--router", "dqn", "--seed", "-1"], "seed"),
+    "negative route seed": (["route", "p.gr", "--router", "dqn", "seed=-1"], "seed"),
 }
 
 
@@ -973,7 +971,7 @@ ILL_TYPED = [
     "env.agents=many",
     "env.agents=[single]",
     "env.turn_order=alphabetical",
-    "env.net_order=largest",
+    "env.nets.order=largest",
     "env.max_steps=0",
     "env.max_steps=1000000000000000000000000000000",
     "env.reward.reached=.nan",

@@ -62,7 +62,7 @@ COMMANDS: dict[str, tuple[list[str], set[str]]] = {
     "experiment": (["e.yaml"], {"sets", "reference"}),
     "plot": (["p.gr", "p.solution"], {"files"}),
     "benchmark": (
-        ["--scenario", "toy-4x4-v0", "--router", "astar", "--out", "b", "--jobs", "1"],
+        ["--scenario", "toy-4x4-v0", "--router", "astar", "--out", "b", "jobs=1"],
         {"files", "rows"},
     ),
 }
@@ -300,6 +300,10 @@ SAID: dict[str, tuple[list[str], str]] = {
     "a scenario": (["benchmark", "--scenario", "x"], "tight-32x32-v0, all"),
     "a command": (["rout"], "unknown name 'rout'; did you mean route? expected one of bench"),
     "an old command": (["animate"], "marouting animate: it is now marouting view … --out FILE.svg"),
+    "an old option": (
+        ["route", "p.gr", "--seed", "1"],
+        "route --seed: it is now seed=N",
+    ),
     "fewer episodes": (
         ["train", "--resume", "t", "train.episodes=1"],
         "train.episodes: expected 2, as in t/config.yaml, or more, found 1",

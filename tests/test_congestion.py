@@ -18,19 +18,20 @@ def test_the_fullest_edge_of_every_field(solution, most):
     found, side = congestion.congestion(problem, solution, most)
     columns, rows, layers = problem.grid
     assert side == -(-max(columns, rows) // most)
-    assert found.shape == (layers, -(-columns // side), -(-rows // side))
+    assert found.shape == (layers, 2, -(-columns // side), -(-rows // side))
     expected = np.full(found.shape, np.nan)
     for x, y, z in np.ndindex(*problem.grid):
-        # A layer with capacity has it everywhere, also where edges would lead off the grid.
-        if problem.horizontal_capacity[z] or problem.vertical_capacity[z]:
-            at = (z, x // side, y // side)
-            expected[at] = np.fmax(expected[at], 0)
-        for axis in (0, 1):
+        for axis, offered in enumerate((problem.horizontal_capacity, problem.vertical_capacity)):
             edge = 3 * problem.topology.number(x, y, z) + axis
             demand, capacity = int(solution.edge_demand[edge]), int(problem.capacity[edge])
+            at = (z, axis, x // side, y // side)
+            # A layer with capacity has it everywhere, also where edges would lead off the grid; an
+            # edge that has lost it shows only if it is alone in its field.
+            exists = bool(problem.topology.exists[edge])
+            if offered[z] and (side > 1 or capacity or not exists):
+                expected[at] = np.fmax(expected[at], 0)
             if demand or capacity:
                 share = 100 * demand / capacity if capacity else np.inf
-                at = (z, x // side, y // side)
                 expected[at] = np.fmax(expected[at], share)
     np.testing.assert_allclose(found, expected)
 
@@ -62,8 +63,9 @@ def test_too_many_nets_give_a_map_and_the_title_says_so(busy):
     (image,) = figures.solution_2d(problem, solution).axes[0].images
     values, _ = congestion.congestion(problem, solution)
     shown = np.asarray(image.get_array())
-    finite = np.isfinite(np.fmax.reduce(values)).T
-    assert np.array_equal(shown[finite], np.fmax.reduce(values).T[finite])
+    fullest = np.fmax.reduce(values, axis=(0, 1)).T
+    finite = np.isfinite(fullest)
+    assert np.array_equal(shown[finite], fullest[finite])
     assert values[np.isfinite(values)].max() > 100
     assert image.get_clim()[1] == values[np.isfinite(values)].max()
 

@@ -31,11 +31,11 @@ LOOKS: dict[str, dict[str, Any]] = {
         "reward": {"kind": "difference"},
     },
 }
-TASKS = {"target": "tree", "next_pin": "nearest", "mask_visited": True, "release_failed": True}
+TASKS = {"target": "tree", "next_pin": "nearest", "mask": {"visited": True}, "release_failed": True}
 RULES: dict[str, dict[str, Any]] = {
     "paper": {},
     "rounds": {"rip_up": {"neighbours": 1}, **TASKS},
-    "asked": {"rip_up": {"choose": "agents"}, "decomposition": "steiner"},
+    "asked": {"rip_up": {"choose": "agents"}, "nets": {"decomposition": "steiner"}},
 }
 
 

@@ -10,9 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference import Game, contested, edge_number, gcell_of, random_moves
+from seeing import option_state
 
 from marouting import Adjustment, Engine, InputError, Move, Net, Pin, Problem, evaluate, generate
 from marouting.batch.prices import Negotiation
+from marouting.batch.state import Option
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.problem.problem import UNLIMITED
 from marouting.search.guides import AStar
@@ -22,9 +24,13 @@ E, W, N, S, U, D = Move
 options = st.fixed_dictionaries(
     {
         "turn_order": st.sampled_from(["sequential", "round_robin"]),
-        "net_order": st.sampled_from(["half_perimeter", "half_perimeter_up", "file"]),
+        "nets": st.fixed_dictionaries(
+            {
+                "order": st.sampled_from(["half_perimeter", "half_perimeter_up", "file"]),
+                "decomposition": st.sampled_from(["mst", "steiner"]),
+            }
+        ),
         "overflow": st.sampled_from(["forbidden", "allowed"]),
-        "decomposition": st.sampled_from(["mst", "steiner"]),
         "max_steps": st.sampled_from([1, 3, 10, 30]),
     }
 )
@@ -32,7 +38,7 @@ extensions = st.fixed_dictionaries(
     {
         "target": st.sampled_from(["pin", "tree"]),
         "next_pin": st.sampled_from(["listed", "nearest"]),
-        "mask_visited": st.booleans(),
+        "mask": st.fixed_dictionaries({"visited": st.booleans()}),
         "release_failed": st.booleans(),
         "rip_up": st.none()
         | st.fixed_dictionaries(
@@ -84,7 +90,7 @@ def compare(engine: Engine, game: Game) -> None:
     assert masks.dtype == np.int8
     assert masks.any(axis=1).all()
     active = game.active()
-    assert masks[active].tolist() == [game.mask(n) for n in active]
+    assert masks[active].tolist() == [game.action_mask(n) for n in active]
 
     now = engine.metrics()
     assert (now.overflow, now.wirelength) == (game.overflow_sum(), game.wirelength())
@@ -128,7 +134,7 @@ def test_engine_plays_by_the_options(
     problem: Problem, chosen: dict[str, Any], more: dict[str, Any], seed: int, form: str
 ) -> None:
     if more["next_pin"] == "nearest":
-        chosen = {**chosen, "decomposition": "mst"}
+        chosen = {**chosen, "nets": {**chosen["nets"], "decomposition": "mst"}}
     if more["negotiation"].prices:
         chosen = {**chosen, "overflow": "allowed"}
     test_engine_plays_by_the_rules.hypothesis.inner_test(problem, {**chosen, **more}, seed, form)
@@ -162,7 +168,7 @@ def test_nets_negotiate_again_and_again(calm: float) -> None:
                 now, prices = engine.games[0], np.zeros(engine.grid.edges, np.int64)
                 for edge, price in game.prices.items():
                     prices[edge_number(problem, edge)] = price
-                np.testing.assert_array_equal(engine.more.prices[0], prices)
+                np.testing.assert_array_equal(option_state(engine, Option.PRICES)[0], prices)
                 assert (now["present"], now["plain"]) == (game.present, game.plain)
                 assert now["negotiations"] == game.negotiations
                 lasted |= game.present > 10 * game.first_present() and game.plain == 0
@@ -217,7 +223,7 @@ def test_what_must_hold_in_every_game(problem: Problem, chosen: dict[str, Any], 
         graph = nx.Graph(zip(*engine.grid.ends(solution.edges[net]), strict=True))
         first, end = engine.static.first[0, n : n + 2]
         starts = set(engine.static.tasks[first:end, 0].tolist())
-        if chosen["decomposition"] == "mst":
+        if chosen["nets"]["decomposition"] == "mst":
             assert starts <= set(problem.pin_gcells[net].tolist())
         assert all(starts & part for part in nx.connected_components(graph))
         joined = records["joined"][n] == engine.tasks[0, n]
@@ -453,7 +459,7 @@ def test_reaching_the_target_with_the_last_step_is_joined() -> None:
 
 
 def test_overflow_is_counted_beyond_capacity_only() -> None:
-    engine = Engine([ROW], overflow="allowed", net_order="file", turn_order="round_robin")
+    engine = Engine([ROW], overflow="allowed", nets={"order": "file"}, turn_order="round_robin")
     play(engine, E, E)  # B, then A, over the same edge of capacity 1
     assert engine.agents[0, 1]["added_overflow"] == 1
     assert engine.metrics().overflow == 1
@@ -483,10 +489,10 @@ def test_boxed_in_agents_get_all_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    ("net_order", "first"), [("half_perimeter", 1), ("half_perimeter_up", 0), ("file", 0)]
+    ("order", "first"), [("half_perimeter", 1), ("half_perimeter_up", 0), ("file", 0)]
 )
-def test_net_order(net_order: Any, first: int) -> None:
-    engine = Engine([ROW], net_order=net_order)
+def test_net_order(order: Any, first: int) -> None:
+    engine = Engine([ROW], nets={"order": order})
     assert engine.games[0]["agent"] == first
 
 
@@ -515,9 +521,9 @@ def test_views_are_those_of_now() -> None:
     ("bad", "expected"),
     [
         ({"turn_order": "random"}, "turn_order: expected one of"),
-        ({"net_order": "largest"}, "net_order: expected one of"),
+        ({"nets": {"order": "largest"}}, "nets.order: expected one of"),
         ({"overflow": True}, "overflow: expected one of"),
-        ({"decomposition": "tree"}, "decomposition: expected one of"),
+        ({"nets": {"decomposition": "tree"}}, "nets.decomposition: expected one of"),
         ({"max_steps": 0}, "max_steps: expected 1 to 1000000, found 0"),
     ],
 )

@@ -49,14 +49,16 @@ seeds = st.integers(0, 2**32)
 game_options = st.fixed_dictionaries(
     {
         "turn_order": st.sampled_from(["sequential", "round_robin"]),
-        "net_order": st.sampled_from(["half_perimeter", "half_perimeter_up", "file"]),
+        "nets": st.fixed_dictionaries(
+            {"order": st.sampled_from(["half_perimeter", "half_perimeter_up", "file"])}
+        ),
         "overflow": st.sampled_from(["forbidden", "allowed"]),
         "max_steps": st.sampled_from([1, 4, 12]),
     }
 )
 face_options = st.fixed_dictionaries(
     {
-        "mask_in_observation": st.booleans(),
+        "mask": st.fixed_dictionaries({"in_observation": st.booleans()}),
         "reward": st.sampled_from([{}, {"overflow_price": 0.25, "own_edge": 0.0}]),
     }
 )
@@ -117,7 +119,7 @@ def play_side_by_side(
 ) -> None:
     """Plays AEC, Parallel and the raw engine with the same moves, and compares all they say."""
     rng = np.random.default_rng(seed)
-    shape = {"mask_in_observation", "reward"}
+    shape = {"mask", "reward"}
     engine = Engine([problem], **{key: options[key] for key in options.keys() - shape})
     prices = options.get("reward", {})
     price, own_edge = prices.get("overflow_price", 0.0), prices.get("own_edge", -1.0)
@@ -155,7 +157,7 @@ def play_side_by_side(
             observation, _, termination, truncation, info = aec.last()
             assert not termination
             assert not truncation
-            if options.get("mask_in_observation"):
+            if options.get("mask", {}).get("in_observation"):
                 np.testing.assert_array_equal(observation["action_mask"], info["action_mask"])
             aec.step(actions[agent])
             paid[agent] = aec.rewards[agent]
@@ -217,7 +219,7 @@ def test_observations_are_those_of_the_model(
             observation = env.observe(f"net_{engine.nets[0, n]}")
             assert observation.dtype == np.float32
             assert observation.tolist() == expected_observation(engine, game, n)
-        assert env.infos[env.agent_selection]["action_mask"].tolist() == game.mask(game.turn)
+        assert env.infos[env.agent_selection]["action_mask"].tolist() == game.action_mask(game.turn)
         move = int(random_moves(engine, rng)[0, game.turn])
         mover = env.agent_selection
         env.step(move)
@@ -310,7 +312,7 @@ def test_state_by_hand() -> None:
     assert state[:, 0, :, 3].tolist() == [[0, 0], [1, 1], [0, 0], [0, 0]]
 
 
-@pytest.mark.parametrize("form", [{}, {"mask_in_observation": True}])
+@pytest.mark.parametrize("form", [{}, {"mask": {"in_observation": True}}])
 def test_masks(form: dict[str, Any]) -> None:
     env = global_routing_v0.env({"nets": 20, "capacity": 1}, max_steps=15, **form)
     env.reset(seed=3)
@@ -369,7 +371,7 @@ def one_view(env: Any) -> tuple[Any, dict[str, Any]]:
 
 @pytest.mark.parametrize("persist", [False, True])
 def test_masks_under_other_names(persist: bool) -> None:
-    options: dict[str, Any] = {"problem": {"nets": 3}, "mask_in_observation": True, **NAMES}
+    options: dict[str, Any] = {"problem": {"nets": 3}, "mask": {"in_observation": True, **NAMES}}
     makers: list[Any] = [global_routing_v0.env, global_routing_v0.parallel_env]
     makers += [] if persist else [single_env, functools.partial(gymnasium.make, ENVIRONMENT_ID)]
     for make in makers:
@@ -385,9 +387,9 @@ def test_masks_under_other_names(persist: bool) -> None:
 
 
 def test_masks_in_all_infos_have_their_name() -> None:
-    env = global_routing_v0.parallel_env({"nets": 3}, max_steps=3, mask_key="mask")
+    env = global_routing_v0.parallel_env({"nets": 3}, max_steps=3, mask={"mask_key": "mask"})
     _, infos = env.reset()
-    aec = global_routing_v0.env({"nets": 3}, max_steps=3, mask_key="mask")
+    aec = global_routing_v0.env({"nets": 3}, max_steps=3, mask={"mask_key": "mask"})
     aec.reset()
     found = list(infos.values())
     while env.agents:
@@ -625,7 +627,7 @@ def test_own_observation_and_reward() -> None:
     assert observation.tolist() == [1, 0]
     assert rewards_of(single, (E, U, D)) == [2, 4, 6]
 
-    parallel = global_routing_v0.parallel_env(ROW, mask_in_observation=True, **options)
+    parallel = global_routing_v0.parallel_env(ROW, mask={"in_observation": True}, **options)
     parallel.reset()
     seen, rewards, *_ = parallel.step({"net_0": U, "net_2": W})
     assert seen["net_2"]["observation"].tolist() == [1, 1]
@@ -851,7 +853,7 @@ def test_make_from_a_file(tmp_path: Path) -> None:
         "  turn_order: sequential\n"
         "  max_steps: 2\n"
         "  reward: {own_edge: 0.0}\n"
-        "  mask_in_observation: true\n"
+        "  mask: {in_observation: true}\n"
         "policy: {name: dqn}\n"
     )
     for path in (config, str(config)):
@@ -870,7 +872,7 @@ def test_make_from_a_file(tmp_path: Path) -> None:
     ("options", "expected"),
     [
         ({"turn_ordr": "sequential"}, "turn_ordr: unknown key; did you mean turn_order?"),
-        ({"zzz": 1}, "zzz: unknown key; expected one of turn_order, net_order,"),
+        ({"zzz": 1}, "zzz: unknown key; expected one of turn_order, max_steps,"),
         ({"problem": {"netz": 3}}, "problem.netz: unknown key; did you mean nets?"),
         ({"reward": {"reachd": 1.0}}, "reward.reachd: unknown key; did you mean reached?"),
         ({"observation": {"via": 1}}, "observation.via: unknown key; "),
@@ -881,10 +883,17 @@ def test_make_from_a_file(tmp_path: Path) -> None:
             {"turn_order": "sequentiel"},
             "turn_order: expected one of sequential, round_robin or null",
         ),
-        ({"mask_in_observation": "yes"}, "mask_in_observation: expected true or false"),
-        ({"mask_key": "observation"}, "mask_key: expected a name of its own"),
-        ({"mask_key": "metrics"}, "mask_key: expected a name of its own"),
-        ({"mask_key": 1}, "mask_key: expected a text, found 1"),
+        ({"net_order": "file"}, "net_order: unknown key; it is now nets: {order: …}"),
+        (
+            {"decomposition": "mst"},
+            "decomposition: unknown key; it is now nets: {decomposition: …}",
+        ),
+        ({"mask_visited": True}, "mask_visited: unknown key; it is now mask: {visited: …}"),
+        ({"mask_key": "m"}, "mask_key: unknown key; it is now mask: {mask_key: …}"),
+        ({"mask": {"in_observation": "yes"}}, "mask.in_observation: expected true or false"),
+        ({"mask": {"mask_key": "observation"}}, "mask.mask_key: expected a name of its own"),
+        ({"mask": {"mask_key": "metrics"}}, "mask.mask_key: expected a name of its own"),
+        ({"mask": {"mask_key": 1}}, "mask.mask_key: expected a text, found 1"),
         ({"render_mode": "svg"}, "render_mode: expected one of ansi, rgb_array, human or null"),
         ({"problem": {"nets": 0}}, "nets: expected 1 to 1000000000, found 0"),
         ({"problem": {"count": 2, "seed": None}}, "problem.count: expected 1 without a seed"),

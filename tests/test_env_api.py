@@ -38,7 +38,7 @@ FORMS: dict[str, dict[str, Any]] = {
     "drawn": {"problem": {"nets": 5, "seed": None}},
     "one net": {"problem": {"nets": 1}},
 }
-WITH_MASK: dict[str, Any] = {"mask_in_observation": True}
+WITH_MASK: dict[str, Any] = {"mask": {"in_observation": True}}
 
 forms = pytest.mark.parametrize("options", FORMS.values(), ids=FORMS)
 

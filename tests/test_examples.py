@@ -65,7 +65,7 @@ def check_aec_loop(out: str) -> None:
     assert paid[0] < 0 < paid[1]
 
 
-def check_giving_way(out: str) -> None:
+def check_rip_up(out: str) -> None:
     rows = [line.rsplit(maxsplit=5) for line in out.splitlines()[1:]]
     left_open = [int(row[1]) for row in rows]
     joined = [int(row[2]) for row in rows]
@@ -94,6 +94,10 @@ def check_own_rule(out: str) -> None:
     used, crossed = numbers(r"edges used: (\d+) of (\d+)", out)
     assert used == crossed > 0
     assert 0 <= numbers(r"fullest via: (\d+)", out)[0] < 10
+
+
+def check_own_policy(out: str) -> None:
+    assert numbers(r"joined=(\d+), tasks=(\d+)", out) == [8, 8]
 
 
 def check_own_router(out: str) -> None:
@@ -141,7 +145,7 @@ def test_an_example_does_what_it_says(
 def test_every_example_is_listed_and_short() -> None:
     listed = re.findall(r"\]\((\w+)\.py\)", (EXAMPLES / "README.md").read_text(encoding="utf-8"))
     assert sorted(listed) == NAMES
-    assert len(NAMES) == 8
+    assert len(NAMES) == 9
     for name in NAMES:
         lines = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()
         assert len(lines) <= 150, name

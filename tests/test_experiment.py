@@ -764,7 +764,7 @@ def test_the_command_prints_a_table_or_one_object(
 def test_plot_draws_an_experiment(
     finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    kinds = ("wirelength", "overflow", "decrease")
+    kinds = ("gap", "overflow", "decrease")
     names = {f"{name}_{kind}.png" for name in ("small", "other", "all") for kind in kinds}
     assert {path.name for path in (finished / "figures").iterdir()} == names
     assert status(["plot", str(finished), "--out", str(tmp_path / "f")]) == 0
@@ -779,16 +779,8 @@ CALLED = {"random": "random walks", "dqn": "DQN", "astar": "A*", "up": "smallest
 
 
 def marks(axes: Any) -> dict[str, Any]:
-    """What a plot by problem shows of each router, filled or hollow: NaN where it shows nothing."""
-    found: dict[str, Any] = {}
-    for line in axes.get_lines():
-        assert line.get_linestyle() == "None"
-        at, name = np.array(line.get_ydata(), float), line.get_label().split(" (")[0]
-        if line.get_marker() in found:
-            before, named = found[line.get_marker()]
-            at, name = np.where(np.isnan(at), before, at), name if named[0] == "_" else named
-        found[line.get_marker()] = at, name
-    return {name: at for at, name in found.values()}
+    """What a plot by problem shows of each router: NaN where it shows nothing."""
+    return {line.get_label().split(" (")[0]: line.get_ydata() for line in axes.get_lines()}
 
 
 def test_figures_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, Any]) -> None:
@@ -808,18 +800,29 @@ def test_figures_show_the_rows(finished: Path, tmp_path: Path, drawn: dict[str, 
 
     astar = means("astar", "wirelength")
     order = np.argsort(astar, kind="stable")
-    for quantity in ("wirelength", "overflow"):
-        (axes,) = drawn[f"small_{quantity}"].axes
-        shown = marks(axes)
-        assert list(shown) == ["A*", "random walks", "smallest first", "DQN", "best"]
-        assert quantity in axes.get_ylabel()
-        assert axes.get_xlabel() == "problems, sorted by A*'s wirelength [rank]"
-        for line in axes.get_lines():
-            np.testing.assert_array_equal(line.get_xdata(), [1, 2, 3])
-        for name, label in CALLED.items():
-            expected = np.array(means(name, quantity))[order]
-            known = ~np.isnan(expected)  # what has open nets is elsewhere, or off the scale
-            np.testing.assert_allclose(shown[label][known], expected[known])
+    (axes,) = drawn["small_overflow"].axes
+    shown = marks(axes)
+    assert list(shown) == ["A*", "random walks", "smallest first", "DQN", "best"]
+    assert "overflow" in axes.get_ylabel()
+    assert axes.get_xlabel() == "problems, sorted by A*'s wirelength [rank]"
+    for line in axes.get_lines():
+        np.testing.assert_array_equal(line.get_xdata(), [1, 2, 3])
+    for name, label in CALLED.items():
+        expected = np.array(means(name, "overflow"))[order]
+        expected[np.isnan(np.array(means(name, "wirelength"))[order])] = np.nan
+        np.testing.assert_allclose(shown[label], expected)
+    (axes,) = drawn["small_gap"].axes
+    labels = [label.get_text().split("\n")[0] for label in axes.get_yticklabels()]
+    assert labels == list(shown)
+    gaps: dict[str, dict[str, list[float]]] = {label: {} for label in labels}
+    for row in rows:
+        if row["gap"] is not None:
+            own = gaps[CALLED.get(row["router"], row["router"])]
+            own.setdefault(row["problem"], []).append(row["gap"])
+    dots = [line.get_xdata() for line in axes.get_lines() if line.get_marker() == "o"]
+    for (label, own), found in zip(gaps.items(), dots, strict=True):
+        expected = sorted(sum(values) / len(values) for values in own.values())
+        np.testing.assert_allclose(found, expected, err_msg=label)
     panels = drawn["small_decrease"].axes
     titles = {label: name for name, label in {**CALLED, "best": "best"}.items() if name != "astar"}
     assert {axes.get_title().split(":")[0] for axes in panels} == set(titles)

@@ -11,9 +11,11 @@ from marouting.errors import InputError
 from marouting.problem.net import Adjustment, Net, Pin
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
+from marouting.render import USE
 
 figures = pytest.importorskip("policies.figures", exc_type=ImportError)
 plot = pytest.importorskip("policies.figures.plot", exc_type=ImportError)
+routes = pytest.importorskip("policies.figures.routes", exc_type=ImportError)
 utilisation = pytest.importorskip("policies.results.utilisation", exc_type=ImportError)
 
 
@@ -74,67 +76,48 @@ def segments(axes, colour):
     ]
 
 
-def test_utilisation_maps_by_hand(worked):
-    maps = utilisation.utilisation_maps(*worked)
-    assert maps.via.tolist() == [[1, 0, 1], [0, 0, 0], [0, 0, 0]]
-    assert maps.horizontal.tolist() == [[150, 0, 0], [50, 0, 0]]
-    assert maps.vertical.tolist() == [[50, 100], [0, 0], [0, 0]]
-    assert maps.horizontal_overflow.tolist() == [[1, 0, 0], [0, 0, 0]]
-    assert not maps.vertical_overflow.any()
+def test_congestion_by_hand(worked):
+    values, side = utilisation.congestion(*worked)
+    assert side == 1
+    assert values[0, 0].tolist() == [[150, 0, 0], [50, 0, 0], [0, 0, 0]]
+    assert values[1, 1].tolist() == [[50, 100, 0], [0, 0, 0], [0, 0, 0]]
+    assert np.isnan(values[0, 1]).all()
+    assert np.isnan(values[1, 0]).all()
+    vias = utilisation.via_counts(worked[1], 1)
+    assert vias.tolist() == [[1, 0, 1], [0, 0, 0], [0, 0, 0]]
 
 
-def test_utilisation_sums_the_layers_and_still_sees_one_overflow():
+def test_a_map_shows_the_fullest_layer():
     problem = problem_of((2, 1, 2), (1, 3), (0, 0), [((0, 0, 1), (1, 0, 1))] * 2)
     route = np.array([edge(problem, 0, 0, 0, 0)], np.int64)
-    maps = utilisation.utilisation_maps(problem, Solution(problem, (route, route)))
-    assert maps.horizontal.tolist() == [[50]]
-    assert maps.horizontal_overflow.tolist() == [[1]]
-    assert maps.vertical.shape == (2, 0)
+    figure = figures.heat_maps(problem, Solution(problem, (route, route)))
+    (_, horizontal) = (axes for axes in figure.axes if axes.images)
+    assert horizontal.images[0].get_array().tolist() == [[200]]
+    assert "no such edges" in [text.get_text() for axes in figure.axes for text in axes.texts]
 
 
-def test_utilisation_without_capacity():
+def test_congestion_without_capacity():
     problem = problem_of((2, 2, 1), (0,), (4,), [((0, 0, 1), (1, 0, 1))])
     route = np.array([edge(problem, 0, 0, 0, 0)], np.int64)
     solution = Solution(problem, (route,))
-    maps = utilisation.utilisation_maps(problem, solution)
-    assert maps.horizontal[0, 0] == np.inf
-    assert np.isnan(maps.horizontal[0, 1])
-    legend = figures.heat_maps(problem, solution).legends[0]
-    assert "no capacity" in [text.get_text() for text in legend.get_texts()]
+    values, _ = utilisation.congestion(problem, solution)
+    assert values[0, 0, 0, 0] == np.inf
+    assert np.isnan(values[0, 0, 0, 1])
+    figure = figures.heat_maps(problem, solution)
+    assert "no capacity" in [text.get_text() for text in figure.legends[0].get_texts()]
+    bars = [bar for axes in figure.axes for bar in axes.child_axes]
+    assert any("(arrow: no capacity)" in bar.get_ylabel() for bar in bars)
 
 
 @given(solved_problems(), st.sampled_from([1, 2, 3, 1024]))
 def test_utilisation_against_tables_of_all_edges(solution, most):
     problem = solution.problem
-    shape = (*problem.grid, 3)
-    demand = solution.edge_demand.reshape(shape)
-    capacity = problem.capacity.astype(np.int64).reshape(shape)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(utilisation, "MOST_FIELDS", most)
-        maps = utilisation.utilisation_maps(problem, solution)
     side = -(-max(problem.grid[:2]) // most)
-    assert maps.side == side
-
-    def blocks(table):
-        for axis in (0, 1):
-            table = np.add.reduceat(table, np.arange(0, table.shape[axis], side), axis=axis)
-        return table
-
-    for axis, found, overflow in (
-        (0, maps.horizontal, maps.horizontal_overflow),
-        (1, maps.vertical, maps.vertical_overflow),
-    ):
-        existing = (slice(-1), slice(None)) if axis == 0 else (slice(None), slice(-1))
-        wanted, offered = demand[*existing, :, axis], capacity[*existing, :, axis]
-        if not wanted.size:
-            assert not found.size
-            continue
-        with np.errstate(all="ignore"):
-            expected = 100 * blocks(wanted.sum(axis=2)) / blocks(offered.sum(axis=2))
-        np.testing.assert_array_equal(found, expected)
-        np.testing.assert_array_equal(overflow, blocks((wanted - offered).clip(0).sum(axis=2)))
-    uses = np.bincount(solution.uses[1], minlength=demand.size).reshape(shape)
-    np.testing.assert_array_equal(maps.via, blocks(uses[..., 2].sum(axis=2)))
+    uses = np.bincount(solution.uses[1], minlength=3 * problem.topology.gcells)
+    vias = uses.reshape(*problem.grid, 3)[..., 2].sum(axis=2)
+    for axis in (0, 1):
+        vias = np.add.reduceat(vias, np.arange(0, vias.shape[axis], side), axis=axis)
+    np.testing.assert_array_equal(utilisation.via_counts(solution, side), vias)
 
     flat, offered = solution.edge_demand, problem.capacity.astype(np.int64)
     inside = np.arange(len(flat)) % 3 < 2
@@ -152,7 +135,7 @@ def test_utilisation_against_tables_of_all_edges(solution, most):
 
 
 def test_a_field_of_several_gcells_is_named(worked, monkeypatch):
-    monkeypatch.setattr(utilisation, "MOST_FIELDS", 2)
+    monkeypatch.setattr(routes, "MOST_FIELDS", 2)
     figure = figures.heat_maps(*worked)
     via, vertical, _ = (axes for axes in figure.axes if axes.images)
     assert via.images[0].get_extent() == [-0.5, 3.5, -0.5, 3.5]
@@ -165,10 +148,12 @@ def test_a_field_of_several_gcells_is_named(worked, monkeypatch):
 def test_heat_maps_draw_the_numbers_between_the_gcells(worked):
     figure = figures.heat_maps(*worked, title="A*")
     via, vertical, horizontal = (axes for axes in figure.axes if axes.images)
-    maps = utilisation.utilisation_maps(*worked)
-    assert [len(axes.images) for axes in (via, vertical, horizontal)] == [1, 1, 2]
-    for axes, values in ((via, maps.via), (vertical, maps.vertical), (horizontal, maps.horizontal)):
-        assert np.array_equal(axes.images[0].get_array(), values.T)
+    for axes, values in (
+        (via, [[1, 0, 1], [0, 0, 0], [0, 0, 0]]),
+        (vertical, [[50, 100], [0, 0], [0, 0]]),
+        (horizontal, [[150, 0, 0], [50, 0, 0]]),
+    ):
+        assert np.array_equal(axes.images[0].get_array(), np.transpose(values))
         assert axes.images[0].origin == "lower"
         assert axes.get_xlabel() == "x [Gcell]"
     assert vertical.images[0].get_extent() == [-0.5, 2.5, 0, 2]
@@ -176,30 +161,21 @@ def test_heat_maps_draw_the_numbers_between_the_gcells(worked):
     assert "row y and y + 1" in vertical.get_title()
     # WL 2 + 1 + 1 + 4, OF 3 nets on 2 tracks.
     assert figure.get_suptitle() == "A*: WL 8, OF 1"
-    over = horizontal.images[1]
-    assert over.get_extent() == horizontal.images[0].get_extent()
-    np.testing.assert_array_equal(over.get_array().filled(0), maps.horizontal_overflow.T)
-    assert over.colorbar.ax.get_ylabel() == "overflow [tracks]"
-    (number,) = horizontal.texts
-    assert (number.get_text(), number.get_position()) == ("1", (0.5, 0))
 
 
-def test_more_overflow_is_darker_on_one_scale_with_whole_numbers():
-    """1, 2 and 12 tracks too many on three edges; none on the fourth."""
-    problem = problem_of((5, 1, 1), (1,), (1,), [((0, 0, 1), (4, 0, 1))] * 13)
-    nets = [[] for _ in range(13)]
-    for number, over in ((0, 2), (1, 3), (2, 13), (3, 1)):
-        for net in range(over):
-            nets[net].append(edge(problem, 0, number, 0, 0))
-    figure = figures.heat_maps(problem, Solution(problem, [np.array(own) for own in nets]))
-    (over,) = (axes.images[1] for axes in figure.axes if len(axes.images) > 1)
-    assert over.get_array().tolist() == [[1, 2, 12, None]]
-    colours = over.cmap(over.norm(np.array([1, 2, 12])))[:, :3]
-    assert (np.diff(colours.sum(axis=1)) < 0).all()
-    ticks = over.colorbar.get_ticks()
-    assert np.array_equal(ticks, np.round(ticks))
-    notes = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert any("overflow" in text for text in notes)
+def test_full_is_blue_and_overflow_is_orange_on_one_scale(worked):
+    """The same colours in heat maps, congestion maps and pictures of a running game."""
+    solution = worked[1]
+    *_, last = (axes for axes in figures.heat_maps(*worked).axes if axes.images)
+    maps = [last.images[0]]
+    maps += [axes.images[0] for axes in figures.congestion_map(*worked, "A*").axes if axes.images]
+    assert np.nanmax([image.get_array().max() for image in maps]) == 150
+    for image in maps:
+        assert image.norm.vmax == 150
+        colours = image.cmap(image.norm(np.array([0, 50, 100, 101, 150])))[:, :3] * 255
+        expected = [ink for _, ink in USE]
+        np.testing.assert_allclose(colours, expected, atol=6)
+    assert solution.problem.grid == (3, 3, 2)
 
 
 def test_a_single_gcell_does_not_spoil_the_colours_of_vias():
@@ -210,8 +186,8 @@ def test_a_single_gcell_does_not_spoil_the_colours_of_vias():
     image = figure.axes[0].images[0]
     assert image.get_array().max() == 50
     assert image.norm.vmax < 10
-    assert image.colorbar.extend == "max"
-    assert image.colorbar.ax.get_ylabel() == "vias [count], at most 50"
+    (bar,) = figure.axes[0].child_axes
+    assert bar.get_ylabel() == "vias [count], at most 50"
     assert figures.heat_maps(*crowd(3)).axes[0].images[0].norm.vmax == 1
 
 
@@ -249,7 +225,7 @@ def test_a_problem_without_any_capacity_is_drawn():
     problem = problem_of((2, 2, 1), (0,), (0,), [((0, 0, 1), (1, 0, 1))])
     solution = Solution(problem, (np.array([0], np.int64),))
     (axes,) = figures.edges_before_after(problem, solution).axes
-    assert axes.get_title() == "Type I: no edge fully used (and 1 edge used without capacity)"
+    assert axes.get_title() == "no edge fully used (and 1 edge used without capacity)"
 
 
 def test_depleted_edges_and_type(worked):
@@ -257,7 +233,7 @@ def test_depleted_edges_and_type(worked):
     expected = sorted([edge(problem, 0, 0, 0, 0), edge(problem, 1, 0, 1, 1)])
     assert utilisation.depleted_edges(problem, solution).tolist() == expected
     (axes,) = figures.edges_before_after(problem, solution, "A*").axes
-    assert axes.get_title() == "A*: Type II: 2 edges fully used"
+    assert axes.get_title() == "A*: 2 edges fully used"
     assert any("2 of 12 fully used" in text.get_text() for text in axes.texts)
     assert "overflowed (1 edge)" in [text.get_text() for text in axes.get_legend().get_texts()]
 
@@ -265,7 +241,7 @@ def test_depleted_edges_and_type(worked):
     assert not utilisation.depleted_edges(*calm).size
     assert [utilisation.problem_type(*routed) for routed in (worked, calm)] == ["II", "I"]
     (axes,) = figures.edges_before_after(*calm).axes
-    assert axes.get_title().startswith("Type I:")
+    assert axes.get_title() == "no edge fully used"
 
 
 def test_edges_before_and_after_are_in_order(worked):
@@ -492,57 +468,34 @@ def test_reward_curves_refuse(curves, smoothing):
         figures.reward_curves(curves, smoothing=smoothing)
 
 
-def marks_of(figure):
-    """The filled and hollow marks of each router, by the first word of its label."""
-    (axes,) = figure.axes
-    found = {"filled": {}, "hollow": {}}
-    name = None
-    for line in axes.lines:
-        assert line.get_linestyle() == "None"  # ranks are no quantity to draw lines along
-        hollow = line.get_markerfacecolor() == "none"
-        if not line.get_label().startswith("_"):
-            name = line.get_label().split(" ")[0]
-        values = line.get_ydata()
-        found["hollow" if hollow else "filled"].setdefault(name, values[~np.isnan(values)].tolist())
-    return found
-
-
-def test_routers_with_open_nets_are_on_the_plot_or_in_its_legend():
+def test_routers_with_open_nets_are_counted_in_the_legend():
     nan = np.nan
     values = {
         "astar": np.array([10.0, 20, 30]),
         "dqn": np.array([9.0, nan, nan]),
-        "ppo": np.full(3, nan),
         "random": np.full(3, nan),
-        "new": np.array([nan, 21, nan]),
     }
-    opened = {
-        "dqn": np.array([nan, 15.0, 900]),
-        "ppo": np.array([11.0, 12, 13]),
-        "random": np.full(3, 500.0),
-    }
-    order = np.array([2, 0, 1])
-    figure = figures.by_problem(values, order, "wirelength", "A*'s", open_values=opened)
+    figure = figures.by_problem(values, np.array([2, 0, 1]), "wirelength", "A*'s")
     assert legend_of(figure) == [
         "astar",
-        "dqn (nets open on 2: hollow, 1 off the scale)",
-        "ppo (nets open on all: hollow)",
-        "random (nets open on all: off the scale)",
-        "new (no result on 2)",
+        "dqn (open nets on 2 of 3 problems)",
+        "random (open nets on 3 of 3 problems)",
     ]
-    marks = marks_of(figure)
-    assert marks["filled"]["astar"] == [30, 10, 20]
-    assert marks["filled"]["dqn"] == [9]
-    assert marks["hollow"]["dqn"] == [15]
-    assert marks["hollow"]["ppo"] == [13, 11, 12]
-    assert marks["hollow"]["random"] == []
-    assert figure.axes[0].get_ylim()[1] < 100
+    astar, dqn, random = figure.axes[0].lines
+    assert {line.get_linestyle() for line in (astar, dqn, random)} == {"None"}
+    np.testing.assert_array_equal(astar.get_ydata(), [30, 10, 20])
+    np.testing.assert_array_equal(dqn.get_ydata(), [nan, 9, nan])
 
 
-def test_routers_are_drawn_where_all_have_open_nets():
-    values, opened = {"random": np.full(2, np.nan)}, {"random": np.array([50.0, 70.0])}
-    figure = figures.by_problem(values, np.arange(2), "wirelength", "its", open_values=opened)
-    assert marks_of(figure)["hollow"]["random"] == [50, 70]
+def test_gaps_say_how_many_problems_are_missing():
+    gaps = {"dqn": np.array([0.0, 3, np.nan]), "random": np.full(3, np.nan)}
+    (axes,) = figures.gaps_by_router(gaps, "the title").axes
+    labels = [label.get_text() for label in axes.get_yticklabels()]
+    assert labels == ["dqn\nmean 1.50 %, 1 open or overflowed", "random\n3 open or overflowed"]
+    dots, mean = (line.get_xdata() for line in axes.lines[:2])
+    assert (list(dots), list(mean)) == ([0, 3], [1.5])
+    with pytest.raises(InputError, match="at least one router"):
+        figures.gaps_by_router({})
 
 
 def test_decreases_say_how_many_problems_are_missing():

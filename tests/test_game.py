@@ -7,15 +7,19 @@ in the rules show that the comparison would notice them.
 """
 
 import types
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from seeing import option_state
 
 from marouting import Adjustment, Engine, Net, Pin, Problem
 from marouting import game as source
-from marouting.game import NOBODY, Game, RipUp, Rules, Status
+from marouting.batch.state import Option
+from marouting.game import NOBODY, Game, Status
+from marouting.rules import Mask, Nets, RipUp, Rules
 
 SEEDS = range(40)
 MANY = range(40, 1500)
@@ -73,21 +77,21 @@ def random_rules(rng: np.random.Generator) -> dict[str, Any]:
     def one_of(*choices: Any) -> Any:
         return choices[rng.integers(len(choices))]
 
-    rules = {
+    rules: dict[str, Any] = {
         "turn_order": one_of("sequential", "round_robin"),
-        "net_order": one_of("half_perimeter", "half_perimeter_up", "file"),
+        "nets": Nets(order=one_of("half_perimeter", "half_perimeter_up", "file")),
         "max_steps": one_of(None, 3, 10, 20),
     }
     if rng.random() < 0.25:
         return rules
     rules |= {
         "overflow": one_of("forbidden", "allowed"),
-        "decomposition": one_of("mst", "mst", "steiner"),
+        "nets": replace(rules["nets"], decomposition=one_of("mst", "mst", "steiner")),
         "target": one_of("pin", "tree"),
-        "mask_visited": one_of(False, True),
+        "mask": Mask(visited=one_of(False, True)),
         "release_failed": one_of(False, True),
     }
-    if rules["decomposition"] == "mst":
+    if rules["nets"].decomposition == "mst":
         rules["next_pin"] = one_of("listed", "nearest")
     if rng.random() < 0.6:
         rounds = int(rng.integers(1, 4))
@@ -134,7 +138,7 @@ def state_of_engine(engine: Engine, m: int = 0) -> dict[str, Any]:
         "routes": [routes[net].tolist() for net in engine.nets[m, :count]],
         "trees": [
             np.flatnonzero(np.unpackbits(bits, bitorder="little")).tolist()
-            for bits in engine.more.tree[m, :count]
+            for bits in option_state(engine, Option.TREE)[m, :count]
         ],
         "masks": engine.masks(np.full(count, m), np.arange(count)).tolist(),
     }

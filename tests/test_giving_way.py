@@ -8,10 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pettingzoo.test import api_test, parallel_api_test
+from seeing import option_state
 
 from marouting import Engine, InputError, Move, Net, Pin, Problem, evaluate, generate
 from marouting import global_routing_v0 as game
 from marouting.batch.prices import Negotiation
+from marouting.batch.state import Option
 from marouting.env.single import GlobalRoutingSingle
 from marouting.game import NOBODY, RIP_UP
 from marouting.search.guides import AStar
@@ -91,7 +93,7 @@ def test_a_failed_task_gives_its_edges_back() -> None:
 
 def test_agents_are_asked() -> None:
     asked = {"rounds": 2, "choose": "agents"}
-    engine = Engine([CROSSING], net_order="file", rip_up=asked, max_steps=5)
+    engine = Engine([CROSSING], nets={"order": "file"}, rip_up=asked, max_steps=5)
     walk(engine, E, E, N, E, E, S, N, N, N, N, N)
     before = engine.solution()
     assert engine.games[0]["asked"]
@@ -194,7 +196,7 @@ def test_nets_negotiate_and_end_with_the_best_routes(
     )
     guide, rng = AStar(engine), np.random.default_rng(seed)
     scores, number, over = [], 0, np.zeros(engine.grid.edges, np.bool_)
-    prices = engine.more.prices[0].copy()
+    prices = option_state(engine, Option.PRICES)[0].copy()
     while engine.games[0]["agent"] != NOBODY:
         problems, agents = engine.pairs(everyone=False)
         move = guide.moves(problems, agents)
@@ -206,10 +208,10 @@ def test_nets_negotiate_and_end_with_the_best_routes(
             number = game["round"]
             scores.append((-game["began_joined"], game["began_overflow"], game["began_wirelength"]))
             over = engine.dynamic.remaining[0] < 0
-            risen = engine.more.prices[0] > prices
+            risen = option_state(engine, Option.PRICES)[0] > prices
             if game["plain"] == 0 and not game["ripped"]:
                 assert (risen == over).all() or number == 1
-            prices = engine.more.prices[0].copy()
+            prices = option_state(engine, Option.PRICES)[0].copy()
     now = engine.metrics()
     assert all((-now.joined, now.overflow, now.wirelength) <= score for score in scores)
     assert (now.overflow, now.wirelength) == (
@@ -229,7 +231,7 @@ def test_prices_part_two_nets() -> None:
     prices = [0]
     while engine.games[0]["began_overflow"] > 0:
         assert engine.games[0]["plain"] == 0
-        prices.append(int(engine.more.prices[0].max()))
+        prices.append(int(option_state(engine, Option.PRICES)[0].max()))
         # Each in its turn tries the way over the upper row, which is two edges longer.
         walk(engine, N, E, E, S)
     assert prices == sorted(prices)
@@ -275,9 +277,9 @@ def test_agents_that_are_not_there_have_no_routes() -> None:
     while (engine.games["agent"] != NOBODY).any():
         masks = engine.masks(*engine.pairs(everyone=False))
         engine.step(np.array([rng.choice(np.flatnonzero(mask)) for mask in masks]))
-    assert engine.more.tree[:, :3].any(axis=2).all()
-    assert engine.more.tree[1].any(axis=1).all()
-    assert not engine.more.tree[[0, 2], 3:].any()
+    assert option_state(engine, Option.TREE)[:, :3].any(axis=2).all()
+    assert option_state(engine, Option.TREE)[1].any(axis=1).all()
+    assert not option_state(engine, Option.TREE)[[0, 2], 3:].any()
 
 
 def judged(engine: Engine, best: Any) -> Any:
@@ -292,7 +294,7 @@ OPTIONS: dict[str, Any] = {
     "max_steps": 9,
     "target": "tree",
     "next_pin": "nearest",
-    "mask_visited": True,
+    "mask": {"visited": True},
     "release_failed": True,
     "rip_up": {"rounds": 2, "neighbours": 1},
 }
@@ -344,7 +346,7 @@ def test_every_interface_plays_the_same_rounds(choose: str) -> None:
 
 
 @pytest.mark.parametrize("choose", ["all", "agents"])
-@pytest.mark.parametrize("more", [{}, {"mask_in_observation": True, "reward": "team"}])
+@pytest.mark.parametrize("more", [{}, {"mask": {"in_observation": True}, "reward": "team"}])
 def test_pettingzoo_accepts_rounds(choose: str, more: dict[str, Any]) -> None:
     options = {**OPTIONS, "rip_up": {**OPTIONS["rip_up"], "choose": choose}, **more}
     parallel_api_test(game.parallel_env(PROBLEM, **options), 300)
@@ -369,7 +371,10 @@ def test_only_the_generalist_negotiates() -> None:
     [
         ({"target": "net"}, "target: expected one of pin, tree"),
         ({"next_pin": "best"}, "next_pin: expected one of listed, nearest"),
-        ({"next_pin": "nearest", "decomposition": "steiner"}, "next_pin: expected listed"),
+        (
+            {"next_pin": "nearest", "nets": {"decomposition": "steiner"}},
+            "next_pin: expected listed",
+        ),
         (
             {"rip_up": "all"},
             "rip_up: expected a mapping of rounds, choose, neighbours or null, found 'all'",
@@ -380,7 +385,7 @@ def test_only_the_generalist_negotiates() -> None:
         ({"rip_up": {"neighbours": 1000}}, "rip_up.neighbours: expected 0 to"),
         ({"negotiation": Negotiation()}, "prices: expected false, unless overflow is allowed"),
         ({"release_failed": 2}, "release_failed: expected true or false"),
-        ({"mask_visited": "no"}, "mask_visited: expected true or false"),
+        ({"mask": {"visited": "no"}}, "mask.visited: expected true or false"),
     ],
 )
 def test_bad_options(bad: dict[str, Any], expected: str) -> None:

@@ -28,7 +28,7 @@ ENV: dict[str, Any] = {
     "overflow": "allowed",
     "target": "tree",
     "next_pin": "nearest",
-    "mask_visited": True,
+    "mask": {"visited": True},
     "rip_up": {"rounds": 1},
 }
 SOURCE: dict[str, Any] = {

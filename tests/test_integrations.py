@@ -54,7 +54,7 @@ def assert_same(mine: object, theirs: object) -> None:
     "options",
     [
         {},
-        {"mask_in_observation": True, "mask_key": "mask"},
+        {"mask": {"in_observation": True, "mask_key": "mask"}},
         {"turn_order": "round_robin"},
         {"overflow": "allowed", "reward": {"overflow_price": 2}},
         {"observation": Seen(), "reward": "team"},
@@ -322,7 +322,7 @@ def test_sb3_learners_take_it(everyone: bool) -> None:
         (global_routing_v0.parallel_env, {"rip_up": {"choose": "agents"}}, {}),
         (
             global_routing_v0.parallel_env,
-            {"mask_in_observation": True, "rip_up": {"rounds": 1}},
+            {"mask": {"in_observation": True}, "rip_up": {"rounds": 1}},
             {},
         ),
         (global_routing_v0.parallel_env, {"problem": SET, "agents_persist": True}, {}),
@@ -458,7 +458,7 @@ def test_tianshou_wraps_pettingzoo_only_with_agents_that_persist(
     pytest.importorskip("tianshou")
     from tianshou.env import PettingZooEnv
 
-    options = {"agents_persist": persist, "mask_in_observation": masks}
+    options = {"agents_persist": persist, "mask": {"in_observation": masks}}
     env = PettingZooEnv(global_routing_v0.env(PROBLEM, max_steps=6, **options))
     seen, _ = env.reset(seed=0)
     rng, over, masked = np.random.default_rng(0), False, False

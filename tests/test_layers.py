@@ -40,6 +40,7 @@ ROOMS = {
         ),
         ("problem",),
         ("trees",),
+        ("rules",),
         ("game",),
         ("columns",),
         ("observations", "rewards"),
@@ -178,15 +179,11 @@ def room_of(module: str) -> int | None:
     return found and found[0]
 
 
-def test_only_their_speed_needs_the_integrations() -> None:
-    """Each imports a library of its own; what measures them does so in functions alone."""
-    measured = "policies.bench.libraries"
+def test_nothing_needs_the_integrations() -> None:
+    """Each imports a library of its own."""
     for module, others in import_graph("policies").items():
-        known = module.startswith("policies.integrations") or module == measured
+        known = module.startswith("policies.integrations")
         assert known or not any(o.startswith("policies.integrations") for o in others), module
-    source = (Path(policies.__file__).parent / "bench" / "libraries.py").read_text(encoding="utf-8")
-    assert "    from policies.integrations" in source
-    assert "\nfrom policies.integrations" not in source
 
 
 def test_there_is_something_to_look_at() -> None:

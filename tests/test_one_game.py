@@ -55,15 +55,17 @@ def rules(draw: st.DrawFn) -> dict[str, Any]:
     """Options of the rules that go together."""
     options: dict[str, Any] = {
         "turn_order": draw(st.sampled_from(["round_robin", "sequential"])),
-        "net_order": draw(st.sampled_from(["half_perimeter", "half_perimeter_up", "file"])),
+        "nets": {
+            "order": draw(st.sampled_from(["half_perimeter", "half_perimeter_up", "file"])),
+            "decomposition": draw(st.sampled_from(["mst", "steiner"])),
+        },
         "overflow": draw(st.sampled_from(["forbidden", "allowed"])),
-        "decomposition": draw(st.sampled_from(["mst", "steiner"])),
         "target": draw(st.sampled_from(["pin", "tree"])),
-        "mask_visited": draw(st.booleans()),
+        "mask": {"visited": draw(st.booleans())},
         "release_failed": draw(st.booleans()),
         "max_steps": draw(st.sampled_from([2, 5, 10])),
     }
-    if options["decomposition"] == "mst":
+    if options["nets"]["decomposition"] == "mst":
         options["next_pin"] = draw(st.sampled_from(["listed", "nearest"]))
     if draw(st.integers(0, 3)):
         options["rip_up"] = {

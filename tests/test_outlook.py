@@ -11,14 +11,16 @@ from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from reference import Edge, all_edges, between, contested, edge_number
-from seeing import Gcell, edge_costs, expected, gcell, is_priced, open_tasks, squash
+from seeing import Gcell, edge_costs, expected, gcell, is_priced, open_tasks, option_state, squash
 from torch import nn
 
 import marouting
 from marouting import Engine, EnvOptions, InputError, Problem, evaluate
 from marouting.batch.prices import Negotiation
+from marouting.batch.state import Option
 from marouting.batch.window import mirrored
-from marouting.game import NOBODY, RIP_UP, RipUp, Status
+from marouting.game import NOBODY, RIP_UP, Status
+from marouting.rules import RipUp
 from policies.generalist import SHIPPED
 from policies.generalist.outlook import OutlookObservation
 from policies.generalist.walk import Walker
@@ -60,7 +62,7 @@ def ways(engine: Engine, m: int, n: int, costs: dict[Edge, float | None], margin
             graph.add_edge(a, b, weight=cost)
     found = [gcell(engine, agent["target"])]
     if engine.rules.target == "tree":
-        tree = np.unpackbits(engine.more.tree[m, n], bitorder="little")
+        tree = np.unpackbits(option_state(engine, Option.TREE)[m, n], bitorder="little")
         found = [gcell(engine, int(g)) for g in np.flatnonzero(tree)]
     found = [cell for cell in found if cell in graph]
     return nx.multi_source_dijkstra_path_length(graph, set(found)), graph, found
@@ -182,7 +184,7 @@ rules = st.fixed_dictionaries(
         "next_pin": st.sampled_from(["listed", "nearest"]),
         "rip_up": st.sampled_from([None, {"rounds": 4}]),
         "negotiation": st.sampled_from([None, Negotiation()]),
-        "mask_visited": st.booleans(),
+        "mask": st.fixed_dictionaries({"visited": st.booleans()}),
     }
 )
 
@@ -298,7 +300,7 @@ GAME: dict[str, Any] = {
     "overflow": "allowed",
     "target": "tree",
     "next_pin": "nearest",
-    "mask_visited": True,
+    "mask": {"visited": True},
 }
 
 
@@ -442,7 +444,7 @@ def test_the_loop_stops_when_nets_have_walked_and_goes_on() -> None:
 def test_nets_follow_the_routes_of_another_game(seed: int, nets: int, max_pins: int) -> None:
     """By ordinary moves; what does not lead from pin to pin is left out."""
     problem = marouting.generate(1, (6, 5, 2), nets=nets, max_pins=max_pins, seed=seed)[0]
-    other: dict[str, Any] = {"decomposition": "steiner", "next_pin": "listed"}
+    other: dict[str, Any] = {"nets": {"decomposition": "steiner"}, "next_pin": "listed"}
     guide, engine = Engine([problem], **GAME | other), Engine([problem] * 2, **GAME)
     seen = OutlookObservation()
     # Along the cheapest ways.

@@ -111,7 +111,7 @@ WRITTEN: dict[str, tuple[str, ...]] = {
     "experiment out=": ("experiment", "e.yaml", "out=PATH"),
     "plot": ("plot", "p.gr", "--out", "PATH"),
     "benchmark": ("benchmark", "--scenario", "toy-4x4-v0", "--router", "astar", "--out", "PATH"),
-    "leaderboard": ("benchmark", "--leaderboard", "--results", "PATH"),
+    "leaderboard": ("benchmark", "--leaderboard", "l.md", "--out", "PATH"),
     "quickstart": ("quickstart", "--out", "PATH"),
 }
 

@@ -152,7 +152,9 @@ def test_masks_by_name_are_those_in_the_infos(persist: bool) -> None:
 
 
 def test_what_a_done_agent_observes_has_the_same_mask() -> None:
-    env = global_routing_v0.env(PROBLEM, agents_persist=True, mask_in_observation=True, max_steps=3)
+    env = global_routing_v0.env(
+        PROBLEM, agents_persist=True, mask={"in_observation": True}, max_steps=3
+    )
     env.reset()
     seen = set()
     for _ in env.agent_iter():

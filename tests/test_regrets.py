@@ -20,7 +20,7 @@ RULES: dict[str, Any] = {
     "turn_order": "sequential",
     "target": "tree",
     "next_pin": "nearest",
-    "mask_visited": True,
+    "mask": {"visited": True},
 }
 
 

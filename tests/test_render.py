@@ -10,9 +10,9 @@ import pytest
 import marouting
 from marouting.problem.grid import AXES, Grid
 from marouting.problem.problem import UNLIMITED
-from marouting.render import PALETTE, Scene, Window, ansi, rgb_array, scene_of
+from marouting.render import PALETTE, USE, Scene, Window, ansi, rgb_array, scene_of
 
-RED = (214, 39, 40)
+ORANGE = (226, 88, 12)
 YELLOW = (255, 196, 61)
 
 
@@ -151,7 +151,7 @@ def test_rgb_a_used_edge_changes_only_the_bar_between_its_gcells():
     assert above == same_row
     assert along_x == upper_x
     assert upper[1] < above[0]  # y runs upwards
-    assert along_x[1] < next_x[0]  # a Gcell lies between
+    assert along_x[1] <= next_x[0]
     other_layer, _ = changed(before, rgb_array(scene(demand={edge(1, 0, 0, 1): 1})))
     assert other_layer[0] > before.shape[1] / 2
 
@@ -172,10 +172,11 @@ def test_rgb_draws_every_net_of_an_edge_in_its_colour():
     assert len({tuple(colour) for colour in PALETTE.tolist()}) == len(PALETTE)
 
 
-def test_rgb_full_edges_have_dark_borders_and_overflowed_ones_wide_red_borders():
+def test_rgb_full_edges_have_dark_borders_and_overflowed_ones_wide_orange_borders():
     name = edge(0, 0, 0, 0)
     pictures = [rgb_array(scene(demand={name: nets}, capacity=3)) for nets in range(5)]
-    assert [has(p, RED) for p in pictures] == [has(pictures[0], RED)] * 4 + [True]
+    above = [p[: p.shape[0] * 3 // 4] for p in pictures]  # without the legend
+    assert [has(p, ORANGE) for p in above] == [False] * 4 + [True]
     heights = []
     for picture in pictures[1:]:
         _, (top, bottom) = changed(pictures[0], picture)
@@ -183,15 +184,29 @@ def test_rgb_full_edges_have_dark_borders_and_overflowed_ones_wide_red_borders()
     assert heights[0] < heights[1] < heights[2] < heights[3]
 
 
-def test_rgb_of_a_fine_grid_darkens_with_use_and_turns_red_and_wide_with_overflow():
+def test_rgb_of_a_fine_grid_darkens_with_use_and_turns_orange_with_overflow():
     shape = (100, 100, 1)
     name = edge(0, 0, 0, 0, shape)
     pictures = [rgb_array(scene(shape, {name: nets}, capacity=3)) for nets in range(5)]
     (left, right), (top, bottom) = changed(pictures[0], pictures[1])
-    bars = [p[(top + bottom) // 2, (left + right) // 2].astype(int).sum() for p in pictures]
-    assert bars[0] > bars[1] > bars[2] > bars[3]
-    _, (over_top, over_bottom) = changed(pictures[0], pictures[4])
-    assert over_bottom - over_top > bottom - top
+    fields = [p[(top + bottom) // 2, (left + right) // 2].astype(int) for p in pictures]
+    sums = [field.sum() for field in fields]
+    assert sums[0] > sums[1] > sums[2] > sums[3]
+    assert fields[3].tolist() == list(USE[2][1])
+    red, green, blue = fields[4].tolist()
+    assert red > green > blue
+
+
+def test_rgb_of_a_large_grid_has_no_pattern():
+    """All edges of a layer alike: so are all pixels of its panel, whatever the picture's size."""
+    for side in (100, 250, 404, 700):
+        shape = (side, side, 2)
+        along_x = [edge(0, x, y, 0, shape) for x in range(side - 1) for y in range(side)]
+        picture = rgb_array(scene(shape, dict.fromkeys(along_x, 1)))
+        high, wide, _ = picture.shape
+        panel = picture[high // 4 : high // 2, wide // 8 : wide // 3]
+        assert (panel == panel[0, 0]).all(), side
+        assert max(high, wide) <= 1210
 
 
 def test_rgb_says_step_and_score():
@@ -207,11 +222,11 @@ def test_rgb_says_step_and_score():
 
 
 def test_rgb_has_a_legend():
-    """Below the panels: every sign that can occur, red for overflow as well."""
+    """Below the panels: every sign that can occur, orange for overflow as well."""
     small, fine = rgb_array(scene((8, 8, 2))), rgb_array(scene((150, 150, 2)))
     for picture in (small, fine):
         below = picture[-picture.shape[0] // 8 :]
-        assert has(below, RED)
+        assert has(below, ORANGE) or has(below, USE[3][1])
         assert has(below, YELLOW)
         assert has(below, PALETTE[0])
     # The same in every moment.
@@ -227,10 +242,11 @@ def test_rgb_edges_without_capacity_are_not_drawn_until_they_overflow():
     # Layer 1 has no capacity along y: no bar there in either picture.
     used = rgb_array(scene(demand={edge(1, 0, 0, 0): 1}))
     (left, right), (top, bottom) = changed(free, used)
-    assert (free[top:bottom, left:right] == 255).all()
+    middle = np.s_[(2 * top + bottom) // 3 : (top + 2 * bottom) // 3, left:right]  # of the edge
+    assert (free[middle] == 255).all()
     over = rgb_array(scene(capacity=0, demand={edge(1, 0, 0, 0): 1}))
     (left, right), (top, bottom) = changed(none, over)
-    assert has(over[top:bottom, left:right], RED)
+    assert has(over[top:bottom, left:right], ORANGE)
 
 
 def test_rgb_a_via_marks_both_layers():

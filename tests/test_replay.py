@@ -44,7 +44,9 @@ def test_routes_come_out_as_they_went_in(turn_order: Any, decomposition: Any) ->
     sets = generate(4, nets=30, max_pins=4, capacity=6, seed=5)
     routed = [PathfinderRouter(PathfinderOptions(seed=1)).route(problem) for problem in sets]
     assert all(evaluate(p, s).overflow == 0 for p, s in zip(sets, routed, strict=True))
-    engine = Engine(sets, turn_order=turn_order, max_steps=LONG, decomposition=decomposition)
+    engine = Engine(
+        sets, turn_order=turn_order, max_steps=LONG, nets={"decomposition": decomposition}
+    )
     again = played(engine, routed)
     for m, (problem, solution) in enumerate(zip(sets, routed, strict=True)):
         figures, metrics = evaluate(problem, solution), engine.metrics(m)

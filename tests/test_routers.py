@@ -121,9 +121,9 @@ def saved(trainer: Trainer, path: Path) -> Path:
 
 OPTIONS: tuple[dict[str, Any], ...] = (
     {"max_steps": 20},
-    {"max_steps": 7, "net_order": "file"},
+    {"max_steps": 7, "nets": {"order": "file"}},
     {"max_steps": 1},
-    {"max_steps": 15, "net_order": "half_perimeter_up", "overflow": "allowed"},
+    {"max_steps": 15, "nets": {"order": "half_perimeter_up"}, "overflow": "allowed"},
 )
 
 

@@ -26,6 +26,7 @@ from marouting.config import build, plain
 from marouting.player import Player
 from marouting.source import load_problems
 from policies.cli.main import status
+from policies.experiment.benchmark import from_text
 from policies.generalist import SHIPPED
 from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.algorithms.fused_dqn import FusedDQN
@@ -38,6 +39,7 @@ from policies.learned.run import Run, clear
 from policies.learned.trainer import Episode, Trainer
 from policies.results.rows import COLUMNS
 from policies.results.run_folder import GreedyEvaluation
+from policies.results.validation import Validation
 from policies.routers.astar import AStarRouter
 
 PROBLEMS: dict[str, Any] = {"count": 2, "grid": [4, 4, 2], "nets": 3, "capacity": 2, "seed": 5}
@@ -127,6 +129,128 @@ def outcome(folder: Path) -> dict[str, Any]:
         "policy": content(torch.load(folder / "policy.pt", weights_only=True)),
         "checkpoint": content(checkpoint),
     }
+
+
+# --- across problems ------------------------------------------------------------------------------
+
+TOY = "env.scenario=toy-4x4-v0"
+
+
+@pytest.mark.parametrize(
+    ("learner", "agents", "critic"),
+    [
+        ("dqn", "single", None),
+        ("ppo", "single", "local"),
+        ("iql", "multi", None),
+        ("ippo", "multi", "local"),
+        ("mappo", "multi", "central"),
+    ],
+)
+def test_a_scenario_and_a_learner_are_all_that_has_to_be_said(
+    learner: str, agents: str, critic: str | None
+) -> None:
+    config = load_config(None, [f"learner.kind={learner}", TOY])
+    train = config.train
+    assert (config.env.problem, config.env.split, config.env.agents) == (None, "train", agents)
+    assert (config.learner.name, config.env.observation.name) == (learner, "window")
+    assert getattr(config.learner.options, "critic", None) == critic
+    assert (train.shared, train.games, train.episodes) == (True, 32, 10_000)
+    assert build(Config, plain(config)) == config
+    # As in a file that says no more, and with what is told in place of it.
+    told = load_config(None, [f"learner.kind={learner}", TOY, "train.games=4", "train.episodes=9"])
+    assert (told.train.shared, told.train.games, told.train.episodes) == (True, 4, 9)
+    own = load_config(None, [f"learner.kind={learner}", "env.problem={count: 3}"])
+    assert (own.train.shared, own.train.games, own.train.episodes) == (None, None, 1000)
+    assert own.env.observation.name == "paper"
+    if critic is None:
+        assert [c.learner.options.steps_per_update for c in (config, told, own)] == [8, 8, 1]
+
+
+def test_a_change_of_kind_or_source_discards_what_belongs_to_the_one_before(tmp_path: Path) -> None:
+    file = tmp_path / "c.yaml"
+    file.write_text(
+        "learner: {kind: dqn, gamma: 0.5, burn_in_size: 100}\n"
+        "env: {problem: {count: 3}, reward: {kind: paper, reached: 1}}\ntrain: {games: null}\n"
+    )
+    config = load_config(file, ["learner.kind=ppo", TOY, "env.reward.kind=normalised"])
+    assert config.learner == load_config(None, ["learner.kind=ppo"]).learner
+    assert config.env.scenario == "toy-4x4-v0"
+    assert config.train.games == 32
+    # In any order, options on the command line belong to the kind there.
+    both = ["learner.clip=0.1", "learner.kind=ppo"]
+    for given in (both, both[::-1]):
+        assert load_config(file, given).learner.options.clip == 0.1
+    assert load_config(file, ["learner.gamma=0.6"]).learner.options.burn_in_size == 100
+    file.write_text("learner: ppo\nenv: {scenario: toy-4x4-v0, split: validation}\n")
+    config = load_config(file, ["learner.clip=0.1", "env.problem={nets: 4}"])
+    assert (config.learner.name, config.learner.options.clip) == ("ppo", 0.1)
+    assert config.env.scenario is None
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["learner.kind=ippo", "env.agents=single"], "env.agents: expected multi for ippo, found"),
+        (["learner.kind=iql", "env.agents=single"], "env.agents: expected multi for iql, found si"),
+        (["learner.kind=ippo", "learner.critic=central"], "learner.critic: expected one of local"),
+        (["learner.kind=mappo", "learner.critic=local"], "learner.critic: expected one of central"),
+        ([TOY, "env.problem=p.gr"], "env.problem: expected none beside a scenario"),
+        ([TOY, "train.shared=false"], "train.shared: expected true: games draw problems for one"),
+        (["learner.kind=ppo", "learner.burn_in=astar"], "learner.burn_in: unknown key"),
+    ],
+)
+def test_what_contradicts_a_scenario_or_a_name(given: list[str], said: str) -> None:
+    with pytest.raises(InputError, match=f"^{said}"):
+        load_config(None, given)
+
+
+def test_independent_q_learning_is_the_dqn_with_every_net_an_agent(tmp_path: Path) -> None:
+    ends = []
+    for kind in ("dqn", "iql"):
+        trainer = Trainer(load_problems(PROBLEMS), config_in(tmp_path, 4, kind, agents="multi"))
+        list(trainer.run())
+        ends.append(trainer.learner.networks.flat.numpy().tobytes())
+    assert ends[0] == ends[1]
+
+
+def test_a_training_across_problems_ends_with_means(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As do those of many problems; the folder is an entry of a benchmark."""
+    monkeypatch.chdir(tmp_path)
+    few = ["train.episodes=40", "train.evaluate_every=20", "train.tensorboard=false"]
+    small = ["learner.rollout=128", "learner.minibatch=64", "learner.network.hidden=[8]"]
+    given = ["learner.kind=mappo", TOY, "out=run", *few, *small]
+    assert status(["train", *given]) == 0
+    shown = capsys.readouterr().out
+    assert "run: means over 20 validation problems" in shown
+    assert "validation_000" not in shown
+    assert shown.splitlines()[-1] == "next: marouting benchmark --scenario toy-4x4-v0 --router run"
+    rows = [row for row in results(tmp_path / "run") if row["router"] == "mappo_policy"]
+    assert len(rows) == 20
+    connected = sum(row["joined"] == row["tasks"] for row in rows)
+    (line,) = [line.split() for line in shown.splitlines() if line.split()[:1] == ["mappo_policy"]]
+    wirelength = sum(row["wirelength"] for row in rows) / 20
+    assert line[1:4] == [f"{connected}/20", "0.00", f"{wirelength:.1f}"]
+    assert status(["train", "--resume", "run"]) == 0
+    assert capsys.readouterr().out == shown
+    entry = from_text("run", None, None)
+    assert (entry.name, entry.router, entry.trains) == ("run", "mappo", False)
+    assert TrainedPolicy.load(entry.options["checkpoint"]).env.agents == "multi"
+
+
+def test_means_over_problems() -> None:
+    rows = [
+        {"problem": "a", "joined": 3, "tasks": 3, "overflow": 0, "wirelength": 22},
+        {"problem": "b", "joined": 3, "tasks": 3, "overflow": 2, "wirelength": 20},
+        {"problem": "c", "joined": 2, "tasks": 3, "overflow": 0, "wirelength": 12},
+    ]
+    reference = dict.fromkeys("abc", (0, 20))
+    found = Validation.of(rows, reference)
+    assert found == Validation(3, 2, 2 / 3, 18.0, pytest.approx(10.0), 1)
+    means = "2 of 3 problems connected, overflow 0.67, wirelength 18.0"
+    assert str(found) == f"{means}, 10.00 % above the reference on 1"
+    assert Validation.of(rows, {}).gap is None
 
 
 # --- what a folder holds --------------------------------------------------------------------------

@@ -43,7 +43,7 @@ from policies.experiment.references import (
     solve,
     solve_scenario,
 )
-from policies.learned.config import Config
+from policies.learned.config import Config, config_of
 from policies.learned.run import Run, problems_of
 from policies.learned.trainer import Trainer
 from policies.results.run_folder import read_rewards
@@ -646,14 +646,13 @@ def test_what_batches_refuse(problems: Any, options: dict[str, Any], said: str) 
 
 def training(folder: Path, **env: Any) -> Config:
     """A very short training."""
-    return marouting.config.build(
-        Config,
+    return config_of(
         {
             "out": str(folder),
             "env": env,
             "learner": {"kind": "dqn", "burn_in_size": 100, "buffer_size": 500},
             "train": {"episodes": 1, "figures": False, "tensorboard": False},
-        },
+        }
     )
 
 
@@ -669,15 +668,17 @@ def test_a_training_takes_fixed_problems_side_by_side(tmp_path: Path) -> None:
     assert again.problems == run.problems
 
 
-def test_a_training_refuses_problems_without_end(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"^split: expected validation or test, .*games"):
-        Run(training(tmp_path / "run", scenario="toy-4x4-v0"))
-    assert not (tmp_path / "run").exists()
+def test_a_training_refuses_problems_without_end() -> None:
+    for train in ({"games": 2}, {"shared": False}, {}):
+        with pytest.raises(InputError, match=r"^train\.shared: expected true: "):
+            build(Config, {"env": {"scenario": "toy-4x4-v0"}, "train": train})
+    with pytest.raises(InputError, match=r"^train\.games: expected a number: these problems"):
+        build(Config, {"env": {"scenario": "toy-4x4-v0"}, "train": {"shared": True}})
 
 
 def test_a_training_draws_a_new_problem_for_every_episode(tmp_path: Path) -> None:
     config = training(tmp_path / "run", scenario="toy-4x4-v0", agents="multi", max_steps=9)
-    train = replace(config.train, episodes=20, shared=True, games=3, validation=4, evaluate_every=8)
+    train = replace(config.train, episodes=20, games=3, validation=4, evaluate_every=8)
     run = Run(replace(config, train=train))
     toy = scenarios.get("toy-4x4-v0")
     held = dict(list(toy.problems("validation").items())[:4])
@@ -734,7 +735,7 @@ def test_a_generator_without_seed_holds_problems_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("train", "env", "said"),
     [
-        ({"games": 2}, {}, "train.games: expected null: a network for each of the problems that"),
+        ({"games": 2}, {}, "train.shared: expected true: games draw problems for one network"),
         ({"games": 0, "shared": True}, {}, "train.games: expected a number from 1 to 10000"),
         ({"validation": 3}, {}, "train.validation: expected null without train.games"),
         ({"games": 2, "shared": True, "validation": 21}, {"scenario": "toy-4x4-v0"},

@@ -165,7 +165,7 @@ def test_a_target_without_a_way_in_does_not_cost_the_whole_grid() -> None:
 @given(contested(max_nets=8), net_orders)
 def test_router_is_optimal_net_by_net_and_task_by_task(problem: Problem, net_order: Any) -> None:
     """Replays sequential A* in a game; each task's path is checked against networkx."""
-    rules = {"net_order": net_order, "overflow": "allowed", "max_steps": 1000}
+    rules = {"nets": {"order": net_order}, "overflow": "allowed", "max_steps": 1000}
     engine, game = Engine([problem], **rules), Game(problem, **rules)  # type: ignore[arg-type]
     while game.turn is not None:
         n = game.turn
@@ -190,7 +190,7 @@ def test_routes_of_two_pin_nets_are_optimal_given_the_earlier(
 ) -> None:
     """From the solution alone: no engine has a part in the judgement."""
     routed = sequential_astar(problem, net_order)
-    game = Game(problem, net_order=net_order)
+    game = Game(problem, nets={"order": net_order})
     for n in game.order:
         (start, target), *_ = game.agents[n].tasks
         graph = game.graph(n)

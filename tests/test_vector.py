@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 import marouting
 from marouting import InputError, generate, global_routing_v0
-from marouting.game import NOBODY, TurnOrder
+from marouting.game import NOBODY
 from marouting.observations import PaperObservation
 from marouting.rewards import PaperReward
+from marouting.rules import TurnOrder
 from marouting.vector import BatchEnv
 
 PROBLEMS = [
@@ -177,8 +178,13 @@ def test_injected_pieces_are_as_good_as_the_compiled_ones() -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        {"target": "tree", "next_pin": "nearest", "mask_visited": True, "release_failed": True},
-        {"rip_up": {"rounds": 2, "neighbours": 2}, "mask_visited": True},
+        {
+            "target": "tree",
+            "next_pin": "nearest",
+            "mask": {"visited": True},
+            "release_failed": True,
+        },
+        {"rip_up": {"rounds": 2, "neighbours": 2}, "mask": {"visited": True}},
         {"rip_up": {"rounds": 2, "choose": "history"}, "target": "tree", "release_failed": True},
     ],
 )

@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pettingzoo.test import api_test, parallel_api_test, seed_test, state_test
 from reference import Edge, all_edges, between, contested, edge_number
-from seeing import Gcell, expected, gcell, open_tasks, squash
+from seeing import Gcell, expected, gcell, open_tasks, option_state, squash
 
 import marouting
 from marouting import (
@@ -39,6 +39,7 @@ from marouting import (
     generate,
     global_routing_v0,
 )
+from marouting.batch.state import Option
 from marouting.batch.window import CHANNELS, mirrored, move_order
 from marouting.config import build
 from marouting.game import NOBODY, Ending, Status
@@ -109,7 +110,7 @@ def blocks(engine: Engine, window: WindowObservation, m: int, n: int) -> dict[st
         if channel == "demand":
             return squash((remaining - taken[edge]) / track)
         if channel == "history":
-            history = engine.more.history
+            history = option_state(engine, Option.HISTORY)
             return squash(history[m, number]) if history.shape[1] else 0.0
         return float(used[number])
 
@@ -162,7 +163,7 @@ rules = st.fixed_dictionaries(
         "target": st.sampled_from(["pin", "tree"]),
         "next_pin": st.sampled_from(["listed", "nearest"]),
         "rip_up": st.sampled_from([None, {"rounds": 2}, {"rounds": 2, "choose": "agents"}]),
-        "mask_visited": st.booleans(),
+        "mask": st.fixed_dictionaries({"visited": st.booleans()}),
     }
 )
 
@@ -180,7 +181,8 @@ def test_every_number_is_as_the_oracle_says(
     engine = Engine([problem, problem], turn_order="round_robin", max_steps=7, **rules)
     rng = np.random.default_rng(seed)
     if history and rules["rip_up"]:
-        engine.more.history[...] = rng.integers(0, 9, engine.more.history.shape)
+        past = option_state(engine, Option.HISTORY)
+        past[...] = rng.integers(0, 9, past.shape)
     space = window.space([problem], rules["overflow"] == "allowed")
     for _ in range(3):
         rows = rows_of(engine, window)
@@ -216,7 +218,7 @@ def test_a_small_example_by_hand() -> None:
         Net("b", 1, (Pin(2, 0, 1), Pin(0, 0, 1)), 1),
     ]
     problem = Problem((3, 1, 1), (0,), (4,), tuple(nets), (1,), (0,), (0,))
-    engine = Engine([problem], turn_order="round_robin", net_order="file")
+    engine = Engine([problem], turn_order="round_robin", nets={"order": "file"})
     window = WindowObservation(radius=2, layers=0, channels=("capacity", "demand", "pins", "heads"))
     for row, sign in zip(rows_of(engine, window), (1, -1), strict=True):
         assert row[:2].tolist() == [sign, 1]
@@ -458,7 +460,7 @@ def test_the_state_is_as_the_oracle_says(
     targets = [end for of in tasks for _, end in of]
     heads = [of[0][0] for of in tasks if of]
     used = np.unpackbits(engine.dynamic.used[0], axis=1, bitorder="little").sum(axis=0)
-    edges, past = set(all_edges(problem)), engine.more.history[0]
+    edges, past = set(all_edges(problem)), option_state(engine, Option.HISTORY)[0]
     for here in np.ndindex(columns, rows, layers):
         track = engine.static.demand[0, :, here[2]].mean() or 1.0
         answer: list[float] = []

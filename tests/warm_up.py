@@ -22,7 +22,7 @@ GAMES: list[dict[str, Any]] = [
     {"reward": "team"},
     {"observation": "window"},
     {"rip_up": {"rounds": 1}, "reward": "team"},
-    {"rip_up": {"rounds": 1}, "target": "tree", "next_pin": "nearest", "mask_visited": True},
+    {"rip_up": {"rounds": 1}, "target": "tree", "next_pin": "nearest", "mask": {"visited": True}},
 ]
 TRAININGS: list[dict[str, Any]] = [
     {"env": {"agents": "single"}},

@@ -59,15 +59,6 @@ def copy_row(bits: Any, m: int, row: int, others: Any, k: int, other: int) -> No
         bits[m, row, byte] = others[k, other, byte]
 
 
-@compiled
-def swap_rows(bits: Any, others: Any, m: int, row: int) -> None:
-    """Swaps a row of problem m with the same row of others."""
-    for byte in range(bits.shape[2]):
-        value = bits[m, row, byte]
-        bits[m, row, byte] = others[m, row, byte]
-        others[m, row, byte] = value
-
-
 def put_numbers(
     bits: NDArray[np.uint8], m: int, row: NDArray[np.integer], number: NDArray[np.integer]
 ) -> None:

@@ -46,10 +46,7 @@ def may_cross(static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move:
 
 @inlined
 def take(dynamic: Dynamic, m: int, edge: int, demand: int) -> int:
-    """Takes demand of an edge, or releases it if it is negative; returns the added overflow.
-
-    Only the part of the demand beyond the remaining capacity overflows.
-    """
+    """Takes demand of an edge (releases it if negative); returns the overflow that this adds."""
     remaining = i64(dynamic.remaining[m, edge])
     added = max(demand - remaining, 0) - max(-remaining, 0)
     dynamic.remaining[m, edge] = remaining - demand
@@ -59,16 +56,7 @@ def take(dynamic: Dynamic, m: int, edge: int, demand: int) -> int:
 
 @compiled
 def use_edges(static: Static, dynamic: Dynamic, m: int, n: int, byte: int, bits: int) -> None:
-    """Makes a net use just these edges of a byte: it takes what is new, and releases the others.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        m: the problem.
-        n: the agent.
-        byte: the byte of its row of ``dynamic.used``.
-        bits: what it shall be.
-    """
+    """Makes a net use just these edges of a byte: takes the new ones, releases the others."""
     game = dynamic.games[m]
     changed = byte_of(dynamic.used, m, n, byte) ^ bits
     if changed == 0:

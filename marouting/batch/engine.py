@@ -12,34 +12,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import clear, has, numbers_of
+from marouting.batch.bits import numbers_of
 from marouting.batch.observation import write_states
 from marouting.batch.prices import Negotiation
 from marouting.batch.rules import (
+    free_moves,
     move_everyone,
     move_player,
     reset_problem,
     settle_everyone,
     settle_player,
-    write_mask,
+    write_moves,
 )
-from marouting.batch.setup import (
-    More,
-    Room,
-    dynamic_state,
-    more_of,
-    replace_problem,
-    static_state,
-)
+from marouting.batch.setup import Room, dynamic_state, replace_problem, static_state
 from marouting.batch.state import Dynamic, Static
 from marouting.columns import check_rows
 from marouting.config import check
-from marouting.game import NOBODY, Rules
+from marouting.game import NOBODY
 from marouting.kernels import as_index, compiled, i64
 from marouting.observations import CHANNELS
 from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
+from marouting.rules import Rules
 
 
 @compiled
@@ -78,22 +73,13 @@ def _settle_all(static: Static, dynamic: Dynamic) -> None:
 
 
 @compiled
-def _forget(dynamic: Dynamic, m: int) -> None:
-    clear(dynamic.used, m)
-    clear(dynamic.sets, m)
-
-
-@compiled
 def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: Any) -> None:
     """Fills ``out`` (K, A) with masks."""
     for i in range(len(problems)):
-        write_mask(static, dynamic, as_index(problems[i]), i64(agents[i]), out, i)
-
-
-@compiled
-def _uses(dynamic: Dynamic, problems: Any, agents: Any, edges: Any, out: Any) -> None:
-    for k in range(len(edges)):
-        out[k] = has(dynamic.used, as_index(problems[k]), as_index(agents[k]), i64(edges[k]))
+        m, n, free = as_index(problems[i]), i64(agents[i]), i64(0)
+        if n != NOBODY:
+            free = free_moves(static, dynamic, m, as_index(n))
+        write_moves(free, out, i)
 
 
 def _rows_of(nets: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -132,13 +118,10 @@ class Engine:
         room: how large problems are that may take the place of these, see :meth:`replace`; None:
             they stay.
         negotiation: how nets negotiate by prices, as only the generalist's do; None: they do not.
-        **changes: fields of :class:`marouting.game.Rules` that differ from ``rules``.
+        **changes: fields of :class:`marouting.rules.Rules` that differ from ``rules``.
 
     Attributes:
-        rules: the options of the rules.
-        negotiation: how nets negotiate, or None.
         priced: whether there are priced rounds.
-        room: how large problems may be that take the place of others.
         grid: the grid that all problems share.
         nets: (M, N) int32, the net of every agent; NOBODY where there is no agent.
         static: the arrays that do not change during an episode.
@@ -177,8 +160,6 @@ class Engine:
         self._held[:] = problems
         self.grid = Grid.of(problems[0].grid)
         self.dynamic = dynamic_state(self.static, self.grid, self.nets.shape[1])
-        self._whole: Engine | None = None
-        self._parts: list[tuple[Engine, slice]] = []
         self.replaced = np.zeros(len(problems), np.int64)
         self._rows = _rows_of(self.nets)
         self.reset()
@@ -212,9 +193,8 @@ class Engine:
         self, problems: NDArray[np.integer], agents: NDArray[np.integer], edges: NDArray[np.integer]
     ) -> NDArray[np.bool_]:
         """(K,) whether agents (K,) of problems (K,) use edges (K,)."""
-        out = np.empty(len(edges), np.bool_)
-        _uses(self.dynamic, problems, agents, edges, out)
-        return out
+        uses = self.dynamic.used[problems, agents, edges >> 3] >> (edges & 7) & 1
+        return uses.astype(np.bool_)
 
     def state(self, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """(M, X, Y, 5 Z), the global states; see :func:`marouting.observations.state_space`."""
@@ -225,18 +205,13 @@ class Engine:
         return out
 
     @property
-    def more(self) -> More:
-        """The state of the options beyond the paper's, by name; views, to be read."""
-        return more_of(self.static, self.dynamic)
-
-    @property
     def max_steps(self) -> int:
         """Steps after which a task fails (the paper's T_max)."""
         return self.static.max_steps
 
     @property
     def actions(self) -> int:
-        """How many actions an agent has; see :class:`marouting.game.Rules`."""
+        """How many actions an agent has; see :class:`marouting.rules.Rules`."""
         return self.rules.actions
 
     @property
@@ -261,14 +236,7 @@ class Engine:
         _reset(self.static, self.dynamic, which)
 
     def begin_plain(self, which: NDArray[np.bool_]) -> None:
-        """In games with prices: makes the first walk of some problems a plain one.
-
-        Args:
-            which: (M,) of which. They are to stand at the beginning of their episodes.
-
-        Raises:
-            ValueError: one of them does not, or no walk is priced.
-        """
+        """Makes priced first walks of problems ``which`` (M,), not begun, plain ones."""
         if not self.priced or self.games["steps"][which].any():
             raise ValueError("which: expected problems at the beginning of a priced first walk")
         self.games["plain"][which] = 1
@@ -293,20 +261,8 @@ class Engine:
             first=static.first[which],
             order=static.order[which],
         )
-        part._whole, part._parts = None, []
-        if isinstance(which, slice):
-            part._whole = self
-            self._parts.append((part, which))
-            self._share()
-        else:
-            part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
+        part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
         return part
-
-    def _share(self) -> None:
-        """Hands the arrays to the parts that share them."""
-        for part, which in self._parts:
-            part.dynamic = Dynamic._make(array[which] for array in self.dynamic)
-            part._share()
 
     def replace(self, m: int, problem: Problem) -> None:
         """Puts another problem in the place of one; its episode is to be started by :meth:`reset`.
@@ -327,10 +283,8 @@ class Engine:
         self._held[m] = problem
         self._rows[m] = _rows_of(self.nets[m : m + 1])
         self.replaced[m] += 1
-        _forget(self.dynamic, m)
-        for array in (self.dynamic.agents, self.dynamic.games, self.dynamic.numbers):
+        for array in self.dynamic:
             array[m] = np.zeros((), array.dtype)
-        self.dynamic.remaining[m] = 0
         self.games["agent"][m] = NOBODY
 
     def move(self, moves: NDArray[np.integer]) -> None:
@@ -349,11 +303,7 @@ class Engine:
         (_move_turn if moves.ndim == 1 else _move_all)(self.static, self.dynamic, moves)
 
     def settle(self, everyone: bool) -> None:
-        """The second half of a step: next tasks start, agents finish, the turn passes.
-
-        Args:
-            everyone: whether the moves were those of all agents, (M, N).
-        """
+        """The second half of a step of all agents, or of those whose turn it is: tasks start."""
         (_settle_all if everyone else _settle_turn)(self.static, self.dynamic)
 
     def step(self, moves: NDArray[np.integer]) -> None:
@@ -366,15 +316,7 @@ class Engine:
         return Dynamic._make(array.copy() for array in self.dynamic)
 
     def restore(self, saved: Dynamic) -> None:
-        """Puts all games back into a saved state.
-
-        Args:
-            saved: returned by :meth:`save` of this engine, or of one with the same problems and
-                rules.
-
-        Raises:
-            ValueError: its shapes do not fit.
-        """
+        """Puts all games back into a state of :meth:`save`; ValueError if its shapes do not fit."""
         for name, array in self.dynamic._asdict().items():
             kept = getattr(saved, name)
             if (kept.shape, kept.dtype) != (array.shape, array.dtype):
@@ -429,11 +371,7 @@ class Engine:
         return np.repeat(self._problems, self.nets.shape[1])
 
     def pairs(self, everyone: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Indices (problem, agent) of all M·N agents, or of the M agents whose turn it is.
-
-        Use them to ask for observations and masks. NOBODY stands for an absent agent, and for the
-        agent of a problem whose episode is over.
-        """
+        """Indices (problem, agent) of all M·N agents, or of the M to move; NOBODY for none."""
         if everyone:
             return self._each, self._rows.reshape(-1)
         return self._problems, self.games["agent"]
@@ -474,11 +412,6 @@ class Engine:
         )
 
     def solution(self, m: int = 0, used: NDArray[np.uint8] | None = None) -> Solution:
-        """The routes of problem ``m``.
-
-        Args:
-            m: the problem.
-            used: an earlier copy of ``dynamic.used[m]``; None: the present one.
-        """
+        """The routes of problem m, now or by ``used``, an earlier copy of ``dynamic.used[m]``."""
         agent, edge = numbers_of(self.dynamic.used[m : m + 1] if used is None else used[None], 0)
         return Solution.of_uses(self._held[m], self.nets[m, agent].astype(np.int64), edge)

@@ -73,37 +73,25 @@ def maps_of(engine: Engine) -> Maps:
         found = _maps[engine] = maps, np.full(m, NOBODY, np.int64)
     maps, of = found
     if (of != engine.replaced).any():
-        new = np.flatnonzero(of != engine.replaced)
-        _begin_maps(engine.static, maps, new)
-        of[new] = engine.replaced[new]
+        for m in np.flatnonzero(of != engine.replaced).tolist():
+            _begin_maps(engine.static, maps, m)
+        of[:] = engine.replaced
     return maps
 
 
-@compiled
-def _begin_maps(static: Static, maps: Maps, new: Any) -> None:
-    """Fills in the maps of some problems (K,), in which nobody is counted yet."""
-    agents, layers = static.demand.shape[1], static.demand.shape[2]
-    for k in range(len(new)):
-        m = as_index(new[k])
-        for axis in range(VIA_AXIS):
-            maps.lanes[m, axis, :] = 0
-            for edge in range(axis, static.capacity.shape[1], AXES):
-                if static.capacity[m, edge] > 0:
-                    maps.lanes[m, axis, edge // AXES % layers] = 1
-            if maps.lanes[m, axis].sum() == 0:
-                maps.lanes[m, axis, :] = 1
-            maps.lane_count[m, axis] = maps.lanes[m, axis].sum()
-        playing = i64(0)
-        for n in range(agents):
-            playing += i64(static.first[m, n] < static.first[m, n + 1])
-        for z in range(layers):
-            tracks = static.demand[m, :, z].sum()
-            maps.track[m, z] = tracks / playing if tracks > 0 else 1
-        maps.counted[m] = NOBODY
-        maps.corner[m] = 0
-        maps.expected[m] = 0
-        maps.heads[m] = 0
-        maps.later[m] = 0
+def _begin_maps(static: Static, maps: Maps, m: int) -> None:
+    """Fills in the maps of a problem, in which nobody is counted yet."""
+    layers = static.demand.shape[2]
+    capacity = static.capacity[m].reshape(-1, layers, AXES)[..., :VIA_AXIS]
+    lanes = (capacity > 0).any(axis=0).T
+    lanes[~lanes.any(axis=1)] = True
+    maps.lanes[m], maps.lane_count[m] = lanes, lanes.sum(axis=1)
+    playing = np.count_nonzero(np.diff(static.first[m]))
+    tracks = static.demand[m].sum(axis=0)
+    maps.track[m] = np.where(tracks > 0, tracks / playing, 1)
+    maps.counted[m] = NOBODY
+    for array in (maps.corner, maps.expected, maps.heads, maps.later):
+        array[m] = 0
 
 
 @compiled

@@ -26,41 +26,32 @@ which an edge without a price has :data:`UNIT`; what prices rise by is finer.
 from dataclasses import dataclass
 from typing import Any
 
-from marouting.batch.best import note_best, put_best
-from marouting.batch.bits import byte_of
+from marouting.batch.bits import byte_of, copy_row
+from marouting.batch.edges import use_edges
 from marouting.batch.state import Dynamic, Option, Static
-from marouting.batch.tasks import is_on
+from marouting.batch.tasks import clear, grow_tree, is_on, keeps_tree
 from marouting.checks import check_fields
-from marouting.game import MOST_ROUNDS
+from marouting.game import Status
 from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.rules import MOST_ROUNDS
 
-UNIT = 16
-"""The cost of an edge without a price."""
-
-MOST = 60 * UNIT
-"""The most that an edge costs."""
-
-WHOLE = 1024
-"""``GAME.present`` and prices count in parts of this."""
+UNIT = 16  # the cost of an edge without a price
+MOST = 60 * UNIT  # the most that an edge costs
+WHOLE = 1024  # ``GAME.present`` and prices count in parts of this
 
 LEAST_PRESENT, MOST_PRESENT = 0.01, 2.0
 """The bounds of ``present``: a smaller one would not grow, being counted in whole parts, and a
 larger one would hide what prices say."""
 
-LARGEST = int(MOST_PRESENT * WHOLE)
-"""The largest ``present``, in parts of ``WHOLE``."""
-
-MOST_CALM = 1000.0
-"""The largest ``calm``: from the second negotiation on prices no longer rise."""
+LARGEST = int(MOST_PRESENT * WHOLE)  # the largest ``present``, in parts of ``WHOLE``
+MOST_CALM = 1000.0  # the largest ``calm``: from the second negotiation on prices no longer rise
 
 _RISE, MOST_RISE = 192, 640
 """What overflow adds to the price of an edge before a priced round, in parts of ``WHOLE``: as long
 as ``present`` is as at first, and at most."""
 
-NO_LIMIT = 1 << 55
-"""More overflow than there can be."""
-
+NO_LIMIT = 1 << 55  # more overflow than there can be
 _PRICED, _PLAIN = 10, 2
 """Rounds in a row without gain after which priced rounds end, and plain ones."""
 
@@ -70,7 +61,7 @@ _FALL = 10  # per cent by which prices fall after plain rounds
 
 @dataclass(frozen=True, kw_only=True)
 class Negotiation:
-    """The rules beyond those of :class:`marouting.game.Rules` in games of the generalist.
+    """The rules beyond those of :class:`marouting.rules.Rules` in games of the generalist.
 
     Attributes:
         prices: whether nets negotiate by prices, if there are rip-up rounds; with ``overflow:
@@ -180,10 +171,7 @@ def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @compiled
 def _lower(static: Static, dynamic: Dynamic, m: int) -> None:
-    """Before priced rounds that follow plain ones: prices fall, and nets share cheaply again.
-
-    What is left of a price is a whole part of ``UNIT``, so that small ones go.
-    """
+    """Before priced rounds that follow plain ones: prices fall, and nets share cheaply again."""
     prices = as_index(static.options[Option.PRICES])
     for edge in range(static.capacity.shape[1]):
         price = i64(dynamic.numbers[m, prices + edge])
@@ -193,6 +181,58 @@ def _lower(static: Static, dynamic: Dynamic, m: int) -> None:
         dynamic.numbers[m, prices + edge] = price - price % (WHOLE // UNIT)
     dynamic.games[m].present = 0
     dynamic.games[m].negotiations += 1
+
+
+@compiled
+def note_best(static: Static, dynamic: Dynamic, m: int) -> None:
+    """Notes the present routes if they are better than the best so far."""
+    game = dynamic.games[m]
+    # More tasks joined, then less overflow, then less wirelength.
+    best = game.best_joined, game.overflow, game.wirelength
+    if best >= (game.joined, game.best_overflow, game.best_wirelength):
+        return
+    game.best_joined, game.best_overflow = game.joined, game.overflow
+    game.best_wirelength = game.wirelength
+    for n in range(dynamic.agents.shape[1]):
+        row = i64(static.options[Option.BEST] + n)
+        copy_row(dynamic.sets, m, row, dynamic.used, m, i64(n))
+        joined = dynamic.agents[m, n].joined
+        dynamic.numbers[m, static.options[Option.BEST_JOINED] + n] = joined
+
+
+@compiled
+def put_best(static: Static, dynamic: Dynamic, m: int) -> None:
+    """Nets take the best routes so far."""
+    note_best(static, dynamic, m)
+    for n in range(dynamic.agents.shape[1]):
+        if dynamic.agents[m, n].status == Status.ABSENT:  # it has no tasks, nor a first pin
+            continue
+        row = as_index(static.options[Option.BEST] + n)
+        joined = dynamic.numbers[m, static.options[Option.BEST_JOINED] + n]
+        take_routes(static, dynamic, m, n, row, joined)
+    dynamic.games[m].joined = dynamic.games[m].best_joined
+
+
+@compiled
+def take_routes(static: Static, dynamic: Dynamic, m: int, n: int, row: int, joined: int) -> None:
+    """A net uses just the edges in a row of ``dynamic.sets``, which join so many of its tasks."""
+    changed = False
+    for byte in range(dynamic.used.shape[2]):
+        bits = byte_of(dynamic.used, m, n, byte)
+        if bits != 0:
+            taken = byte_of(dynamic.sets, m, row, byte)
+            changed |= taken != bits
+            use_edges(static, dynamic, m, n, byte, taken)
+    for byte in range(dynamic.sets.shape[2]):
+        bits = byte_of(dynamic.sets, m, row, byte)
+        if bits != 0:
+            changed |= byte_of(dynamic.used, m, n, byte) != bits
+            use_edges(static, dynamic, m, n, byte, bits)
+    dynamic.agents[m, n].joined = joined
+    if is_on(static, Option.RELEASE_FAILED):
+        clear(static, dynamic, m, Option.TAKEN, n)
+    if changed and keeps_tree(static):
+        grow_tree(static, dynamic, m, n)
 
 
 @compiled

@@ -1,16 +1,7 @@
 """Rip-up and reroute: after all nets have routed, some are routed again around the others.
 
-:class:`marouting.game.RipUp` has the options, and :mod:`marouting.game` the same rules in plain
-Python. A net's price, for ``choose: history``, is the number of rounds, this one included, at whose
-start its edges were full, summed over its edges; a net with an open task costs more than any other.
-
-A net stands in another's way by the number of full edges that it uses: of those that the other uses
-too, and of those in the box around the other's pins (and one Gcell beyond, if the other has a task
-open). Of all such nets those with the largest product of this number and a lot are taken
-(:func:`lot`), so that a net is ripped up with others in every round.
-
-When all of them have routed again, the problem is judged by its open tasks, its overflow and its
-wirelength, in this order. If it is worse than before, they get their edges back.
+:class:`marouting.rules.RipUp` has the options, and the section "Rip-up and reroute" of
+:mod:`marouting.game` the rules in plain Python.
 
 Where nets negotiate (:class:`marouting.batch.prices.Negotiation`) the first walk and some rounds
 are **priced**. In such a round every net is rerouted alone, in an order drawn by lots unless
@@ -30,19 +21,12 @@ No move is made, and no reward paid, when nets take earlier routes.
 """
 
 from marouting import game as rules
-from marouting.batch.best import put_best, take_routes
 from marouting.batch.bits import byte_of, empty, put, set_byte
 from marouting.batch.edges import use_edges
 from marouting.batch.places import grid_of
-from marouting.batch.prices import choose_kind, is_priced, net_cost
+from marouting.batch.prices import choose_kind, is_priced, net_cost, put_best, take_routes
 from marouting.batch.state import Choice, Dynamic, Option, Static
-from marouting.batch.tasks import (
-    begin_net,
-    begin_task,
-    is_on,
-    next_task,
-    wait,
-)
+from marouting.batch.tasks import begin_net, begin_task, is_on, next_task, wait
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
@@ -63,15 +47,7 @@ def is_full(static: Static, dynamic: Dynamic, m: int, edge: int) -> bool:
 
 @compiled
 def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
-    """What a net's open tasks and full edges cost.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        m: the problem.
-        n: the agent.
-        now: whether an edge costs 1 if it is full now, or the rounds at whose start it was.
-    """
+    """A net's open tasks and full edges: those full now, or each by the rounds it was full in."""
     price = i64(0)
     for byte in range(dynamic.used.shape[2]):
         bits = byte_of(dynamic.used, m, n, byte)
@@ -256,15 +232,11 @@ def all_have_walked(static: Static, dynamic: Dynamic, m: int) -> bool:
 def judge(static: Static, dynamic: Dynamic, m: int) -> None:
     """Once nets are rerouted: if that made the problem worse, they get their old routes back."""
     game = dynamic.games[m]
-    worse = game.joined < game.kept_joined
-    if game.joined == game.kept_joined:
-        worse = game.overflow > game.kept_overflow
-        if game.overflow == game.kept_overflow:
-            worse = game.wirelength > game.kept_wirelength
-        if is_priced(static, dynamic, m):
-            n = as_index(dynamic.numbers[m, static.options[Option.AGAIN]])
-            cost = net_cost(static, dynamic, m, n, dynamic.used, n, i64(1))
-            worse = cost > game.kept_cost
+    before = game.joined, game.kept_overflow, game.kept_wirelength
+    worse = (game.kept_joined, game.overflow, game.wirelength) > before
+    if game.joined == game.kept_joined and is_priced(static, dynamic, m):
+        n = as_index(dynamic.numbers[m, static.options[Option.AGAIN]])
+        worse = net_cost(static, dynamic, m, n, dynamic.used, n, i64(1)) > game.kept_cost
     o = static.options
     for k in range(game.again):
         member = as_index(dynamic.numbers[m, o[Option.AGAIN] + k])

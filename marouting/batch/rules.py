@@ -14,14 +14,7 @@ from typing import Any
 from marouting.batch.bits import byte_of, clear, empty, put
 from marouting.batch.edges import demand_of, may_cross, take, use_edges, uses
 from marouting.batch.prices import NO_LIMIT, first_present
-from marouting.batch.rounds import (
-    all_have_walked,
-    answer,
-    done,
-    has_walked,
-    judge,
-    walk_again,
-)
+from marouting.batch.rounds import all_have_walked, answer, done, has_walked, judge, walk_again
 from marouting.batch.state import MASKS, Dynamic, Option, Static
 from marouting.batch.tasks import (
     begin_extended,
@@ -44,19 +37,7 @@ _SIX = (1 << MOVES) - 1
 
 @inlined
 def cross_edge(static: Static, dynamic: Dynamic, m: int, n: int, move: int, tries: int) -> int:
-    """One step of one agent, which crosses an edge or is blocked.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        m: the problem.
-        n: the agent.
-        move: 0 to 5.
-        tries: 1; 0 for a step that is blocked anyway.
-
-    Returns:
-        1 if the net did not use the edge before, else 0.
-    """
+    """One step of one agent, blocked if ``tries`` is 0; returns 1 for an edge new to the net."""
     agent = dynamic.agents[m, n]
     game = dynamic.games[m]
     cell = as_index(agent.cell)
@@ -264,26 +245,14 @@ def settle_player(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @inlined
 def may_move(dynamic: Dynamic, m: int, n: int, alone: bool, move: int) -> bool:
-    """Whether an agent makes a move in a step of all: if it is active and need not wait.
-
-    Args:
-        dynamic: the dynamic state of the games.
-        m: the problem.
-        n: the agent.
-        alone: whether only the agent whose turn it is moves in the step.
-        move: the agent's move, or NOBODY.
-    """
+    """Whether an agent moves in a step of all; ``alone``: only the agent whose turn it is does."""
     active = dynamic.agents[m, n].status == Status.ACTIVE
     return active and move != NOBODY and (not alone or n == dynamic.games[m].agent)
 
 
 @inlined
 def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
-    """In one problem, all agents make their moves of ``moves`` (M, N) in turn order.
-
-    In sequential order, and where an agent is asked whether to rip up its net, only the agent
-    whose turn it is moves.
-    """
+    """In one problem, agents make their moves of ``moves`` (M, N) in turn order."""
     alone = static.sequential or dynamic.games[m].asked != 0
     for k in range(static.order.shape[1]):
         if static.order[m, k] == NOBODY:
@@ -315,10 +284,7 @@ def settle_everyone(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @inlined
 def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
-    """The moves of an agent that cross an edge, one bit per move.
-
-    An agent that is asked whether to rip up its net has two actions, the first move and the last.
-    """
+    """The moves of an agent that cross an edge, one bit per move; its actions if it is asked."""
     cell = as_index(dynamic.agents[m, n].cell)
     free = i64(0)
     for move in range(MOVES):
@@ -349,12 +315,3 @@ def write_moves(free: int, out: Any, row: int) -> None:
         out[row, move] = MASKS[free & _SIX, move]
     if out.shape[1] > MOVES:
         out[row, RIP_UP] = free >> RIP_UP & 1
-
-
-@inlined
-def write_mask(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
-    """Fills a row of ``out`` (K, 6 or 7) with an agent's action mask, or that of NOBODY."""
-    free = i64(0)
-    if n != NOBODY:
-        free = free_moves(static, dynamic, m, as_index(n))
-    write_moves(free, out, row)

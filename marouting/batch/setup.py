@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from marouting.batch.prices import WHOLE, Negotiation
 from marouting.batch.state import AGENT, GAME, Choice, Dynamic, Option, Static
 from marouting.errors import InputError
-from marouting.game import NOBODY, NetOrder, RipUp, Rules
-from marouting.kernels import compiled, i64
+from marouting.game import NOBODY
 from marouting.memory import PLAYED, TABLES, check_memory
-from marouting.problem.grid import VIA_AXIS, Grid
+from marouting.problem.grid import Grid
 from marouting.problem.problem import UNLIMITED, Problem
+from marouting.rules import RipUp, Rules, net_ranks
 from marouting.trees.decomposition import two_pin_tasks
 
 
@@ -39,26 +39,22 @@ class Room(NamedTuple):
 def static_state(
     problems: Sequence[Problem],
     rules: Rules,
-    ranks: NDArray[np.integer] | None = None,
     room: Room | None = None,
     negotiation: Negotiation | None = None,
 ) -> tuple[Static, NDArray[np.int32]]:
-    """The constant arrays of a batch of problems with one grid shape.
+    """The constant arrays of M problems with one grid shape.
 
     Args:
-        problems: M problems.
+        problems: the problems.
         rules: the options of the rules.
-        ranks: (nets,) numbers; the net with the lowest one comes first. None: ``rules.net_order``.
         room: the size of the arrays; None: what these problems need.
         negotiation: how nets negotiate; None: they do not.
 
     Returns:
-        The arrays, and (M, N) int32, the net of every agent (NOBODY where there is no agent). Nets
-        with all pins in one Gcell are not agents.
+        The arrays, and (M, N) int32, the net of every agent, NOBODY where there is no agent.
 
     Raises:
-        InputError: there is no problem, the grids differ, a problem has nothing to route, demands
-            do not fit into 32 bits, there is not one rank per net, or they take too much memory.
+        InputError: the problems cannot be played, or take too much memory.
     """
     if not problems:
         raise InputError("problems: expected at least one")
@@ -68,52 +64,38 @@ def static_state(
     if any(problem.grid != problems[0].grid for problem in problems):
         shapes = sorted({problem.grid for problem in problems})
         raise InputError(f"problems: expected one grid shape, found {shapes}")
-    if ranks is not None and any(np.shape(ranks) != (len(p.nets),) for p in problems):
-        raise InputError(f"net_order: expected one number per net, found shape {np.shape(ranks)}")
     grid = Grid.of(problems[0].grid)
     overflow = rules.overflow == "allowed"
-    pins = [problem.flat_pin_gcells for problem in problems]
-    counts = [int(np.count_nonzero(first[1:] - first[:-1] > 1)) for first, _ in pins]
-    for m, count in enumerate(counts):
-        if not count:
+    routed = [np.flatnonzero(np.diff(p.flat_pin_gcells[0]) > 1) for p in problems]
+    for m, nets in enumerate(routed):
+        if not len(nets):
             raise InputError(f"problem {m}: expected a net with pins in two Gcells or more")
-    shape = len(problems), room.nets if room else max(counts)
+    shape = len(problems), room.nets if room else max(map(len, routed))
     check_memory(
         grid.gcells * (TABLES + PLAYED * shape[0]) + 8 * math.prod(shape) * grid.shape[2],
         "{} problems of up to {} nets on a grid of {}",
         *shape,
         grid,
     )
-    agent_net, order = np.empty((2, *shape), np.int32)
+    agent_net, order = np.full((2, *shape), NOBODY, np.int32)
     first = np.zeros((shape[0], shape[1] + 1), np.int32)
     demand = np.zeros((*shape, grid.shape[2]), np.int32)
-    size = np.empty(shape[1], np.int32)
-    extended = rules.target == "tree" or rules.next_pin == "nearest" or rules.mask_visited
+    extended = rules.target == "tree" or rules.next_pin == "nearest" or rules.mask.visited
     extended |= rules.release_failed or bool(rules.rip_up and rules.rip_up.rounds)
-    tasks = [two_pin_tasks(problem, rules.decomposition) for problem in problems]
+    tasks = [two_pin_tasks(problem, rules.nets.decomposition) for problem in problems]
     begins = np.cumsum([0, *map(len, tasks)]) if room is None else room.tasks * np.arange(shape[0])
     table = np.zeros((int(begins[-1]) + (room.tasks if room else 0), 2), np.int32)
-    for m, (problem, count) in enumerate(zip(problems, counts, strict=True)):
+    for m, (problem, nets, own) in enumerate(zip(problems, routed, tasks, strict=True)):
         if room is not None:
-            _check_room(room, count, len(tasks[m]))
-        first[m, 0] = begins[m]
-        table[begins[m] : begins[m] + len(tasks[m])] = tasks[m][:, 1:]
-        most = _agents(
-            *pins[m],
-            tasks[m],
-            grid.position,
-            problem.net_demand,
-            agent_net[m],
-            first[m],
-            demand[m],
-            size,
-        )
-        if overflow and most > UNLIMITED:
+            _check_room(room, len(nets), len(own))
+        table[begins[m] : begins[m] + len(own)] = own[:, 1:]
+        first[m] = begins[m] + len(own)  # also where there is no agent
+        first[m, : len(nets)] = begins[m] + np.searchsorted(own[:, 0], nets)
+        agent_net[m, : len(nets)], demand[m, : len(nets)] = nets, problem.net_demand[nets]
+        if overflow and demand[m].max(axis=1).sum(dtype=np.int64) > UNLIMITED:
             raise InputError(f"problem {m}: expected demands that add up to at most {UNLIMITED}")
-        order[m, :count] = _turns(
-            size[:count], agent_net[m, :count], rules.net_order if ranks is None else ranks
-        )
-        order[m, count:] = NOBODY
+        ranks = net_ranks(problem, rules.nets.order)[nets]
+        order[m, : len(nets)] = np.argsort(ranks, kind="stable")
     static = Static(
         neighbour=grid.neighbour,
         edge=grid.edge,
@@ -145,22 +127,9 @@ def _check_room(room: Room, agents: int, tasks: int) -> None:
 
 
 def replace_problem(
-    static: Static,
-    nets: NDArray[np.int32],
-    m: int,
-    problem: Problem,
-    rules: Rules,
-    room: Room,
+    static: Static, nets: NDArray[np.int32], m: int, problem: Problem, rules: Rules, room: Room
 ) -> None:
-    """Puts another problem in the place of one, in arrays that have room for it.
-
-    Args:
-        static: the constant arrays of M problems, changed.
-        nets: (M, N), the net of every agent, changed.
-        m: the place.
-        problem: the problem, on the same grid.
-        rules: the options of the rules, the same as before.
-        room: the size of the arrays.
+    """Puts another problem on the same grid in place m of arrays that have room for it.
 
     Raises:
         InputError: the problem is too large, on another grid, or has nothing to route.
@@ -194,7 +163,7 @@ def _options(
     options = np.full(len(Option), -1, np.int64)
     options[Option.TREE_TARGET] = rules.target == "tree"
     options[Option.NEAREST_NEXT] = nearest
-    options[Option.MASK_VISITED] = rules.mask_visited
+    options[Option.MASK_VISITED] = rules.mask.visited
     options[Option.RELEASE_FAILED] = rules.release_failed
     options[Option.ROUNDS] = rip_up.rounds
     options[Option.RIP_UP] = Choice[rip_up.choose.upper()]
@@ -204,7 +173,7 @@ def _options(
     options[Option.CALM] = round(negotiation.calm * 100)
     rows = {
         Option.TREE: agents * tree,
-        Option.VISITED: agents * rules.mask_visited,
+        Option.VISITED: agents * rules.mask.visited,
         Option.TAKEN: agents * rules.release_failed,
         Option.KEPT: again,
         Option.TRIED: agents * nearest,
@@ -228,53 +197,11 @@ def _options(
     return options
 
 
-_PLAIN = _options(Rules(), (0, 0, 0))
-"""The options of the paper's game: all are switched off."""
-
-
-class More(NamedTuple):
-    """Views of the state of the options, by name; see :class:`Option`. Empty where switched off."""
-
-    tree: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
-    visited: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
-    taken: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
-    kept: NDArray[Any]  # (M, P, ceil(E / 8)) uint8
-    tried: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
-    best: NDArray[Any]  # (M, N, ceil(E / 8)) uint8
-    line: NDArray[np.int64]  # (M, N)
-    again: NDArray[np.int64]  # (M, P)
-    kept_joined: NDArray[np.int64]  # (M, P)
-    history: NDArray[np.int64]  # (M, E)
-    prices: NDArray[np.int64]  # (M, E)
-    best_joined: NDArray[np.int64]  # (M, N)
-
-
-def more_of(static: Static, dynamic: Dynamic) -> More:
-    """The state of the options by name."""
-    found: list[NDArray[Any]] = []
-    for parts, array in (
-        (range(Option.TREE, Option.LINE), dynamic.sets),
-        (range(Option.LINE, Option.QUEUE + 1), dynamic.numbers),
-    ):
-        begins = [int(static.options[part]) for part in parts]
-        for place, begin in enumerate(begins):
-            later = [other for other in begins[place + 1 :] if other >= 0]
-            end = later[0] if later else array.shape[1]
-            found.append(array[:, begin:end] if begin >= 0 else array[:, :0])
-    return More(*found[:-1])
+_PLAIN = _options(Rules(), (0, 0, 0))  # the options of the paper's game: all are switched off
 
 
 def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
-    """The arrays that change during an episode, before the first one.
-
-    Args:
-        static: the constant arrays of M problems.
-        grid: the grid of all of them.
-        agents: N, the agents of each.
-
-    Raises:
-        InputError: they take too much memory.
-    """
+    """The arrays that change during an episode; raises InputError if they take too much memory."""
     m, edges = static.capacity.shape
     ways, rows = -(-edges // 8), int(static.options[Option.ROWS])
     columns = int(static.options[Option.COLUMNS])
@@ -292,79 +219,3 @@ def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
         sets=np.zeros((m, rows, ways), np.uint8),
         numbers=np.zeros((m, columns), np.int64),
     )
-
-
-@compiled
-def _agents(
-    pins: Any,
-    gcells: Any,
-    tasks: Any,
-    position: Any,
-    net_demand: Any,
-    nets: Any,
-    first: Any,
-    demand: Any,
-    half_perimeter: Any,
-) -> int:
-    """The agents of a problem: the nets with pins in two Gcells or more.
-
-    Args:
-        pins: (nets + 1,), the first part of
-            :attr:`marouting.problem.problem.Problem.flat_pin_gcells`.
-        gcells: (pin Gcells,), the second part.
-        tasks: (K, 3), see :func:`marouting.trees.decomposition.two_pin_tasks`.
-        position: (G, 3), see :class:`Static`.
-        net_demand: (nets, Z), the demand of every net in every layer.
-        nets: (N,) to be filled with the net of every agent; NOBODY where there is no agent.
-        first: (N + 1,) to be filled as in :class:`Static`; its first entry is already set.
-        demand: (N, Z) to be filled as in :class:`Static`.
-        half_perimeter: (N,) to be filled with width + height of the box around every agent's pins.
-
-    Returns:
-        An upper bound for the demand on an edge: every agent uses it, in its most demanding layer.
-    """
-    n = most = task = 0
-    for net in range(len(pins) - 1):
-        if pins[net + 1] - pins[net] < 2:
-            continue
-        nets[n] = net
-        before = task
-        while task < len(tasks) and tasks[task, 0] == net:
-            task += 1
-        first[n + 1] = first[n] + task - before
-        half_perimeter[n] = 0
-        for axis in range(VIA_AXIS):
-            least = largest = position[gcells[pins[net]], axis]
-            for pin in range(pins[net] + 1, pins[net + 1]):
-                at = position[gcells[pin], axis]
-                if at < least:
-                    least = at
-                elif at > largest:
-                    largest = at
-            half_perimeter[n] += largest - least
-        worst = i64(0)
-        for layer in range(demand.shape[1]):
-            demand[n, layer] = net_demand[net, layer]
-            if demand[n, layer] > worst:
-                worst = i64(demand[n, layer])
-        most += worst
-        n += 1
-    for absent in range(n, len(nets)):
-        nets[absent] = NOBODY
-        first[absent + 1] = first[n]
-    return most
-
-
-def _turns(
-    half_perimeter: NDArray[np.int32],
-    nets: NDArray[np.int32],
-    net_order: NetOrder | NDArray[np.integer],
-) -> NDArray[np.int64]:
-    """Agents in turn order, given the half-perimeters (N,) of their nets, and the nets (N,)."""
-    if not isinstance(net_order, str):
-        return np.argsort(net_order[nets], kind="stable")
-    if net_order == "file":
-        return np.arange(len(half_perimeter))
-    if net_order == "half_perimeter":
-        half_perimeter = -half_perimeter
-    return np.argsort(half_perimeter, kind="stable")

@@ -146,5 +146,4 @@ class Dynamic(NamedTuple):
     numbers: NDArray[np.int64]  # (M, C) numbers of the options; see Option
 
 
-MASKS = mask_table(MOVES)
-"""(64, 6) int8, see :func:`marouting.columns.mask_table`."""
+MASKS = mask_table(MOVES)  # (64, 6) int8, see :func:`marouting.columns.mask_table`

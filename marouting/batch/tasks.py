@@ -1,21 +1,8 @@
 """Which task an agent has, and where it stands when the task begins.
 
-By the paper's rules the tasks of a net are begun in the order of its decomposition; the agent walks
-from a task's start, which earlier tasks have reached, to its target, a new pin.
-
-Two options know more of the net than that. Both keep the net's **tree**: all Gcells that its edges
-join to its first pin. The tree grows when a task ends. A task is joined when its new pin is in the
-tree, whoever joined it: a pin that a route has met on its way is joined too, and its task is not
-begun any more.
-
-* ``target: tree``: the agent starts at the new pin, and any Gcell of the tree ends the task. What
-  it sees as its target is the Gcell of the tree that was nearest when the task began.
-* ``next_pin: nearest``: of the pins that are not in the tree and whose tasks have not been begun,
-  the one nearest to the tree is next. With ``target: pin`` the agent starts at the Gcell of the
-  tree nearest to it.
-
-Distances are Manhattan distances over x, y and layer; ties go to the task listed first, and to the
-Gcell with the lowest number. With Steiner trees, "pin" stands for Steiner points as well.
+The rules are in the section "Tasks" of :mod:`marouting.game`. The options ``target`` and
+``next_pin`` keep the net's **tree**, all Gcells that its edges join to its first pin. With Steiner
+trees, "pin" stands for Steiner points as well.
 """
 
 from marouting.batch.bits import byte_of, empty, has, put
@@ -125,15 +112,7 @@ def is_later(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> boo
 def next_nearest(
     static: Static, dynamic: Dynamic, m: int, n: int, far: int, after: int
 ) -> tuple[int, int]:
-    """The later task whose pin is next after another one, by their distance from the agent.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        m: the problem.
-        n: the agent.
-        far: the distance of the other one; -1 for the nearest pin of all.
-        after: the task of the other one, for ties go to the task listed first.
+    """The later task whose pin is next in distance from the agent after ``far`` and task ``after``.
 
     Returns:
         The task and the distance of its pin; NOBODY if there is none.

@@ -66,14 +66,7 @@ from numpy.typing import NDArray
 
 from marouting.batch.bits import byte_of
 from marouting.batch.edges import uses
-from marouting.batch.expected import (
-    Maps,
-    maps_of,
-    refresh,
-    share_of,
-    slack_of,
-    squashed,
-)
+from marouting.batch.expected import Maps, maps_of, refresh, share_of, slack_of, squashed
 from marouting.batch.mirror import engine_of
 from marouting.batch.places import grid_of, position
 from marouting.batch.rules import free_moves
@@ -337,20 +330,7 @@ def _edges(
     out: Any,
     row: int,
 ) -> None:
-    """Writes the blocks of one axis.
-
-    Args:
-        static: the static state of the games.
-        dynamic: their dynamic state.
-        maps: see :class:`Maps`.
-        where: where channels begin.
-        m: the problem.
-        n: the agent.
-        axis: 0 to 2.
-        begin: where the axis begins in each channel.
-        out: (K, size) to be filled.
-        row: which of the K.
-    """
+    """Writes the blocks of one axis, which begins at ``begin`` in each channel."""
     columns, rows, layers = grid_of(static)
     agent = dynamic.agents[m, n]
     cell, target = as_index(agent.cell), as_index(agent.target)
@@ -399,14 +379,7 @@ def _edges(
 
 @compiled
 def _gcells(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    where: _Where,
-    m: int,
-    n: int,
-    out: Any,
-    row: int,
+    static: Static, dynamic: Dynamic, maps: Maps, where: _Where, m: int, n: int, out: Any, row: int
 ) -> None:
     """Writes the channels ``pins`` and ``heads``."""
     columns, rows, layers = grid_of(static)

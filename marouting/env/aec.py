@@ -143,12 +143,7 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
         self.agent_selection = self.agents[0]
 
     def _pay(self, mover: str, paid: Any) -> None:
-        """Sets the rewards of a move, and adds them to what each agent got since its last move.
-
-        Args:
-            mover: the agent that moved.
-            paid: a float for the agent that moved, or (N,) for all agents.
-        """
+        """Sets the rewards of a move, and adds them to what each agent got since its last move."""
         self._cumulative_rewards[mover] = 0.0
         if self._game.pays_mover:
             if self._mover in self.rewards:

@@ -14,8 +14,7 @@ from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 
 from marouting.columns import Columns, mask_table
-from marouting.errors import InputError
-from marouting.game import ACTIVE, NOBODY, WAITING, Game, Rules, TurnOrder
+from marouting.game import ACTIVE, NOBODY, Game
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.observations import has_form, state_of, state_space_of
 from marouting.options import game_options
@@ -23,6 +22,8 @@ from marouting.problem.grid import Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Window, ansi, rgb_array, scene_of
+from marouting.rewards import paid_by
+from marouting.rules import Rules, TurnOrder
 from marouting.source import ProblemStream, Source
 
 METADATA: dict[str, Any] = {
@@ -38,32 +39,20 @@ class BaseGame:
     Args:
         problem: what to play, see :class:`marouting.source.ProblemStream`.
         turn_order: the turn order if the options give none.
-        options: the fields of :class:`marouting.options.GameOptions`; ``observation`` and
-            ``reward`` may also be any object of their protocol.
+        options: the fields of :class:`marouting.options.GameOptions`.
         kind: the class of the game, if its rules are others.
 
     Attributes:
-        game: the game.
         columns: the game as observations and rewards see it.
-        name: the name of the problem that is played.
         many: whether there are several problems.
-        names: the names of the game's agents.
         numbers: the game's agents by their names.
         everyone: the names of all nets that are agents in any episode.
         box: the space of one agent's observation, without its mask.
-        begun: whether an episode has begun.
         masked: whether observations hold the mask.
-        mask_key: the name of the mask in observations and infos.
         persists: whether agents that are done stay until all are done.
-        reward: what moves pay.
         pays_mover: whether a move pays only the agent that makes it.
-        actions: A, the number of actions.
-        no_op: (A,) the mask of an agent that is done and stays: the one move it may make does
-            nothing.
+        no_op: (A,) the mask of an agent that is done and stays.
         rng: what draws the problem of an episode, if there are several.
-
-    Raises:
-        InputError: an option or the problem cannot be used.
     """
 
     metadata = METADATA
@@ -84,8 +73,8 @@ class BaseGame:
         self.reward: Any = checked.reward.make()
         self.pays_mover = has_form(self.reward, "pay", "__call__")
         self.render_mode = checked.render_mode
-        self.masked = checked.mask_in_observation
-        self.mask_key, self._observation_key = checked.mask_key, checked.observation_key
+        self.masked = checked.mask.in_observation
+        self.mask_key, self._observation_key = checked.mask.mask_key, checked.mask.observation_key
         self.persists = checked.persists
         self.actions = checked.actions
         self.no_op = np.eye(1, self.actions, dtype=np.int8)[0]
@@ -229,27 +218,14 @@ class BaseGame:
     # --- moves ------------------------------------------------------------------------------------
 
     def move(self, n: int, action: int) -> Any:
-        """An agent moves.
-
-        Returns:
-            What that pays: a float for the agent that moves if ``pays_mover``, otherwise (N,)
-            float32 for all agents.
-        """
+        """An agent moves: what that pays it if ``pays_mover``, otherwise (N,) float32 for all."""
         if self.pays_mover:
             self.game.move(n, action)
             return self.reward.pay(self.game, n)
         before = self.columns.before(self._figures)
         self.game.move(n, action)
         self._figures = self.columns.figures()
-        paid = np.asarray(self.reward(self.columns, before, np.array([n], np.int32)), np.float32)
-        shape, name = (1, len(self.names)), type(self.reward).__name__
-        if paid.shape != shape:
-            raise InputError(f"reward: expected shape {shape}, found {paid.shape} from {name}")
-        if not np.isfinite(paid).all():
-            found = paid[~np.isfinite(paid)][0]
-            raise InputError(f"reward: expected finite numbers, found {found} from {name}")
-        status = before.agents["status"][0]
-        return np.where((status == ACTIVE) | (status == WAITING), paid[0], np.float32(0))
+        return paid_by(self.reward, self.columns, before, np.array([n], np.int32))[0]
 
     def task_end(self, n: int) -> dict[str, Any]:
         """What the info after a move says of the task that has ended with it; empty if none has.

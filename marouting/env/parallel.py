@@ -57,11 +57,7 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
         return self._look(first=True)
 
     def _look(self, *, first: bool) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """New observations and infos of the agents that are in the game.
-
-        Args:
-            first: whether they are those of the beginning, when infos hold nothing but masks.
-        """
+        """New observations and infos of all agents; the first infos hold nothing but masks."""
         base, numbers, agents = self._game, self._numbers, self.agents
         seen: Any = base.see_all(numbers)
         masks = base.masks(numbers)
@@ -128,14 +124,7 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
         )
 
     def _move(self, moves: dict[int, int]) -> tuple[dict[int, float], dict[int, dict[str, Any]]]:
-        """The moves of a step, one after the other in turn order.
-
-        Args:
-            moves: a move for each agent.
-
-        Returns:
-            By agent what the step paid it, and what infos say of the task that has ended.
-        """
+        """Makes the moves in turn order: what pays each agent, and infos of tasks that ended."""
         base, game = self._game, self._game.game
         movers = game.movers()
         if base.pays_mover:

@@ -15,21 +15,15 @@ from marouting.problem.segments import longest_runs
 
 
 class Boxes(NamedTuple):
-    """Boxes that nets' routes cover.
+    """Boxes that nets' routes cover."""
 
-    Attributes:
-        net: (n,) int64, the index of each box's net, ascending.
-        box: (n, 4) int64, lower left and upper right corner in chip coordinates.
-        layer: (n,) int64, from 0.
-    """
-
-    net: NDArray[np.int64]
-    box: NDArray[np.int64]
-    layer: NDArray[np.int64]
+    net: NDArray[np.int64]  # (n,) int64, the index of each box's net, ascending
+    box: NDArray[np.int64]  # (n, 4) int64, lower left and upper right corner in chip coordinates
+    layer: NDArray[np.int64]  # (n,) int64, from 0
 
 
 def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The edges between Gcells that a net's boxes touch.
+    """The edges between Gcells that a net's boxes touch: (k,) net and edge of each, ascending.
 
     A guide is a region and says no more. Two Gcells of it that lie above each other are joined, and
     two neighbours of one box if the edge between them has capacity. Guides also count on neighbours
@@ -37,16 +31,8 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
     layer's direction: where parts of a net touch in no other way, the former, and then the latter,
     join them, no more than are needed.
 
-    Args:
-        problem: the problem.
-        boxes: corners in either order are not accepted: the lower left one comes first.
-
-    Returns:
-        (k,) twice: net and edge, ordered by net, then edge, each pair once.
-
     Raises:
-        FieldError: a box is empty or reaches off the chip; ``row`` tells which, ``field`` is
-            ``"segments"``.
+        FieldError: a box is empty or reaches off the chip; ``row`` tells which.
         InputError: the Gcells would take too much memory.
     """
     chip = problem.chip_or_default
@@ -92,19 +78,11 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
 
 
 def boxes_of(problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]) -> Boxes:
-    """Boxes that cover routes and pins, connected wherever the routes are.
+    """Boxes that cover routes, edges (k,) of nets (k,), and pins, connected where the routes are.
 
     Every longest straight segment is a box. Every via lies in a box of both layers. Every pin's
     Gcell is covered in its own layer and in the next higher one, so that the pin can be left by a
     via, and so is what the pin touches of Gcells beside it.
-
-    Args:
-        problem: the problem.
-        net: (k,) the net of each edge.
-        edge: (k,) edges of the grid, each once per net.
-
-    Returns:
-        The boxes, ordered by net, layer, column and row.
     """
     chip: Chip = problem.chip_or_default
     size, layers = int(np.prod(problem.grid)), problem.grid[2]

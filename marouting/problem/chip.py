@@ -16,60 +16,35 @@ from marouting.problem.net import Adjustment
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """The costs of a problem of the ISPD 2024 contest, as its ``.cap`` and ``.net`` files say.
+    """The costs of a problem of the ISPD 2024 contest, as its ``.cap`` and ``.net`` files say."""
 
-    Attributes:
-        wire_cost: of a wire one unit long.
-        via_cost: of a via.
-        overflow_cost: (Z,) by which the overflow of each layer is weighted.
-        x_length: (X - 1,) length of the edges from each column to the next.
-        y_length: (Y - 1,) length of the edges from each row to the next.
-        capacity: (X, Y, Z) of every Gcell, in tracks, which need not be whole.
-        axis: (Z,) 0 for a horizontal layer, 1 for a vertical one.
-    """
-
-    wire_cost: float
-    via_cost: float
-    overflow_cost: NDArray[np.float64]
-    x_length: NDArray[np.float64]
-    y_length: NDArray[np.float64]
-    capacity: NDArray[np.float64]
-    axis: NDArray[np.int64]
+    wire_cost: float  # of a wire one unit long
+    via_cost: float  # of a via
+    overflow_cost: NDArray[np.float64]  # (Z,) by which the overflow of each layer is weighted
+    x_length: NDArray[np.float64]  # (X - 1,) length of the edges from each column to the next
+    y_length: NDArray[np.float64]  # (Y - 1,) length of the edges from each row to the next
+    capacity: NDArray[np.float64]  # (X, Y, Z) of every Gcell, in tracks, which need not be whole
+    axis: NDArray[np.int64]  # (Z,) 0 for a horizontal layer, 1 for a vertical one
 
 
 class Places(NamedTuple):
-    """The Gcells by which pins can be reached; a route needs one of each pin.
+    """The Gcells by which pins can be reached; a route needs one of each pin."""
 
-    Attributes:
-        first_pin: (nets + 1,) the pins of net i are ``first_pin[i]`` to ``first_pin[i + 1]``.
-        first: (pins + 1,) likewise the places of each pin.
-        gcell: (places,) Gcell numbers.
-    """
-
-    first_pin: NDArray[np.int64]
-    first: NDArray[np.int64]
-    gcell: NDArray[np.int64]
+    first_pin: NDArray[np.int64]  # (nets + 1,) net i has ``first_pin[i]`` to ``first_pin[i + 1]``
+    first: NDArray[np.int64]  # (pins + 1,) likewise the places of each pin
+    gcell: NDArray[np.int64]  # (places,) Gcell numbers
 
 
 @dataclass(frozen=True, eq=False)
 class Chip:
-    """Names and places that a problem's Gcells and layers have in its files.
+    """Names and places that a problem's Gcells and layers have in its files."""
 
-    Attributes:
-        layers: Z names, lowest layer first.
-        x: (X + 1,) int64, ascending: column i of Gcells lies between ``x[i]`` and ``x[i + 1]``.
-        y: (Y + 1,) int64, likewise for rows.
-        wires: (Z, 2) bool, whether wires of each layer may go along x and along y.
-        places: where pins can be reached; None: in the Gcell that the problem has them in.
-        contest: the costs of the ISPD 2024 contest, if the problem is one of its.
-    """
-
-    layers: tuple[str, ...]
-    x: NDArray[np.int64]
-    y: NDArray[np.int64]
-    wires: NDArray[np.bool_]
-    places: Places | None = None
-    contest: Contest | None = None
+    layers: tuple[str, ...]  # Z names, lowest layer first
+    x: NDArray[np.int64]  # (X + 1,) int64, ascending: the lines between columns of Gcells
+    y: NDArray[np.int64]  # (Y + 1,) int64, likewise between rows
+    wires: NDArray[np.bool_]  # (Z, 2) bool, whether wires of each layer may go along x and along y
+    places: Places | None = None  # where pins can be reached; None: only where the problem has them
+    contest: Contest | None = None  # of a problem of the ISPD 2024 contest
 
 
 class Capacities(NamedTuple):
@@ -83,14 +58,10 @@ class Capacities(NamedTuple):
 def as_adjustments(
     capacity: NDArray[np.int64], axis: NDArray[np.int64], wires: NDArray[np.bool_]
 ) -> Capacities:
-    """The fields for edges that each have a capacity of their own.
+    """The fields for edges (X, Y, Z) along each layer's axis that have a capacity of their own.
 
     A layer's number is the commonest of its edges' capacities; the edges that differ are adjusted.
-
-    Args:
-        capacity: (X, Y, Z) of the edge from each Gcell to the next one along its layer's axis.
-        axis: (Z,) 0 or 1, the direction of each layer's wires.
-        wires: (Z,) whether a layer has wires at all; the others have no capacity.
+    Layers without wires have no capacity.
     """
     layers = capacity.shape[2]
     usual = np.zeros((2, layers), np.int64)

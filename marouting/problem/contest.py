@@ -13,14 +13,11 @@ from marouting.problem.parts import joined_parts
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 
-SLOPE = 0.5
-"""Of the exponential in the cost of overflow."""
-
+SLOPE = 0.5  # of the exponential in the cost of overflow
 WITHOUT = 1.5
 """What half a track of demand weighs, in tracks of overflow, where there is no capacity."""
 
-_LEAST = 0.001
-"""What is less is no capacity."""
+_LEAST = 0.001  # what is less is no capacity
 
 
 @dataclass(frozen=True)
@@ -142,10 +139,7 @@ def _via_demand(
 
 
 def _open_nets(
-    problem: Problem,
-    wired: NDArray[np.int64],
-    via_net: NDArray[np.int64],
-    via: NDArray[np.int64],
+    problem: Problem, wired: NDArray[np.int64], via_net: NDArray[np.int64], via: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """(open,) the nets whose pins are not joined.
 

@@ -36,9 +36,7 @@ class Move(enum.IntEnum):
 AXES = 3
 VIA_AXIS = 2
 
-MAX_GCELLS = 2**24
-"""The largest grid accepted, larger than any of the ISPD 2008 contest."""
-
+MAX_GCELLS = 2**24  # the largest grid accepted, larger than any of the ISPD 2008 contest
 MOVES = len(Move)
 
 
@@ -65,12 +63,9 @@ class Grid:
 
     The same is there for plain Python, which reads its own numbers faster than those of arrays:
     ``ways``, ``exits_of`` and ``position_of``, by Gcell.
-
-    Attributes:
-        shape: (X, Y, Z).
     """
 
-    shape: tuple[int, int, int]
+    shape: tuple[int, int, int]  # (X, Y, Z)
 
     @staticmethod
     @functools.lru_cache(maxsize=64)
@@ -198,14 +193,7 @@ def counted(sizes: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.i
 def gcells_of_boxes(
     first: Sequence[NDArray[np.int64]], last: Sequence[NDArray[np.int64]], each: int, what: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """(k,) thrice: for every Gcell of every box the box's index, the column and the row.
-
-    Args:
-        first: first column and first row of every box.
-        last: column and row behind the last ones.
-        each: bytes that will be taken by the Gcell.
-        what: what takes them, for the error, as for :func:`marouting.memory.check_memory`.
-    """
+    """(k,) thrice: for every Gcell of boxes from ``first`` to before ``last`` the box, x and y."""
     high = last[1] - first[1]
     sizes = (last[0] - first[0]) * high
     count = int(sizes.sum())
@@ -217,11 +205,7 @@ def gcells_of_boxes(
 def neighbours(
     shape: tuple[int, int, int], keys: NDArray[np.int64], axis: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which of some net · G + Gcell, ascending, have the next Gcell along an axis beside them.
-
-    Returns:
-        (k,) twice: indices of both.
-    """
+    """(k,) twice: which of net · G + Gcell, ascending, have the next Gcell along an axis."""
     stride = (shape[1] * shape[2], shape[2], 1)[axis]
     at = np.flatnonzero(keys // stride % shape[axis] + 1 < shape[axis])
     other = np.minimum(np.searchsorted(keys, keys[at] + stride), len(keys) - 1)

@@ -82,11 +82,7 @@ class Adjustment(NamedTuple):
 
 
 def check_net(net: Net, row: int = 0) -> None:
-    """Checks what must hold for a net in any problem.
-
-    Raises:
-        FieldError: the name, the id or the minimum width cannot be used, or there is no pin.
-    """
+    """Raises FieldError for a name, id, width or pins that no net of any problem can have."""
     if not isinstance(net, Net) or not isinstance(net.name, str):
         raise FieldError(f"nets: expected nets with names, found {net!r}", "nets", row)
     # Control characters would break the lines of files and of messages; a lone surrogate cannot
@@ -117,14 +113,7 @@ def is_whole(value: object) -> bool:
 
 
 def records(name: str, kind: Any, rows: Any) -> tuple[Any, ...]:
-    """Rows of numbers as a tuple of records, which can be hashed and compared.
-
-    A row of another length stays a tuple, and a number that is no integer as it is: a problem
-    refuses both.
-
-    Raises:
-        FieldError: it is none.
-    """
+    """Rows of numbers as a tuple of records; rows and numbers that are none stay, for Problem."""
     if type(rows) is tuple and all(type(row) is kind for row in rows):
         return rows  # as files are read: a large chip has a million pins
     made, found = [], rows

@@ -21,15 +21,7 @@ def joined_parts(
 
 @compiled
 def mark_joins(near: Any, far: Any, order: Any, part: Any, kept: Any) -> None:
-    """Joins vertices by edges and marks the edges that joined two parts.
-
-    Args:
-        near: (n,) one end of every edge.
-        far: (n,) the other.
-        order: the edges to be looked at, in this order.
-        part: (vertices,) leads from each vertex to a lower one of its part; changed.
-        kept: (n,) receives True for edges that joined two parts.
-    """
+    """Joins vertices by edges (n,), in an order; marks in ``kept`` those that joined two parts."""
     for edge in order:
         a, b = near[edge], far[edge]
         while part[a] != a:  # to the root; ways to it get shorter

@@ -91,7 +91,10 @@ class Problem:
                 f"origin {self.origin}: expected two numbers from -{MAX_NUMBER} to {MAX_NUMBER}",
                 "origin",
             )
-        check_tile(self.tile)
+        if not all(1 <= side <= MAX_NUMBER for side in self.tile):
+            raise FieldError(
+                f"tile {self.tile}: expected a width and a height from 1 to {MAX_NUMBER}", "tile"
+            )
         for name in layered:
             values = getattr(self, name)
             if len(values) != self.grid[2]:
@@ -367,14 +370,6 @@ def check_grid(grid: tuple[int, int, int]) -> None:
             f"grid {tuple(grid)}: expected columns, rows and layers from 1, "
             f"at most {MAX_GCELLS} Gcells in all",
             "grid",
-        )
-
-
-def check_tile(tile: tuple[int, int]) -> None:
-    """Raises FieldError unless a Gcell has a positive width and height."""
-    if len(tile) != 2 or not all(1 <= side <= MAX_NUMBER for side in tile):
-        raise FieldError(
-            f"tile {tuple(tile)}: expected a width and a height from 1 to {MAX_NUMBER}", "tile"
         )
 
 

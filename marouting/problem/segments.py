@@ -18,18 +18,13 @@ from marouting.problem.problem import Problem
 def covered_edges(
     problem: Problem, points: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The edges that segments cover; a segment within one Gcell covers none.
-
-    Args:
-        problem: whose grid, origin and tile count.
-        points: (n, 2, 3) the two ends of each segment, anywhere inside their Gcells.
+    """The edges that segments with ends ``points`` (n, 2, 3) cover; none if within one Gcell.
 
     Returns:
         (k,) twice: for each edge covered the index of its segment, ascending, and its number.
 
     Raises:
-        FieldError: an end is off the grid, or a segment is not straight; ``row`` tells the
-            segment, ``field`` is ``"segments"``.
+        FieldError: an end is off the grid, or a segment is not straight; ``row`` tells which.
         InputError: the edges would take too much memory.
     """
     gcells = problem.gcells(points.reshape(-1, 3)).reshape(-1, 2)
@@ -39,17 +34,10 @@ def covered_edges(
 def edges_between(
     problem: Problem, gcells: NDArray[np.int64], points: NDArray[np.int64], extent: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The edges that segments between Gcells cover, as :func:`covered_edges` returns them.
+    """The edges that segments between Gcells (n, 2) cover, as :func:`covered_edges` returns them.
 
-    Args:
-        problem: whose grid counts.
-        gcells: (n, 2) the two ends of each segment, OFF_GRID for one that is off the grid.
-        points: (n, 2, 3) the ends as they were given, for error messages.
-        extent: what ends have to be, for error messages.
-
-    Raises:
-        FieldError: as of :func:`covered_edges`.
-        InputError: likewise.
+    ``gcells`` are OFF_GRID for ends off the grid; ``points``, the ends as given, and ``extent``,
+    what ends have to be, are for error messages.
     """
     position = np.stack(np.unravel_index(gcells.clip(0), problem.grid), axis=-1)
     span = np.abs(position[:, 1] - position[:, 0])
@@ -73,12 +61,7 @@ def edges_between(
 def longest_segments(
     problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Joins the edges of each net into its longest straight segments.
-
-    Args:
-        problem: whose grid, origin and tile count.
-        net: (k,) the net of each edge.
-        edge: (k,) edges of the grid, each once per net.
+    """Joins edges (k,) of nets (k,) into the longest straight segments of each net.
 
     Returns:
         (n,) the net of each segment and (n, 2, 3) the centres of its two end Gcells, the lower

@@ -91,14 +91,7 @@ class Solution:
     def of_uses(
         cls, problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]
     ) -> "Solution":
-        """A solution from uses that are known to be right: nothing is checked or copied.
-
-        Args:
-            problem: what is routed.
-            net: (uses,) int64, the net of each use; becomes read-only.
-            edge: (uses,) int64, the edge, which must exist; becomes read-only. Ordered by net, then
-                edge, each pair once.
-        """
+        """A solution from uses that are right, ordered by net, then edge: nothing is checked."""
         solution = object.__new__(cls)
         solution._keep(problem, net, edge)
         return solution

@@ -7,39 +7,23 @@ import numpy as np
 from marouting.generator import GeneratorOptions, generate_from
 from marouting.problem.problem import Problem
 
-Range = tuple[int, int]
-"""The least and the largest value, both included."""
+Range = tuple[int, int]  # the least and the largest value, both included
 
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """What the problems of a scenario are drawn from.
+    """What the problems of a scenario are drawn from."""
 
-    Attributes:
-        name: the scenario's name; it ends with the version.
-        description: one sentence.
-        grid: columns, rows and layers of Gcells, the same in all problems.
-        nets: nets per problem, drawn uniformly for each problem.
-        max_pins: the most pins of a net, drawn uniformly for each problem; each net then has 2 to
-            ``max_pins``.
-        capacity: tracks of an edge along its layer's direction, drawn uniformly for each problem.
-        reduced_edges: how many of the most used edges lose two tracks, see
-            :mod:`marouting.generator`.
-        validation: number of validation problems.
-        test: number of test problems.
-        feasible: whether every problem has a solution without overflow.
-    """
-
-    name: str
-    description: str
-    grid: tuple[int, int, int]
-    nets: Range
-    max_pins: Range
-    capacity: Range
-    reduced_edges: int = 0
-    validation: int = 20
-    test: int = 40
-    feasible: bool = True
+    name: str  # the scenario's name; it ends with the version
+    description: str  # one sentence
+    grid: tuple[int, int, int]  # columns, rows and layers of Gcells, the same in all problems
+    nets: Range  # nets per problem, drawn uniformly
+    max_pins: Range  # the most pins of a net, drawn for each problem
+    capacity: Range  # tracks of an edge along its layer's direction, drawn likewise
+    reduced_edges: int = 0  # how many of the most used edges lose two tracks
+    validation: int = 20  # number of validation problems
+    test: int = 40  # number of test problems
+    feasible: bool = True  # whether every problem has a solution without overflow
 
     def problem(self, rng: np.random.Generator) -> Problem:
         """Draws a problem, which need not be feasible."""

@@ -13,11 +13,8 @@ from marouting.config import build_json
 from marouting.errors import InputError
 from marouting.files import read_text
 
-FOLDER = Path(__file__).parent / "data"
-"""Where the files are."""
-
-MOST_BYTES = 2**24
-"""The largest file that is read."""
+FOLDER = Path(__file__).parent / "data"  # where the files are
+MOST_BYTES = 2**24  # the largest file that is read
 
 
 class Reference(NamedTuple):
@@ -92,11 +89,7 @@ def path_of(scenario: str) -> Path:
 
 
 def read_references(path: Path) -> dict[str, Record]:
-    """The references in a file by the digest of the problem; none if there is no file.
-
-    Raises:
-        InputError: the file cannot be read or does not hold references.
-    """
+    """The references in a file by their problems' digests, if there is one; raises InputError."""
     if not path.exists():
         return {}
     return build_json(References, read_text(path, MOST_BYTES), str(path)).references

@@ -26,16 +26,11 @@ from marouting.scenarios.levels import Level
 from marouting.scenarios.references import Best, Reference, references_of
 from marouting.search.astar import sequential_astar
 
-Split = Literal["train", "validation", "test"]
-"""The parts of a scenario."""
-
+Split = Literal["train", "validation", "test"]  # the parts of a scenario
 SPLITS: tuple[Split, ...] = get_args(Split)
 
-ORDERS = 8
-"""The most net orders in which A* tries to route a problem without overflow."""
-
-ATTEMPTS = 1000
-"""The most attempts for one problem. None of the scenarios comes near it."""
+ORDERS = 8  # the most net orders in which A* tries to route a problem without overflow
+ATTEMPTS = 1000  # the most attempts for one problem. None of the scenarios comes near it.
 
 
 class Scenario:
@@ -154,15 +149,7 @@ class Scenario:
         return frozenset(map(digest, (*self.validation, *self.test)))
 
     def _draw(self, key: str, excluded: Collection[str]) -> Problem:
-        """Draws a problem that keeps the promises.
-
-        Args:
-            key: where its random numbers start, beside the scenario's name.
-            excluded: digests of the problems that it may not be.
-
-        Raises:
-            InputError: the level has hardly any such problems.
-        """
+        """Draws a problem that keeps the promises; raises InputError if there are hardly any."""
         for attempt in range(ATTEMPTS):
             text = f"{self.name}/{key}/{attempt}"
             seed = int.from_bytes(hashlib.sha256(text.encode()).digest())

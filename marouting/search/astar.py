@@ -30,12 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.game import NetOrder, Target
 from marouting.kernels import as_index, compiled, i64
 from marouting.memory import SEARCH, TABLES, check_memory
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_problem
 from marouting.problem.solution import Solution
+from marouting.rules import NetOrder, Target, net_ranks
 from marouting.trees.decomposition import Decomposition, two_pin_tasks
 
 COMPILES = "A*", 8
@@ -182,22 +182,10 @@ def _astar(
     walls: int,
     most: int,
 ) -> tuple[int, int, int, int]:
-    """A*: opens Gcells until the next one is a goal, or until a limit is reached.
+    """A*: opens Gcells until the next one is a goal, or ``limit`` Gcells have been opened.
 
-    Args:
-        w: the grid and the net.
-        s: a search that has begun, and its goals. Every Gcell can be reached, so the open list does
-            not run empty before a goal.
-        cell: the Gcell to open next; at first the source.
-        f: its cost plus heuristic; none in the open list is lower.
-        entries: entries made in the open list so far; at first 0.
-        opened: Gcells opened so far; at first 0.
-        limit: how many Gcells to open in all.
-        walls: how many walls are known; 0 for plain A*.
-        most: the cost of a cheapest path, or _UNKNOWN.
-
-    Returns:
-        ``cell``, ``f``, ``entries`` and ``opened`` as they are now, to go on with.
+    With ``walls`` > 0, known walls are part of the heuristic; ``most`` is the cost of a cheapest
+    path, or _UNKNOWN. Returns ``cell``, ``f``, ``entries`` and ``opened`` to go on with.
     """
     while opened < limit and not is_goal(s, cell):
         s.nodes[cell].stamp = -s.number[0]  # its cost is final
@@ -243,13 +231,10 @@ def _astar(
 
 @compiled
 def _find_walls(w: Capacities, s: Search, source: int, budget: int) -> int:
-    """Finds the walls around the goals.
+    """Finds the walls around the goals: how many every path crosses from a Gcell not flooded.
 
     Floods the Gcells from which a goal can be reached by steps alone, then those behind one wall,
     and so on, until the source is reached or the budget, a number of Gcells, is used up.
-
-    Returns:
-        How many walls every path crosses that comes from a Gcell not flooded.
     """
     depth, flood = s.depth, s.flood
     s.base[0] += len(depth) + 1
@@ -293,11 +278,7 @@ def _find_walls(w: Capacities, s: Search, source: int, budget: int) -> int:
 
 @compiled
 def path_to_goals(w: Capacities, s: Search, source: int) -> int:
-    """Finds a cheapest path from a Gcell to the nearest goal, of which there is at least one.
-
-    Returns:
-        The number of moves, which lie in ``s.path``; 0 if the source is a goal.
-    """
+    """Finds a cheapest path to the nearest goal, in ``s.path``; returns its moves."""
     distance = _distance_left(w, s, source)
     limit = 16 * (distance + 8)  # Gcells to open before looking for walls
     walls, most = i64(0), i64(_UNKNOWN)
@@ -351,24 +332,10 @@ def _route(
     uses: Any,
     size: int,
 ) -> tuple[int, int]:
-    """Routes nets one after another along cheapest paths.
+    """Routes nets one after another along cheapest paths, from place ``turn`` in the order on.
 
-    Args:
-        w: the grid; ``remaining`` is what the nets before left, and is taken from.
-        s: working arrays.
-        tasks: (K, 2) start and target Gcell of every task, net by net.
-        first: (nets + 1,) net n has the tasks first[n] to first[n + 1] − 1.
-        demand: (nets, Z) the demand of every net on an edge of each layer.
-        order: the nets in the order in which they are routed.
-        to_tree: whether a task's path leads from its target to the nearest Gcell of the net's
-            tree, instead of from its start to its target.
-        turn: place in the order to go on from.
-        uses: receives net · E + edge for every net and every edge that it uses. Routing stops
-            when there might not be room for another net.
-        size: how many uses there are already.
-
-    Returns:
-        Place in the order of the next net to route, and how many uses there are.
+    It adds net · E + edge to ``uses`` for every edge that a net uses, and stops when there might
+    not be room for another net. Returns the place to go on from, and how many uses there are.
     """
     edges = len(w.remaining)
     while turn < len(order) and size + edges <= len(uses):
@@ -411,7 +378,7 @@ def sequential_astar(
 
     Args:
         problem: the problem to route.
-        net_order: which nets come first, see :class:`marouting.game.Rules`; or (nets,) integers,
+        net_order: which nets come first, see :class:`marouting.rules.Nets`; or (nets,) integers,
             smallest first.
         target: where a task's path ends: ``pin``, at the task's other pin (the paper); ``tree``, at
             the nearest Gcell of the net's route so far.
@@ -437,9 +404,7 @@ def sequential_astar(
         ranks = np.asarray(net_order)
     else:
         check_choice("net_order", net_order, NetOrder)
-        low, high = problem.pin_boxes()
-        sign = {"half_perimeter": -1, "half_perimeter_up": 1, "file": 0}[net_order]
-        ranks = sign * (high - low)[:, :VIA_AXIS].sum(axis=1)
+        ranks = net_ranks(problem, net_order)
     rows = two_pin_tasks(problem, decomposition)
     demand = problem.net_demand
     if demand[np.unique(rows[:, 0])].max(axis=1, initial=0).sum(dtype=np.int64) > UNLIMITED:

@@ -127,11 +127,7 @@ class RouteFollower:
 def shortest_path(
     static: Static, dynamic: Dynamic, s: SearchBuffers, m: int, n: int, source: int, target: int
 ) -> int:
-    """Finds a cheapest path of agent n in problem m between two Gcells, as things stand.
-
-    Returns:
-        The number of moves, which lie in ``s.search.path``; 0 if source and target are one Gcell.
-    """
+    """Finds a cheapest path between two Gcells, in ``s.search.path``; returns its moves."""
     s.net[0] += 1
     for byte in range(dynamic.used.shape[2]):
         bits = byte_of(dynamic.used, m, n, byte)
@@ -212,16 +208,8 @@ def move_along(
 ) -> int:
     """An agent's move on the shortest way along a route to its target; NOBODY if there is none.
 
-    Args:
-        static: the game.
-        dynamic: its state.
-        m: the problem.
-        n: the agent, which is active.
-        route: routes, rows of bits like ``dynamic.used``.
-        row: the problem of ``route`` that is meant.
-        reached: (G,) int32, working array: Gcells from which the route leads to the target.
-        seen: (G,) int64, working array: the last search that reached each Gcell.
-        search: number of this search, larger than all before.
+    ``reached`` and ``seen`` (G,) are working arrays, ``search`` a number larger than in all earlier
+    calls with them.
     """
     cell, target = as_index(dynamic.agents[m, n].cell), as_index(dynamic.agents[m, n].target)
     reached[0] = target

@@ -48,16 +48,10 @@ def two_pin_tasks(problem: Problem, decomposition: Decomposition = "mst") -> NDA
 
 
 def _parents(at: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The minimum spanning trees (Prim) of K nets with P pins each.
+    """(K, P) of the pins ``at`` (K, P, 3) of K nets: the pin by which Prim's tree reaches each.
 
     Among pairs of pins at equal distance, the first in the order (0, 1), (0, 2), …, (1, 2), … goes
     into the tree. So no two pairs tie, and there is exactly one shortest tree.
-
-    Args:
-        at: (K, P, 3) x, y, z of the pins.
-
-    Returns:
-        (K, P) for each pin the one by which the tree, which begins with pin 0, reaches it.
     """
     nets, pins, _ = at.shape
     every, pin = np.arange(nets), np.arange(pins)

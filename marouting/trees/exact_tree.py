@@ -21,11 +21,7 @@ _NO_KEY = (1 << 63) - 1
 
 
 class Search(NamedTuple):
-    """Input and working arrays of searches, reused from one to the next without clearing.
-
-    A label is a point and a set of groups; it stands for a tree that joins these groups to the
-    point.
-    """
+    """Input and working arrays; a label stands for a tree that joins groups to a point."""
 
     start: NDArray[np.int64]  # (points,) the points of all groups
     group: NDArray[np.int8]  # (points,) the group of each
@@ -95,20 +91,13 @@ def _key(f: int, ahead: int, label: int, bits: int) -> int:
 
 @compiled
 def exact_tree(lattice: Lattice, s: Search, starts: int, groups: int, random: int) -> int:
-    """Joins groups of points and a goal by a cheapest tree.
+    """Joins groups of points and a goal by a cheapest tree, which is added to ``lattice.tree``.
 
     Labels are opened in the order of the cost of their tree plus the half-perimeter of the box
     around their point and all that the tree has yet to join, which is a lower bound. With one group
     this is A* from one set of points to another. With more, every group and the goal must be a
-    single point, or the bound would be too high.
-
-    Args:
-        lattice: where to search; the edges of the tree are added to ``lattice.tree``.
-        s: holds the groups in ``start`` and ``group``, the goal's points in ``goal`` and the boxes
-            in ``low`` and ``high`` (in the units of ``lattice.line``); these stay as they are.
-        starts: how many points the groups have together.
-        groups: how many groups there are.
-        random: any number from 0; decides between trees of equal cost.
+    single point, or the bound would be too high. ``s.start``, ``group``, ``goal``, ``low`` and
+    ``high`` say what to join; ``random`` decides between trees of equal cost.
 
     Returns:
         The cost of the tree, or CLOSED if there is none.

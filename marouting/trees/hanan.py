@@ -120,14 +120,7 @@ def set_hanan_grid(lattice: Lattice, web: Web, pins: int) -> None:
 
 @compiled
 def exact_points(lattice: Lattice, s: Search, web: Web, pins: int) -> int:
-    """Adds the points where a shortest tree branches; returns how many points there are then.
-
-    Args:
-        lattice: the Hanan grid of the pins; its costs and its tree are overwritten.
-        s: working arrays.
-        web: begins with the pins; receives the points and their spanning tree.
-        pins: how many pins, at least 2.
-    """
+    """Adds the points to ``web`` where a shortest tree of its pins branches; returns how many."""
     ny, nz = lattice.size[1], lattice.size[2]
     count = lattice.size[0] * ny * nz
     for point in range(count):
@@ -195,14 +188,7 @@ def iterated_points(lattice: Lattice, s: Search, web: Web, pins: int) -> int:
     """Adds Hanan points by iterated 1-Steiner; returns how many points there are then.
 
     The point that saves most comes first. A heap holds what each would save, which is worked out
-    again only when the point comes first, as other points hardly ever increase it. Rounds go on
-    until no point saves anything.
-
-    Args:
-        lattice: the Hanan grid of the pins.
-        s: working arrays, of which the heap is used.
-        web: begins with the pins; receives the points and their spanning tree.
-        pins: how many pins.
+    again only when the point comes first, as other points hardly ever increase it.
     """
     points, before = pins, 0
     _span(web, points)

@@ -8,12 +8,10 @@ from numpy.typing import NDArray
 from marouting.kernels import compiled
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 
-CLOSED = -1
-"""The cost of a move that must not be made; also of a tree that does not exist."""
+CLOSED = -1  # the cost of a move that must not be made; also of a tree that does not exist
 
 
-FAR = 1 << 40
-"""More than any edge costs."""
+FAR = 1 << 40  # more than any edge costs
 
 
 class Lattice(NamedTuple):

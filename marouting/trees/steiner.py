@@ -70,9 +70,6 @@ def steiner_tasks(problem: Problem) -> NDArray[np.int32]:
     pins the time grows as n·h, where h is the number of points of its Hanan grid: at most n² per
     layer, and no more than there are Gcells in the box around the net.
 
-    Args:
-        problem: the problem.
-
     Returns:
         (K, 3) int32: net, start Gcell and target Gcell of each task, nets in file order.
     """
@@ -92,14 +89,7 @@ def steiner_tasks(problem: Problem) -> NDArray[np.int32]:
 
 
 def steiner_length(problem: Problem) -> NDArray[np.int64]:
-    """The length of each net's Steiner tree, in edges, a via counting 1.
-
-    Args:
-        problem: the problem.
-
-    Returns:
-        (nets,) int64; 0 for a net within one Gcell.
-    """
+    """(nets,) int64, the length of each net's Steiner tree in edges; 0 within one Gcell."""
     net, start, target = steiner_tasks(problem).T
     position = problem.topology.position
     length = np.zeros(len(problem.nets), np.int64)

@@ -16,11 +16,8 @@ import torch
 
 from marouting import InputError
 from marouting.files import check_writable, write_text
-from policies.bench.environment import batch, interfaces, jumanji, large, observation, start
-from policies.bench.libraries import libraries
+from policies.bench.environment import batch, interfaces, large, observation, search, start
 from policies.bench.measure import Bench, Measurement
-from policies.bench.scaling import scaling
-from policies.bench.search import search
 from policies.bench.training import training
 from policies.cli.main import status
 from policies.cli.options import FILE, WHOLE, json_option
@@ -31,12 +28,9 @@ SECTIONS: Mapping[str, Callable[[Bench], Iterator[Measurement]]] = {
     "batch": batch,
     "observation": observation,
     "interfaces": interfaces,
-    "libraries": libraries,
     "large": large,
     "search": search,
     "training": training,
-    "scaling": scaling,
-    "jumanji": jumanji,
 }
 """What can be measured, by name."""
 
@@ -58,7 +52,7 @@ def run(sections: Sequence[str], bench: Bench) -> dict[str, Any]:
     """Measures sections and tells of every row on standard error.
 
     Returns:
-        The machine, the rows and their details, plain data.
+        The machine and the rows, plain data.
     """
     for name in sections:
         if name not in SECTIONS:
@@ -69,7 +63,7 @@ def run(sections: Sequence[str], bench: Bench) -> dict[str, Any]:
         for row in SECTIONS[name](bench):
             rows.append({"section": name, **asdict(row)})
             click.echo(f"  {row.name}: {number(row.value)} {row.unit}", err=True)
-    return {"machine": machine(), "repeats": bench.repeats, "rows": rows, **bench.details}
+    return {"machine": machine(), "repeats": bench.repeats, "rows": rows}
 
 
 def show(report: Mapping[str, Any]) -> None:
@@ -77,9 +71,8 @@ def show(report: Mapping[str, Any]) -> None:
     click.echo(", ".join(f"{key} {value}" for key, value in report["machine"].items() if value))
     for row in report["rows"]:
         threads = f", {row['threads']} threads" if row["threads"] > 1 else ""
-        target = f"; target {row['target']}" if row["target"] else ""
         click.echo(f"\n{row['name']}{threads}")
-        click.echo(f"    {number(row['value'])} {row['unit']}, best {number(row['best'])}{target}")
+        click.echo(f"    {number(row['value'])} {row['unit']}, best {number(row['best'])}")
         if row["ratio"] is not None:
             click.echo(f"    {row['ratio']:.3g} × {row['comparator']} ({number(row['against'])})")
 
@@ -104,32 +97,19 @@ def number(value: float) -> str:
     show_default=True,
     help="Threads of the multi-threaded measurements.",
 )
-@click.option(
-    "--against",
-    type=click.Choice(["jumanji"]),
-    help="Library to compare with; without it, none.",
-)
 @click.option("--out", type=FILE, help="JSON file for the results; without it, none is written.")
 @json_option
 def main(
-    sections: tuple[str, ...],
-    repeats: int,
-    threads: int,
-    against: str | None,
-    out: Path | None,
-    as_json: bool,
+    sections: tuple[str, ...], repeats: int, threads: int, out: Path | None, as_json: bool
 ) -> None:
     """Measure speed, as ratios to comparators that run in turns with the code.
 
-    SECTION is one of start, batch, observation, interfaces, libraries, large, search, training and
-    scaling; without it everything is measured, which takes several minutes.
+    SECTION is one of start, batch, observation, interfaces, large, search and training; without it
+    everything is measured, which takes several minutes.
     """
     if out is not None:
         check_writable(out)
-    chosen = list(sections or (name for name in SECTIONS if name != "jumanji"))
-    if against is not None and against not in chosen:
-        chosen.append(against)
-    report = run(chosen, Bench(repeats, threads))
+    report = run(sections or tuple(SECTIONS), Bench(repeats, threads))
     if out is not None:
         write_text(out, json.dumps(report, indent=1) + "\n")
     if as_json:

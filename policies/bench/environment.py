@@ -1,4 +1,4 @@
-"""Speed of the environment: its interfaces, its start, its memory."""
+"""Speed of the environment: its interfaces, its start, its memory; and of A*."""
 
 import json
 import os
@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from marouting import Problem, generate, global_routing_v0
-from marouting.problem.grid import MOVES
+from marouting import Problem, generate, global_routing_v0, sequential_astar
+from marouting.problem.grid import MOVES, Grid
+from marouting.trees.decomposition import two_pin_tasks
 from marouting.vector import BatchEnv
 from policies.bench.measure import Bench, Measurement, Work
 
@@ -45,7 +46,6 @@ def batch(bench: Bench) -> Iterator[Measurement]:
         one,
         "Parallel environment, 50 nets",
         _parallel(global_routing_v0.parallel_env(_problem())),
-        target="30 M",
     )
     if bench.threads > 1:
         yield bench.versus(
@@ -140,7 +140,6 @@ def interfaces(bench: Bench) -> Iterator[Measurement]:
         _turns(global_routing_v0.env(problem)),
         "an empty AEC environment under the same wrappers",
         _turns(wrapped(EmptyAEC())),
-        target="0.7 of the comparator",
     )
     yield bench.versus(
         "raw_env: step()",
@@ -148,7 +147,6 @@ def interfaces(bench: Bench) -> Iterator[Measurement]:
         _turns(global_routing_v0.raw_env(problem), 10_000, last=False),
         "an empty AEC environment, bare",
         _turns(EmptyAEC(), 10_000, last=False),
-        target="150 000",
     )
     yield bench.versus(
         "Parallel environment, 50 nets",
@@ -156,23 +154,79 @@ def interfaces(bench: Bench) -> Iterator[Measurement]:
         _parallel(global_routing_v0.parallel_env(problem)),
         "raw_env: step()",
         _turns(global_routing_v0.raw_env(problem), 10_000, last=False),
-        target="700 000",
     )
 
 
-def jumanji(bench: Bench) -> Iterator[Measurement]:
-    """The batched environment against Jumanji's Connector, both on one core."""
-    from policies.bench.jumanji import connector, one_core
+# --- A* -------------------------------------------------------------------------------------------
 
-    with one_core():
-        yield bench.versus(
-            "BatchEnv, 1024 problems of 50 nets, on one core",
-            "agent-steps/s",
-            _batched(1),
-            "Jumanji's Connector-v3, 1024 games of 10 agents",
-            connector(1024),
-            target="3 times the comparator",
-        )
+
+def _graph(problem: Problem) -> Any:
+    """The grid as a graph of networkx."""
+    import networkx
+
+    grid = Grid.of(problem.grid)
+    graph = networkx.Graph()
+    edges = np.flatnonzero(grid.exists)
+    graph.add_edges_from(zip(*(ends.tolist() for ends in grid.ends(edges)), strict=True), weight=1)
+    return graph
+
+
+def _networkx(problem: Problem, tasks: int | None = None) -> Work:
+    """Tasks of a problem, all or so many, as shortest paths of networkx: less than A* does here."""
+    import networkx
+
+    graph = _graph(problem)
+    pairs = two_pin_tasks(problem)[:tasks, 1:].tolist()
+    position = Grid.of(problem.grid).position.tolist()
+
+    def distance(a: int, b: int) -> int:
+        return sum(abs(p - q) for p, q in zip(position[a], position[b], strict=True))
+
+    def work() -> float:
+        for source, target in pairs:
+            networkx.astar_path(graph, source, target, heuristic=distance)
+        return len(pairs)
+
+    return work
+
+
+def _fresh(problem: Problem) -> Problem:
+    """The same problem, of which nothing has been worked out yet."""
+    return Problem(**{name: getattr(problem, name) for name in problem.__dataclass_fields__})
+
+
+def search(bench: Bench) -> Iterator[Measurement]:
+    """Sequential A*, from a problem to its solution."""
+    problems = generate(100)
+    # Problems of which nothing has been worked out yet, for every repeat and the first time.
+    stock = [[_fresh(problem) for problem in problems] for _ in range(bench.repeats + 1)]
+
+    def fresh() -> float:
+        for problem in stock.pop():
+            sequential_astar(problem)
+        return 50 * len(problems)
+
+    yield bench.versus(
+        "sequential A*, problems of 50 two-pin nets on 8×8×2",
+        "tasks/s",
+        fresh,
+        "networkx's astar_path, capacities left out",
+        _networkx(problems[0]),
+    )
+    (chip,) = generate(1, (64, 64, 2), 11_507, max_pins=4, capacity=150, reduced_edges=0)
+    tasks = len(two_pin_tasks(chip))
+
+    def whole() -> float:
+        sequential_astar(chip)
+        return tasks
+
+    yield bench.versus(
+        f"sequential A*, 11 507 nets of {tasks} tasks on 64×64×2",
+        "tasks/s",
+        whole,
+        "networkx's astar_path, capacities left out",
+        _networkx(chip, 30),
+    )
 
 
 # --- in processes of their own --------------------------------------------------------------------
@@ -241,10 +295,8 @@ def start(bench: Bench) -> Iterator[Measurement]:
         warm = [_child(_START, NUMBA_CACHE_DIR=cache) for _ in range(bench.repeats)]
     imports, first = (sorted(column) for column in zip(*warm, strict=True))
     middle = len(imports) // 2
-    yield Measurement("import marouting", imports[middle], imports[0], "s", target="2 s")
-    yield Measurement(
-        "env() and reset(), nothing compiled yet", cold[1], cold[1], "s", target="5 s"
-    )
+    yield Measurement("import marouting", imports[middle], imports[0], "s")
+    yield Measurement("env() and reset(), nothing compiled yet", cold[1], cold[1], "s")
     yield Measurement(
         "env() and reset(), compiled before",
         first[middle],
@@ -254,7 +306,6 @@ def start(bench: Bench) -> Iterator[Measurement]:
         "nothing compiled yet",
         cold[1],
         cold[1] / first[middle],
-        "0.5 s",
     )
 
 
@@ -266,6 +317,6 @@ def large(bench: Bench) -> Iterator[Measurement]:
     for made_by in ("raw_env", "parallel_env"):
         megabytes, made, reset = _child(_LARGE, made_by)
         name = f"{made_by}, 10 000 nets on 64×64×2"
-        yield Measurement(f"{name}: memory", megabytes, megabytes, "MB", target="200 MB")
+        yield Measurement(f"{name}: memory", megabytes, megabytes, "MB")
         yield Measurement(f"{name}: making it", made, made, "s")
-        yield Measurement(f"{name}: reset()", reset, reset, "s", target="1 s")
+        yield Measurement(f"{name}: reset()", reset, reset, "s")

@@ -3,8 +3,7 @@
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 from marouting.config import check
 
@@ -22,7 +21,6 @@ class Measurement:
         comparator: what ran in turns with it; empty: nothing comparable.
         against: the comparator's median, in the same unit.
         ratio: how many times as fast, or as small, as the comparator.
-        target: what the project set itself, of ``value``, in words.
     """
 
     name: str
@@ -33,7 +31,6 @@ class Measurement:
     comparator: str = ""
     against: float | None = None
     ratio: float | None = None
-    target: str = ""
 
 
 Work = Callable[[], float]
@@ -54,12 +51,10 @@ class Bench:
     Attributes:
         repeats: of every measurement.
         threads: of the measurements with several.
-        details: what rows were worked out from, filled by sections, plain data.
     """
 
     repeats: int = 7
     threads: int = 2
-    details: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check("repeats", self.repeats >= 1, "a number from 1")
@@ -81,7 +76,6 @@ class Bench:
         other: Work | None = None,
         *,
         threads: int = 1,
-        target: str = "",
     ) -> Measurement:
         """A row of work against other work, or of work alone."""
         measured = self.rates(work, *([] if other is None else [other]))
@@ -96,5 +90,4 @@ class Bench:
             comparator,
             theirs,
             None if theirs is None else mine / theirs,
-            target,
         )

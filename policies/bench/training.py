@@ -1,7 +1,7 @@
-"""Speed of trainings, against eager torch and the bound by products."""
+"""Speed of trainings, against eager torch."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from marouting.config import build
 from marouting.problem.grid import MOVES
 from policies.bench.measure import Bench, Measurement, Work
 from policies.learned.config import Config
-from policies.learned.memory.replay import GOES_ON, MOVE, REWARD
 from policies.learned.threads import use_threads
 from policies.learned.trainer import Trainer
 
@@ -23,29 +22,6 @@ PAPER = (32, 64, 32)
 
 def _sizes() -> tuple[int, ...]:
     return (12, *PAPER, MOVES)
-
-
-def operations(sizes: Sequence[int], batch_size: int) -> int:
-    """Multiplications and additions of matrix products in a gradient step.
-
-    Two passes forward, the target's and the network's own; backward, the derivatives by all weights
-    and by the inputs of all layers but the first.
-    """
-    weights = [a * b for a, b in itertools.pairwise(sizes)]
-    return 2 * batch_size * (4 * sum(weights) - weights[0])
-
-
-def _gemm(side: int = 768) -> Work:
-    """One large product of matrices: as many operations a second as the processor can do."""
-    a, b = torch.randn(side, side), torch.randn(side, side)
-
-    def work() -> float:
-        torch.set_num_threads(1)
-        for _ in range(4):
-            torch.mm(a, b)
-        return 4 * 2 * side**3
-
-    return work
 
 
 def _eager(steps: int = 150) -> Work:
@@ -88,34 +64,6 @@ def _trainer(stack: int, threads: int, device: str = "cpu", **learner: Any) -> T
     return Trainer(problems, build(Config, raw))
 
 
-def _steps(stack: int, fused: bool, threads: int, device: str = "cpu") -> Work:
-    """Gradient steps of a stack of the paper's networks, apart from any game."""
-    learner: Any = _trainer(stack, threads, device, fused=fused).learner
-    rng = np.random.default_rng(0)
-    store = learner.memory.store
-    capacity, width = store.shape[1], 12
-    rows = store.cpu().numpy()
-    rows[..., : 2 * width] = rng.integers(8, size=(capacity, 2 * width))
-    rows[..., 2 * width + MOVE] = rng.integers(MOVES, size=capacity)
-    rows[..., 2 * width + REWARD] = -1
-    rows[..., 2 * width + GOES_ON] = 1
-    store.copy_(torch.from_numpy(rows))
-    learner.memory.stored[:] = capacity
-    learner.memory.bind()
-    due = np.ones(stack, np.int64)
-    rounds = max(1, 4000 // stack)
-
-    def work() -> float:
-        use_threads(threads)
-        for _ in range(rounds):
-            learner.learn(due)
-        if device != "cpu":
-            torch.cuda.synchronize()
-        return rounds * stack
-
-    return work
-
-
 def _training(stack: int, threads: int, device: str = "cpu") -> Work:
     """The whole training loop of the paper's DQN: gradient steps, one per move."""
     trainer = _trainer(stack, threads, device)
@@ -155,39 +103,19 @@ def _samples(kind: str, problems: int = 4, **learner: Any) -> Work:
 
 
 def training(bench: Bench) -> Iterator[Measurement]:
-    """Gradient steps and whole trainings, against eager torch and the bound by products."""
-    unit = "gradient steps/s"
-    eager, gemm = _eager(), _gemm()
-    scale = operations(_sizes(), 32)
-
-    def bound() -> float:
-        return gemm() / scale
-
-    yield bench.versus("one problem, whole training", unit, _training(1, 1), "eager torch DQN",
-                       eager, target="4 000")  # fmt: skip
-    yield bench.versus("40 stacked, torch's batched products", unit, _steps(40, False, 1),
-                       "eager torch DQN", eager)  # fmt: skip
-    yield bench.versus("40 stacked, gradient steps alone", unit, _steps(40, True, 1),
-                       "large matrix products (bound)", bound)  # fmt: skip
-    for threads in dict.fromkeys((1, bench.threads)):
-        yield bench.versus(
-            "40 stacked, whole training",
-            unit,
-            _training(40, threads),
-            "eager torch DQN",
-            eager,
-            threads=threads,
-            target="50 000 on two threads" if threads > 1 else "",
-        )
-    yield bench.versus("PPO, 4 problems sharing a network of two layers of 64", "agent-steps/s",
-                       _samples("ppo", network={"kind": "mlp", "hidden": [64, 64]}),
-                       target="150 000")  # fmt: skip
+    """Whole trainings, against eager torch."""
+    unit, eager = "gradient steps/s", _eager()
+    stacked = dict.fromkeys(((1, 1), (40, 1), (40, bench.threads)))
+    for stack, threads in stacked:
+        name = "one problem, whole training" if stack == 1 else f"{stack} stacked, whole training"
+        work = _training(stack, threads)
+        yield bench.versus(name, unit, work, "eager torch DQN", eager, threads=threads)
+    yield bench.versus(
+        "PPO, 4 problems sharing a network of two layers of 64",
+        "agent-steps/s",
+        _samples("ppo", network={"kind": "mlp", "hidden": [64, 64]}),
+    )
     if torch.cuda.is_available():
-        yield bench.versus(
-            "320 stacked on a GPU, whole training",
-            unit,
-            _training(320, 1, "cuda"),
-            "eager torch DQN on the processor",
-            eager,
-            target="1 M",
-        )
+        name = "320 stacked on a GPU, whole training"
+        comparator = "eager torch DQN on the processor"
+        yield bench.versus(name, unit, _training(320, 1, "cuda"), comparator, eager)

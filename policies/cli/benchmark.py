@@ -14,9 +14,6 @@ from policies.cli.options import FILE, WHOLE, allow_code_option, json_option, ov
 BASELINES = Path("configs/benchmark/baselines.yaml")
 """What is scored unless a router is named."""
 
-RESULTS = Path("docs/results/benchmark")
-"""Where the leaderboard's result files are."""
-
 
 @click.command()
 @overrides_argument(keys_of("benchmark"))
@@ -36,8 +33,9 @@ RESULTS = Path("docs/results/benchmark")
     metavar="ROUTER",
     shell_complete=routers,
     help="Name of a router or learner, or module:Class, each with options, as in 'astar "
-    "best_of=16'; file of a trained policy; folder of solutions; or CSV file of published "
-    "figures. May be given several times. Without it and --config, all that do not learn.",
+    "best_of=16'; file of a trained policy or run folder of a training; folder of solutions; or "
+    "CSV file of published figures. May be given several times. Without it and --config, all that "
+    "do not learn.",
 )
 @click.option("--name", help="What tables call the router.  [default: made of --router]")
 @click.option(
@@ -68,21 +66,12 @@ RESULTS = Path("docs/results/benchmark")
     show_default=True,
     help="Folder for the result files and the work behind them.",
 )
-@click.option("--jobs", type=WHOLE, help="Number of processes.  [default: one per core]")
-@click.option("--leaderboard", is_flag=True, help="Write the leaderboard from result files.")
 @click.option(
-    "--results",
+    "--leaderboard",
     type=FILE,
-    default=RESULTS,
-    show_default=True,
-    help="Folder of the leaderboard's result files.",
-)
-@click.option(
-    "--page",
-    type=FILE,
-    default=Path("docs/leaderboard.md"),
-    show_default=True,
-    help="The leaderboard's page; its plots lie beside it, in pictures/leaderboard.",
+    metavar="PAGE",
+    help="Only write this page, the leaderboard, from the result files in --out; its plots lie "
+    "beside it, in pictures/leaderboard.",
 )
 @allow_code_option
 @json_option
@@ -96,26 +85,23 @@ def benchmark(
     seeds: int | None,
     split: str,
     out: Path,
-    jobs: int | None,
-    leaderboard: bool,
-    results: Path,
-    page: Path,
+    leaderboard: Path | None,
     as_json: bool,
 ) -> None:
     """Score routers on the problems of a scenario.
 
-    The score is 0 for sequential A* and 1 for the best solution known; docs/benchmark.md explains
+    The score is 0 for sequential A* and 1 for the best solution known; docs/scenarios.md explains
     it. Each router gets a result file OUT/SCENARIO.NAME.json. A benchmark that was stopped goes on
     when the same command is given again. KEY=VALUE changes a key of --config, or an option of a
-    single --router; engine=ray does the work as tasks of Ray. --leaderboard makes the page of all
-    result files in --results.
+    single --router; jobs=N is the number of processes (one per core unless it is given), and
+    engine=ray does the work as tasks of Ray.
     """
-    if leaderboard:
+    if leaderboard is not None:
         from policies.experiment.leaderboard import write_leaderboard
 
         if names or routers or config:
             raise InputError("--leaderboard: expected no --scenario, --router or --config with it")
-        written = write_leaderboard(results, page)
+        written = write_leaderboard(out, leaderboard)
         if as_json:
             click.echo(json.dumps({"files": [str(path) for path in written]}))
         else:
@@ -142,15 +128,13 @@ def benchmark(
         raise InputError("--name: expected one --router with it")
     given = None if budget is None else Budget.parse(budget)
     # The benchmark's own wherever it stands: an option of the same name is said in --router.
-    own = [text for text in overrides if text.startswith("engine=")]
+    own = [text for text in overrides if text.startswith(("engine=", "jobs="))]
     overrides = tuple(text for text in overrides if text not in own)
-    engine = build(BenchmarkConfig, override({}, own)).engine
+    settings = build(BenchmarkConfig, override({}, own))
     entries: list[Entry] = []
     if config is not None:
         check_kind(config, "benchmark")
-        entries, defaults = load_entries(config, overrides, given)
-        seeds = defaults.seeds if seeds is None else seeds
-        engine = engine if own else defaults.engine
+        entries, settings = load_entries(config, [*overrides, *own], given)
     elif overrides and len(routers) != 1:
         raise InputError(f"{overrides[0]}: expected --config or one --router with it")
     for text in routers:
@@ -165,9 +149,9 @@ def benchmark(
         entries,
         out,
         split=cast(Split, split),
-        seeds=seeds,
-        jobs=jobs,
-        engine=engine,
+        seeds=settings.seeds if seeds is None else seeds,
+        jobs=settings.jobs,
+        engine=settings.engine,
     )
     with problems_bar("benchmark") as watch:
         files = run.execute(watch)["files"]

@@ -60,13 +60,13 @@ def options_of_the_router(
     ctx: click.Context, _: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Completes KEY=VALUE by the options of the router that ``--router`` names."""
-    from policies.learned.config import Config, for_learner
+    from policies.learned.config import config_of, for_learner
     from policies.routers.registry import is_learner, router_piece
 
     name = str(ctx.params.get("router") or "astar")
     try:
         if is_learner(name):
-            whole = plain(build(Config, for_learner({}, name)))
+            whole = plain(config_of(for_learner({}, name)))
         else:
             whole = plain(router_piece(name, {}))
             del whole["kind"]

@@ -37,7 +37,6 @@ from policies.cli.benchmark import benchmark
 from policies.cli.completion import file_or_keys, keys_of, options_of_the_router, routers
 from policies.cli.options import (
     FILE,
-    WHOLE,
     allow_code_option,
     as_text,
     json_option,
@@ -49,7 +48,7 @@ from policies.cli.source import ProblemFile, problem_argument
 from policies.cli.view import view
 from policies.interrupts import interruptible
 from policies.routers.base import LEFT_ALONE, small_problem, solve, warm_up
-from policies.routers.registry import has_seed, is_learner, make_router, router_names, unknown
+from policies.routers.registry import is_learner, make_router, router_names, unknown
 
 if TYPE_CHECKING:
     from policies.routers.base import Router
@@ -61,6 +60,16 @@ _RENAMED = {
     "bench": "python -m policies.bench",
 }
 """Commands that there were before version 0.3, and what does the same."""
+
+_RENAMED_OPTIONS = {
+    "benchmark --jobs": "jobs=N",
+    "benchmark --page": "--leaderboard PAGE",
+    "benchmark --results": "--out FOLDER",
+    "route --seed": "seed=N",
+    "view --fps": "--frames N: an animation takes about 12 seconds",
+    "view --router": "marouting route PROBLEM --router NAME --out FILE, and view of that file",
+}
+"""Options that there were before version 0.3, and what does the same."""
 
 
 class _Commands(click.Group):
@@ -90,7 +99,7 @@ def cli() -> None:
 
 
 @cli.command()
-@options_of(GeneratorOptions, but=("least",))
+@options_of(GeneratorOptions, but=("least", "reduced_capacity", "reduced_per"))
 @click.option("--out", type=FILE, required=True, help="Folder for the .gr files.")
 @json_option
 def generate(out: Path, as_json: bool, **options: Any) -> None:
@@ -185,11 +194,6 @@ def convert(
     help="YAML file of the router's options, or of a learner's training; without it, the defaults.",
 )
 @click.option(
-    "--seed",
-    type=WHOLE,
-    help="Seed of a router's random numbers.  [default: 0, or as in --config]",
-)
-@click.option(
     "--prune",
     is_flag=True,
     help="Take away the edges that join nothing before the solution is judged and written.",
@@ -208,16 +212,15 @@ def route(
     router: str,
     checkpoint: Path | None,
     config: Path | None,
-    seed: int | None,
     prune: bool,
     out: Path | None,
     as_json: bool,
 ) -> None:
     """Route PROBLEM and evaluate the solution.
 
-    KEY=VALUE changes an option of the router, such as net_order=file, or time_limit=60 (seconds)
-    for optimal. A learner walks with the policy of --checkpoint, or is trained on the problem, as
-    in the paper; its options are the keys of a training's configuration, such as
+    KEY=VALUE changes an option of the router, such as net_order=file, seed=1, or time_limit=60
+    (seconds) for optimal. A learner walks with the policy of --checkpoint, or is trained on the
+    problem, as in the paper; its options are the keys of a training's configuration, such as
     train.episodes=200. Overflow and wirelength are those of the routes as they are; beside them
     stand those without dead ends and loops (pruned), which --prune takes away. The seconds are
     those of routing: nothing is compiled or loaded in them.
@@ -235,10 +238,9 @@ def route(
         check_writable(out)
     with contextlib.ExitStack() as stack:
         if learner:
-            solver = _learned(router, seed, checkpoint, problem.stem, config, overrides, stack)
+            solver = _learned(router, checkpoint, problem.stem, config, overrides, stack)
         else:
-            given = [] if seed is None or not has_seed(router) else [f"seed={seed}"]
-            options = override({} if config is None else read_yaml(config), [*given, *overrides])
+            options = override({} if config is None else read_yaml(config), overrides)
             where = f"--router {router}" if config is None else str(config)
             solver = make_router(router, options, where)
             save = None if out is None else lambda best: _finished(best, prune).write(out)
@@ -262,7 +264,6 @@ def _finished(solution: Solution, prune: bool) -> Solution:
 
 def _learned(
     learner: str,
-    seed: int | None,
     checkpoint: Path | None,
     problem: str,
     config: Path | None,
@@ -274,10 +275,14 @@ def _learned(
     from policies.learned.config import load_config
     from policies.learned.router import LearnedRouter
 
-    given = [] if seed is None else [f"seed={seed}"]
-    settings = load_config(config, [*given, *overrides], learner)
+    settings = load_config(config, overrides, learner)
     watch = None
     if checkpoint is None:
+        click.echo(
+            f"{learner}: without --checkpoint it is trained on this problem, as in the paper: "
+            f"{settings.train.episodes} episodes (train.episodes=N)",
+            err=True,
+        )
         watch = stack.enter_context(training_bar(0, settings.train.episodes))
     return LearnedRouter(settings, checkpoint, watch, network=problem)
 
@@ -418,13 +423,16 @@ def train(
 ) -> None:
     """Train a learner on the problems of CONFIG, a YAML file.
 
-    Without CONFIG every key has its default. KEY=VALUE changes a key, such as train.episodes=200.
-    Everything is written to the run folder, the key `out`. A run that is resumed, finished or not,
-    may get more episodes, with --resume DIR train.episodes=N.
+    Without CONFIG every key has its default. KEY=VALUE changes a key, such as train.episodes=200
+    or learner.kind=ppo; the kinds are dqn, ppo, iql, ippo, mappo, imitation and module:Class, and
+    each takes its own defaults. env.scenario=toy-4x4-v0 trains one network on problems drawn from
+    the scenario's training split, and evaluates it on the validation problems. Everything is
+    written to the run folder, the key `out`. A run that is resumed, finished or not, may get more
+    episodes, with --resume DIR train.episodes=N.
     """
     from policies.cli.progress import training_bar
     from policies.cli.resolved import check_kind
-    from policies.cli.tables import show
+    from policies.cli.tables import FEW, show, show_training
     from policies.learned.config import load_config
     from policies.learned.run import Run
     from policies.results.run_folder import CHECKPOINT
@@ -443,6 +451,8 @@ def train(
     def tell_rows(rows: Sequence[Mapping[str, Any]]) -> None:
         if as_json:
             click.echo(as_text({"out": run.folder, "episodes": run.episodes[1], "rows": rows}))
+        elif len(run.problems) > FEW:
+            show_training(run, rows)
         else:
             show(rows, str(run.folder))
 
@@ -464,8 +474,8 @@ def train(
                 err=True,
             )
     click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
-    with training_bar(*run.episodes, run.best) as watch:
-        rows = run.execute(watch)
+    with training_bar(*run.episodes, run.best, run.reference) as watch:
+        rows = run.execute(lambda episodes: watch(episodes, run.trainer.walks))
     tell_rows(rows)
 
 
@@ -569,6 +579,10 @@ def status(
             command.main(args=arguments, prog_name=name, standalone_mode=False)
     except InputError as error:
         return _complain(str(error))
+    except click.NoSuchOption as error:
+        asked = f"{error.ctx.info_name if error.ctx else ''} {error.option_name}"
+        new = _RENAMED_OPTIONS.get(asked)
+        return _complain(f"{asked}: it is now {new}" if new else error.format_message())
     except click.ClickException as error:
         return _complain(error.format_message())
     except ModuleNotFoundError as error:

@@ -5,7 +5,8 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from types import FrameType
+from dataclasses import asdict
+from types import FrameType, MappingProxyType
 from typing import TYPE_CHECKING
 
 import click
@@ -25,32 +26,56 @@ from marouting import Solution
 from policies.routers.base import Keeper, Router, Watched
 
 if TYPE_CHECKING:
-    from policies.results.run_folder import Episode
+    from policies.results.run_folder import Episode, GreedyEvaluation
 
 
 @contextlib.contextmanager
 def training_bar(
-    done: int, total: int, best: "Sequence[Episode]" = ()
-) -> "Iterator[Callable[[Sequence[Episode]], None]]":
+    done: int,
+    total: int,
+    best: "Sequence[Episode]" = (),
+    reference: Mapping[str, tuple[int, int]] = MappingProxyType({}),
+) -> "Iterator[Callable[..., None]]":
     """Shows the progress of a training: episodes, time, the best result so far, the last reward.
 
+    Where games draw their problems, the last evaluation stands in place of the best result. If
+    standard error is no terminal, that is a line of its own, every ten seconds at most.
+
+    Args:
+        done: episodes that have finished.
+        total: how many there will be.
+        best: the best episode of each problem so far.
+        reference: overflow and wirelength of the best known solutions, by the problem's name.
+
     Yields:
-        A function to call with the episodes that have finished since the last call.
+        A function to call with the episodes and evaluations that have finished since the last call.
     """
+    from policies.results.validation import Validation
+
+    told = time.monotonic()
     with _bar("episodes") as (bar, task):
         kept = {episode.problem: episode for episode in best}
-        begun = _best(kept) if kept else "burn-in"
-        bar.update(task, description=begun, total=total, completed=done)
+        shown = _best(kept) if kept else ""
+        bar.update(task, description=shown or "burn-in", total=total, completed=done)
 
-        def watch(episodes: "Sequence[Episode]") -> None:
+        def watch(episodes: "Sequence[Episode]", walks: "Sequence[GreedyEvaluation]" = ()) -> None:
+            nonlocal done, told, shown
+            done += len(episodes)
             kept.update((episode.problem, episode) for episode in episodes if episode.best)
+            if kept:
+                shown = _best(kept)
+            elif walks:
+                shown = str(Validation.of(map(asdict, walks), reference))
+                if not bar.console.is_terminal and time.monotonic() - told >= _OFTEN:
+                    told = time.monotonic()
+                    click.echo(f"{done}/{total} episodes: {shown}", err=True)
             last = f"last reward {episodes[-1].reward:.0f}"
-            brief = f"{_best(kept)}; {last}" if kept else last
+            brief = f"{shown}; {last}" if shown else last
             bar.update(task, advance=len(episodes), description=brief)
 
         yield watch
-        if kept:
-            bar.update(task, description=_best(kept))
+        if shown:
+            bar.update(task, description=shown)
 
 
 def _best(kept: "Mapping[str, Episode]") -> str:

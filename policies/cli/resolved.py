@@ -73,17 +73,23 @@ def resolve(
         All its values as plain data, and where they are from: ``FILE:LINE``, with files named from
         the folder of the first, ``command line`` or ``default``.
     """
+    from policies.learned.config import config_of
+
     raw, name = read_yaml(path), os.fspath(path)
-    whole = plain(build(kinds()[kind_of(raw)], override(raw, overrides), name))
+    kind, changed = kind_of(raw), override(raw, overrides)
+    whole = plain(
+        config_of(changed, name) if kind == "train" else build(kinds()[kind], changed, name)
+    )
     folder = Path(name).parent
+    left = {keys for keys, _ in leaves(changed)}  # a change of a kind discards others
     given = {
         keys: f"{os.path.relpath(file, folder)}:{line}"
         for keys, (file, line) in origins_of(path).items()
+        if not left.isdisjoint((keys, (*keys, "kind")))
     }
     for text in overrides:
         key, _, value = text.partition("=")
         keys = tuple(key.split("."))
-        given = {known: origin for known, origin in given.items() if known[: len(keys)] != keys}
         for inner, _ in leaves({key: parse_yaml(value, text)}):
             given[(*keys, *inner[1:])] = "command line"
     return whole, {keys: _origin(keys, given) for keys, _ in leaves(whole)}

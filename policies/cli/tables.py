@@ -3,14 +3,21 @@
 Names may wrap; figures never do. A table with more columns than fit is cut into several.
 """
 
+import shlex
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+
+from policies.results.run_folder import POLICY, RESULT
+from policies.results.validation import Validation
+
+if TYPE_CHECKING:
+    from policies.learned.run import Run
 
 HEADINGS = (
     ("problem", "problem"),
@@ -48,6 +55,42 @@ def show(rows: Sequence[Mapping[str, Any]], title: str) -> None:
         del columns["pruned"]
     names = ["problem", "router"] if "problem" in columns else ["router"]
     _print(title, columns, names)
+
+
+FEW = 5
+"""Problems whose rows are printed one by one; of more, :func:`show_training` prints means."""
+
+
+def show_training(run: "Run", rows: Sequence[Mapping[str, Any]]) -> None:
+    """Prints what a training on many problems has come to, and what to do next."""
+    routers = list(dict.fromkeys(row["router"] for row in rows))
+    found = [
+        Validation.of((row for row in rows if row["router"] == router), run.reference)
+        for router in routers
+    ]
+    columns = {
+        "router": routers,
+        "problems\nconnected": [f"{one.connected}/{one.problems}" for one in found],
+        "overflow": [f"{one.overflow:.2f}" for one in found],
+        "wirelength": [f"{one.wirelength:.1f}" for one in found],
+        "gap\n%": ["" if one.gap is None else f"{one.gap:.2f} ({one.compared})" for one in found],
+    }
+    if not run.reference:
+        del columns["gap\n%"]
+    config, saved = run.config, rows[-1].get("from", "")
+    split = "validation problems" if config.env.endless else "problems"
+    _print(f"{run.folder}: means over {len(run.problems)} {split}", columns, ["router"])
+    notes = [f"{rows[-1]['router']}: the saved network, {saved}, in {run.folder / POLICY}"]
+    if run.reference:
+        notes.append(
+            "gap: wirelength above the scenario's reference, over the problems (their number in "
+            "brackets) with its overflow and no open task"
+        )
+    notes.append(f"all problems: {run.folder / RESULT}")
+    click.echo("\n".join(map(_wrapped, notes)))
+    if config.env.scenario is not None:
+        folder = shlex.quote(str(run.folder))
+        click.echo(f"next: marouting benchmark --scenario {config.env.scenario} --router {folder}")
 
 
 def show_experiment(summary: Mapping[str, Any]) -> None:
@@ -127,7 +170,7 @@ _BENCHMARK_NOTES = (
     "problems with open nets. overflow: in all, in tracks. gap: mean wirelength above the "
     "reference, of the solutions with its open nets and overflow (the number of problems, if not "
     "all). at ref.: solutions as good as the reference. W/T/L: wins, ties and losses against A*. "
-    "seconds: median per problem. All per seed. ?: not known. docs/benchmark.md explains the "
+    "seconds: median per problem. All per seed. ?: not known. docs/scenarios.md explains the "
     "protocol."
 )
 

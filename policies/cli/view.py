@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, get_args
 
 import click
 
-from marouting import InputError, Problem, Solution, evaluate
+from marouting import InputError, Problem, Solution, evaluate, sequential_astar
 from marouting.files import check_writable, is_dir, stem_of, suffix_of, write_text
-from marouting.game import TurnOrder
-from policies.cli.completion import routers
-from policies.cli.options import FILE, NUMBER, WHOLE, allow_code_option, json_option, tell
+from marouting.rules import TurnOrder
+from policies.cli.options import FILE, WHOLE, allow_code_option, json_option, tell
 from policies.cli.source import ProblemFile, problem_argument
 from policies.results.run_folder import solution_name
-from policies.routers.registry import is_learner, labelled, make_router, router_label
+from policies.routers.registry import labelled, router_label
 
 if TYPE_CHECKING:
     from marouting.render import Scene
@@ -30,13 +29,6 @@ PAGE, MOVING = ".html", (".svg", ".gif")
     required=True,
     help="File, whose suffix says what it is: a page (.html), an animation (.svg, .gif) or a "
     "picture (.png, .pdf).",
-)
-@click.option(
-    "--router",
-    metavar="NAME",
-    shell_complete=routers,
-    help="What routes PROBLEM if there is no SOLUTION: a router's name or module:Class.  "
-    "[default: astar]",
 )
 @click.option(
     "--checkpoint",
@@ -56,43 +48,39 @@ PAGE, MOVING = ".html", (".svg", ".gif")
     show_default=True,
     help="The most pictures of an animation.",
 )
-@click.option(
-    "--fps", type=NUMBER, help="Pictures per second.  [default: 3 to 20, for about 12 seconds]"
-)
 @allow_code_option
 @json_option
 def view(
     problem: ProblemFile,
     solutions: tuple[Path, ...],
     out: Path,
-    router: str | None,
     checkpoint: Path | None,
     turn_order: TurnOrder | None,
     frames: int,
-    fps: float | None,
     as_json: bool,
 ) -> None:
     """Show solutions of PROBLEM: a page with routes in 3-D, an animation, or a picture.
 
     SOLUTION is a solution file, a folder of them (taken in the order of their names), or the run
-    folder of a training. A page is one file that any browser shows without a network; two solutions
-    are shown side by side, and of more a slider shows one after the other beside the first. An
-    animation plays one solution as a game in which every net walks along its own route.
+    folder of a training; without one, sequential A* routes PROBLEM. A page is one file that any
+    browser shows without a network; two solutions are shown side by side, and of more a slider
+    shows one after the other beside the first. An animation plays one solution as a game in which
+    every net walks along its own route.
     """
     from policies import figures
     from policies.figures.animation import record, replay, save_animation
     from policies.figures.view import page
 
     kind = suffix_of(out)
-    if sum(map(bool, (solutions, router, checkpoint))) > 1:
-        raise InputError("view: expected only one of SOLUTION, --router and --checkpoint")
+    if solutions and checkpoint:
+        raise InputError("view: expected only one of SOLUTION and --checkpoint")
     if checkpoint is not None and kind not in MOVING:
         raise InputError("--checkpoint: expected an animation, --out FILE.svg or FILE.gif")
     if checkpoint is not None and turn_order is not None:
         raise InputError("--turn-order: expected none with --checkpoint: the policy has its own")
     loaded = problem.read()
     check_writable(out)
-    found = {} if checkpoint else _solutions(problem, loaded, solutions, router)
+    found = {} if checkpoint else _solutions(problem, loaded, solutions)
     if kind not in MOVING:
         if kind == PAGE:
             write_text(out, page(loaded, labelled(found), problem.stem))
@@ -110,20 +98,17 @@ def view(
         if open_nets := len(evaluate(loaded, routes).disconnected):
             click.echo(f"{open_nets} open nets go on as A* would", err=True)
         scenes = record(replay(loaded, routes, turn_order or "sequential"), frames)
-    save_animation(scenes, out, f"{problem.stem}: {router_label(name)}", fps)
+    save_animation(scenes, out, f"{problem.stem}: {router_label(name)}")
     count, caption = len(scenes), scenes[-1].caption
     tell(as_json, f"{count} pictures in {out}: {caption}", out=out, pictures=count, caption=caption)
 
 
 def _solutions(
-    problem: ProblemFile, loaded: Problem, paths: tuple[Path, ...], router: str | None
+    problem: ProblemFile, loaded: Problem, paths: tuple[Path, ...]
 ) -> dict[str, Solution]:
-    """The solutions by name: those in files, or a router's."""
+    """The solutions by name: those in files, or sequential A*'s."""
     if not paths:
-        name = router or "astar"
-        if is_learner(name, "--router"):
-            raise InputError(f"--router {name}: expected --checkpoint, a trained policy")
-        return {name: make_router(name, {}, f"--router {name}").route(loaded)}
+        return {"astar": sequential_astar(loaded)}
     found: dict[str, Solution] = {}
     for file in (file for path in paths for file in _files(path, problem.path)):
         name = base = solution_name(file, problem.stem)

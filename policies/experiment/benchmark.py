@@ -33,7 +33,7 @@ from policies.experiment.experiment import Experiment
 from policies.experiment.result import Outcome, Result, Task
 from policies.experiment.score import Figures
 from policies.results.rows import Row
-from policies.results.run_folder import METRICS, read_episodes
+from policies.results.run_folder import CHECKPOINT, METRICS, POLICY, read_episodes
 from policies.results.statistics import interquartile_mean
 from policies.routers.registry import is_learner
 
@@ -59,12 +59,14 @@ class BenchmarkConfig:
         budget: of the entries that do not give their own, see
             :class:`policies.experiment.config.Budget`.
         seeds: how many seeds.
+        jobs: the number of processes; None stands for one per core.
         engine: where the work is done, as in an experiment.
     """
 
     routers: dict[str, dict[str, Any] | None] = field(default_factory=dict)
     budget: str | None = None
     seeds: int | None = None
+    jobs: int | None = None
     engine: EngineName = "local"
 
 
@@ -73,9 +75,9 @@ def from_text(text: str, name: str | None, budget: Budget | None) -> Entry:
 
     Args:
         text: the name of a router or a learner, or ``module:Class``, each with options after it
-            (``astar best_of=16 target=tree``); the file of a trained policy; a folder of
-            solutions; or a CSV file with overflow and wirelength of solutions that are not at
-            hand.
+            (``astar best_of=16 target=tree``); the file of a trained policy or the run
+            folder of a training; a folder of solutions; or a CSV file with overflow and wirelength
+            of solutions that are not at hand.
         name: what tables call it; None: the router and its options, or the name of the file.
         budget: the budget, applied to the options where they do not say otherwise.
 
@@ -84,7 +86,11 @@ def from_text(text: str, name: str | None, budget: Budget | None) -> Entry:
     """
     raw: dict[str, Any]
     path = Path(text)
-    if is_dir(path):
+    trained = next((path / name for name in (POLICY, CHECKPOINT) if is_file(path / name)), None)
+    if trained is not None:
+        raw = {"router": _learner_of(trained), "checkpoint": str(trained)}
+        called = path.resolve().name
+    elif is_dir(path):
         raw, called = {"router": SOLUTIONS, "folder": text}, path.resolve().name
     elif is_file(path) and suffix_of(path) == ".csv":
         raw, called = {"router": PUBLISHED, "file": text}, stem_of(path)

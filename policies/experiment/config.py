@@ -14,7 +14,7 @@ from marouting.options import PLAYED
 from marouting.registry import allowing_code
 from marouting.source import load_problems, problems_in
 from policies.engines import EngineName
-from policies.learned.config import Config, for_learner
+from policies.learned.config import config_of, for_learner
 from policies.results.rows import read_published
 from policies.results.statistics import ALL
 from policies.routers.registry import (
@@ -48,7 +48,7 @@ class ExperimentConfig:
             the same routers and sets or with others.
         seeds: a router that draws random numbers is run once for each seed.
         engine: where the work is done: ``local``, in processes of this machine, or ``ray``, as
-            tasks of Ray (docs/scale.md).
+            tasks of Ray (docs/performance.md).
         jobs: the number of processes; None stands for one per core. A Ray that runs already has
             its own.
         reference: the name of a router that all others are compared with, besides A*.
@@ -221,7 +221,9 @@ class Training:
         quiet = {"train": {"figures": False, "tensorboard": False}}
         told = {"env": self.env, "learner": self.learner, "train": self.train}
         raw = merged(merged(raw, quiet), told)
-        config: dict[str, Any] = plain(build(Config, for_learner(raw, learner, where), where))
+        if isinstance(raw.get("env"), Mapping):  # the problems are the experiment's
+            raw["env"] = {key: value for key, value in raw["env"].items() if key not in PLAYED}
+        config: dict[str, Any] = plain(config_of(for_learner(raw, learner, where), where))
         for name in PLAYED:
             del config["env"][name]
         return {"stack": self.stack, **{part: config[part] for part in PARTS}}

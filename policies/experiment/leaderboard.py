@@ -123,9 +123,10 @@ def _page(groups: Mapping[_Group, Sequence[Result]], drawn: set[str]) -> str:
     lines = [
         "# Leaderboard",
         "",
-        "Made by `marouting benchmark --leaderboard` from the files in "
-        "[results/benchmark](results/benchmark); do not edit it. [benchmark.md](benchmark.md) "
-        "explains the protocol and how to add a row.",
+        "All scores of the benchmark, by scenario. Made by `marouting benchmark --out "
+        "docs/results/benchmark --leaderboard docs/notes/leaderboard.md` from the files in "
+        "[results/benchmark](../results/benchmark); do not edit it. "
+        "[Scenarios](../scenarios.md) explains the protocol and how to add a row.",
         "",
         "**Score**: 0 as sequential A*, 1 as the reference (the proven optimum, or the best "
         "solution known); by open nets, then overflow, then wirelength; interquartile mean over "
@@ -155,13 +156,17 @@ def _page(groups: Mapping[_Group, Sequence[Result]], drawn: set[str]) -> str:
             if (name := _picture(group, kind)) in drawn:
                 lines += ["", f"![{title}, {_title(group)}]({(PICTURES / name).as_posix()})"]
         lines += ["", "<details><summary>How each row was made</summary>", ""]
-        lines += [
-            f"- `{result.name}`: `{result.command}` ({result.date}, marouting {result.version}, "
-            f"{result.machine})"
-            for result in found
-        ]
-        lines += ["", "</details>"]
+        lines += [*_commands(found), "", "</details>"]
     return "\n".join(lines) + "\n"
+
+
+def _commands(found: Sequence[Result]) -> list[str]:
+    """How each row was made; rows of one command share a line."""
+    names: dict[str, list[str]] = {}
+    for result in found:
+        made = f"{result.date}, marouting {result.version}, {result.machine}"
+        names.setdefault(f"`{result.command}` ({made})", []).append(f"`{result.name}`")
+    return [f"- {', '.join(rows)}: {how}" for how, rows in names.items()]
 
 
 def _line(row: Mapping[str, Any]) -> str:

@@ -1,7 +1,7 @@
 """The result file of a benchmark: one router on the problems of one scenario.
 
 A file holds all that a row of the leaderboard is made of, so anyone adds a row by adding a file.
-``docs/benchmark.md`` explains the protocol. Figures that are not known are None: results published
+``docs/scenarios.md`` explains the protocol. Figures that are not known are None: results published
 without routes do not say which nets are open, and then have no score.
 """
 

@@ -5,7 +5,12 @@ matplotlib, so figures can be drawn without a display and in threads. :func:`sav
 Gcell (0, 0) lies at the lower left, and layers count from 1 as in the problem files.
 """
 
-from policies.figures.charts import by_problem, decrease_histogram, reward_curves
+from policies.figures.charts import (
+    by_problem,
+    decrease_histogram,
+    gaps_by_router,
+    reward_curves,
+)
 from policies.figures.congestion import congestion_map
 from policies.figures.routes import (
     comparison,
@@ -23,6 +28,7 @@ __all__ = [
     "congestion_map",
     "decrease_histogram",
     "edges_before_after",
+    "gaps_by_router",
     "heat_maps",
     "reward_curves",
     "save",

@@ -1,7 +1,6 @@
 """Figures of trainings, experiments and measurements."""
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -135,19 +134,17 @@ def by_problem(
     quantity: str,
     order_by: str,
     title: str = "",
-    open_values: Mapping[str, NDArray[np.floating]] = MappingProxyType({}),
 ) -> Figure:
     """A quantity of every problem, router by router (paper, comparisons of WL and of OF).
 
     Args:
-        values: (problems,) values of each router, NaN where there is none. The first router is
-            drawn in blue, as A* in the paper, and the second in red, as the paper's DQN.
+        values: (problems,) values of each router, NaN where it has none or leaves nets open; the
+            legend counts these. The first router is drawn in blue, as A* in the paper, and the
+            second in red, as the paper's DQN.
         order: (problems,) the problems from left to right.
         quantity: the name of the values, with the unit.
         order_by: the name of what the problems are sorted by.
         title: the title.
-        open_values: (problems,) values of a router where nets stayed open, NaN elsewhere. They are
-            drawn as hollow marks unless they are far from all others; the legend counts them.
 
     Returns:
         One plot, with marks for each router. No line joins the problems, whose ranks mean nothing;
@@ -158,32 +155,24 @@ def by_problem(
     figure = Figure(figsize=(9, 5.5), layout="constrained")
     axes = figure.subplots()
     rank = np.arange(1, len(order) + 1)
-    whole = {name: np.asarray(own, np.float64)[order] for name, own in values.items()}
-    nothing = np.full(len(order), np.nan)
-    hollow = {
-        name: np.asarray(open_values[name], np.float64)[order] if name in open_values else nothing
-        for name in values
-    }
-    most = _most(np.array(list(whole.values())))
-    shown = {name: np.where(own <= most, own, np.nan) for name, own in hollow.items()}
-    every = np.array([*whole.values(), *shown.values()])
+    shown = {name: np.asarray(own, np.float64)[order] for name, own in values.items()}
+    every = np.array(list(shown.values()))
     some = ~np.isnan(every).all(axis=0)
     ends = np.nanmin(every[:, some], axis=0), np.nanmax(every[:, some], axis=0)
     axes.vlines(rank[some], *ends, color=PALE, linewidth=1.2, zorder=1)
-    for index, name in enumerate(values):
-        # Smaller from router to router, so that all of them show where they agree.
-        size = max(0.3 * _MARKS, _MARKS - 1.2 * index) * min(1.0, (60 / len(order)) ** 0.5)
-        look: dict[str, Any] = {
-            "color": LINES[index % len(LINES)],
-            "linestyle": "none",
-            "marker": _MARKERS[index % len(_MARKERS)],
-        }
-        label = _label(name, whole[name], hollow[name], shown[name])
-        full = not np.isnan(whole[name]).all()
-        axes.plot(rank, whole[name], label=label if full else None, markersize=size, **look)
-        if not np.isnan(shown[name]).all() or not full:
-            look |= {"markerfacecolor": "none", "markersize": max(1.3 * size, 4.5)}
-            axes.plot(rank, shown[name], label=None if full else label, **look)
+    for index, (name, own) in enumerate(shown.items()):
+        missing = int(np.isnan(own).sum())
+        note = f" (open nets on {missing} of {len(own)} problems)" if missing else ""
+        axes.plot(
+            rank,
+            own,
+            label=literal(f"{name}{note}"),
+            color=LINES[index % len(LINES)],
+            linestyle="none",
+            marker=_MARKERS[index % len(_MARKERS)],
+            # Smaller from router to router, so that all of them show where they agree.
+            markersize=max(0.3 * _MARKS, _MARKS - 1.2 * index) * min(1.0, (60 / len(order)) ** 0.5),
+        )
     _style(axes, literal(f"problems, sorted by {order_by} [rank]"), quantity)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlim(0, len(order) + 1)
@@ -196,37 +185,49 @@ def by_problem(
     return figure
 
 
-def _most(whole: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(problems,) the highest value to draw where nets stayed open: a quarter above all others'.
+def gaps_by_router(gaps: Mapping[str, NDArray[np.floating]], title: str = "") -> Figure:
+    """How far each router's wirelength is above the optimum's, a dot for every problem.
 
-    Random walks may take many times the wirelength, beside which all others would look alike.
+    Args:
+        gaps: (problems,) gap to the optimum of each router, NaN where it has open nets or overflow
+            that the optimum lacks, or where no optimum is known.
+        title: the title.
+
+    Returns:
+        One row per router with its mean, and the number of problems that are not shown.
     """
-    if np.isnan(whole).all():
-        return np.full(whole.shape[1], np.inf)
-    highest = np.fmax.reduce(whole, axis=0)
-    highest = np.where(np.isnan(highest), np.nanmax(whole), highest)
-    return np.maximum(1.25 * highest, highest + 2)
+    if not gaps:
+        raise InputError("gaps: expected the values of at least one router")
+    figure = Figure(figsize=(9, 1.5 + 0.5 * len(gaps)), layout="constrained")
+    axes = figure.subplots()
+    labels = []
+    for row, (name, values) in enumerate(gaps.items()):
+        known = np.sort(values[~np.isnan(values)])
+        labels.append(literal(f"{name}\n{_gap_note(values)}"))
+        # A dot lies above or below its row so that it hides no other.
+        height = row + 0.3 * (np.arange(len(known)) * 0.618034 % 1 - 0.5)
+        axes.plot(known, height, "o", color=BLUE, markersize=4, alpha=0.35, markeredgewidth=0)
+        if len(known):
+            axes.plot(known.mean(), row, "|", color=INK, markersize=18, markeredgewidth=2)
+    axes.set_yticks(range(len(gaps)), labels, fontsize=9)
+    axes.set_ylim(len(gaps) - 0.5, -0.5)
+    axes.grid(axis="x", color=PALE, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.axvline(0, color=INK, linewidth=1, linestyle="--")
+    axes.set_xlabel("wirelength above the optimum's [%]; a dot for each problem, bars: means")
+    axes.set_title(fitted(literal(title), 6, 12), fontsize=12)
+    return figure
 
 
-def _label(
-    name: str,
-    whole: NDArray[np.float64],
-    hollow: NDArray[np.float64],
-    shown: NDArray[np.float64],
-) -> str:
-    """A router's name, and what the plot does not show of it."""
-    opened, drawn = (int(np.count_nonzero(~np.isnan(own))) for own in (hollow, shown))
-    missing = len(whole) - opened - int(np.count_nonzero(~np.isnan(whole)))
-    notes = []
-    if opened:
-        of = "all" if opened == len(whole) else f"{opened}"
-        how = "hollow" if drawn else "off the scale"
-        if 0 < drawn < opened:
-            how += f", {opened - drawn} off the scale"
-        notes.append(f"nets open on {of}: {how}")
-    if missing:
-        notes.append(f"no result on {missing}")
-    return literal(f"{name} ({'; '.join(notes)})" if notes else name)
+def _gap_note(values: NDArray[np.floating]) -> str:
+    """The mean gap, and on how many problems there is none."""
+    known = values[~np.isnan(values)]
+    left_out = len(values) - len(known)
+    worse = f"{left_out} open or overflowed" if left_out else ""
+    if not len(known):
+        return worse
+    mean = f"mean {known.mean():.2f} %"
+    return f"{mean}, {worse}" if worse else mean
 
 
 def decrease_histogram(

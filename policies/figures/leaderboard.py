@@ -3,18 +3,16 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator
 
 from policies.figures.style import BLUE, INK, LINES, PALE, literal
 
-WORSE = 4
-"""How many times narrower scores below 0 are drawn."""
+LEAST = -1.0
+"""Scores below are drawn as arrows at the edge, with the number beside them."""
 
 
 def score_intervals(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
-    """The score of every router with its interval, in the order of the rows.
+    """The score of every router with its interval, in the order of the rows, on a linear axis.
 
     Each has a ``name`` and a ``score`` (``mean``, ``low`` and ``high``). Lines stand at the scores
     of A* and of the reference.
@@ -23,38 +21,25 @@ def score_intervals(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figur
     axes = figure.subplots()
     for x, label in ((0, "A*"), (1, "reference")):
         axes.axvline(x, color=INK, linewidth=1, linestyle="--")
-        axes.annotate(
-            label,
-            (x, 1),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha="center",
-            fontsize=9,
-        )
-    for place, row in enumerate(rows):
+        place: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+        axes.annotate(label, (x, 1), xytext=(0, 3), ha="center", fontsize=9, **place)
+    least = max(LEAST, min((row["score"]["low"] for row in rows), default=0.0))
+    for y, row in enumerate(rows):
         score = row["score"]
-        axes.plot([score["low"], score["high"]], [place, place], color=BLUE, linewidth=3, alpha=0.4)
-        axes.plot(score["mean"], place, "o", color=BLUE, markersize=6)
+        ends = [max(score["low"], least), max(score["high"], least)]
+        axes.plot(ends, [y, y], color=BLUE, linewidth=3, alpha=0.4)
+        if score["mean"] >= least:
+            axes.plot(score["mean"], y, "o", color=BLUE, markersize=6)
+        else:
+            axes.plot(least, y, "<", color=BLUE, markersize=7)
+            axes.text(least + 0.03, y - 0.15, f"{score['mean']:.1f}", fontsize=9)
     axes.set_yticks(range(len(rows)), [literal(row["name"]) for row in rows], fontsize=9)
     axes.invert_yaxis()
-    # Most of the width is for the way from A* to the reference.
-    axes.set_xscale(
-        "function",
-        functions=(
-            lambda x: np.where(x < 0, x / WORSE, x),
-            lambda x: np.where(x < 0, x * WORSE, x),
-        ),
-    )
-    axes.xaxis.set_major_locator(FixedLocator([-3, -2, -1, 0, 0.25, 0.5, 0.75, 1, 2, 3, 4]))
-    axes.xaxis.set_major_formatter("{x:g}")
-    ends = [score[end] for score in (row["score"] for row in rows) for end in ("low", "high")]
-    axes.set_xlim(min(*ends, 0) - 0.05 * WORSE, max(*ends, 1) + 0.05)
+    highest = max((row["score"]["high"] for row in rows), default=1.0)
+    axes.set_xlim(min(least, 0) - 0.06, max(highest, 1) + 0.06)
     axes.grid(axis="x", color=PALE, linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.set_xlabel(
-        f"score: interquartile mean and 95 % interval (below 0 drawn {WORSE} times narrower)"
-    )
+    axes.set_xlabel("score: interquartile mean and 95 % interval (arrows: lower than shown)")
     figure.suptitle(literal(title), fontsize=12)
     return figure
 
@@ -80,7 +65,7 @@ def learning_curves(curves: Mapping[str, Sequence[tuple[int, float]]], title: st
     axes.set_xscale("log")
     axes.grid(color=PALE, linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.set_xlabel("episodes per problem")
+    axes.set_xlabel("episodes per problem (logarithmic: most is learnt in the first of them)")
     axes.set_ylabel("score of the best routes so far\n(A* 0, reference 1)")
     axes.set_title(literal(title), fontsize=12)
     axes.legend(frameon=False, fontsize=9)

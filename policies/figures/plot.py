@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
 from marouting.config import read_yaml
@@ -25,9 +24,9 @@ from policies.results.statistics import (
     baseline,
     by_router,
     by_set,
+    mean_gap,
     mean_overflow,
     mean_wirelength,
-    open_wirelength,
 )
 from policies.routers.astar import AStarRouter
 from policies.routers.registry import labelled, router_label, router_names
@@ -109,9 +108,9 @@ def run_figures(
 def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Path]:
     """Writes the figures of an experiment, by default into its ``figures``; returns the files.
 
-    For each set, and for ``all`` if there are several, ``SET_wirelength.png`` and
-    ``SET_overflow.png``, problem by problem, and, where A* is one of several routers,
-    ``SET_decrease.png``.
+    For each set, and for ``all`` if there are several: ``SET_gap.png``, the gap to the optimum, or
+    where none is known ``SET_wirelength.png``, problem by problem; ``SET_overflow.png``; and, where
+    A* is one of several routers, ``SET_decrease.png``.
     """
     folder = experiment / "figures" if folder is None else folder
     written: list[Path] = []
@@ -131,12 +130,19 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
         order = np.argsort(lengths[sort_by], kind="stable")
         title = f"{name}: {len(order)} problems"
         by = f"{called.get(sort_by, sort_by)}'s wirelength"
-        for quantity, unit, (whole, opened) in (
-            ("wirelength", "edges", _wirelengths(routers, called)),
-            ("overflow", "tracks", _overflows(routers, called)),
-        ):
-            figure = figures.by_problem(whole, order, f"{quantity} [{unit}]", by, title, opened)
-            write(figure, f"{name}_{quantity}")
+        gaps = {called.get(router, router): mean_gap(own) for router, own in routers.items()}
+        if not all(np.isnan(values).all() for values in gaps.values()):
+            write(figures.gaps_by_router(gaps, title), f"{name}_gap")
+        else:
+            wires = {called.get(router, router): own for router, own in lengths.items()}
+            figure = figures.by_problem(wires, order, "wirelength [edges]", by, title)
+            write(figure, f"{name}_wirelength")
+        over = {
+            called.get(router, router): np.where(np.isnan(lengths[router]), np.nan, own)
+            for router, own in ((router, mean_overflow(rows)) for router, rows in routers.items())
+        }
+        figure = figures.by_problem(over, order, "overflow [tracks]", by, title)
+        write(figure, f"{name}_overflow")
         if astar is None:
             continue
         decreases = {
@@ -175,31 +181,6 @@ def read_labels(config: Path) -> dict[str, str]:
     return {
         name: f"{label} ({name})" if alike[label] > 1 else label for name, label in called.items()
     }
-
-
-_Values = dict[str, NDArray[np.float64]]
-"""(problems,) values by the router's label."""
-
-
-def _wirelengths(
-    routers: Mapping[str, Mapping[tuple[str, str], list[Row]]], called: Mapping[str, str]
-) -> tuple[_Values, _Values]:
-    """Mean wirelength where all tasks were joined, and where some stayed open; NaN elsewhere."""
-    whole = {called.get(router, router): mean_wirelength(rows) for router, rows in routers.items()}
-    opened = {called.get(router, router): open_wirelength(rows) for router, rows in routers.items()}
-    return whole, opened
-
-
-def _overflows(
-    routers: Mapping[str, Mapping[tuple[str, str], list[Row]]], called: Mapping[str, str]
-) -> tuple[_Values, _Values]:
-    """Mean overflow, likewise."""
-    whole, opened = _wirelengths(routers, called)
-    every = {called.get(router, router): mean_overflow(rows) for router, rows in routers.items()}
-    return (
-        {name: np.where(np.isnan(whole[name]), np.nan, every[name]) for name in every},
-        {name: np.where(np.isnan(opened[name]), np.nan, every[name]) for name in every},
-    )
 
 
 def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> list[Path]:

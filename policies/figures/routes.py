@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize, to_hex
+from matplotlib.colors import LinearSegmentedColormap, Normalize, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -20,13 +21,22 @@ from marouting.memory import DRAWN, check_memory
 from marouting.problem.grid import AXES
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution, evaluate
-from policies.figures.congestion import congestion_map, crowded, crowded_note, draw_congestion
+from marouting.render import USE
+from policies.figures.congestion import (
+    NO_CAPACITY,
+    congestion_map,
+    crowded,
+    crowded_note,
+    draw_congestion,
+    label_of_use,
+    scale_of_use,
+    show_use,
+)
 from policies.figures.style import (
     BAND,
     BLUE,
     INK,
     LINES,
-    MAGENTA,
     ORANGE,
     PALE,
     RED,
@@ -35,11 +45,13 @@ from policies.figures.style import (
     literal,
 )
 from policies.results.utilisation import (
+    MOST_FIELDS,
+    congestion,
     histogram_counts,
     overflowed_edges,
     routable_edges,
     stray_edges,
-    utilisation_maps,
+    via_counts,
 )
 
 # Edge utilisation -------------------------------------------------------------------------------
@@ -48,143 +60,81 @@ from policies.results.utilisation import (
 def heat_maps(problem: Problem, solution: Solution, title: str = "") -> Figure:
     """Maps of via, vertical and horizontal edge utilisation (paper, heat map figures).
 
-    As in the paper, lighter colours mean higher utilisation. An edge lies between two Gcells, and
-    so does its field: the field from y = 2 to y = 3 shows the edges from row 2 to row 3, summed
-    over the layers. Fields with an overflowed edge in any layer show their overflow instead, in
-    red: the more tracks, the darker, with the number where there is room. Where a few Gcells have
-    far more vias than all others, the scale of vias ends below them and says so.
+    An edge lies between two Gcells, and so does its field: the field from y = 2 to y = 3 shows the
+    fullest of the edges from row 2 to row 3 in any layer. Full is dark blue, and what overflows is
+    orange to red. Where a few Gcells have far more vias than all others, the scale of vias ends
+    below them and says so.
 
     Returns:
-        Three panels with colour bars: number of vias, demand / capacity in %, and overflow.
+        Three panels with colour bars: number of vias, and twice demand / capacity in %.
     """
     columns, rows, _ = problem.grid
-    maps = utilisation_maps(problem, solution)
-    overflows = maps.vertical_overflow, maps.horizontal_overflow
-    most = max(int(overflow.max(initial=0)) for overflow in overflows)
+    values, side = congestion(problem, solution, MOST_FIELDS)
+    along_x, along_y = np.fmax.reduce(values, axis=0)
+    # The last Gcell in a row or column has no edge to a next one.
+    horizontal = along_x[: -(-(columns - 1) // side)]
+    vertical = along_y[:, : -(-(rows - 1) // side)]
     # Side by side; one above the other where the grid is wide. In inches.
     stacked = columns > 2 * rows
     across = 9 if stacked else float(np.clip(3.4 * columns / rows, 0.8, 3.4))
     height = across * rows / columns
     height = max(height, 1) if stacked else min(height, 9)
-    beside = 1.2 + _SECOND_BAR * bool(most)
-    size = (across + beside + 0.4, 3 * height + 4)
+    size = (across + 1.6, 3 * height + 4)
     if not stacked:
-        size = (3 * max(across + beside, 3), height + 1.5)
+        size = (3 * max(across + 1.2, 3), height + 1.5)
     figure = Figure(figsize=size, layout="constrained")
     figure.suptitle(fitted(_heading(problem, solution, title), size[0] - 0.5, 12), fontsize=12)
     panels = figure.subplots(3, 1) if stacked else figure.subplots(1, 3)
-    values = maps.via, maps.vertical, maps.horizontal
-    names = (
-        "Vias\n(edges between layers)",
-        "Vertical edges\n(between row y and y + 1)",
-        "Horizontal edges\n(between column x and x + 1)",
-    )
+    scale = scale_of_use(values)
     # A field of one Gcell's size lies in the middle between the Gcells it joins.
-    corners = (-0.5, -0.5), (-0.5, 0.0), (0.0, -0.5)
-    for axes, own, over, name, corner in zip(
-        panels, values, (None, *overflows), names, corners, strict=True
+    for axes, own, name, corner in (
+        (panels[0], via_counts(solution, side), "Vias\n(edges between layers)", (-0.5, -0.5)),
+        (panels[1], vertical, "Vertical edges\n(between row y and y + 1)", (-0.5, 0.0)),
+        (panels[2], horizontal, "Horizontal edges\n(between column x and x + 1)", (0.0, -0.5)),
     ):
         _prepare(axes, problem, name)
-        _draw_map(axes, own, over, corner, maps.side, across, most)
+        if not own.size:
+            middle: Any = {"ha": "center", "va": "center", "transform": axes.transAxes}
+            turn = "horizontal" if columns > 2 * rows else "vertical"
+            axes.text(0.5, 0.5, "no such edges", rotation=turn, **middle)
+            continue
+        # Inside the panel's own axes, so that it is as high as the map.
+        place = axes.inset_axes((1 + 0.1 / across, 0, 0.18 / across, 1))
+        if axes is panels[0]:
+            vias, largest = _scale_of_vias(own)
+            show_use(axes, own, side, vias, corner)
+            more = f", at most {largest}" if largest > vias.norm.vmax else ""
+            extend = "max" if more else "neither"
+            bar = figure.colorbar(vias, cax=place, extend=extend, label=f"vias [count]{more}")
+            bar.locator = MaxNLocator(nbins=8, integer=True)
+        else:
+            show_use(axes, own, side, scale, corner)
+            figure.colorbar(scale, cax=place, **label_of_use(values))
         # The last fields may reach beyond the grid, which is all that is to be seen.
         axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
     notes = []
-    if most:
-        label = "overflow: each layer's demand above its capacity, summed"
-        notes.append(Patch(facecolor=RED, label=label))
-    if np.isnan(maps.vertical).any() or np.isnan(maps.horizontal).any():
-        notes.append(Patch(facecolor=_NO_CAPACITY, label="no capacity"))
-    if maps.side > 1:
-        label = f"a field shows {maps.side}x{maps.side} Gcells"
+    if np.isnan(vertical).any() or np.isnan(horizontal).any():
+        notes.append(Patch(facecolor=NO_CAPACITY, label="no capacity"))
+    if side > 1:
+        label = f"a field shows {side}x{side} Gcells"
         notes.append(Patch(facecolor="none", edgecolor=INK, label=label))
     if notes:
         figure.legend(handles=notes, loc="outside lower center", ncols=2, frameon=False)
     return figure
 
 
-_SECOND_BAR = 0.75
-"""The width that the colour bar of the overflow takes beside the other one, in inches."""
+def _scale_of_vias(counts: NDArray[np.int64]) -> tuple[ScalarMappable, int]:
+    """Pale to dark blue, and the largest count.
 
-_ROOM = 10
-"""Points across a field from which on a number is drawn in it."""
-
-_NO_CAPACITY = "#BBBBBB"
-
-_OVERFLOW = LinearSegmentedColormap.from_list("overflow", ["#FF8060", RED, "#5A0A00"])
-"""Colours of overflow, the darker the more; none of them is on the scale of utilisation."""
-
-
-def _draw_map(
-    axes: Axes,
-    values: NDArray[Any],
-    overflow: NDArray[np.int64] | None,
-    corner: tuple[float, float],
-    side: int,
-    across: float,
-    most: int,
-) -> None:
-    """Draws one of the :func:`heat_maps`, with fields of ``side`` Gcells from a corner on.
-
-    ``across`` is about the width of the grid in inches, ``most`` the largest overflow in any map.
+    If that is more than twice the 98th percentile of the fields with any, and two more, the scale
+    ends at the percentile: a few outliers do not spoil it.
     """
-    low, high = axes.get_xlim()
-    if not values.size:
-        turn = "horizontal" if high - low > 2 * np.ptp(axes.get_ylim()) else "vertical"
-        middle: Any = {"ha": "center", "va": "center", "transform": axes.transAxes}
-        axes.text(0.5, 0.5, "no such edges", rotation=turn, **middle)
-        return
-    left, bottom = corner
-    place: dict[str, Any] = {
-        "origin": "lower",
-        "extent": (left, left + side * len(values), bottom, bottom + side * values.shape[1]),
-    }
-    colours = matplotlib.colormaps["viridis"].with_extremes(over=MAGENTA, bad=_NO_CAPACITY)
-    top, largest = 100, 0
-    if overflow is None:
-        # Of vias the 98th percentile of the fields with any, if the largest is more than twice as
-        # much and two: a few outliers do not spoil the scale.
-        largest = int(values.max(initial=0))
-        top = int(np.quantile(values[values > 0], 0.98, method="lower")) if largest else 1
-        top = top if largest > 2 * top + 2 else max(largest, 1)
-    # Demand without capacity is infinite, which matplotlib would take for missing.
-    image = axes.imshow(np.minimum(values, 1e9).T, cmap=colours, vmin=0, vmax=top, **place)
-    # Inside the panel's own axes, so that it is as high as the map.
-    inside = axes.inset_axes((1 + 0.1 / across, 0, 0.18 / across, 1))
-    bar = axes.figure.colorbar(image, cax=inside, extend="max" if largest > top else "neither")
-    if overflow is None:
-        bar.set_label(f"vias [count], at most {largest}" if largest > top else "vias [count]")
-        bar.locator = MaxNLocator(nbins=8, integer=True)
-        return
-    bar.set_label("demand / capacity [%]")
-    if not overflow.any():
-        return
-    levels = min(most, 256)
-    # From pale to dark; a single level is in between.
-    shades = _OVERFLOW(np.linspace(0, 1, levels) if levels > 1 else [0.5])
-    over = axes.imshow(
-        np.ma.masked_equal(overflow, 0).T,
-        cmap=ListedColormap(shades),
-        norm=Normalize(0.5, most + 0.5),
-        **place,
-    )
-    inside = axes.inset_axes((1 + (0.1 + _SECOND_BAR) / across, 0, 0.18 / across, 1))
-    bar = axes.figure.colorbar(over, cax=inside)
-    bar.set_label("overflow [tracks]")
-    bar.locator = MaxNLocator(nbins=8, integer=True, min_n_ticks=1)
-    field = 72 * across / (high - low) * side
-    if field < _ROOM:
-        return
-    for x, y in np.argwhere(overflow).tolist():
-        axes.text(
-            left + (x + 0.5) * side,
-            bottom + (y + 0.5) * side,
-            str(overflow[x, y]),
-            ha="center",
-            va="center",
-            color=INK if 2 * overflow[x, y] <= most else "white",
-            fontsize=min(8, 0.6 * field),
-            clip_on=True,
-        )
+    largest = int(counts.max(initial=0))
+    top = int(np.quantile(counts[counts > 0], 0.98, method="lower")) if largest else 1
+    top = top if largest > 2 * top + 2 else max(largest, 1)
+    blues = [tuple(part / 255 for part in ink) for share, ink in USE if share <= 1]
+    colours = LinearSegmentedColormap.from_list("vias", blues)
+    return ScalarMappable(Normalize(0, top), colours.with_extremes(over=INK)), largest
 
 
 def utilisation_histogram(problem: Problem, solution: Solution, title: str = "") -> Figure:
@@ -239,7 +189,7 @@ def edges_before_after(problem: Problem, solution: Solution, title: str = "") ->
         problem: the problem, which gives the capacities; edges without capacity and vias are left
             out.
         solution: the routes.
-        title: text before the type of the problem in the title.
+        title: text before the number of edges fully used in the title.
 
     Returns:
         One plot, each curve in descending order of remaining capacity, with fully used edges
@@ -295,7 +245,7 @@ def edges_before_after(problem: Problem, solution: Solution, title: str = "") ->
     axes.set_ylabel("remaining capacity [tracks]")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-    kind = f"Type II: {_edges(full)} fully used" if full else "Type I: no edge fully used"
+    kind = f"{_edges(full)} fully used" if full else "no edge fully used"
     if stray := stray_edges(problem, solution):
         kind += f" (and {_edges(stray)} used without capacity)"
     axes.set_title(fitted(literal(f"{title}: {kind}" if title else kind), 8, 12), fontsize=12)
@@ -343,14 +293,35 @@ class _Drawing(NamedTuple):
     pitch: float
 
 
-def _tracks(problem: Problem, solutions: Sequence[Solution]) -> NDArray[np.int64]:
-    """(nets,) int64, a track for each net, such that no two nets share one in a column of Gcells.
-
-    It is the same in all of the solutions, so that pins lie at the same places in all drawings.
+def side_by_side(columns: Sequence[Sequence[Any]]) -> tuple[NDArray[np.float64], float]:
+    """How far to shift nets along x = y so that no two lie upon each other, in Gcells.
 
     Long nets choose first and each takes the first free track, so the result is deterministic and
     needs few tracks.
+
+    Args:
+        columns: the columns of Gcells that each net passes.
+
+    Returns:
+        (nets,) float64, and the distance between two tracks.
     """
+    taken: defaultdict[Any, int] = defaultdict(int)  # bit t: track t
+    track = np.zeros(len(columns), np.int64)
+    for net in sorted(range(len(columns)), key=lambda net: -len(columns[net])):
+        busy = 0
+        for column in columns[net]:
+            busy |= taken[column]
+        free = ~busy & (busy + 1)
+        track[net] = free.bit_length() - 1
+        for column in columns[net]:
+            taken[column] |= free
+    pitch = min(_TRACK, _SPREAD / (int(track.max(initial=0)) + 1))
+    # 0, +1, −1, +2, …: the first tracks in the middle.
+    return pitch * np.where(track % 2, track // 2 + 1, -(track // 2)), pitch
+
+
+def shifts(problem: Problem, solutions: Sequence[Solution]) -> tuple[NDArray[np.float64], float]:
+    """:func:`side_by_side` of a problem's nets, the same in all of its solutions."""
     layers = problem.grid[2]
     columns = [
         np.unique(
@@ -361,29 +332,7 @@ def _tracks(problem: Problem, solutions: Sequence[Solution]) -> NDArray[np.int64
             *(solution.edges for solution in solutions), problem.pin_gcells, strict=True
         )
     ]
-    taken: defaultdict[int, int] = defaultdict(int)  # bit t: track t
-    track = np.zeros(len(columns), np.int64)
-    for net in sorted(range(len(columns)), key=lambda net: -len(columns[net])):
-        busy = 0
-        for column in columns[net]:
-            busy |= taken[column]
-        free = ~busy & (busy + 1)
-        track[net] = free.bit_length() - 1
-        for column in columns[net]:
-            taken[column] |= free
-    return track
-
-
-def shifts(problem: Problem, solutions: Sequence[Solution]) -> tuple[NDArray[np.float64], float]:
-    """How far to shift nets along x = y so that no two lie upon each other, in Gcells.
-
-    Returns:
-        (nets,) float64, and the distance between two tracks.
-    """
-    track = _tracks(problem, solutions)
-    pitch = min(_TRACK, _SPREAD / (int(track.max()) + 1))
-    # 0, +1, −1, +2, …: the first tracks in the middle.
-    return pitch * np.where(track % 2, track // 2 + 1, -(track // 2)), pitch
+    return side_by_side(columns)
 
 
 def _drawing(problem: Problem, solution: Solution, beside: Sequence[Solution] = ()) -> _Drawing:

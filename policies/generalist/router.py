@@ -28,8 +28,8 @@ from marouting import EnvOptions, Problem, Solution
 from marouting.batch.engine import Engine
 from marouting.batch.prices import MOST_PRESENT, Negotiation
 from marouting.config import check
-from marouting.game import MOST_NEIGHBOURS, MOST_ROUNDS, RipUp, Rules
 from marouting.problem.grid import MOVES
+from marouting.rules import MOST_NEIGHBOURS, MOST_ROUNDS, Mask, Nets, RipUp, Rules
 from policies.generalist import SHIPPED
 from policies.generalist.cheapest_tree import MOST_PINS
 from policies.generalist.outlook import DETOURS, OutlookObservation
@@ -45,7 +45,7 @@ _STEPS = 64
 """Moves of every copy between two looks at the clock, unless there is time for less: a quarter of a
 millisecond on small grids."""
 
-_STEINER: dict[str, Any] = {"decomposition": "steiner", "next_pin": "listed"}
+_STEINER: dict[str, Any] = {"nets": Nets(decomposition="steiner"), "next_pin": "listed"}
 """What is different in the game in which nets walk along Steiner trees."""
 
 _LEAST, _ROOM, _TIGHT = 0.01, 2, 8
@@ -148,7 +148,9 @@ class GeneralistRouter:
         self.options = options = GeneralistOptions() if options is None else options
         self.watch: Callable[[str], bool] | None = None
         self._observation = OutlookObservation()
-        env = EnvOptions(overflow="allowed", target="tree", next_pin="nearest", mask_visited=True)
+        env = EnvOptions(
+            overflow="allowed", target="tree", next_pin="nearest", mask=Mask(visited=True)
+        )
         self._sizes: tuple[int, ...] = (self._observation.size, MOVES)
         self._weights = np.zeros((self._sizes[0] + 1) * MOVES, np.float32)
         if options.policy == "greedy":

@@ -27,11 +27,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.best import put_best
 from marouting.batch.bits import byte_of
 from marouting.batch.engine import Engine
 from marouting.batch.expected import Maps, maps_of, recount, refresh, sum_up
-from marouting.batch.prices import UNIT, first_present, is_priced, net_cost
+from marouting.batch.prices import UNIT, first_present, is_priced, net_cost, put_best
 from marouting.batch.rules import free_moves, move_player, pass_turn, settle_agent
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_on

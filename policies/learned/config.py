@@ -21,7 +21,7 @@ from marouting.config import (
     take_pieces,
 )
 from marouting.options import EnvOptions
-from marouting.registry import allowing_code
+from marouting.registry import allowing_code, lookup, names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,13 +30,15 @@ class TrainOptions:
 
     Attributes:
         episodes: episodes per problem; one is a walk through all two-pin tasks of all nets.
-        shared: whether one network learns all problems; otherwise each problem has its own.
+        shared: whether one network learns all problems; otherwise each problem has its own. None:
+            it does if games draw problems.
         games: how many games are played side by side, each of which draws a problem at every
             episode, as environments do: a new one of a scenario's split ``train`` or of a generator
-            with ``seed: null``, or one of a set; ``shared`` only. ``episodes`` and
-            ``evaluate_every`` then count the episodes of all games together, and the network is
-            evaluated on the scenario's split ``validation``, on problems of the generator that are
-            never drawn, or on the set. None: every problem has games of its own.
+            with ``seed: null``, or one of a set. ``episodes`` and ``evaluate_every`` then count the
+            episodes of all games together, and the network is evaluated on the scenario's split
+            ``validation``, on problems of the generator that are never drawn, or on the set. None:
+            32 if the problems never end (a scenario's split ``train``, ``seed: null``); otherwise
+            every problem has games of its own.
         validation: how many problems of the validation split, the first ones, or of the generator
             a network is evaluated on; None: all of the split, 10 of the generator.
         best: which episode's routes are the solution, the earliest of the best: ``routes``, by
@@ -61,7 +63,7 @@ class TrainOptions:
     """
 
     episodes: int = 1000
-    shared: bool = False
+    shared: bool | None = None
     games: int | None = None
     validation: int | None = None
     best: Literal["routes", "reward"] = "routes"
@@ -81,10 +83,7 @@ class TrainOptions:
         check("evaluate_every", 1 <= self.evaluate_every <= MOST, f"a number from 1 to {MOST}")
         games, shown = self.games, self.validation
         check("games", games is None or 1 <= games <= 10_000, "a number from 1 to 10000")
-        what = (
-            "null: a network for each of the problems that games draw cannot be, see train.shared"
-        )
-        check("games", games is None or self.shared, what)
+        check("shared", games is None or self.shared, "true: games draw problems for one network")
         check("validation", shown is None or 1 <= shown <= 10_000, "a number from 1 to 10000")
         check("validation", shown is None or games is not None, "null without train.games")
         check("threads", 1 <= self.threads <= 1024, "a number from 1 to 1024")
@@ -113,6 +112,13 @@ class Config:
     def __post_init__(self) -> None:
         take_pieces(self)
         check("seed", 0 <= self.seed < 2**63, "a number from 0")
+        wanted, found = getattr(self.learner.cls, "agents", None), self.env.agents
+        what = f"{wanted} for {self.learner.name}, found {found}"
+        check("env.agents", wanted in (None, found), what)
+        drawn = self.train.games is not None
+        what = "true: a network for each of problems without end cannot be"
+        check("train.shared", self.train.shared or not self.env.endless, what)
+        check("train.games", drawn or not self.env.endless, "a number: these problems never end")
 
 
 def load_config(
@@ -137,7 +143,49 @@ def load_config(
     where = "" if path is None else os.fspath(path)
     with allowing_code(allow_code):
         raw = override({} if path is None else read_yaml(path), overrides)
-    return build(Config, raw if learner is None else for_learner(raw, learner, where), where)
+    return config_of(raw if learner is None else for_learner(raw, learner, where), where)
+
+
+def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
+    """The configuration in plain data.
+
+    Some defaults depend on other keys: ``env.agents`` on the learner; what agents see, how a
+    training runs, and options of learners (:attr:`.Learner.endless`) on whether its problems never
+    end.
+
+    Args:
+        raw: the configuration.
+        where: what an error message starts with.
+
+    Raises:
+        InputError: names the key, what was expected and what was found.
+    """
+    env, train, learner = raw.get("env", {}), raw.get("train", {}), raw.get("learner", {})
+    learner = {"kind": learner} if isinstance(learner, str) else learner
+    if not all(isinstance(part, Mapping) for part in (env, train, learner)):
+        return build(Config, raw, where)  # which refuses it
+    kind = learner.get("kind", names("learner")[0])
+    cls = lookup("learner", kind) if kind in names("learner") else None
+    agents = getattr(cls, "agents", None)
+    env = env if agents is None else {"agents": agents, **env}
+    if _endless(env):
+        env = {"observation": "window", **env}
+        learner = {"kind": kind, **getattr(cls, "endless", {}), **learner}
+    if train.get("games") is not None or _endless(env):
+        train = {**DRAWN, **{key: value for key, value in train.items() if value is not None}}
+    return build(Config, {**raw, "env": env, "learner": learner, "train": train}, where)
+
+
+DRAWN = {"shared": True, "games": 32, "episodes": 10_000, "evaluate_every": 100}
+"""How a training runs whose games draw problems, unless it is told otherwise."""
+
+
+def _endless(env: Mapping[str, Any]) -> bool:
+    """Whether every episode plays a new problem; see :attr:`.GameOptions.endless`."""
+    problem = env.get("problem")
+    if env.get("scenario") is not None:
+        return env.get("split", "train") == "train"
+    return isinstance(problem, Mapping) and problem.get("seed", 0) is None
 
 
 def for_learner(raw: Mapping[str, Any], kind: str, where: str = "") -> dict[str, Any]:

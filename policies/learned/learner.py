@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting.game import NOBODY
+from marouting.options import Agents
 from marouting.player import Player
 from marouting.problem.grid import MOVES
 from policies.learned import greedy
@@ -95,6 +96,12 @@ class Learner(PerNetworkState, abc.ABC):
     """
 
     Options: ClassVar[type[Any]]
+    agents: ClassVar[Agents | None] = None
+    """The only ``env.agents`` that it is for; None: it is for both."""
+
+    endless: ClassVar[Mapping[str, Any]] = {}
+    """Options whose defaults are others where problems never end."""
+
     rows: ClassVar[tuple[str, ...]] = ("updates", "loss")
     path: str = "torch"
     learning_starts: int = 0

@@ -324,9 +324,13 @@ class Run:
         rows = self._results()
         _save(self.trainer.policy(), self.folder / POLICY)
         if config.train.figures:
-            from policies.figures.plot import run_figures  # matplotlib: only if it is wanted
+            # matplotlib: only if it is wanted
+            from policies.figures.plot import reward_figures, run_figures
 
-            run_figures(self.folder, rows=rows)
+            if trainer.player.draws is None:
+                run_figures(self.folder, rows=rows)
+            else:  # `marouting plot` draws the validation problems
+                reward_figures(self.folder / METRICS, self.folder / "figures")
         # The mark of a finished run, so it comes last.
         write_text(self.folder / RESULT, json.dumps(rows, indent=1) + "\n")
         return rows

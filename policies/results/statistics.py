@@ -163,18 +163,14 @@ def mean_wirelength(problems: _Problems) -> NDArray[np.float64]:
     return _over_seeds(_values(problems, value))
 
 
-def open_wirelength(problems: _Problems) -> NDArray[np.float64]:
-    """(problems,) the mean wirelength where :func:`mean_wirelength` has none; NaN elsewhere.
-
-    These are problems on which no seed joined all tasks: less wirelength is no merit there.
-    """
-    everything = _over_seeds(_values(problems, lambda row: row["wirelength"]))
-    return np.where(np.isnan(mean_wirelength(problems)), everything, np.nan)
-
-
 def mean_overflow(problems: _Problems) -> NDArray[np.float64]:
     """(problems,) overflow, averaged over the seeds."""
     return _over_seeds(_values(problems, lambda row: row["overflow"]))
+
+
+def mean_gap(problems: _Problems) -> NDArray[np.float64]:
+    """(problems,) the gap to the optimum in %, averaged over the seeds; NaN where there is none."""
+    return _over_seeds(_values(problems, lambda row: row["gap"]))
 
 
 def _values(problems: _Problems, value: Callable[[Row], float | None]) -> NDArray[np.float64]:

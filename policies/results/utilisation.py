@@ -18,66 +18,54 @@ MOST_FIELDS = 1024
 """The most fields of a map along x and y; on larger grids a field shows several Gcells."""
 
 
-class UtilisationMaps(NamedTuple):
-    """The utilisation of the edges in each direction, summed over all layers.
+def congestion(
+    problem: Problem, solution: Solution, most: int = MOST_FIELDS
+) -> tuple[NDArray[np.float64], int]:
+    """Demand / capacity in %, of the fullest edge in each field of each layer.
 
-    A field shows one Gcell or edge; on grids longer than MOST_FIELDS, all those of a square.
+    Args:
+        problem: the problem, which gives the capacities.
+        solution: the routes.
+        most: the most fields along x and y; on longer grids a field is a square of Gcells.
 
-    Attributes:
-        via: (X, Y) int64, vias in use at each column of Gcells, counted once per net.
-        vertical: (X, Y − 1) float64, demand / capacity in % of the edges from row y to y + 1; NaN
-            where both are zero, infinite where there is demand without capacity.
-        horizontal: (X − 1, Y) float64, the same from column x to x + 1.
-        vertical_overflow: (X, Y − 1) int64, the overflow of these edges in tracks: each layer's
-            demand above its capacity.
-        horizontal_overflow: (X − 1, Y) int64, likewise.
-        side: how many Gcells a field is wide and high. All shapes are divided by it, rounded up.
+    Returns:
+        (Z, 2, X, Y) float64, of the edges from each Gcell towards +x and +y; NaN without capacity
+        or demand, infinite for demand without capacity. Then how many Gcells a field is wide and
+        high, by which X and Y are divided, rounded up.
     """
-
-    via: NDArray[np.int64]
-    vertical: NDArray[np.float64]
-    horizontal: NDArray[np.float64]
-    vertical_overflow: NDArray[np.int64]
-    horizontal_overflow: NDArray[np.int64]
-    side: int
-
-
-def utilisation_maps(problem: Problem, solution: Solution) -> UtilisationMaps:
-    """The utilisation in each direction; raises InputError if the grids differ."""
-    edge, demand = _used_edges(problem, solution)
-    adjusted, adjusted_capacity = problem.adjusted
-    unadjusted = problem.layer_capacity.astype(np.int64)
     columns, rows, layers = problem.grid
-    side = -(-max(columns, rows) // MOST_FIELDS)
+    side = -(-max(columns, rows) // most)
+    found = np.full((layers, VIA_AXIS, -(-columns // side), -(-rows // side)), np.nan)
 
-    def fields(edges: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def at(edges: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
         x, y = np.divmod(edges // (AXES * layers), rows)
-        return x // side, y // side
+        return edges // AXES % layers, edges % AXES, x // side, y // side
 
-    def counts(length: int) -> NDArray[np.int64]:
-        """How many of so many edges in a row are in each field."""
-        return np.diff(np.arange(0, length + side, side).clip(max=length))
+    # Where there is capacity and no demand; a layer's edges are alike but for adjustments.
+    found[problem.layer_capacity[:, :VIA_AXIS] > 0] = 0
+    adjusted, capacity = problem.adjusted
+    inside = adjusted % AXES != VIA_AXIS
+    if side == 1:
+        found[at(adjusted[inside])] = np.where(capacity[inside] > 0, 0, np.nan)
+    else:
+        np.fmax.at(found, at(adjusted[inside]), np.where(capacity[inside] > 0, 0, np.nan))
+    edge, demand = _used_edges(problem, solution)
+    used = (edge % AXES != VIA_AXIS) & (demand > 0)
+    edge, demand = edge[used], demand[used]
+    with np.errstate(divide="ignore"):
+        share = 100 * demand / problem.capacity_of(edge)
+    np.fmax.at(found, at(edge), share)
+    return found, side
 
-    def direction(axis: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        offered = unadjusted[:, axis].sum() * np.outer(
-            counts(columns - (axis == 0)), counts(rows - (axis == 1))
-        )
-        own = adjusted[adjusted % AXES == axis]
-        more = adjusted_capacity[adjusted % AXES == axis] - unadjusted[own // AXES % layers, axis]
-        np.add.at(offered, fields(own), more)
-        taken, tracks = edge[edge % AXES == axis], demand[edge % AXES == axis]
-        wanted, overflow = np.zeros_like(offered), np.zeros(offered.shape, np.int64)
-        np.add.at(wanted, fields(taken), tracks)
-        np.add.at(overflow, fields(taken), np.maximum(tracks - problem.capacity_of(taken), 0))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return 100 * wanted / offered, overflow
 
-    horizontal, horizontal_overflow = direction(0)
-    vertical, vertical_overflow = direction(1)
-    via = np.zeros((len(counts(columns)), len(counts(rows))), np.int64)
-    _, used = solution.uses
-    np.add.at(via, fields(used[used % AXES == VIA_AXIS]), 1)
-    return UtilisationMaps(via, vertical, horizontal, vertical_overflow, horizontal_overflow, side)
+def via_counts(solution: Solution, side: int) -> NDArray[np.int64]:
+    """(X, Y) int64, the vias in use in every field of ``side`` Gcells, each once for every net."""
+    columns, rows, layers = solution.problem.grid
+    _, edge = solution.uses
+    x, y = np.divmod(edge[edge % AXES == VIA_AXIS] // (AXES * layers), rows)
+    found = np.zeros((-(-columns // side), -(-rows // side)), np.int64)
+    np.add.at(found, (x // side, y // side), 1)
+    return found
 
 
 class EdgeGroups(NamedTuple):

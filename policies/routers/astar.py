@@ -9,7 +9,7 @@ import numpy as np
 
 from marouting import Problem, Solution, evaluate, sequential_astar
 from marouting.config import MOST, check
-from marouting.game import NetOrder, Target
+from marouting.rules import NetOrder, Target
 from marouting.trees.decomposition import Decomposition
 
 

@@ -9,9 +9,10 @@ from marouting import Engine, Problem, Solution
 from marouting.batch.edges import has_room, uses
 from marouting.batch.rules import move_player, settle_player
 from marouting.batch.state import Dynamic, Static
-from marouting.game import NOBODY, NetOrder
+from marouting.game import NOBODY
 from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
+from marouting.rules import NetOrder, Nets
 from marouting.search.guides import SearchBuffers, search_buffers, shortest_path
 from marouting.trees.decomposition import Decomposition
 
@@ -28,7 +29,7 @@ class GreedyRouter:
     finds it, until there is one again. Where every way is full, it stays until the task fails.
 
     Attributes:
-        net_order: which nets come first, see :class:`marouting.game.Rules`.
+        net_order: which nets come first, see :class:`marouting.rules.Nets`.
         decomposition: how nets are cut into two-pin tasks, see there.
         max_steps: steps after which a task fails; None for the default of
             :class:`marouting.Engine`.
@@ -47,8 +48,7 @@ class GreedyRouter:
         engine = Engine(
             [problem],
             turn_order="sequential",
-            net_order=self.net_order,
-            decomposition=self.decomposition,
+            nets=Nets(order=self.net_order, decomposition=self.decomposition),
             max_steps=self.max_steps,
         )
         buffers, nearest = search_buffers(engine.grid), np.zeros(1, np.int64)

@@ -17,7 +17,8 @@ torch.manual_seed(curve.seed)
 np.random.seed(curve.seed)  # noqa: NPY002
 problem = scenarios.get("toy-4x4-v0").test[0]
 # AgileRL's IPPO takes masks for its moves but not for learning: they have a name unknown to it.
-options = {"reward": "normalised", "max_steps": 20, "agents_persist": True, "mask_key": "edges"}
+options = {"reward": "normalised", "max_steps": 20, "agents_persist": True}
+options |= {"mask": {"mask_key": "edges"}}
 env, test = (global_routing_v0.parallel_env(problem, **options) for _ in range(2))
 
 

@@ -21,7 +21,7 @@ curve = Curve("plain", "masked", steps=100_000)
 problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"reward": "normalised", "max_steps": 20}
 if masked := curve.algorithm == "masked":  # the module looks for these names
-    options |= {"mask_in_observation": True, "observation_key": "observations"}
+    options |= {"mask": {"in_observation": True, "observation_key": "observations"}}
 make = global_routing_v0.parallel_env
 register_env("routing", lambda _: ParallelPettingZooEnv(make(problem, **options)))
 ray.init(num_cpus=1, include_dashboard=False)

@@ -21,7 +21,7 @@ torch.manual_seed(curve.seed)
 np.random.seed(curve.seed)  # noqa: NPY002
 problem = scenarios.get("toy-4x4-v0").test[0]
 options = {"problem": problem, "reward": "normalised", "max_steps": 20}
-names = {"mask_in_observation": True, "observation_key": "obs", "mask_key": "mask"}
+names = {"mask": {"in_observation": True, "observation_key": "obs", "mask_key": "mask"}}
 make = [lambda: gymnasium.make(marouting.ENVIRONMENT_ID, **options, **names)] * 8
 test, envs = make[0](), DummyVectorEnv(make)
 network = Net(state_shape=12, action_shape=6, hidden_sizes=[128, 128])

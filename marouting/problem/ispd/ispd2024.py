@@ -31,14 +31,7 @@ from numpy.typing import NDArray
 from marouting.errors import InputError
 from marouting.problem.chip import Chip, Contest, Places, as_adjustments
 from marouting.problem.grid import MAX_GCELLS
-from marouting.problem.ispd.lines import (
-    Lines,
-    Record,
-    is_decimal,
-    is_number,
-    reading,
-    unexpected,
-)
+from marouting.problem.ispd.lines import Lines, Record, is_decimal, is_number, reading, unexpected
 from marouting.problem.ispd.problem_text import ProblemRecord
 from marouting.problem.net import MAX_NUMBER, Net, Pin
 

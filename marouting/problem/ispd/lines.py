@@ -22,15 +22,7 @@ other scripts."""
 
 
 class Lines:
-    """The lines of a text file as tokens.
-
-    Args:
-        file: the file.
-        errors: what becomes of bytes that are not UTF-8, as for ``bytes.decode``.
-
-    Attributes:
-        number: the line last read, from 1.
-    """
+    """The lines of a text file as tokens; ``number`` is that last read, from 1."""
 
     def __init__(self, file: BinaryIO, errors: str = "strict") -> None:
         self.number = 0
@@ -56,12 +48,7 @@ class Lines:
 
 @dataclass(frozen=True)
 class Record:
-    """What was read from a file, and where each part of it stood.
-
-    Attributes:
-        file: the file's name.
-        lines: for each field the line of each of its rows.
-    """
+    """What was read from a file, and the line of each row of each field."""
 
     file: str
     lines: Mapping[str, Sequence[int]]
@@ -73,15 +60,7 @@ class Record:
 
 @contextlib.contextmanager
 def reading(path: str | os.PathLike[str], errors: str = "strict") -> Iterator[Lines]:
-    """Opens a file for reading.
-
-    Args:
-        path: the file.
-        errors: what becomes of bytes that are not UTF-8, as for ``bytes.decode``.
-
-    Yields:
-        Its lines.
-    """
+    """Yields the lines of a file; ``errors`` is for bytes that are not UTF-8."""
     with files.reading(path) as file:
         lines = Lines(file, errors)
         try:

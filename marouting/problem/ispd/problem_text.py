@@ -12,27 +12,18 @@ from marouting.files import write_text
 from marouting.problem.ispd.lines import Lines, Record, is_number, reading, unexpected
 from marouting.problem.net import Adjustment, Net, Pin
 
-Format = Literal["ispd2008", "ispd98", "ispd98-flat"]
-"""The formats of problems."""
-
+Format = Literal["ispd2008", "ispd98", "ispd98-flat"]  # the formats of problems
 FORMATS: tuple[Format, ...] = get_args(Format)
 
 
 @dataclass(frozen=True)
 class _Header:
-    """A line of a header: a keyword and numbers.
+    """A line of a header: a keyword and numbers."""
 
-    Attributes:
-        keyword: one or more words, or none.
-        fields: the fields of the Problem that the numbers fill, in equal shares.
-        what: the numbers in words, for error messages.
-        count: how many numbers there are; None: at least one, and Problem checks how many.
-    """
-
-    keyword: str
-    fields: tuple[str, ...]
-    what: str
-    count: int | None = None
+    keyword: str  # one or more words, or none
+    fields: tuple[str, ...]  # the fields of the Problem that the numbers fill, in equal shares
+    what: str  # the numbers in words, for error messages
+    count: int | None = None  # how many numbers there are; None: at least one, for Problem to check
 
     @property
     def expected(self) -> str:
@@ -53,15 +44,7 @@ class _Header:
 
 @dataclass(frozen=True)
 class _Form:
-    """What one format looks like.
-
-    Attributes:
-        header: its lines, without ``num net``; the first one in which two formats differ tells
-            them apart.
-        net: what the line of a net holds: the net's name and id, its number of pins, its width.
-        pin: which coordinates of a pin its line holds.
-        fixed: fields of the Problem that the format has no place for, and their values.
-    """
+    """What one format looks like: the first header line in which two differ tells them apart."""
 
     header: tuple[_Header, ...]
     net: tuple[str, ...] = ("name", "id", "number of pins")
@@ -108,36 +91,23 @@ _FORMS: dict[Format, _Form] = {
         },
     ),
 }
-_WIDTH = 1
-"""The minimum width of nets in formats without one."""
-
-_LAYER = 1
-"""The layer of pins in formats without one, and the only layer of a flat grid."""
+_WIDTH = 1  # the minimum width of nets in formats without one
+_LAYER = 1  # the layer of pins in formats without one, and the only layer of a flat grid
 
 
 @dataclass(frozen=True)
 class ProblemRecord(Record):
-    """The content of a problem file, as yet unchecked.
+    """A problem file, as yet unchecked; ``lines`` has all nets' pins as ``"pins"``."""
 
-    Attributes:
-        fields: the values of all fields of a Problem, by name.
-        lines: for each field the line of each of its rows; ``"pins"`` are those of all nets.
-    """
-
-    fields: Mapping[str, Any]
+    fields: Mapping[str, Any]  # the values of all fields of a Problem, by name
 
 
 def read_problem(path: str | os.PathLike[str]) -> ProblemRecord:
     """Reads a problem in any of the formats; its header tells which.
 
     Only the form of the file is checked. Whether the numbers make sense is for Problem to say,
-    and :meth:`ProblemRecord.located` then adds the line.
-
-    Args:
-        path: the file. The count of adjustments at its end may be missing when there are none.
-
-    Returns:
-        The content, in the units of the file.
+    and :meth:`ProblemRecord.located` then adds the line. The count of adjustments at the end may
+    be missing when there are none.
     """
     where: dict[str, array[int]] = {}
     with reading(path) as lines:
@@ -153,15 +123,7 @@ def read_problem(path: str | os.PathLike[str]) -> ProblemRecord:
 def write_problem(
     path: str | os.PathLike[str], fields: Mapping[str, Any], format: Format = "ispd2008"
 ) -> None:
-    """Writes a problem as text, whole or not at all.
-
-    :func:`read_problem` gives the same fields back.
-
-    Args:
-        path: the file.
-        fields: the values of all fields of a valid Problem, by name.
-        format: one of FORMATS.
-    """
+    """Writes the fields of a valid Problem as text, for :func:`read_problem` to give back."""
     if format not in FORMATS:
         raise InputError(f"format: expected one of {', '.join(FORMATS)}, found {format!r}")
     form = _FORMS[format]

@@ -31,29 +31,16 @@ from marouting.problem.ispd.lines import Lines, Record, is_number, unexpected
 
 @dataclass(frozen=True)
 class RoutesRecord(Record):
-    """The lines of such a file, of one form; the other two arrays are empty.
+    """Lines of one form, which ``lines`` has as ``"segments"``; the other two arrays are empty."""
 
-    Attributes:
-        net: (n,) int64, the index of the net of each line.
-        boxes: (n, 5) int64, lower left and upper right corner and the layer, from 0.
-        points: (n, 2, 3) int64, the ends of each of OpenROAD's segments: x and y in chip
-            coordinates, layer from 0.
-        segments: (n, 2, 3) int64, the ends of each of ISPD 2024's segments: column, row, layer.
-        lines: for ``"segments"`` the line of each box or segment.
-    """
-
-    net: NDArray[np.int64]
-    boxes: NDArray[np.int64]
-    points: NDArray[np.int64]
-    segments: NDArray[np.int64]
+    net: NDArray[np.int64]  # (n,) int64, the index of the net of each line
+    boxes: NDArray[np.int64]  # (n, 5) int64, lower left and upper right corner, layer from 0
+    points: NDArray[np.int64]  # (n, 2, 3) int64, OpenROAD's ends: x, y of the chip, layer from 0
+    segments: NDArray[np.int64]  # (n, 2, 3) int64, ISPD 2024's ends: column, row, layer
 
 
 def read_routes(
-    lines: Lines,
-    file: str,
-    header: list[str],
-    nets: Iterable[str],
-    layers: Sequence[str],
+    lines: Lines, file: str, header: list[str], nets: Iterable[str], layers: Sequence[str]
 ) -> RoutesRecord:
     """Reads a file whose first line has been read already."""
     known = {name: index for index, name in enumerate(nets)}
@@ -101,13 +88,7 @@ def read_routes(
 
 
 class _Form(NamedTuple):
-    """What the lines between parentheses hold.
-
-    Attributes:
-        what: in words.
-        numbers: which tokens of a line are numbers.
-        names: which are names of layers.
-    """
+    """What lines between parentheses hold: which tokens are numbers, and which names."""
 
     what: str
     numbers: tuple[int, ...]
@@ -131,19 +112,9 @@ _FORMS = (_BOX, _NUMBERED, _NAMED)
 
 
 def write_routes(
-    path: str | os.PathLike[str],
-    nets: Sequence[str],
-    net: NDArray[np.int64],
-    rows: Sequence[str],
+    path: str | os.PathLike[str], nets: Sequence[str], net: NDArray[np.int64], rows: Sequence[str]
 ) -> None:
-    """Writes such a file, whole or not at all.
-
-    Args:
-        path: the file.
-        nets: names; each gets a block, in this order.
-        net: (n,) the index of each row's net, ascending.
-        rows: n lines without their ends.
-    """
+    """Writes such a file, with a block for each name of ``nets`` and a row for each of ``net``."""
     bounds = np.searchsorted(net, np.arange(len(nets) + 1)).tolist()
     blocks = [
         "".join(f"{line}\n" for line in (name, "(", *rows[start:end], ")"))

@@ -21,23 +21,16 @@ _segment = re.compile(f"{_POINT} ?- ?{_POINT}").fullmatch
 
 @dataclass(frozen=True)
 class SolutionRecord(Record):
-    """The segments of a solution file.
+    """The segments of a solution file, which ``lines`` has as ``"segments"``, as written."""
 
-    Attributes:
-        net: (n,) int64, the index of each segment's net.
-        points: (n, 2, 3) int64, the two ends of each segment as written: x and y in chip
-            coordinates, layer from 1. Nothing is known of where they lie.
-        lines: for ``"segments"`` the line of each segment.
-    """
-
-    net: NDArray[np.int64]
-    points: NDArray[np.int64]
+    net: NDArray[np.int64]  # (n,) int64, the index of each segment's net
+    points: NDArray[np.int64]  # (n, 2, 3) int64, both ends: x, y of the chip, layer from 1
 
 
 def read_solution(
     path: str | os.PathLike[str], nets: Iterable[tuple[str, int]], layers: Sequence[str] = ()
 ) -> SolutionRecord | RoutesRecord:
-    """Reads routes in any of the formats.
+    """Reads routes in any of the formats, for nets by name and id, in file order.
 
     A first line of one word is a net's name, with which the formats of
     :mod:`~marouting.problem.ispd.routes_text` begin; all others are ISPD solution text. A net
@@ -48,14 +41,6 @@ def read_solution(
     no errors: some routers do not count, and the solutions that Liao et al. published have wrong
     numbers in most of their blocks. But a number can show that a line is lost, so there is one
     ``UserWarning`` for all wrong ids of a file and one for all wrong numbers.
-
-    Args:
-        path: the file.
-        nets: name and id of each of the problem's nets; names are unique.
-        layers: names of the layers, lowest first.
-
-    Returns:
-        The segments or boxes in file order.
     """
     ids: list[int] = []
     known: dict[str, int] = {}
@@ -103,11 +88,7 @@ def read_solution(
 
 
 class _Differences:
-    """What a file says that is not so, of which one warning tells.
-
-    Args:
-        path: the file.
-    """
+    """What the file at a path says that is not so, of which one warning tells."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path, self._first, self._count = os.fspath(path), "", 0
@@ -130,14 +111,7 @@ def write_solution(
     net: NDArray[np.int64],
     points: NDArray[np.int64],
 ) -> None:
-    """Writes segments as ISPD solution text, whole or not at all.
-
-    Args:
-        path: the file.
-        nets: name and id of each of the problem's nets; each gets a block, in this order.
-        net: (n,) the index of each segment's net, ascending.
-        points: (n, 2, 3) the two ends of each segment: x and y in chip coordinates, layer from 1.
-    """
+    """Writes the segments (n, 2, 3) of nets (n,), ascending, as ISPD solution text."""
     texts = [
         f"({x1},{y1},{l1})-({x2},{y2},{l2})\n" for (x1, y1, l1), (x2, y2, l2) in points.tolist()
     ]

@@ -14,33 +14,18 @@ from typing import NamedTuple
 from marouting.errors import InputError, nearest
 from marouting.problem.ispd.lines import reading, unexpected
 from marouting.problem.lefdef.lef_text import Library, is_keyword
-from marouting.problem.lefdef.statements import (
-    ENCODING_ERRORS,
-    MOST_CUTS,
-    Copy,
-    Statements,
-    whole,
-)
+from marouting.problem.lefdef.statements import ENCODING_ERRORS, MOST_CUTS, Copy, Statements, whole
 
 
 class Tracks(NamedTuple):
-    """Some tracks at equal distances.
+    """Some tracks at equal distances."""
 
-    Attributes:
-        axis: 0 for tracks at places along x, which are vertical; 1 along y.
-        first: the place of the first.
-        number: how many.
-        step: from one to the next.
-        layers: the names of their layers; none for lines between Gcells.
-        line: of the file.
-    """
-
-    axis: int
-    first: int
-    number: int
-    step: int
-    layers: tuple[str, ...]
-    line: int
+    axis: int  # 0 for tracks at places along x, which are vertical; 1 along y
+    first: int  # the place of the first
+    number: int  # how many
+    step: int  # from one to the next
+    layers: tuple[str, ...]  # the names of their layers; none for lines between Gcells
+    line: int  # of the file
 
 
 class Component(NamedTuple):
@@ -51,21 +36,13 @@ class Component(NamedTuple):
 
 
 class PinVia(NamedTuple):
-    """A via that is a shape of one of the design's own pins.
+    """A via that is a shape of one of the design's own pins."""
 
-    Attributes:
-        pin: the pin's name.
-        via: the via's name.
-        turn: how the pin is turned (:data:`TURNS`).
-        x: where the via stands.
-        y: where the via stands.
-    """
-
-    pin: str
-    via: str
-    turn: int
-    x: int
-    y: int
+    pin: str  # the pin's name
+    via: str  # the via's name
+    turn: int  # how the pin is turned (:data:`TURNS`)
+    x: int  # where the via stands
+    y: int  # where the via stands
 
 
 @dataclass

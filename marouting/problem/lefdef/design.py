@@ -34,15 +34,9 @@ def read_design(
     lef: Sequence[str | os.PathLike[str]],
     tile: tuple[int, int] | None = None,
 ) -> ProblemRecord:
-    """Reads a design.
+    """The fields of a problem from a DEF file and its LEF files, technology first.
 
-    Args:
-        path: the DEF file.
-        lef: its LEF files, technology first.
-        tile: width and height of a Gcell in the DEF's units; None: as the DEF says, or 15 tracks.
-
-    Returns:
-        The fields of a problem, :attr:`marouting.Problem.chip` among them.
+    ``tile`` is the size of a Gcell in the DEF's units; None: as the DEF says, or 15 tracks.
     """
     library = Library()
     with (

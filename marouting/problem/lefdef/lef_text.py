@@ -21,25 +21,15 @@ from marouting.problem.lefdef.statements import (
 
 @dataclass
 class Layer:
-    """A routing layer's rules, in micrometres.
+    """A routing layer's rules, in micrometres."""
 
-    Attributes:
-        name: its name.
-        at: the file and the line of its definition.
-        axis: 0 if it is for horizontal wires, 1 if for vertical ones; -1 until it is known.
-        width: of its wires; 0 until it is known.
-        spacing: between wires; None: what the pitch leaves.
-        pitch: between tracks along x and along y.
-        offset: of the first track along x and along y; None: half a pitch.
-    """
-
-    name: str
-    at: str = ""
-    axis: int = -1
-    width: float = 0
-    spacing: float | None = None
-    pitch: tuple[float, float] = (0, 0)
-    offset: tuple[float, float] | None = None
+    name: str  # its name
+    at: str = ""  # the file and the line of its definition
+    axis: int = -1  # 0 if it is for horizontal wires, 1 if for vertical ones; -1 until it is known
+    width: float = 0  # of its wires; 0 until it is known
+    spacing: float | None = None  # between wires; None: what the pitch leaves
+    pitch: tuple[float, float] = (0, 0)  # between tracks along x and along y
+    offset: tuple[float, float] | None = None  # of the first track along x, y; None: half a pitch
 
 
 @dataclass
@@ -91,14 +81,10 @@ is_keyword = re.compile("[A-Za-z][A-Za-z0-9_]*").fullmatch
 
 
 def read_library(path: str | os.PathLike[str], library: Library, copy: Copy) -> None:
-    """Adds what a LEF file holds to a library.
+    """Adds what a LEF file holds to a library; ``copy`` gets all words of the file.
 
     A file may lack ``END LIBRARY``, or go on after it: LEF files that were joined are one file.
-
-    Args:
-        path: the file.
-        library: is added to. Of a macro or a rule that is given twice, the first counts.
-        copy: gets all words of the file.
+    Of a macro or a rule that is given twice, the first counts.
     """
     library.files.append(os.fspath(path))
     with reading(path, errors=ENCODING_ERRORS) as lines:

@@ -31,22 +31,13 @@ class Place(NamedTuple):
 
 
 class Shapes(NamedTuple):
-    """The shapes of a design, in its units.
+    """The shapes of a design, in its units."""
 
-    Attributes:
-        pins: for each cell and each of its pins the boxes, where the cell's origin is at 0, 0.
-            Those of the design's own pins are where they are in the design.
-        places: for each component its place.
-        top: the number of the design's own cell.
-        all: every box on the chip that a wire has to keep away from.
-        outside: (n, 4) the sides of boxes in no layer, in which there is no chip.
-    """
-
-    pins: Mapping[int, Mapping[str, Boxes]]
-    places: Mapping[str, Place]
-    top: int
-    all: Boxes
-    outside: NDArray[np.int64]
+    pins: Mapping[int, Mapping[str, Boxes]]  # by cell and pin the boxes, from the cell's origin
+    places: Mapping[str, Place]  # for each component its place
+    top: int  # the number of the design's own cell
+    all: Boxes  # every box on the chip that a wire has to keep away from
+    outside: NDArray[np.int64]  # (n, 4) the sides of boxes in no layer, in which there is no chip
 
 
 def turned(boxes: Boxes, turn: int) -> Boxes:
@@ -166,8 +157,7 @@ _KINDS = {
 }
 """klayout's kinds of shapes and what they are; klayout's name of a layer ends with ``.kind``."""
 
-_VIA = "via "
-"""How klayout's cells of vias begin; no macro's name has a blank."""
+_VIA = "via "  # how klayout's cells of vias begin; no macro's name has a blank
 
 
 def _located(
@@ -195,8 +185,7 @@ def _outside(db: Any, design: Design) -> NDArray[np.int64]:
     return np.array(sides, np.int64).reshape(-1, 4)
 
 
-_BOX = 160
-"""Bytes for each box while the places of all are found."""
+_BOX = 160  # bytes for each box while the places of all are found
 
 
 def moved_pins(shapes: Shapes, cell: int, turn: int, pin: str, moves: NDArray[np.int64]) -> Boxes:

@@ -9,18 +9,11 @@ from typing import TextIO
 from marouting.errors import InputError
 from marouting.problem.ispd.lines import Lines, unexpected
 
-ENCODING_ERRORS = "surrogateescape"
-"""For reading: comments may hold any bytes."""
+ENCODING_ERRORS = "surrogateescape"  # for reading: comments may hold any bytes
 
 
 class Copy:
-    """A copy of statements for klayout, each in the line in which it begins in the file.
-
-    So the lines in klayout's messages are those of the file.
-
-    Args:
-        file: is written to.
-    """
+    """A copy of statements for klayout, which keep their line numbers for its messages."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
@@ -43,14 +36,10 @@ def copying(path: str | os.PathLike[str]) -> Iterator[Copy]:
 
 
 class Statements:
-    """The words of a file, without comments.
+    """The words of a file, without comments; ``copy`` gets every word that is read.
 
     A text in quotes is one word. A semicolon or a parenthesis is a word of its own, also where no
     blank separates it from its neighbour.
-
-    Args:
-        lines: the file.
-        copy: gets every word that is read; None for no copy.
     """
 
     def __init__(self, lines: Lines, copy: Copy | None = None) -> None:
@@ -163,8 +152,7 @@ class Statements:
 _BOM = "\ufeff"
 _MOST_WORDS = 2**22
 
-MOST_CUTS = 10**6
-"""The most cuts of a via made by rule, and vias of an array: each becomes a shape."""
+MOST_CUTS = 10**6  # the most cuts of a via made by rule, and vias of an array: each becomes a shape
 
 
 def _parts(token: str) -> list[str]:
@@ -195,8 +183,7 @@ def number(word: str, what: str) -> float:
     return value
 
 
-LARGEST = 1e9
-"""The largest number accepted; in a DEF's units the side of a wafer is below it."""
+LARGEST = 1e9  # the largest number accepted; in a DEF's units the side of a wafer is below it
 
 
 def whole(word: str, what: str, least: int = -(10**9)) -> int:

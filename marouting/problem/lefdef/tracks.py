@@ -9,11 +9,8 @@ from marouting.errors import InputError
 from marouting.memory import check_memory
 from marouting.problem.lefdef.def_text import Tracks
 
-_MOST = 2**20
-"""The most tracks of a layer, and lines between Gcells."""
-
-_CELL = 24
-"""Bytes for each track between two Gcells, while it is found out whether it is free."""
+_MOST = 2**20  # the most tracks of a layer, and lines between Gcells
+_CELL = 24  # bytes for each track between two Gcells, while it is found out whether it is free
 
 
 def places(tracks: Sequence[Tracks], low: int, high: int, file: str) -> NDArray[np.int64]:
@@ -46,8 +43,7 @@ def capacity_of_layer(
         along: (n + 1,) the lines between Gcells that wires cross.
         across: (m + 1,) the other lines.
         boxes: (k, 4) what wires must avoid: the low and high sides along the wires, then across.
-        halo: (k,) twice the distance from each box that a wire's middle must keep; so far is far
-            enough.
+        halo: (k,) twice the distance from each box that a wire's middle must keep.
 
     Returns:
         (n, m) of the edge from each Gcell to the next one along the wires; 0 for the last.

@@ -108,6 +108,11 @@ class DQN(Learner):
     """DQN in torch, on any device, for any network, observation and reward."""
 
     Options = DQNOptions
+    # The paper's options are for a training of hours on one problem.
+    endless: ClassVar[Mapping[str, Any]] = {
+        "masking": True, "steps_per_update": 8, "batch_size": 128, "learning_rate": 1e-3,
+        "target_period": 200,
+    }  # fmt: skip
     rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "target", "pending_updates")
     parts: ClassVar[tuple[str, ...]] = ("networks", "adam", "memory", "explore")
 

@@ -238,3 +238,9 @@ class FusedDQN(DQN):
         """See :meth:`.PerNetworkState.state`; with the counts that torch works with."""
         self.adam.count.numpy()[:] = self.updates
         return super().state()
+
+
+class IQL(FusedDQN):
+    """Independent Q-learning (Tan, 1993): every net is an agent, and all share one DQN."""
+
+    agents = "multi"

@@ -1,7 +1,8 @@
 """Proximal policy optimisation (Schulman et al., 2017), with one actor for all agents.
 
-With ``critic: local`` the critic sees what the agent sees: independent PPO (de Witt et al., 2020).
-With ``critic: central`` it also sees the game's global state: MAPPO (Yu et al., 2022).
+With ``critic: local`` the critic sees what the agent sees; with ``critic: central`` it also sees
+the game's global state. Where every net is an agent, the first is IPPO (de Witt et al., 2020), the
+second MAPPO (Yu et al., 2022), both with one actor for all agents as in these papers.
 
 Deviations from the papers and from CleanRL's implementation:
 
@@ -93,7 +94,7 @@ class PPOOptions:
 class PPO(Learner):
     """PPO in torch, on any device, for any network, observation and reward."""
 
-    Options = PPOOptions
+    Options: ClassVar[type[PPOOptions]] = PPOOptions
     rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "keys", "progress")
     parts: ClassVar[tuple[str, ...]] = (
         "networks", "critic", "adam", "critic_adam", "rollout", "explore",
@@ -273,6 +274,34 @@ class PPO(Learner):
                     adam.step(weights, gradient, due, rate)
                     self.loss[n] += loss.detach().double()
                 self.updates[n] += 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class IPPOOptions(PPOOptions):
+    """Those of PPO, with a local critic."""
+
+    critic: Literal["local"] = "local"
+
+
+class IPPO(PPO):
+    """Independent PPO (de Witt et al., 2020): every net is an agent that learns for itself."""
+
+    Options = IPPOOptions
+    agents = "multi"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MAPPOOptions(PPOOptions):
+    """Those of PPO, with a central critic."""
+
+    critic: Literal["central"] = "central"
+
+
+class MAPPO(PPO):
+    """Multi-agent PPO (Yu et al., 2022): the critic sees the state of the whole game."""
+
+    Options = MAPPOOptions
+    agents = "multi"
 
 
 def losses(

@@ -11,7 +11,7 @@ class PathfinderOptions:
     """Options of negotiated congestion.
 
     Defaults without a publication were tuned on ibm01 (ISPD'98) with 20 s per trial, and on
-    generated problems that cannot be routed without overflow (docs/negotiation.md).
+    generated problems that cannot be routed without overflow (docs/routers.md).
 
     Attributes:
         schedule: ``standard``; or ``tuned``: options that have their defaults get other values,

@@ -4,7 +4,7 @@ How fast prices rise, when the linear program sets them, when a round is over, w
 cheapest trees: these options were chosen by evolution, one set for searches that have time for a
 few passes over the nets, one for some dozens, one for hundreds and one for more. Numbers are
 rounded. How the sets were found, what they bring on other problems and what they cost, is in
-docs/negotiation.md.
+docs/routers.md.
 """
 
 from dataclasses import fields, replace

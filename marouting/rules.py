@@ -1,0 +1,141 @@
+"""The options of the rules of the game, which :mod:`marouting.game` plays by."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.checks import check_fields
+from marouting.errors import InputError
+from marouting.problem.grid import MOVES, VIA_AXIS
+from marouting.problem.problem import Problem
+from marouting.trees.decomposition import Decomposition
+
+MOST_STEPS, MOST_ROUNDS, MOST_NEIGHBOURS = 1_000_000, 100_000, 100
+"""The largest ``max_steps``, ``rip_up.rounds`` and ``rip_up.neighbours``."""
+
+TurnOrder = Literal["sequential", "round_robin"]
+NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
+Target = Literal["pin", "tree"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nets:
+    """How nets become agents with tasks.
+
+    Attributes:
+        order: which net comes first: ``half_perimeter``, that with the largest bounding box (the
+            authors' code), ties in file order; ``half_perimeter_up``, that with the smallest; or
+            ``file``, the first one in the file.
+        decomposition: the tree along which a net's pins are split into tasks: ``mst``, a minimum
+            spanning tree (the paper), or ``steiner``, a rectilinear Steiner tree.
+    """
+
+    order: NetOrder = "half_perimeter"
+    decomposition: Decomposition = "mst"
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mask:
+    """The action mask: what it leaves out, and where it is shown. The game uses ``visited`` only.
+
+    Attributes:
+        visited: whether it leaves out Gcells visited in the task, while others are left.
+        in_observation: whether observations are ``{"observation", "action_mask"}``; the mask is in
+            ``info["action_mask"]`` either way.
+        observation_key: the name of the observation beside its mask, where a library wants another
+            (RLlib: ``observations``).
+        mask_key: the name of the mask, likewise, in observation and info.
+    """
+
+    visited: bool = False
+    in_observation: bool = False
+    observation_key: str = "observation"
+    mask_key: str = "action_mask"
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RipUp:
+    """Rip-up and reroute: after all nets have routed, some are routed again around the others.
+
+    Attributes:
+        rounds: how often. Agents stay until the last round is over.
+        choose: which nets, and in which order: ``all``; ``conflicts``, those with open tasks or on
+            full edges; ``history``, those on edges that were full in this or earlier rounds, the
+            most often first; or ``agents``, whose agent takes a seventh action when it is asked.
+        neighbours: how many nets that stand in its way are ripped up together with a net.
+    """
+
+    rounds: int = 1
+    choose: Literal["all", "conflicts", "history", "agents"] = "all"
+    neighbours: int = 0
+
+    def __post_init__(self) -> None:
+        check_fields(self, rounds=(0, MOST_ROUNDS), neighbours=(0, MOST_NEIGHBOURS))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """The options of the rules; the defaults are the paper's.
+
+    Attributes:
+        turn_order: ``sequential``, a net finishes before the next one starts (the paper), or
+            ``round_robin``, each net makes one move in turn. None: ``round_robin`` in the
+            interfaces where every net is an agent, otherwise ``sequential``.
+        max_steps: steps after which a task fails (the paper's T_max), up to a million. None: 50 as
+            in the paper, or 2 (X + Y) if that is more, because 50 steps do not cross a large grid.
+        overflow: ``forbidden``, a move across a full edge is blocked (the paper), or ``allowed``,
+            it overflows the edge, at a price that the reward sets.
+        target: what ends a task: ``pin``, the task's target pin (the paper), or ``tree``: the agent
+            starts at the new pin, and any Gcell that the net's edges join to its first pin will do.
+        next_pin: ``listed``, tasks in the order of the decomposition (the paper), or ``nearest``,
+            the open pin nearest to the net's tree is next; not with Steiner trees.
+        release_failed: whether a failed task releases the edges that it took.
+        nets: the nets' order and decomposition, a :class:`Nets` or a mapping of its fields.
+        mask: the action mask, a :class:`Mask` or a mapping of its fields.
+        rip_up: rip-up and reroute, a :class:`RipUp` or a mapping of its fields; None: off.
+    """
+
+    turn_order: TurnOrder | None = None
+    max_steps: int | None = None
+    overflow: Literal["forbidden", "allowed"] = "forbidden"
+    target: Target = "pin"
+    next_pin: Literal["listed", "nearest"] = "listed"
+    release_failed: bool = False
+    nets: Nets = Nets()
+    mask: Mask = Mask()
+    rip_up: RipUp | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, max_steps=(1, MOST_STEPS))
+        if self.next_pin == "nearest" and self.nets.decomposition != "mst":
+            raise InputError("next_pin: expected listed, for a nets.decomposition other than mst")
+
+    @property
+    def actions(self) -> int:
+        """How many actions an agent has: six moves and, when asked, ripping up."""
+        return MOVES + self.asks
+
+    @property
+    def asks(self) -> bool:
+        """Whether agents are asked whether to rip up their nets."""
+        rip_up = self.rip_up
+        return rip_up is not None and rip_up.rounds > 0 and rip_up.choose == "agents"
+
+    def steps_per_task(self, grid: tuple[int, int, int]) -> int:
+        """Steps after which a task fails on a grid of X×Y×Z Gcells."""
+        return self.max_steps or max(50, 2 * (grid[0] + grid[1]))
+
+
+def net_ranks(problem: Problem, order: NetOrder) -> NDArray[np.int64]:
+    """(nets,) numbers by which nets are ordered, lowest first; equal ones stay in file order."""
+    low, high = problem.pin_boxes()
+    sign = {"half_perimeter": -1, "half_perimeter_up": 1, "file": 0}[order]
+    return sign * (high - low)[:, :VIA_AXIS].sum(axis=1)
