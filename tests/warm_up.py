@@ -1,6 +1,6 @@
 """Compiles what many tests use, so that test processes side by side do not each compile it.
 
-python tests/warm_up.py games | routers
+python tests/warm_up.py games|routers|trainings …
 """
 
 import sys
@@ -32,10 +32,7 @@ TRAININGS: list[dict[str, Any]] = [
 
 
 def games() -> None:
-    """Plays a few steps of batches, and trains for two episodes."""
-    from policies.learned.config import Config
-    from policies.learned.run import Run
-
+    """Plays a few steps of batches."""
     problems = generate(2, (6, 6, 2), 8, max_pins=3, capacity=2, seed=1)
     for options in GAMES:
         for everyone in (True, False):
@@ -43,12 +40,6 @@ def games() -> None:
             _, info = env.reset()
             for _ in range(3):
                 *_, info = env.step(info["action_mask"].argmax(axis=-1))
-    quiet = {"episodes": 2, "figures": False, "tensorboard": False}
-    for options in TRAININGS:
-        options["env"]["problem"] = {"grid": [4, 4, 2], "nets": 3}
-        with tempfile.TemporaryDirectory() as folder:
-            raw = {"out": f"{folder}/run", "train": quiet, **options}
-            Run(build(Config, raw)).execute()
 
 
 def routers() -> None:
@@ -61,5 +52,19 @@ def routers() -> None:
         make_router(name, options).route(problem)
 
 
+def trainings() -> None:
+    """Trains for two episodes."""
+    from policies.learned.config import Config
+    from policies.learned.run import Run
+
+    quiet = {"episodes": 2, "figures": False, "tensorboard": False}
+    for options in TRAININGS:
+        options["env"]["problem"] = {"grid": [4, 4, 2], "nets": 3}
+        with tempfile.TemporaryDirectory() as folder:
+            raw = {"out": f"{folder}/run", "train": quiet, **options}
+            Run(build(Config, raw)).execute()
+
+
 if __name__ == "__main__":
-    {"games": games, "routers": routers}[sys.argv[1]]()
+    for part in sys.argv[1:]:
+        {"games": games, "routers": routers, "trainings": trainings}[part]()
