@@ -29,7 +29,7 @@ def examples(number: int) -> Any:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Sets how many examples tests have; compiles what test processes share before they start."""
-    for name, number in (("commit", PER_COMMIT), ("slow", 20 * PER_COMMIT)):
+    for name, number in (("commit", PER_COMMIT), ("slow", 10 * PER_COMMIT)):
         settings.register_profile(
             name,
             deadline=None,
