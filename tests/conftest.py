@@ -15,6 +15,9 @@ from hypothesis import HealthCheck, settings
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
+LONGEST = "one_game docs pathfinder run faults training fuzz game scenarios window optimal kills"
+"""Files of tests that take longest: they come first, so that none is left alone at the end."""
+
 PER_COMMIT = 30
 """Examples of a test that does not say how many; with -m slow there are many times more."""
 
@@ -26,7 +29,7 @@ def examples(number: int) -> Any:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Sets how many examples tests have; compiles what test processes share before they start."""
-    for name, number in (("commit", PER_COMMIT), ("slow", 20 * PER_COMMIT)):
+    for name, number in (("commit", PER_COMMIT), ("slow", 10 * PER_COMMIT)):
         settings.register_profile(
             name,
             deadline=None,
@@ -35,6 +38,12 @@ def pytest_configure(config: pytest.Config) -> None:
         )
     settings.load_profile("slow" if config.getoption("markexpr") == "slow" else "commit")
     warm_up(config)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first; a file's tests stay in their order."""
+    rank = {f"test_{name}": place for place, name in enumerate(LONGEST.split())}
+    items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
@@ -51,9 +60,10 @@ def warm_up(config: pytest.Config) -> None:
         return
     print("compiling what the tests share, once per version: about 90 s", file=sys.stderr)
     command = [sys.executable, str(Path(__file__).with_name("warm_up.py"))]
-    parts = [subprocess.Popen([*command, part]) for part in ("games", "routers")]
-    for part in parts:
-        part.wait()  # should one fail, the tests compile the rest, and say what is wrong
+    # These take about as long, and what the second needs of the first is compiled by then.
+    halves = [subprocess.Popen([*command, *half]) for half in (["games"], ["routers", "trainings"])]
+    for half in halves:
+        half.wait()  # should one fail, the tests compile the rest, and say what is wrong
 
 
 @pytest.fixture

@@ -587,7 +587,7 @@ KINDS: dict[str, Kind] = {
         for kind in READ
     },
     **{
-        f"figures of {kind}": Kind(functools.partial(rows, kind=kind, kinds=DRAWN), 6, 200)
+        f"figures of {kind}": Kind(functools.partial(rows, kind=kind, kinds=DRAWN), 10, 200)
         for kind in DRAWN
     },
     "checkpoint": Kind(checkpoints, 30, 3_000, all_trained),

@@ -20,85 +20,28 @@ import torch
 HUGE = "9" * 5000
 NUMBERS = [0, 1, -1, 2, 7, 2**31, 2**63 - 1, 2**63, -(2**63), 10**400, 0.5, 1e-300, 1e18, 1e300]
 TEXTS = ["", "p", "q", "dqn", "t", "..", "a/b", "\0", "\ud800", "１２", " 5 ", "1_000", "5", "=1+1"]
-TEXTS += [
-    "$\\frac$",
-    "[/]",
-    "_x",
-    "x" * 300,
-    "a\nb",
-    "a\u2028b",
-    "\x1b[2J",
-    "astar",
-    "ppo",
-    "os:path",
-]
+TEXTS += ["$\\frac$", "[/]", "_x", "x" * 300, "a\nb", "a\u2028b", "\x1b[2J"]
+TEXTS += ["astar", "ppo", "os:path"]
 NASTY: list[Any] = [None, True, False, math.nan, math.inf, [], [[]], {}, {"a": 1}]
 NASTY += [*NUMBERS, *TEXTS]
 """Values that few keys accept."""
 
-MODEST: list[Any] = [
-    None,
-    True,
-    False,
-    -1,
-    0,
-    1,
-    2,
-    3,
-    7,
-    64,
-    0.5,
-    1.0,
-    -0.5,
-    1e-300,
-    1e300,
+MODEST: list[Any] = [None, True, False, -1, 0, 1, 2, 3, 7, 64, 0.5, 1.0, -0.5, 1e-300, 1e300]
+MODEST += [
     [],
     {},
+    [8, 8],
+    "",
+    *["dqn", "ppo", "conv", "mlp", "multi", "single", "goal", "steiner", "allowed"],
 ]
-MODEST += ["", "dqn", "ppo", "conv", "mlp", "multi", "single", "goal", "steiner", "allowed"]
-MODEST += [[8, 8]]
 """Values that keep a training short where it takes them."""
 
-TOKENS = [b"", b"-1", b"0", b"1", b"2", b"7", b"999999999", HUGE.encode(), b"1e3", "０".encode()]
-TOKENS += [
-    b"!",
-    b"grid",
-    b"\x00",
-    b"\x1c",
-    b"(1,1,1)",
-    b"NaN",
-    b"-Infinity",
-    b"1e999",
-    b'"',
-    b"\xff",
-]
-TOKENS += [
-    b'"',
-    b"\n",
-    b",",
-    b"\r",
-    b"[" * 3000,
-    b"]",
-    b"{",
-    b"}",
-    b'"\\ud800"',
-    b"-0",
-    b"0x1",
-    b"'=",
-]
-TOKENS += [
-    b"\xef\xbb\xbf",
-    b"&a",
-    b"*a",
-    b"<<",
-    b"!!int",
-    b"!!binary",
-    b"- ",
-    b"|",
-    b"#",
-    b"~",
-    b"?",
-]
+TOKENS = (
+    rb"-1 0 1 2 7 999999999 1e3 ! grid (1,1,1) NaN -Infinity 1e999 , ] { } -0 0x1 '= &a *a".split()
+)
+TOKENS += rb'" "\ud800" << !!int !!binary | # ~ ?'.split()
+TOKENS += [b"", b"- ", b"\n", b"\r", b"\x00", b"\x1c", b"\xff", b"\xef\xbb\xbf", b"[" * 3000]
+TOKENS += [HUGE.encode(), "０".encode()]
 
 
 def in_text(rng: Random, content: bytes) -> bytes:

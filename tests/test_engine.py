@@ -99,11 +99,19 @@ def compare(engine: Engine, game: Game) -> None:
     assert now.tasks == sum(len(a.tasks) for a in agents)
 
 
+forms = st.sampled_from(["turn", "all", "mixed"])
+
+
 @examples(60)
-@given(contested(), options, seeds, st.sampled_from(["turn", "all", "mixed"]))
+@given(contested(max_nets=8, max_capacity=2), options, st.just({}) | extensions, seeds, forms)
 def test_engine_plays_by_the_rules(
-    problem: Problem, chosen: dict[str, Any], seed: int, form: str
+    problem: Problem, chosen: dict[str, Any], more: dict[str, Any], seed: int, form: str
 ) -> None:
+    chosen = {**chosen, **more}
+    if "next_pin" in more and more["next_pin"] == "nearest":
+        chosen["nets"] = {**chosen["nets"], "decomposition": "mst"}
+    if "negotiation" in more and more["negotiation"].prices:
+        chosen["overflow"] = "allowed"
     rng = np.random.default_rng(seed)
     engine, game = Engine([problem], **chosen), Game(problem, **chosen)
     assert engine.nets[0].tolist() == [a.net for a in game.agents]
@@ -123,21 +131,6 @@ def test_engine_plays_by_the_rules(
         engine.step(random_moves(engine, rng))
         engine.step(np.array([0]))
         assert engine.metrics().steps == game.steps
-
-
-forms = st.sampled_from(["turn", "all", "mixed"])
-
-
-@examples(60)
-@given(contested(max_nets=8, max_capacity=2), options, extensions, seeds, forms)
-def test_engine_plays_by_the_options(
-    problem: Problem, chosen: dict[str, Any], more: dict[str, Any], seed: int, form: str
-) -> None:
-    if more["next_pin"] == "nearest":
-        chosen = {**chosen, "nets": {**chosen["nets"], "decomposition": "mst"}}
-    if more["negotiation"].prices:
-        chosen = {**chosen, "overflow": "allowed"}
-    test_engine_plays_by_the_rules.hypothesis.inner_test(problem, {**chosen, **more}, seed, form)
 
 
 @pytest.mark.parametrize("calm", [0, 0.3])

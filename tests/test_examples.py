@@ -134,9 +134,9 @@ def test_an_example_does_what_it_says(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(
-        registry, "_registered", {k: {**v} for k, v in registry._registered.items()}
-    )
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    known = {kind: {**own} for kind, own in registry._registered.items()}
+    monkeypatch.setattr(registry, "_registered", known)
     runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
     sys.modules.pop(name, None)
     globals()[f"check_{name}"](capsys.readouterr().out)

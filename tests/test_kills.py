@@ -102,7 +102,7 @@ COMMANDS = {
         0,
         25,
     ),
-    "generate": Command(generation, files, 3, 25),
+    "generate": Command(generation, files, 2, 25),
     "experiment": Command(comparison, test_experiment.outcome, 0, 15),
 }
 

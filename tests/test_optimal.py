@@ -199,6 +199,7 @@ def test_two_pins_are_joined_by_a_shortest_path(seed: int) -> None:
             assert cost == NEVER
 
 
+@examples(15)
 @given(priced(cheapest=1))
 def test_trees_across_every_edge(case: tuple[Shape, Costs, NDArray[np.int64]]) -> None:
     shape, price, pins = case
@@ -368,6 +369,7 @@ tiny = st.sampled_from(TINY).flatmap(
 )
 
 
+@examples(15)
 @given(tiny)
 def test_no_combination_of_trees_is_better(problem: Problem) -> None:
     best = best_of_all(problem)

@@ -230,13 +230,13 @@ def test_training_problems_are_feasible(name: str) -> None:
 
 def test_infeasible_problems_are_not_kept() -> None:
     level = replace(scenarios.get("toy-4x4-v0").level, nets=(6, 6), validation=1, test=1)
-    raw = [level.problem(np.random.default_rng(i)) for i in range(20)]
+    raw = [level.problem(np.random.default_rng(i)) for i in range(12)]
     least = [OptimalRouter().solve(problem).overflow for problem in raw]
-    assert 0 < sum(overflow > 0 for overflow in least) < 20
+    assert 0 < sum(overflow > 0 for overflow in least) < 12
     # Whatever A* has proven feasible is; it may miss some.
     assert all(overflow == 0 for p, overflow in zip(raw, least, strict=True) if routable(p))
     assert any(map(routable, raw))
-    for problem in itertools.islice(Scenario(level).train(0), 10):
+    for problem in itertools.islice(Scenario(level).train(0), 5):
         assert OptimalRouter().solve(problem).overflow == 0
 
 

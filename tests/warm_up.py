@@ -1,6 +1,6 @@
 """Compiles what many tests use, so that test processes side by side do not each compile it.
 
-python tests/warm_up.py games | routers
+python tests/warm_up.py games|routers|trainings …
 """
 
 import sys
@@ -12,15 +12,16 @@ from marouting.config import build
 from marouting.vector import BatchEnv
 
 ROUTERS: dict[str, dict[str, Any]] = {
-    "generalist": {"seconds": 0.05},
     "pathfinder": {},
-    "greedy": {},
     "optimal": {},
+    "greedy": {},
+    "generalist": {"seconds": 0.05},  # the last: by then the other process has compiled the games
 }
 GAMES: list[dict[str, Any]] = [
     {},
     {"reward": "team"},
     {"observation": "window"},
+    {"rip_up": {"rounds": 1}, "reward": "team"},
     {"rip_up": {"rounds": 1}, "target": "tree", "next_pin": "nearest", "mask": {"visited": True}},
 ]
 TRAININGS: list[dict[str, Any]] = [
@@ -31,10 +32,7 @@ TRAININGS: list[dict[str, Any]] = [
 
 
 def games() -> None:
-    """Plays a few steps of batches, and trains for two episodes."""
-    from policies.learned.config import Config
-    from policies.learned.run import Run
-
+    """Plays a few steps of batches."""
     problems = generate(2, (6, 6, 2), 8, max_pins=3, capacity=2, seed=1)
     for options in GAMES:
         for everyone in (True, False):
@@ -42,6 +40,23 @@ def games() -> None:
             _, info = env.reset()
             for _ in range(3):
                 *_, info = env.step(info["action_mask"].argmax(axis=-1))
+
+
+def routers() -> None:
+    """Routes a small problem by every router that compiles much."""
+    from policies.routers.registry import make_router
+
+    # Without A*, which the other process compiles.
+    (problem,) = generate(1, (6, 6, 2), 12, max_pins=5, capacity=2, reduced_edges=0, seed=1)
+    for name, options in ROUTERS.items():
+        make_router(name, options).route(problem)
+
+
+def trainings() -> None:
+    """Trains for two episodes."""
+    from policies.learned.config import Config
+    from policies.learned.run import Run
+
     quiet = {"episodes": 2, "figures": False, "tensorboard": False}
     for options in TRAININGS:
         options["env"]["problem"] = {"grid": [4, 4, 2], "nets": 3}
@@ -50,14 +65,6 @@ def games() -> None:
             Run(build(Config, raw)).execute()
 
 
-def routers() -> None:
-    """Routes a small problem by every router that compiles much."""
-    from policies.routers.registry import make_router
-
-    (problem,) = generate(1, (6, 6, 2), 12, max_pins=5, capacity=2, seed=1)
-    for name, options in ROUTERS.items():
-        make_router(name, options).route(problem)
-
-
 if __name__ == "__main__":
-    {"games": games, "routers": routers}[sys.argv[1]]()
+    for part in sys.argv[1:]:
+        {"games": games, "routers": routers, "trainings": trainings}[part]()
