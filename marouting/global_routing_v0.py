@@ -64,14 +64,14 @@ the first step on).
 | 6 | rip up the agent's own net; only with `rip_up={"choose": "agents"}` |
 
 A move across an edge without enough remaining capacity, or off the grid, is **blocked**: the agent
-stays where it is, and the step counts towards `max_steps`. An edge that the net already uses is free
-to cross again. Vias have unlimited capacity.
+stays where it is, and the step counts towards `max_steps`. An edge that the net already uses is
+free to cross again. Vias have unlimited capacity.
 
 ## Action mask
 
-`info["action_mask"]` and `action_mask(agent)` are int8 arrays with one entry per action: 1 for moves
-that are not blocked. The mask is never all zeros: if every move is blocked, it is all ones. After
-`reset`, infos contain only the mask. With `mask={"in_observation": True}` observations are
+`info["action_mask"]` and `action_mask(agent)` are int8 arrays with one entry per action: 1 for
+moves that are not blocked. The mask is never all zeros: if every move is blocked, it is all ones.
+After `reset`, infos contain only the mask. With `mask={"in_observation": True}` observations are
 dictionaries with the keys `observation` and `action_mask`, which `observation_key` and `mask_key`
 rename.
 
@@ -83,7 +83,7 @@ The paper's 12 numbers, in Gcells and tracks:
 |---|---|---|
 | 0–2 | x, y, z of the agent's Gcell | 0 to X − 1, Y − 1, Z − 1 |
 | 3–5 | offset to the target in x, y, z (target minus agent) | −(X − 1) to X − 1, and so on |
-| 6–9 | remaining capacity of the edges of moves 0 to 3 | 0 off the grid, negative where the edge overflows |
+| 6–9 | remaining capacity of the edges of moves 0 to 3 | 0 off the grid, negative if it overflows |
 | 10–11 | the same for moves 4 and 5, the vias | 10, or 0 off the grid |
 
 Two other observations have values of about ±1 and the same shape on every grid, so one network can
@@ -131,7 +131,6 @@ whole grid.
 The cost is wirelength + 10 × overflow + 100 × unconnected tasks; the factors are options
 (:mod:`marouting.rewards`).
 
-
 ```python
 from marouting import global_routing_v0
 
@@ -143,9 +142,9 @@ env = global_routing_v0.parallel_env(
 
 ## End of an episode
 
-A task is **connected** (`joined` in the code) when the agent reaches its target, and **fails** after
-`max_steps` steps. Then the next task starts. After its last task an agent is **terminated** if all
-its tasks are connected, and **truncated** if any of them failed.
+A task is **connected** (`joined` in the code) when the agent reaches its target, and **fails**
+after `max_steps` steps. Then the next task starts. After its last task an agent is **terminated**
+if all its tasks are connected, and **truncated** if any of them failed.
 
 The last info of the agent that ends the game (with `agents_persist`, of every agent) contains the
 results of the game: `overflow`, `wirelength`, `joined`, `tasks`, `open` (tasks that are not
@@ -158,13 +157,12 @@ have seen in the Gcell where the task ended. In the AEC environment this info co
 next turn. For learning, bootstrap from `task_obs` after a failed task, which only ran out of steps;
 do not bootstrap after a connected one.
 
-
 ## Rip-up and reroute
 
-With `rip_up={"rounds": K}`, K rounds follow once all nets have been routed. In a round the nets that
-`choose` selects are ripped up one after another, and rerouted around the others. A reroute that
-makes the solution worse is undone. With `choose="agents"` each agent decides in its turn: action
-6 rips up its own net.
+With `rip_up={"rounds": K}`, K rounds follow once all nets have been routed. In a round the nets
+that `choose` selects are ripped up one after another, and rerouted around the others. A reroute
+that makes the solution worse is undone. With `choose="agents"` each agent decides in its turn:
+action 6 rips up its own net.
 
 ```python
 from marouting import global_routing_v0

@@ -38,15 +38,17 @@ class GameOptions(Rules):
             draws one; with ``seed: null`` the generator makes a new one. None: a small problem,
             or those of the scenario.
         scenario: the name of a scenario (:mod:`marouting.scenarios`), instead of ``problem``.
-        split: which problems of the scenario: ``train``, a new one at every reset; ``validation`` or
-            ``test``, a random one of this fixed set at every reset.
+        split: which of the scenario's problems: ``train``, a new one at every reset;
+            ``validation`` or ``test``, a random one of this fixed set at every reset.
         observation: what agents see: the name of a registered observation, ``module:Class``, a
             mapping with the name under ``kind`` and its options beside it, or an object. See
             :mod:`marouting.observations`.
-        reward: what moves pay, given in the same way as ``observation``. See :mod:`marouting.rewards`.
-        agents_persist: whether agents that are done stay in ``agents`` until all are done. With several
-            problems, ``agents`` is then the same in each; agents that a problem lacks are inactive.
-            For libraries that need a fixed set of agents; PettingZoo's interfaces only.
+        reward: what moves pay, given in the same way as ``observation``. See
+            :mod:`marouting.rewards`.
+        agents_persist: whether agents that are done stay in ``agents`` until all are done. With
+            several problems, ``agents`` is then the same in each, and those that a problem lacks
+            are inactive. For libraries that need a fixed set of agents; PettingZoo's interfaces
+            only.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
     """
 

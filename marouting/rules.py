@@ -28,8 +28,8 @@ class Nets:
         order: the order of the nets: ``half_perimeter``, largest half perimeter of the bounding box
             first (the authors' code), ties in file order; ``half_perimeter_up``, smallest first; or
             ``file``, as in the file.
-        decomposition: the tree that splits a net's pins into two-pin tasks: ``mst``, a minimum spanning
-            tree (the paper), or ``steiner``, a rectilinear Steiner tree.
+        decomposition: the tree that splits a net's pins into two-pin tasks: ``mst``, a minimum
+            spanning tree (the paper), or ``steiner``, a rectilinear Steiner tree.
     """
 
     order: NetOrder = "half_perimeter"
@@ -94,8 +94,8 @@ class Rules:
             in the paper, or 2 (X + Y) if that is more, because 50 steps do not cross a large grid.
         overflow: ``forbidden``, a move across a full edge is blocked (the paper), or ``allowed``,
             the edge overflows and the reward may charge for it.
-        target: what ends a task: ``pin``, reaching the target pin (the paper), or ``tree``: the agent
-            starts at the new pin and may end in any Gcell of the tree routed so far.
+        target: what ends a task: ``pin``, reaching the target pin (the paper), or ``tree``: the
+            agent starts at the new pin and may end in any Gcell of the tree routed so far.
         next_pin: ``listed``, tasks in the order of the decomposition (the paper), or ``nearest``,
             the open pin nearest to the net's tree is next; not with Steiner trees.
         release_failed: whether a failed task releases the edges that it used.
