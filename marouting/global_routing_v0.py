@@ -22,7 +22,7 @@ uses capacity on every edge that it crosses, so nets compete for edges.
 A net's pins are split into two-pin **tasks**, which its agent routes one after the other: it starts
 at one pin and moves to the other, one Gcell per step. `env.unwrapped.solution()` returns the
 routes, which `marouting.evaluate` judges by the rules of the ISPD 2008 contest.
-:mod:`marouting.game` has all rules of the game.
+:mod:`marouting.game` defines all rules of the game.
 
 ## Usage
 
@@ -123,8 +123,8 @@ whole grid.
 |---|---|---|
 | `paper` (default) | the agent that moves | +100 if it reaches its target, −1 for any other move |
 | `normalised` | the agent that moves | the same with +1 and −0.01, as most libraries expect |
-| `team` | every agent that is still active | the decrease in the cost of the whole solution |
-| `difference` | the agent that moves | the same decrease, which its move caused |
+| `team` | every agent that is not done | the decrease in the cost of the whole solution |
+| `difference` | the agent that moves | the same decrease |
 | `potential` | the agent that moves | the decrease in its distance to the target |
 | `mixed` | as its parts say | the weighted sum of several rewards |
 
@@ -214,10 +214,11 @@ bootstrap = info["task_ended"] != 1  # a failed task only ran out of steps
 ```
 
 `BatchEnv(64, scenario="mixed-v0")` plays 64 games, each with a new problem in every episode; the
-names are in `info["problem"]`. `BatchEnv(64, problem={"nets": 10, "seed": None})` and `BatchEnv(64,
-problem="folder")` do the same. The same seed gives the same problems for any number of `threads`.
-`save()` and `restore()` save and restore the state of all games; `set_order()` sets the turn order.
-[`batch_ppo.py`](examples/libraries/batch_ppo.py) trains PPO on `BatchEnv` in 60 lines.
+names are in `info["problem"]`. Likewise, `problem={"nets": 10, "seed": None}` generates new
+problems, and `problem="folder"` draws from the files of a folder. The same seed gives the same
+problems for any number of `threads`. `save()` returns the state of all games, `restore()` returns
+to it, and `set_order()` sets the turn order. [`batch_ppo.py`](examples/libraries/batch_ppo.py)
+trains PPO on `BatchEnv` in 60 lines.
 
 ## Arguments
 

@@ -96,8 +96,9 @@ class Rules:
             the edge overflows and the reward may charge for it.
         target: what ends a task: ``pin``, reaching the target pin (the paper), or ``tree``: the
             agent starts at the new pin and may end in any Gcell of the tree routed so far.
-        next_pin: ``listed``, tasks in the order of the decomposition (the paper), or ``nearest``,
-            the open pin nearest to the net's tree is next; not with Steiner trees.
+        next_pin: which task is next: ``listed``, in the order of the decomposition (the paper), or
+            ``nearest``, that of the unconnected pin nearest to the net's tree; not with Steiner
+            trees.
         release_failed: whether a failed task releases the edges that it used.
         nets: the nets' order and decomposition, a :class:`Nets` or a mapping of its fields.
         mask: the action mask, a :class:`Mask` or a mapping of its fields.
