@@ -2,8 +2,8 @@
 
 ![An episode: each color is a net, each head an agent](pictures/episode.svg)
 
-Every net of a chip is an agent, and all agents route on one grid of Gcells. A route uses capacity
-of the edges that it crosses, so nets compete for edges.
+Every net of a chip is an agent, and all agents share one grid of routing cells (Gcells). A route
+uses capacity on every edge that it crosses, so nets compete for edges.
 
 | | |
 |---|---|
@@ -11,10 +11,10 @@ of the edges that it crosses, so nets compete for edges.
 | Actions | Discrete |
 | Parallel API | Yes, natively |
 | Manual control | No |
-| Agents | `net_0`, `net_1`, …: every net |
+| Agents | `net_0`, `net_1`, …: one per net |
 | Action shape | () |
-| Action values | 0 to 5; 0 to 6 where agents choose rip-up |
-| Observation shape | (12,), float32; another one with another `observation` |
+| Action values | 0 to 5; 0 to 6 with `rip_up={"choose": "agents"}` |
+| Observation shape | (12,), float32, by default; depends on `observation` |
 | Observation values | see the table below |
 | State shape | (X, Y, 5 Z), float32, on a grid of X×Y×Z Gcells |
 | Render modes | `ansi`, `rgb_array`, `human` |
@@ -22,7 +22,7 @@ of the edges that it crosses, so nets compete for edges.
 A net's pins are split into two-pin **tasks**, which its agent routes one after the other: it starts
 at one pin and moves to the other, one Gcell per step. `env.unwrapped.solution()` returns the
 routes, which `marouting.evaluate` judges by the rules of the ISPD 2008 contest.
-:mod:`marouting.game` has all rules of the game.
+:mod:`marouting.game` defines all rules of the game.
 
 ## Usage
 
@@ -38,17 +38,18 @@ for agent in env.agent_iter():
 print(env.render())
 ```
 
-`parallel_env` is the same game with PettingZoo's Parallel interface: in each step the nets move one
-after the other in turn order, as they do in `env`. `raw_env` is `env` without the wrappers that
-check actions and the order of calls. `gymnasium.make("marouting/GlobalRouting-v0")` is the game for
-one player, who moves all nets.
+`parallel_env` is the same game with PettingZoo's Parallel interface. Within a step its agents still
+move one after another, in turn order, so two nets never claim the last track of an edge at once.
+`raw_env` is `env` without the wrappers that check actions and the order of calls.
+`gymnasium.make("marouting/GlobalRouting-v0")` is the same game with one agent that moves all nets.
 
 ## Agents
 
-Every net is an agent. A net with all its pins in one Gcell has nothing to route and is no agent;
-`idle_nets` lists it. An agent leaves when all its tasks have ended. With `agents_persist` it stays
-among `agents`, with rewards of 0 and a mask whose only move does nothing, until all agents end
-together; from the first step on, `info["active"]` says whether an agent still plays.
+Every net is an agent, except those with all pins in one Gcell: they have nothing to route and are
+listed in `idle_nets`. An agent leaves `agents` when all its tasks have ended. With
+`agents_persist=True` it stays until the last agent is done. Until then its rewards are 0, its mask
+allows a single action, which has no effect, and `info["active"]` is false (infos have `active` from
+the first step on).
 
 ## Actions
 
@@ -63,16 +64,16 @@ together; from the first step on, `info["active"]` says whether an agent still p
 | 6 | rip up the agent's own net; only with `rip_up={"choose": "agents"}` |
 
 A move across an edge without enough remaining capacity, or off the grid, is **blocked**: the agent
-stays, and the step counts. An edge that the net already uses is free to cross again. Vias have
-unlimited capacity.
+stays where it is, and the step counts towards `max_steps`. An edge that the net already uses is
+free to cross again. Vias have unlimited capacity.
 
 ## Action mask
 
-`info["action_mask"]` and `action_mask(agent)` hold an int8 array of length 6, with 1 for every move
-that is not blocked. The mask is never all zero: if all moves are blocked, it is all ones. The infos
-of `reset` hold nothing else. With `mask={"in_observation": True}` observations are dictionaries
-with the keys `observation` and `action_mask`; `observation_key` and `mask_key` beside it give both
-other names.
+`info["action_mask"]` and `action_mask(agent)` are int8 arrays with one entry per action: 1 for
+moves that are not blocked. The mask is never all zeros: if every move is blocked, it is all ones.
+After `reset`, infos contain only the mask. With `mask={"in_observation": True}` observations are
+dictionaries with the keys `observation` and `action_mask`, which `observation_key` and `mask_key`
+rename.
 
 ## Observation space
 
@@ -81,20 +82,20 @@ The paper's 12 numbers, in Gcells and tracks:
 | index | number | values |
 |---|---|---|
 | 0–2 | x, y, z of the agent's Gcell | 0 to X − 1, Y − 1, Z − 1 |
-| 3–5 | x, y, z of the target less those of the agent | −(X − 1) to X − 1, and so on |
-| 6–9 | remaining capacity of the edges of moves 0 to 3 | 0 off the grid, negative in overflow |
+| 3–5 | offset to the target in x, y, z (target minus agent) | −(X − 1) to X − 1, and so on |
+| 6–9 | remaining capacity of the edges of moves 0 to 3 | 0 off the grid, negative if it overflows |
 | 10–11 | the same for moves 4 and 5, the vias | 10, or 0 off the grid |
 
-Two other observations have numbers of order 1 and the same shape on every grid, so that one network
-fits all problems:
+Two other observations have values of about ±1 and the same shape on every grid, so one network can
+be used for all problems:
 
 * `window` (:class:`marouting.batch.window.WindowObservation`): the Gcells around the agent, with
-  remaining capacity, the demand expected of other nets, its own edges and pins, and other agents.
-  It is mirrored so that the target lies ahead; `mirrored` turns its moves into those of the grid,
-  and trainings do so by themselves.
+  remaining capacity, the expected demand of the other nets, the net's own edges and pins, and other
+  agents. The window is mirrored so that the target is always in the +x, +y direction. `mirrored`
+  converts an action of the window to one of the grid; the trainer does so automatically.
 * `outlook` (:class:`policies.generalist.outlook.OutlookObservation`): each move's extra
-  shortest-path cost, the net's open pins, and a window with all layers in one. The generalist
-  learns from it.
+  shortest-path cost, the net's unconnected pins, and a window with all layers merged. The network
+  of the router `generalist` uses it.
 
 ```python
 import numpy as np
@@ -105,22 +106,30 @@ env = global_routing_v0.env(observation={"kind": "window", "radius": 3, "layers"
 env.reset(seed=42)
 observation, *_, info = env.last()
 free = np.take_along_axis(info["action_mask"], move_order(observation), -1)
-ahead = free.argmax()  # 0, the first move of the window: towards the target in x
+ahead = free.argmax()  # the first move that is free; 0 is towards the target in x
 env.step(int(mirrored(ahead, observation)))
 ```
 
 ## State
 
-`state()` has five numbers for each Gcell: the remaining capacity of its edges towards +x and +y,
-the number of nets that use its via upwards, the number of agents in it, and the number of agents
-whose target it is. With the observation `window` it has that observation's channels for the whole
-grid.
+`state()` has five numbers for each Gcell: the remaining capacity of its +x and +y edges, the number
+of nets that use the via to the layer above, the number of agents in it, and the number of agents
+whose target it is. With `observation="window"` the state has the channels of the window, for the
+whole grid.
 
 ## Rewards
 
-The agent that moves gets +100 when it reaches the target pin of its task, and −1 for any other
-move. `reward="normalised"` pays +1 and −0.01. For cooperative rewards there are `team`,
-`difference`, `potential` and `mixed` (:mod:`marouting.rewards`):
+| `reward` | who is paid | for what |
+|---|---|---|
+| `paper` (default) | the agent that moves | +100 if it reaches its target, −1 for any other move |
+| `normalised` | the agent that moves | the same with +1 and −0.01, as most libraries expect |
+| `team` | every agent that is not done | the decrease in the cost of the whole solution |
+| `difference` | the agent that moves | the same decrease |
+| `potential` | the agent that moves | the decrease in its distance to the target |
+| `mixed` | as its parts say | the weighted sum of several rewards |
+
+The cost is wirelength + 10 × overflow + 100 × unconnected tasks; the factors are options
+(:mod:`marouting.rewards`).
 
 ```python
 from marouting import global_routing_v0
@@ -133,23 +142,27 @@ env = global_routing_v0.parallel_env(
 
 ## End of an episode
 
-A task is **joined** when the agent reaches its target, and **fails** after `max_steps` steps. Then
-the next one starts. An agent is **terminated** when all its tasks are joined. It is **truncated**
-when its last task has ended and at least one failed. Agents that end with the game, the last of all
-or with `agents_persist` every one, have the game's `metrics` in their last info (overflow,
-wirelength, tasks joined, tasks, steps), and as `overflow`, `wirelength`, `joined`, `tasks`, `open`,
-`steps` and `is_success` what loggers look for.
+A task is **connected** (`joined` in the code) when the agent reaches its target, and **fails**
+after `max_steps` steps. Then the next task starts. After its last task an agent is **terminated**
+if all its tasks are connected, and **truncated** if any of them failed.
 
-The info after a move that ended a task, the last one as well, has `task_ended` (1: joined, 2: it
-failed), and as `task_obs` and `task_mask` what the agent saw where it arrived; the observation is
-that of its next task. In the AEC environment it comes with the agent's next turn. To bootstrap, use
-`task_obs` after a failed task, which only ran out of steps, and nothing after a joined one.
+The last info of the agent that ends the game (with `agents_persist`, of every agent) contains the
+results of the game: `overflow`, `wirelength`, `joined`, `tasks`, `open` (tasks that are not
+connected), `steps` and `is_success` (everything is connected, without overflow). The dictionary
+`metrics` repeats five of them, as `metrics()` returns them.
+
+When a move ends a task, the next observation already belongs to the next task. The info therefore
+has `task_ended` (1: connected, 2: failed), and `task_obs` and `task_mask`, which the agent would
+have seen in the Gcell where the task ended. In the AEC environment this info comes with the agent's
+next turn. For learning, bootstrap from `task_obs` after a failed task, which only ran out of steps;
+do not bootstrap after a connected one.
 
 ## Rip-up and reroute
 
-With `rip_up={"rounds": K}` nets are ripped up after all have been routed, and rerouted around the
-others. A reroute that makes the solution worse is undone. `choose` selects the nets of a round.
-With `choose: agents` each agent decides in its turn: action 6 rips up its own net.
+With `rip_up={"rounds": K}`, K rounds follow once all nets have been routed. In a round the nets
+that `choose` selects are ripped up one after another, and rerouted around the others. A reroute
+that makes the solution worse is undone. With `choose="agents"` each agent decides in its turn:
+action 6 rips up its own net.
 
 ```python
 from marouting import global_routing_v0
@@ -164,25 +177,25 @@ env = global_routing_v0.parallel_env(
 )
 ```
 
-Agents that wait for the next round stay in `agents`, with a mask whose only move does nothing. From
-the first step on, `info["active"]` says who still moves. Nets that all move as A* does connect 4 of
-10 test problems of `multi-pin-8x8-v0` completely by the paper's rules, and 9 of 10 with three
-rounds and two neighbours ([`rip_up.py`](examples/rip_up.py)).
+Agents that wait for the next round stay in `agents`, as with `agents_persist`. An example of the
+gain: if every net follows A*, the paper's rules connect all nets on 4 of 10 test problems of
+`multi-pin-8x8-v0`, and these options with three rounds and two neighbours on 9 of 10
+([`rip_up.py`](examples/rip_up.py)).
 
 ## Problems
 
-`problem` is a `Problem`, a file, or a mapping of the generator's options
-(:class:`marouting.generator.GeneratorOptions`). It may also be several of these, such as a folder;
-then every episode plays one of them, drawn at random, and `problem_name` names it. With `scenario`
-and `split` the environment plays a level of the benchmark (:mod:`marouting.scenarios`): a new
-training problem in every episode, or one of the validation or test problems.
+`problem` is a `Problem`, a file, or a mapping of generator options
+(:class:`marouting.generator.GeneratorOptions`). It may also be a folder or a list. Every episode
+then plays one of its problems, drawn at random; `problem_name` says which. With `scenario` and
+`split` the problems are those of a benchmark scenario (:mod:`marouting.scenarios`): a new training
+problem in every episode, or one of the fixed validation or test problems.
 
 ## Many problems at once
 
-`BatchEnv` plays M problems side by side in arrays of shape (M, agents, …), compiled. It plays the
-same game: `tests/test_game.py` compares the two. `info` says which agents moved (`acted`), whether
-a task ended (`task_ended`: 1 joined, 2 failed), and what they observed on arrival, before the next
-task began (`final_obs`):
+`BatchEnv` plays M problems side by side in compiled code, with arrays of shape (M, agents, …). The
+rules are the same; `tests/test_game.py` compares both implementations. `info` says which agents
+moved (`acted`), whether a task ended (`task_ended`: 1 connected, 2 failed), and what the agents
+observed at the end of a task, before the next one began (`final_obs`):
 
 ```python
 import numpy as np
@@ -201,15 +214,16 @@ bootstrap = info["task_ended"] != 1  # a failed task only ran out of steps
 ```
 
 `BatchEnv(64, scenario="mixed-v0")` plays 64 games, each with a new problem in every episode; the
-names are in `info["problem"]`. `BatchEnv(64, problem={"nets": 10, "seed": None})` and `BatchEnv(64,
-problem="folder")` do the same. The same seed gives the same problems for any number of `threads`.
-`save()` and `restore()` handle the state of all games, and `set_order()` the turn order.
-[`batch_ppo.py`](examples/libraries/batch_ppo.py) is PPO on it in 60 lines.
+names are in `info["problem"]`. Likewise, `problem={"nets": 10, "seed": None}` generates new
+problems, and `problem="folder"` draws from the files of a folder. The same seed gives the same
+problems for any number of `threads`. `save()` returns the state of all games, `restore()` returns
+to it, and `set_order()` sets the turn order. [`batch_ppo.py`](examples/libraries/batch_ppo.py)
+trains PPO on `BatchEnv` in 60 lines.
 
 ## Arguments
 
-`env`, `raw_env`, `parallel_env` and `gymnasium.make` take them as keywords, and configurations
-under the key `env` (:class:`marouting.options.GameOptions`).
+Keyword arguments of `env`, `raw_env`, `parallel_env` and `gymnasium.make`, and keys of `env` in a
+configuration (:class:`marouting.options.GameOptions`).
 
 ## Version history
 

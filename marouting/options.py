@@ -33,21 +33,22 @@ class GameOptions(Rules):
     The options of the rules come from :class:`marouting.rules.Rules`.
 
     Attributes:
-        problem: a ``.gr`` file, a folder of them, a list of both, or options of the generator
-            (:class:`marouting.generator.GeneratorOptions`). Of several problems an environment
-            draws one at every reset; with ``seed: null`` the generator makes a new one. None: a
-            small problem, or those of the scenario.
-        scenario: the name of a scenario (:mod:`marouting.scenarios`), in place of a problem.
-        split: which of its problems: ``train``, a new one at every reset; ``validation`` or
-            ``test``, one of these, drawn at every reset.
+        problem: a ``.gr`` file, a folder of them, a list of both, or generator options
+            (:class:`marouting.generator.GeneratorOptions`). With several problems, every reset
+            draws one; with ``seed: null`` the generator makes a new one. None: a small problem,
+            or those of the scenario.
+        scenario: the name of a scenario (:mod:`marouting.scenarios`), instead of ``problem``.
+        split: which of the scenario's problems: ``train``, a new one at every reset;
+            ``validation`` or ``test``, a random one of this fixed set at every reset.
         observation: what agents see: the name of a registered observation, ``module:Class``, a
             mapping with the name under ``kind`` and its options beside it, or an object. See
             :mod:`marouting.observations`.
-        reward: what moves pay, given in the same ways. See :mod:`marouting.rewards`.
-        agents_persist: whether agents that are done stay among ``agents`` until all are done, with
-            rewards of 0 and a mask whose only move does nothing, and all end together. Of several
-            problems, the agents of all take part in each. For PettingZoo's interfaces, and
-            libraries that cannot do with agents that leave.
+        reward: what moves pay, given in the same way as ``observation``. See
+            :mod:`marouting.rewards`.
+        agents_persist: whether agents that are done stay in ``agents`` until all are done. With
+            several problems, ``agents`` is then the same in each, and those that a problem lacks
+            are inactive. For libraries that need a fixed set of agents; PettingZoo's interfaces
+            only.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
     """
 

@@ -25,10 +25,10 @@ class Nets:
     """How nets become agents with tasks.
 
     Attributes:
-        order: which net comes first: ``half_perimeter``, that with the largest bounding box (the
-            authors' code), ties in file order; ``half_perimeter_up``, that with the smallest; or
-            ``file``, the first one in the file.
-        decomposition: the tree along which a net's pins are split into tasks: ``mst``, a minimum
+        order: the order of the nets: ``half_perimeter``, largest half perimeter of the bounding box
+            first (the authors' code), ties in file order; ``half_perimeter_up``, smallest first; or
+            ``file``, as in the file.
+        decomposition: the tree that splits a net's pins into two-pin tasks: ``mst``, a minimum
             spanning tree (the paper), or ``steiner``, a rectilinear Steiner tree.
     """
 
@@ -44,12 +44,13 @@ class Mask:
     """The action mask: what it leaves out, and where it is shown. The game uses ``visited`` only.
 
     Attributes:
-        visited: whether it leaves out Gcells visited in the task, while others are left.
+        visited: whether moves into Gcells already visited in the task are masked too, as long as
+            another move remains.
         in_observation: whether observations are ``{"observation", "action_mask"}``; the mask is in
             ``info["action_mask"]`` either way.
-        observation_key: the name of the observation beside its mask, where a library wants another
-            (RLlib: ``observations``).
-        mask_key: the name of the mask, likewise, in observation and info.
+        observation_key: the key of the observation in that dictionary, for libraries that expect
+            another one (RLlib: ``observations``).
+        mask_key: the key of the mask, in observations and infos.
     """
 
     visited: bool = False
@@ -66,11 +67,11 @@ class RipUp:
     """Rip-up and reroute: after all nets have routed, some are routed again around the others.
 
     Attributes:
-        rounds: how often. Agents stay until the last round is over.
-        choose: which nets, and in which order: ``all``; ``conflicts``, those with open tasks or on
-            full edges; ``history``, those on edges that were full in this or earlier rounds, the
-            most often first; or ``agents``, whose agent takes a seventh action when it is asked.
-        neighbours: how many nets that stand in its way are ripped up together with a net.
+        rounds: the number of rounds. Agents stay until the last one is over.
+        choose: the nets that a round rips up: ``all``; ``conflicts``, those with unconnected tasks
+            or on full edges; ``history``, those on edges that are or were full in earlier rounds,
+            most often first; or ``agents``, those whose agents choose action 6.
+        neighbours: how many of the nets in its way are ripped up together with each net, at most.
     """
 
     rounds: int = 1
@@ -92,12 +93,13 @@ class Rules:
         max_steps: steps after which a task fails (the paper's T_max), up to a million. None: 50 as
             in the paper, or 2 (X + Y) if that is more, because 50 steps do not cross a large grid.
         overflow: ``forbidden``, a move across a full edge is blocked (the paper), or ``allowed``,
-            it overflows the edge, at a price that the reward sets.
-        target: what ends a task: ``pin``, the task's target pin (the paper), or ``tree``: the agent
-            starts at the new pin, and any Gcell that the net's edges join to its first pin will do.
-        next_pin: ``listed``, tasks in the order of the decomposition (the paper), or ``nearest``,
-            the open pin nearest to the net's tree is next; not with Steiner trees.
-        release_failed: whether a failed task releases the edges that it took.
+            the edge overflows and the reward may charge for it.
+        target: what ends a task: ``pin``, reaching the target pin (the paper), or ``tree``: the
+            agent starts at the new pin and may end in any Gcell of the tree routed so far.
+        next_pin: which task is next: ``listed``, in the order of the decomposition (the paper), or
+            ``nearest``, that of the unconnected pin nearest to the net's tree; not with Steiner
+            trees.
+        release_failed: whether a failed task releases the edges that it used.
         nets: the nets' order and decomposition, a :class:`Nets` or a mapping of its fields.
         mask: the action mask, a :class:`Mask` or a mapping of its fields.
         rip_up: rip-up and reroute, a :class:`RipUp` or a mapping of its fields; None: off.
