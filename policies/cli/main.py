@@ -89,14 +89,19 @@ class _Commands(click.Group):
 
 
 @click.group(
-    cls=_Commands, no_args_is_help=False, context_settings={"help_option_names": ["-h", "--help"]}
+    cls=_Commands,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(__version__, prog_name="marouting")
-def cli() -> None:
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Multi-agent global routing: every net is an agent on one shared capacity grid.
 
     Each command explains its options: marouting COMMAND --help.
     """
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
 
 
 @cli.command()
