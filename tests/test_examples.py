@@ -155,10 +155,11 @@ def test_configurations_are_found_from_any_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
     named = "configs/paper/default.yaml"
-    assert named in readme
-    for config in set(re.findall(r"configs/[\w/]+\.yaml", readme)):
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    text = "".join(page.read_text(encoding="utf-8") for page in pages)
+    assert named in text
+    for config in set(re.findall(r"configs/[\w/]+\.yaml", text)):
         assert read_yaml(config) == read_yaml(ROOT / config)
     assert config_file("configs/none.yaml") == Path("configs/none.yaml")
     with pytest.raises(marouting.InputError, match=r"^configs/none\.yaml: cannot be read"):

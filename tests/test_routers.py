@@ -426,9 +426,9 @@ def test_the_heuristic_is_its_plain_version() -> None:
     detours = open_nets = 0
     for seed in range(12):
         problem = problem_of(seed, nets=8 + seed % 5, max_pins=2 + seed % 3)
-        options: dict[str, Any] = {"decomposition": "steiner"} if seed % 4 == 3 else {}
-        expected, detour = greedily(problem, **options)
-        routed = GreedyRouter(**options).route(problem)
+        nets: dict[str, Any] = {"decomposition": "steiner"} if seed % 4 == 3 else {}
+        expected, detour = greedily(problem, nets=nets)
+        routed = GreedyRouter(**nets).route(problem)
         assert routed == expected
         found = evaluate(problem, routed)
         assert found.overflow == 0
