@@ -136,7 +136,7 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(path)
     try:
         if "\0" in str(target):
-            raise OSError(0, "it is no path")
+            raise OSError(0, "it is not a path")
         if target.is_symlink():
             target = Path(os.path.realpath(target))
             if target.is_symlink():

@@ -391,7 +391,7 @@ def test_resume_needs_no_configuration_and_leaves_a_finished_run_alone(
     files = {path: path.read_bytes() for path in (here / "run").rglob("*") if path.is_file()}
     assert status(["train", "--resume", "run"]) == 0
     found = capsys.readouterr()
-    assert found.err == "run: is finished, nothing is changed; train.episodes=N gives it more\n"
+    assert found.err == "run: already finished; train.episodes=N adds episodes\n"
     assert found.out == first
     assert files == {p: p.read_bytes() for p in (here / "run").rglob("*") if p.is_file()}
     (here / "run" / "result.json").unlink()
