@@ -247,8 +247,8 @@ def check_code(data: Any, file: str, lines: Mapping[Keys, int] | None = None) ->
             )
             line = "" if at is None or lines is None else f":{lines[at]}"
             raise InputError(
-                f"{file}{line}: {'.'.join(keys)}: names code, {name}; pass --allow-code to import "
-                "it (allow_code=True in Python)"
+                f"{file}{line}: {'.'.join(keys)}: found the class {name}; pass "
+                "--allow-code to import it (allow_code=True in Python)"
             )
 
 
@@ -337,7 +337,7 @@ def _files(path: str | os.PathLike[str]) -> list[_File]:
             if not one or not is_file(inner):
                 raise InputError(f"{place}: expected a file, found none at {shown}")
             if inner.resolve() in here:
-                raise InputError(f"{place}: expected no circle, found {shown}, which includes it")
+                raise InputError(f"{place}: expected no circular include, found {shown}")
             if len(found) + len(here) >= _MOST_FILES:
                 raise InputError(f"{place}: expected at most {_MOST_FILES} files in all")
             read(shown, inner, here)
@@ -635,7 +635,7 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> C
     if isinstance(raw, Component):
         return raw
     if isinstance(raw, bool | int | float | list | tuple):
-        raise InputError(f"{_prefix(where)}expected a name, a mapping with kind, or a piece")
+        raise InputError(f"{_prefix(where)}expected a name or a mapping with kind, found {raw!r}")
     if raw is not None and not isinstance(raw, str | Mapping):
         return Component(kind, name_of(kind, type(raw)), type(raw), raw, given=True)
     plainly: dict[str, Any] = {"kind": raw} if isinstance(raw, str) else dict(raw or {})

@@ -140,7 +140,7 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
         if target.is_symlink():
             target = Path(os.path.realpath(target))
             if target.is_symlink():
-                raise OSError(0, "it is a circle of symbolic links")
+                raise OSError(0, "its symbolic links form a circle")
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.is_dir():
             raise IsADirectoryError(0, "it is a folder")

@@ -103,9 +103,9 @@ def fixed_problems(options: GameOptions) -> dict[str, Problem]:
         return load_problems(options.problem)
     if options.split == "train":
         raise InputError(
-            f"split: expected validation or test, found train: of {options.scenario} there is no "
-            "end of training problems, and these are to be known beforehand; a training draws "
-            "them with train.shared: true and train.games"
+            "split: expected validation or test, found train: the training problems of "
+            f"{options.scenario} are endless; to train on them, set train.shared: true and "
+            "train.games"
         )
     return get(options.scenario).problems(options.split)
 

@@ -228,8 +228,8 @@ class Solution:
             at = segment[repeated.argmax()]
             warnings.warn(
                 f"{record.file}:{record.lines['segments'][at]}: "
-                f"net {problem.nets[record.net[at]].name} lists an edge again; "
-                f"{repetitions} repetitions in this file count once",
+                f"net {problem.nets[record.net[at]].name} lists an edge twice; "
+                f"{repetitions} repeated edges in this file are counted once",
                 stacklevel=2,
             )
         return Solution.of_uses(problem, *np.divmod(uses, size))
@@ -325,8 +325,8 @@ def _edges_of_points(
         sides = np.unique(np.concatenate((chip.contest.x_length, chip.contest.y_length)))
         if len(sides) != 1 or not sides[0] > 0:
             raise InputError(
-                f"{record.file}: expected segments in columns and rows: in coordinates, Gcells "
-                "have to be squares of one size"
+                f"{record.file}: expected segments in columns and rows: coordinates need square "
+                "Gcells of one size"
             )
         borders = [sides[0] * lines for lines in borders]
     ends = record.points.copy()
@@ -340,14 +340,14 @@ def _edges_of_points(
 
 
 def _warn_of_turned(problem: Problem, record: ispd.RoutesRecord) -> None:
-    """Warns of segments that the contest's evaluator does not take as they are meant."""
+    """Warns of segments that the contest's evaluator rejects."""
     turned = np.flatnonzero((record.segments[:, 1] - record.segments[:, 0]).sum(axis=1) <= 0)
     if len(turned):
         warnings.warn(
             f"{record.file}:{record.lines['segments'][turned[0]]}: "
-            f"net {problem.nets[record.net[turned[0]]].name} has a segment whose second end is not "
-            f"beyond the first; the ISPD 2024 contest does not take the {len(turned)} such "
-            "segments of this file, here they count",
+            f"net {problem.nets[record.net[turned[0]]].name}: expected a segment from its lower to "
+            f"its higher end; the ISPD 2024 evaluator rejects the {len(turned)} such segments of "
+            "this file, marouting accepts them",
             stacklevel=3,
         )
 

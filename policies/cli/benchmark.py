@@ -98,7 +98,7 @@ def benchmark(
         from policies.experiment.leaderboard import write_leaderboard
 
         if names or routers or config:
-            raise InputError("--leaderboard: expected no --scenario, --router or --config with it")
+            raise InputError("--leaderboard: expected neither --scenario, --router nor --config")
         written = write_leaderboard(out, leaderboard)
         if as_json:
             click.echo(json.dumps({"files": [str(path) for path in written]}))

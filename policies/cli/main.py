@@ -120,7 +120,7 @@ def generate(out: Path, as_json: bool, **options: Any) -> None:
         digits = path.stem.removeprefix("problem_")
         number = int(digits) if digits.isdecimal() else checked.count
         if number >= checked.count or generated_name(number) != path.stem:
-            raise InputError(f"{out}: expected no problems of another set, found {path.name} in it")
+            raise InputError(f"{out}: expected no other problems, found {path.name}")
     problems = generate_each(checked)
     files = [out / f"{generated_name(number)}.gr" for number in range(checked.count)]
     with working_in(out), problems_bar(str(out)) as watch:
@@ -229,7 +229,7 @@ def route(
     learner = is_learner(router, "--router")
     if checkpoint and not learner:
         expected = " or ".join(names("learner"))
-        raise InputError(f"--checkpoint: expected a learner with it: --router {expected}")
+        raise InputError(f"--checkpoint: expected --router {expected}")
     if checkpoint and (config or overrides):
         raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
     loaded = problem.read()

@@ -144,10 +144,10 @@ class TrainedPolicy:
         except InputError:
             raise
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{where}: expected a whole file of networks: {error!r}") from None
+            raise InputError(f"{where}: expected a complete file of networks: {error!r}") from None
         if len(names) > 1 and name not in names:
             known = textwrap.shorten(str(names), 80)
-            raise InputError(f"{where}: expected a problem named as one of {known}, found {name}")
+            raise InputError(f"{where}: expected the name of a problem in {known}, found {name}")
         row = names.index(name) if name in names else 0
         try:
             make = functools.partial(learner.cls.network, learner.options, obs_shape, env.actions)

@@ -185,7 +185,7 @@ class Run:
             others -= self.problems.keys()
             if others:
                 raise InputError(
-                    f"{self.folder / 'problems'}: expected no problems but this run's, "
+                    f"{self.folder / 'problems'}: expected only problems of this run, "
                     f"found {min(others)}.gr"
                 )
             with working_in(self.folder):
@@ -234,7 +234,7 @@ class Run:
         except InputError:
             raise
         except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise InputError(f"{path}: expected a whole checkpoint: {error!r}") from None
+            raise InputError(f"{path}: expected a complete checkpoint: {error!r}") from None
 
     def _state(self) -> dict[str, Any]:
         logged = {"logged": self._logged, "evaluated": self._evaluated}

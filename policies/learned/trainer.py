@@ -562,5 +562,5 @@ def _device(name: str) -> torch.device:
         torch.zeros(1, device=device).cpu()
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError(f"device: expected cpu, or cuda where there is one: {reason}") from None
+        raise InputError(f"device: expected cpu or an available cuda device: {reason}") from None
     return device

@@ -35,7 +35,7 @@ def working_in(folder: Path) -> Iterator[None]:
             holder = ""
             with contextlib.suppress(OSError):
                 holder = path.read_text(encoding="utf-8", errors="replace")
-            raise InputError(f"{folder}: {holder or 'another process'} works there") from None
+            raise InputError(f"{folder}: in use by {holder or 'another process'}") from None
     try:
         with naming(path, "cannot be written"):
             path.write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")
