@@ -168,9 +168,7 @@ def test_segments_whose_ends_are_turned_warn(
         same = Solution.read(files.with_suffix(".PR_output"), problem)
     assert old in ROUTES
     (tmp_path / "turned.PR_output").write_text(ROUTES.replace(old, new))
-    with pytest.warns(
-        UserWarning, match="expected a segment from its lower to its higher end"
-    ) as record:
+    with pytest.warns(UserWarning, match="expected a segment from its lower to its") as record:
         assert Solution.read(tmp_path / "turned.PR_output", problem) == same
     assert len(record) == 1
     message = str(record[0].message)
