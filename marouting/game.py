@@ -434,10 +434,10 @@ class Game:
         self.active, self._at = members, members.index(n) if self.sequential else 0
 
     def _in_the_way(self, n: int) -> list[int]:
-        """The nets that stand most in a net's way, at most ``neighbours``.
+        """The nets that block a net most, at most ``neighbours``.
 
-        What counts is how many full edges they use: of those that the net uses, and of those around
-        its pins; times a lot, so that a net meets other ones in every round.
+        They are ranked by the number of full edges that they use among the net's own and those
+        around its pins, times a random number, so that the choice varies from round to round.
         """
         edges = set(filter(self.is_full, self.used[n])) | self._full_around(n)
         others = [o for o, used in enumerate(self.used) if o != n and not edges.isdisjoint(used)]

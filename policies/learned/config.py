@@ -1,4 +1,4 @@
-"""What a training is told: the schema of a configuration, and the one place of its defaults.
+"""The schema of a training's configuration, and the one place of its defaults.
 
 ``configs/paper/default.yaml`` explains every key. The options of the learner are those of the class
 that ``learner.kind`` names, see :mod:`policies.learned.algorithms`.

@@ -1,8 +1,8 @@
-"""What a learner is: the trainer above knows no more of DQN, PPO or any other than this.
+"""The interface of learners, which is all that the trainer knows about DQN, PPO or others.
 
-A learner plays a :class:`marouting.player.Player` and learns from what comes of it. The player's
-actions and masks are in the order of the observation's own moves, if it has one
-(:func:`marouting.observations.move_order_of`); no learner need know. It has L networks: one
+A learner plays a :class:`marouting.player.Player` and learns from the results. The player
+translates moves and masks if the observation has its own order of moves
+(:func:`marouting.observations.move_order_of`). It has L networks: one
 for each problem, or one that all problems share.
 """
 
@@ -91,7 +91,7 @@ class Learner(PerNetworkState, abc.ABC):
         updates: (L,) int64 gradient steps taken.
         loss: (L,) float64 sum of the losses of all gradient steps.
         path: how it computes, for the log.
-        learning_starts: transitions that each network must have been shown before it plays.
+        learning_starts: transitions that each network must have seen before it plays.
         burn_in: who plays until then, see :func:`policies.learned.burn_in.guide`.
     """
 
