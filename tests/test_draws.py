@@ -221,7 +221,7 @@ def test_what_cannot_be_drawn_is_refused(arguments: dict[str, Any], said: str) -
 
 def test_an_order_of_nets_needs_problems_that_stay() -> None:
     env = BatchEnv(2, problem=SET)
-    with pytest.raises(ValueError, match="order: expected problems that stay the same"):
+    with pytest.raises(ValueError, match="order: expected fixed problems"):
         env.set_order(env.engine.static.order)
     other = BatchEnv(SET[:2])
     other.reset()

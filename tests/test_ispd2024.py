@@ -172,8 +172,8 @@ def test_segments_whose_ends_are_turned_warn(
         assert Solution.read(tmp_path / "turned.PR_output", problem) == same
     assert len(record) == 1
     message = str(record[0].message)
-    assert f"turned.PR_output:{line}: net {'a' if line < 8 else 'b'} " in message
-    assert f"{count} such segments" in message
+    assert f"turned.PR_output:{line}: net {'a' if line < 8 else 'b'}: " in message
+    assert f"such segments, {count} in this file" in message
 
 
 def test_wires_that_a_layer_cannot_have(files: Path, tmp_path: Path) -> None:

@@ -346,8 +346,8 @@ def _warn_of_turned(problem: Problem, record: ispd.RoutesRecord) -> None:
         warnings.warn(
             f"{record.file}:{record.lines['segments'][turned[0]]}: "
             f"net {problem.nets[record.net[turned[0]]].name}: expected a segment from its lower to "
-            f"its higher end; the ISPD 2024 evaluator rejects the {len(turned)} such segments of "
-            "this file, marouting accepts them",
+            f"its higher end; the ISPD 2024 evaluator rejects such segments, {len(turned)} in this "
+            "file; marouting accepts them",
             stacklevel=3,
         )
 

@@ -330,7 +330,7 @@ def _report(
     "--map",
     "picture",
     type=FILE,
-    help="Draw a congestion map to this file, such as map.png.",
+    help="File for a congestion map, such as map.png; without it, none is drawn.",
 )
 @json_option
 def evaluate_command(
@@ -372,12 +372,13 @@ def evaluate_command(
     "--show",
     type=FILE,
     metavar="FILE",
-    help="The configuration to show.",
+    help="The configuration to show; without it, --schema is required.",
 )
 @click.option(
     "--schema",
     type=click.Choice(["train", "experiment", "benchmark"]),
-    help="Instead, print the JSON schema of a command's configurations, for editors.",
+    help="Print the JSON schema of a command's configurations, for editors; without it, --show is "
+    "required.",
 )
 @allow_code_option
 @json_option

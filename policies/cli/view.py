@@ -33,7 +33,8 @@ PAGE, MOVING = ".html", (".svg", ".gif")
 @click.option(
     "--checkpoint",
     type=FILE,
-    help="File of a trained policy; the animation shows it routing PROBLEM.",
+    help="File of a trained policy, which routes PROBLEM in the animation; without it, SOLUTION is "
+    "replayed.",
 )
 @click.option(
     "--turn-order",
