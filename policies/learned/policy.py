@@ -33,7 +33,7 @@ def player_of(
     negotiation: Negotiation | None = None,
     kind: type[Player] = Player,
 ) -> Player:
-    """What plays problems as a configuration's ``env`` says, by the observation's own moves.
+    """A player of the game that a configuration's ``env`` describes, for learners.
 
     Args:
         env: the options.
@@ -90,7 +90,7 @@ class TrainedPolicy:
         obs_shape: S.
         env: the game that it was trained in.
         origin: where it is from, for reports.
-        negotiation: how nets negotiate in it; None: they do not.
+        negotiation: its prices; None: none.
     """
 
     def __init__(
@@ -184,7 +184,7 @@ class TrainedPolicy:
         return np.take_along_axis(order, best[:, None].astype(np.int64), -1)[:, 0].astype(np.int8)
 
     def check(self, problem: Problem) -> Player:
-        """What plays a problem, in the game that the policy was trained in.
+        """A player of a problem, with the options that the policy was trained with.
 
         Raises:
             InputError: the game shows observations of another shape than the network was trained
@@ -200,7 +200,7 @@ class TrainedPolicy:
         return player
 
     def solve(self, problem: Problem) -> Routed:
-        """The routes that the policy walks on a problem, in the game that it was trained in.
+        """The policy's routes for a problem, with the options that it was trained with.
 
         Raises:
             InputError: the game shows observations of another shape than the network was trained

@@ -35,12 +35,12 @@ from policies.learned.networks.graph import Recorded, recorder
 
 @dataclass(frozen=True, kw_only=True)
 class DQNOptions:
-    """What a DQN is told.
+    """The options of a DQN.
 
     Attributes:
         network: gives the values of the six moves.
         gamma: discount factor.
-        learning_rate: Adam's.
+        learning_rate: of Adam.
         batch_size: transitions of a gradient step.
         buffer_size: transitions that the replay memory of a network holds.
         burn_in: whose moves fill the memory first: ``astar``, ``random``, ``pathfinder``,

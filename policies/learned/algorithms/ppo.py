@@ -36,7 +36,7 @@ from policies.learned.networks.stack import View
 
 @dataclass(frozen=True, kw_only=True)
 class PPOOptions:
-    """What PPO is told.
+    """The options of PPO.
 
     Attributes:
         network: gives the scores of the six moves (the actor), and made again with one output,
@@ -46,7 +46,7 @@ class PPOOptions:
         num_envs: games of every problem that are played side by side.
         gamma: discount factor.
         gae_lambda: λ of the advantage estimates: 0 trusts the critic, 1 the rewards.
-        learning_rate: Adam's.
+        learning_rate: of Adam.
         anneal: whether the learning rate falls to 0, linearly, with the last episode.
         rollout: transitions between updates.
         minibatch: transitions of a gradient step; a divisor of ``rollout``.
