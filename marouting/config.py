@@ -522,9 +522,14 @@ def _record(kind: Any, value: Any) -> Any:
     for name in required:
         if name not in value:
             raise InputError(f"{name}: expected a value, found none")
-    return kind(
-        **{key: of_key(key, value[key], hint) for key, hint in hints.items() if key in value}
-    )
+    given = {key: of_key(key, value[key], hint) for key, hint in hints.items() if key in value}
+    try:
+        return kind(**given)
+    except InputError as error:
+        key = str(error).partition(": expected ")[0]
+        if key not in given or ", found " in str(error):
+            raise
+        raise InputError(f"{error}, found {_shown(value[key])}") from None
 
 
 @functools.cache

@@ -341,10 +341,10 @@ def _draws(
 ) -> ProblemSampler | None:
     """What the games of a batch draw their problems from; None if they stay, see `BatchEnv`."""
     if not is_whole(problems):
-        check("problem", source is None, "a number of games beside it")
+        check("problem", source is None, "none: problems= is a list, not a number of games")
         return None
     if options.scenario is None:
-        what = f"a list of problems, or a problem or scenario beside it; found {problems}"
+        what = f"a list of problems, or a problem or scenario as well; found {problems}"
         check("problems", source is not None, what)
     return kind(ProblemStream(source, options.scenario, options.split), seed, cast(int, problems))
 
@@ -353,7 +353,7 @@ def _batch(problems: Sequence[Problem] | int | None, options: GameOptions) -> Se
     """The problems of a batch that stay; see :class:`BatchEnv`."""
     found = "None" if problems is None else "a list"
     if options.scenario is None:
-        what = f"a list of problems, or a scenario beside it; found {found}"
+        what = f"a list of problems, or a scenario; found {found}"
         check("problems", problems is not None, what)
         what = "a list of Problem objects (problem= takes files, folders and generators)"
         listed = isinstance(problems, Sequence) and not isinstance(problems, str)
@@ -361,7 +361,7 @@ def _batch(problems: Sequence[Problem] | int | None, options: GameOptions) -> Se
             check("problems", listed and isinstance(item, Problem), f"{what}; found {item!r}")
         return cast(Sequence[Problem], problems)
     endless = options.split == "train"
-    what = f"how many of {options.scenario} are drawn, found {found}"
+    what = f"a number of games that draw from {options.scenario}, found {found}"
     check("problems", not endless, what)
-    check("problems", problems is None, f"none, or a number, beside a scenario; found {found}")
+    check("problems", problems is None, f"none, or a number, with a scenario; found {found}")
     return list(get(options.scenario).problems(options.split).values())

@@ -605,7 +605,7 @@ GENERATED = marouting.generate(2, nets=3)
 @pytest.mark.parametrize(
     ("problem", "options", "said"),
     [
-        (GENERATED[0], {"scenario": "toy-4x4-v0"}, "problem: expected none beside a scenario"),
+        (GENERATED[0], {"scenario": "toy-4x4-v0"}, "problem: expected none with a scenario"),
         (None, {"scenario": "toy-4x4-v1"}, r"scenario: did you mean toy-4x4-v0\?"),
         (None, {"scenario": "toy-4x4-v0", "split": "tst"}, "split: expected one of train, valid"),
         (None, {"split": "test"}, "split: expected a scenario beside it"),
@@ -626,8 +626,8 @@ def test_what_environments_refuse(
 @pytest.mark.parametrize(
     ("problems", "options", "said"),
     [
-        (None, {}, "problems: expected a list of problems, or a scenario beside it; found None"),
-        (3, {}, "problems: expected a list of problems, or a problem or scenario beside it; foun"),
+        (None, {}, "problems: expected a list of problems, or a scenario; found None"),
+        (3, {}, "problems: expected a list of problems, or a problem or scenario as well; foun"),
         (None, {"scenario": "toy-4x4-v0"}, "problems: expected how many of toy-4x4-v0 are drawn, "),
         (0, {"scenario": "toy-4x4-v0"}, "games: expected a number from 1 to 10000, found 0"),
         (GENERATED, {"scenario": "toy-4x4-v0"}, "problems: expected how many .* found a list"),
@@ -741,7 +741,7 @@ def test_a_generator_without_seed_holds_problems_out(tmp_path: Path) -> None:
         ({"games": 2, "shared": True, "validation": 21}, {"scenario": "toy-4x4-v0"},
          "train.validation: expected at most 20, those of the split, found 21"),
         ({"games": 2, "shared": True, "validation": 2}, {"problem": {"nets": 3}},
-         "train.validation: expected null: it is the set itself"),
+         "train.validation: expected null: a set is evaluated whole"),
         ({"games": 2, "shared": True}, {"problem": {"nets": 3, "seed": None, "count": 2}},
          "problem.count: expected 1 without a seed, found 2"),
     ],

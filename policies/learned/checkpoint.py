@@ -83,7 +83,7 @@ def _count(value: Any, most: int, deep: int) -> int:
     inner: Any = ()
     if type(value) is dict:
         if not all(type(key) is str for key in value):
-            raise ValueError("expected keys that are texts")
+            raise ValueError("expected strings as keys")
         inner = value.values()
     elif type(value) in (list, tuple):
         inner = value

@@ -116,9 +116,9 @@ class Config:
         what = f"{wanted} for {self.learner.name}, found {found}"
         check("env.agents", wanted in (None, found), what)
         drawn = self.train.games is not None
-        what = "true: a network for each of problems without end cannot be"
+        what = "true: endless problems need a shared network"
         check("train.shared", self.train.shared or not self.env.endless, what)
-        check("train.games", drawn or not self.env.endless, "a number: these problems never end")
+        check("train.games", drawn or not self.env.endless, "a number: these problems are endless")
 
 
 def load_config(

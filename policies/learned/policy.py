@@ -130,7 +130,7 @@ class TrainedPolicy:
             names, weights = list(state["names"]), list(state["weights"])
             episodes, obs_shape = list(state["episodes"]), tuple(state["obs_shape"])
             if not all(type(name) is str for name in names):
-                raise ValueError("names: expected texts")
+                raise ValueError("names: expected strings")
             if not all(type(count) is int and 0 <= count <= MOST for count in episodes):
                 raise ValueError("episodes: expected whole numbers from 0")
             if not all(type(size) is int and 0 < size <= MOST for size in obs_shape):

@@ -117,7 +117,7 @@ def problems_of(
         episodes = ProblemStream(env.problem, held_out=shown)
         found = dict(map(episodes.problem, range(shown)))
     else:
-        check("train.validation", train.validation is None, "null: it is the set itself")
+        check("train.validation", train.validation is None, "null: a set is evaluated whole")
         found = fixed_problems(env) if kept is None else kept
         episodes = ProblemStream.of(dict(sorted(found.items())))
     draws = None if episodes is None else ProblemSampler(episodes, config.seed, train.games or 1)

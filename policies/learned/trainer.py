@@ -90,7 +90,7 @@ class Trainer:
                 f"found {learner.name}"
             )
         drawn = draws is not None
-        check("train.games", drawn or train.games is None, "null: this training's problems stay")
+        check("train.games", drawn or train.games is None, "null: its problems are fixed")
         self._whole = player_of(config.env, list(problems.values()), config.train.negotiation)
         engine, count = self._whole.engine, 1 if drawn else len(self.names)
         source: Any = draws

@@ -109,7 +109,7 @@ class PPO(Learner):
             "sequential, for ppo with agents: single",
         )
         self.central = o.critic == "central"
-        check("critic", not self.central or setup.state_shape, "local: this game shows no state")
+        check("critic", not self.central or setup.state_shape, "local: there is no global state")
         features = int(np.prod(setup.obs_shape)) + int(np.prod(setup.state_shape))
         sees = (features,) if self.central else setup.obs_shape
         self.path = f"torch, batched on {setup.device}"
