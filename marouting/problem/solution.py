@@ -129,13 +129,13 @@ class Solution:
     def pruned(self) -> "Solution":
         """The solution without the edges that join nothing: dead ends, loops, parts without pins.
 
-        Of each connected part of a net's route stay the shortest ways, along the net's own edges,
-        from the first of the net's pin Gcells in that part to the others; of several shortest ways
-        always the same one. All other edges go, and with them parts that hold fewer than two pin
-        Gcells. What is left of a part is a tree that ends in pins: without any further edge it
-        would join fewer of them. So ``connected``, ``joined`` and ``disconnected`` of its
-        :func:`evaluate` are the same, and overflow, wirelength and vias are not higher. Time and
-        memory are in proportion to the edges in use, but for one sort.
+        In each connected part of a net's route, the shortest paths along the net's own edges from
+        its first pin Gcell to the others are kept, always the same ones. All other edges are
+        removed, and so are parts with fewer than two pin Gcells. What is left of a part is a tree
+        that ends in pins: without any further edge it would join fewer of them. So ``connected``,
+        ``joined`` and ``disconnected`` of its :func:`evaluate` are the same, and overflow,
+        wirelength and vias are not higher. Time and memory are in proportion to the edges in use,
+        but for one sort.
 
         Returns:
             Another solution of the same problem, or an equal one if no edge joins nothing.

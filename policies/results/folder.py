@@ -19,7 +19,7 @@ LOCK = ".lock"
 def working_in(folder: Path) -> Iterator[None]:
     """Keeps other processes out of a folder, which is made if it is missing.
 
-    The lock goes with the process, even one that is killed. The temporary files that killed
+    The lock ends with the process, even if it is killed. The temporary files that killed
     processes have left in the folder are removed.
 
     Raises:

@@ -100,7 +100,7 @@ def warm_up(router: Router) -> None:
     """Routes a small problem, so that the next time is that of routing alone.
 
     Whatever the router compiles or loads is ready then. A learner that would be trained on the
-    problem learns two short episodes. Errors are ignored, and the router's ``watch`` is not called.
+    problem learns two short episodes. An ``InputError`` is ignored, and the router's ``watch`` is not called.
     """
     small = small_problem()
     with contextlib.ExitStack() as stack:

@@ -45,7 +45,7 @@ class PPOOptions:
         critic: ``local``, it sees what the agent sees, or ``central``, the game's state as well.
         num_envs: games of every problem that are played side by side.
         gamma: discount factor.
-        gae_lambda: λ of the advantage estimates: 0 trusts the critic, 1 the rewards.
+        gae_lambda: λ of the advantage estimates; 0 uses only the critic, 1 only the rewards.
         learning_rate: of Adam.
         anneal: whether the learning rate falls to 0, linearly, with the last episode.
         rollout: transitions between updates.
