@@ -160,7 +160,7 @@ class ProblemStream:
         self._held_out = held_out
         self._drawn: GeneratorOptions | Scenario | None = None
         if scenario is not None:
-            check("problem", source is None, "none with a scenario, which has its own")
+            check("problem", source is None, "none beside a scenario, which has its own")
             found, self.many = get(scenario), True
             # The same bounds in every split: what learns in one can play in the others.
             self.bounds = [found.largest]

@@ -194,7 +194,7 @@ def test_a_change_of_kind_or_source_discards_what_belongs_to_the_one_before(tmp_
         (["learner.kind=iql", "env.agents=single"], "env.agents: expected multi for iql, found si"),
         (["learner.kind=ippo", "learner.critic=central"], "learner.critic: expected one of local"),
         (["learner.kind=mappo", "learner.critic=local"], "learner.critic: expected one of central"),
-        ([TOY, "env.problem=p.gr"], "env.problem: expected none with a scenario"),
+        ([TOY, "env.problem=p.gr"], "env.problem: expected none beside a scenario"),
         ([TOY, "train.shared=false"], "train.shared: expected true: games draw problems for one"),
         (["learner.kind=ppo", "learner.burn_in=astar"], "learner.burn_in: unknown key"),
     ],

@@ -102,7 +102,7 @@ def test_the_problems_have_names(name: str) -> None:
 
 def test_splits_without_end_or_existence_are_refused() -> None:
     toy = scenarios.get("toy-4x4-v0")
-    with pytest.raises(InputError, match=r"^split: expected validation or test: there is no end"):
+    with pytest.raises(InputError, match=r"^split: expected validation or test, found train"):
         toy.names("train")
     with pytest.raises(InputError, match=r"^split: expected one of train, validation, test"):
         toy.problems("tst")  # type: ignore[arg-type]
@@ -605,7 +605,7 @@ GENERATED = marouting.generate(2, nets=3)
 @pytest.mark.parametrize(
     ("problem", "options", "said"),
     [
-        (GENERATED[0], {"scenario": "toy-4x4-v0"}, "problem: expected none with a scenario"),
+        (GENERATED[0], {"scenario": "toy-4x4-v0"}, "problem: expected none beside a scenario"),
         (None, {"scenario": "toy-4x4-v1"}, r"scenario: did you mean toy-4x4-v0\?"),
         (None, {"scenario": "toy-4x4-v0", "split": "tst"}, "split: expected one of train, valid"),
         (None, {"split": "test"}, "split: expected a scenario beside it"),
@@ -628,9 +628,9 @@ def test_what_environments_refuse(
     [
         (None, {}, "problems: expected a list of problems, or a scenario; found None"),
         (3, {}, "problems: expected a list of problems, or a problem or scenario as well; foun"),
-        (None, {"scenario": "toy-4x4-v0"}, "problems: expected how many of toy-4x4-v0 are drawn, "),
+        (None, {"scenario": "toy-4x4-v0"}, "problems: expected a number of games that draw from t"),
         (0, {"scenario": "toy-4x4-v0"}, "games: expected a number from 1 to 10000, found 0"),
-        (GENERATED, {"scenario": "toy-4x4-v0"}, "problems: expected how many .* found a list"),
+        (GENERATED, {"scenario": "toy-4x4-v0"}, "problems: expected a number of .* found a list"),
         (GENERATED, {"scenario": "toy-4x4-v0", "split": "test"}, "problems: expected none, or a "),
         (3, {"scenario": "toy-4x4-v0", "seed": -1}, "seed: expected a whole number from 0"),
         (GENERATED, {"split": "test"}, "split: expected a scenario beside it"),

@@ -181,7 +181,7 @@ def convert(
     default="astar",
     show_default=True,
     shell_complete=routers,
-    help=f"What routes the problem: {', '.join(router_names())}, or module:Class.",
+    help=f"Router or learner: {', '.join(router_names())}, or module:Class.",
 )
 @click.option(
     "--checkpoint",
