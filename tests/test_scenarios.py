@@ -762,5 +762,5 @@ def test_drawn_problems_are_not_shown_by_solutions(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"^burn_in: expected astar or random with tr"):
         Run(build(Config, raw))
     config = build(Config, {**raw, "learner": {"kind": "dqn"}})
-    with pytest.raises(InputError, match=r"^train\.games: expected null: this training"):
+    with pytest.raises(InputError, match=r"^train\.games: expected null: its problems"):
         Trainer({"p": GENERATED[0]}, config)

@@ -23,8 +23,8 @@ BASELINES = Path("configs/benchmark/baselines.yaml")
     multiple=True,
     metavar="NAME",
     shell_complete=scenario_names,
-    help="Scenario whose problems are routed, or `all`; may be given several times. Required "
-    "unless --leaderboard is given.",
+    help="Scenario whose problems are routed, or `all`; may be given several times. Without "
+    "it, --leaderboard is required.",
 )
 @click.option(
     "--router",
