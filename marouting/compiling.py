@@ -2,18 +2,18 @@
 
 It is imported when the first kernel is called (:mod:`marouting.kernels`).
 
-Compiled code is kept on disk. Numba considers it fresh as long as the function's own source file
-has not changed, although functions of other files are compiled into it. Here it is fresh as long as
-nothing that is compiled into it has changed: the files of all functions that it calls, and the
-constants that they use (:func:`stamp`). After an upgrade, or an edit of a rule, every loop that
-contains the rule is compiled again; an edit of any other file compiles nothing. So is a function
-whose file on disk is damaged. Where nothing can be kept on disk, functions are compiled in every
-process, and one warning says why.
+Compiled code is cached on disk. Numba's own cache only checks the function's own source file,
+although functions of other files are compiled into it. Here an entry is valid as long as the files
+of all functions that it calls, and the constants that they use, have not changed (:func:`stamp`).
+An edit of a rule recompiles every loop that contains the rule and nothing else. A damaged entry is
+compiled again. If the cache cannot be written, functions are compiled in every process, and one
+warning says why.
 
-Numba compiles every function to machine code, with all that it calls. Of those that only kernels
-call, here it keeps LLVM's code, which is optimised once, as a part of the kernel that Python calls.
+Numba compiles every function to machine code, together with all functions that it calls. For
+functions that only kernels call, LLVM's code is kept instead and optimised once, as a part of the
+kernel that Python calls.
 
-Much of numba that is used here is private, so pyproject.toml names the release that it belongs to.
+This uses private parts of numba, so pyproject.toml pins its release.
 """
 
 import enum

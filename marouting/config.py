@@ -210,9 +210,9 @@ class _File:
 
 
 def code_named(data: Any, above: Keys = ()) -> Iterator[tuple[Keys, str]]:
-    """The pieces that data calls by ``module:Class``, which is code, and the keys that lead there.
+    """Every ``module:Class`` in the data, with the keys that lead to it.
 
-    Names of pieces stand under the key ``kind``, or under that of their kind, such as ``reward``.
+    Names of pieces are under the key ``kind``, or under that of their kind, such as ``reward``.
     """
     if isinstance(data, Component):
         if ":" in data.name:
@@ -235,9 +235,9 @@ def code_named(data: Any, above: Keys = ()) -> Iterator[tuple[Keys, str]]:
 
 
 def check_code(data: Any, file: str, lines: Mapping[Keys, int] | None = None) -> None:
-    """Raises InputError if a file names code that files may not name here.
+    """Raises InputError if a file names a ``module:Class`` that is not allowed.
 
-    What reads a file in which names of pieces can stand calls this before it makes anything of it.
+    Every reader of files that can name pieces calls this first.
     """
     allowed = code_allowed()
     for keys, name in () if allowed is True else code_named(data):
@@ -247,21 +247,20 @@ def check_code(data: Any, file: str, lines: Mapping[Keys, int] | None = None) ->
             )
             line = "" if at is None or lines is None else f":{lines[at]}"
             raise InputError(
-                f"{file}{line}: {'.'.join(keys)}: names code, {name}; pass --allow-code to import "
+                f"{file}{line}: {'.'.join(keys)}: found code, {name}; pass --allow-code to import "
                 "it (allow_code=True in Python)"
             )
 
 
 def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The mapping in a YAML file, and in those that it includes.
+    """The mapping in a YAML file, merged with those that it includes.
 
-    Where they name code (:func:`code_named`), they are refused unless files may name it here
+    Files that name a ``module:Class`` are refused unless it is allowed
     (:func:`marouting.registry.allowing_code`).
 
-    The key ``include`` names a file to begin from, or a list of them, each relative to the file
-    that includes it, or one of those that the package brings (``configs/…``). What a file says
-    replaces what those say that it includes, and later ones in a list replace earlier ones: see
-    :func:`merged`.
+    The key ``include`` names a file, or a list of files: paths relative to the including file, or
+    files of the package (``configs/…``). Values of a file replace those of the files that it
+    includes, and later files in a list replace earlier ones (:func:`merged`).
     """
     whole: dict[str, Any] = {}
     for file in _files(path):
@@ -281,14 +280,14 @@ def origins_of(path: str | os.PathLike[str]) -> dict[Keys, tuple[str, int]]:
 
 
 _INSTEAD = {"scenario": ("problem",), "problem": ("scenario", "split")}
-"""Keys that stand in place of others."""
+"""For each key, the keys that it replaces."""
 
 
 def merged(raw: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
     """Plain data in which the values of ``more`` replace those of ``raw``, at any depth.
 
-    A mapping with another ``kind`` replaces all of a mapping: options belong to their piece. A
-    scenario replaces a problem, and the other way round.
+    A mapping with another ``kind`` replaces the whole mapping, options included. A scenario
+    replaces a problem, and vice versa.
     """
     instead = {old for key in more if more[key] is not None for old in _INSTEAD.get(key, ())}
     result = {key: value for key, value in raw.items() if key not in instead}
@@ -337,7 +336,7 @@ def _files(path: str | os.PathLike[str]) -> list[_File]:
             if not one or not is_file(inner):
                 raise InputError(f"{place}: expected a file, found none at {shown}")
             if inner.resolve() in here:
-                raise InputError(f"{place}: expected no circle, found {shown}, which includes it")
+                raise InputError(f"{place}: expected no circular include, found {shown}")
             if len(found) + len(here) >= _MOST_FILES:
                 raise InputError(f"{place}: expected at most {_MOST_FILES} files in all")
             read(shown, inner, here)
@@ -523,9 +522,14 @@ def _record(kind: Any, value: Any) -> Any:
     for name in required:
         if name not in value:
             raise InputError(f"{name}: expected a value, found none")
-    return kind(
-        **{key: of_key(key, value[key], hint) for key, hint in hints.items() if key in value}
-    )
+    given = {key: of_key(key, value[key], hint) for key, hint in hints.items() if key in value}
+    try:
+        return kind(**given)
+    except InputError as error:
+        key = str(error).partition(": expected ")[0]
+        if key not in given or ", found " in str(error):
+            raise
+        raise InputError(f"{error}, found {_shown(value[key])}") from None
 
 
 @functools.cache
@@ -635,7 +639,7 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> C
     if isinstance(raw, Component):
         return raw
     if isinstance(raw, bool | int | float | list | tuple):
-        raise InputError(f"{_prefix(where)}expected a name, a mapping with kind, or a piece")
+        raise InputError(f"{_prefix(where)}expected a name or a mapping with kind, found {raw!r}")
     if raw is not None and not isinstance(raw, str | Mapping):
         return Component(kind, name_of(kind, type(raw)), type(raw), raw, given=True)
     plainly: dict[str, Any] = {"kind": raw} if isinstance(raw, str) else dict(raw or {})

@@ -136,11 +136,11 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(path)
     try:
         if "\0" in str(target):
-            raise OSError(0, "it is no path")
+            raise OSError(0, "it is not a path")
         if target.is_symlink():
             target = Path(os.path.realpath(target))
             if target.is_symlink():
-                raise OSError(0, "it is a circle of symbolic links")
+                raise OSError(0, "its symbolic links form a circle")
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.is_dir():
             raise IsADirectoryError(0, "it is a folder")

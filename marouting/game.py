@@ -13,8 +13,8 @@ start to its target, one Gcell a move. The edges that it crosses become the net'
 * Nets move in **turn order**: one after the other to its end, or one move each in turn.
 
 These are the paper's rules; the options of :mod:`marouting.rules` add to them. A step has three
-parts, so that others can look in between: :meth:`Game.move` (what did the move do?),
-:meth:`Game.settle` (the next task begins) and :meth:`Game.pass_turn` (whose turn is it?)::
+parts, between which observations and rewards read the state: :meth:`Game.move` makes the move,
+:meth:`Game.settle` begins the next task, and :meth:`Game.pass_turn` selects the next agent::
 
     game = Game(problem, Rules(turn_order="round_robin"))
     while game.active:
@@ -41,10 +41,10 @@ from marouting.rules import RipUp, Rules, net_ranks
 from marouting.trees.decomposition import two_pin_tasks
 
 RIP_UP = MOVES
-"""Action 6, where agents are asked: the net is ripped up and routed again."""
+"""Action 6, with ``rip_up.choose: agents``: the agent rips up its net and reroutes it."""
 
 NOBODY = NO_TASK = -1
-"""Stand for no agent, such as after the end of the game, and for no task."""
+"""No agent, such as after the end of the game, and no task."""
 
 
 class Status(IntEnum):
@@ -85,8 +85,8 @@ GOES_ON, JOINED, FAILED = Ending.NONE.value, Ending.JOINED.value, Ending.FAILED.
 class Game:
     """One problem, played by the rules; None stands for the paper's.
 
-    What is known of agent n stands in place n of the **columns**, arrays of the standard library:
-    as quick to read as lists, and NumPy reads them without a copy.
+    The state of agent n is element n of the **columns**. They are arrays of the standard library,
+    which Python reads as fast as lists and NumPy without a copy.
 
     Attributes:
         nets: the net of every agent, by its number in the problem. Nets with all pins in one Gcell
@@ -102,7 +102,7 @@ class Game:
         crossing, ending, added_overflow: columns: what the agent's last move did.
         joined_tasks, overflow, wirelength, moves: figures of the whole problem.
         round: of rip-up and reroute, from 1; 0 while nets are routed for the first time.
-        asked: whether the agent to move is asked whether to rip up its net.
+        asked: whether the agent to move decides about rip-up: action 6 rips up its net.
 
     Raises:
         InputError: the problem has nothing to route, or demands do not fit into 32 bits.
@@ -434,10 +434,10 @@ class Game:
         self.active, self._at = members, members.index(n) if self.sequential else 0
 
     def _in_the_way(self, n: int) -> list[int]:
-        """The nets that stand most in a net's way, at most ``neighbours``.
+        """The nets that block a net most, at most ``neighbours``.
 
-        What counts is how many full edges they use: of those that the net uses, and of those around
-        its pins; times a lot, so that a net meets other ones in every round.
+        They are ranked by the number of full edges that they use among the net's own and those
+        around its pins, times a random number, so that the choice varies from round to round.
         """
         edges = set(filter(self.is_full, self.used[n])) | self._full_around(n)
         others = [o for o, used in enumerate(self.used) if o != n and not edges.isdisjoint(used)]

@@ -58,28 +58,28 @@ class GeneratorOptions:
         nets: nets per problem.
         max_pins: pins per net, drawn uniformly from 2…max_pins.
         capacity: capacity, in tracks, of an edge along its layer's direction.
-        reduced_edges: how many edges get a reduced capacity: those that sequential A* uses most.
-        reduced_capacity: that capacity; None: two less than ``capacity`` but at least 0.
+        reduced_edges: number of edges with reduced capacity, those that sequential A* uses most.
+        reduced_capacity: capacity of these edges; None: ``capacity`` − 2, but at least 0.
         reduced_per: ``problem``: each problem has its own edges reduced; ``set``: all problems have
             the same edges reduced, those most used in all of them together, as in the authors'
             published sets.
         seed: seed of the random numbers, from 0; None: different ones every time, in an environment
             a new problem at every reset.
-        least: None: all problems are of the size above. Otherwise every problem has a size of its
-            own, drawn between ``least`` and the size above: the reciprocals of columns and rows
-            uniformly, since larger problems have more moves, all else uniformly as well. It lies
-            in a part of the grid, in whose rest no edge has capacity. It has fewer nets in
-            proportion to the geometric mean of the part's columns and rows, so that edges are as
-            crowded on small parts as on large ones.
-        rent: None: the pins of a net are anywhere. Otherwise nets are local, as on chips: the
-            distance l of a net's other pins from its first is as likely as l^(2 rent − 3), with
-            Rent's exponent, 0 to 1 (Cotter and Christie, "The analytical form of the length
+        least: the smallest problems. The size of each problem is then drawn between ``least`` and
+            the size above: the reciprocals of columns and rows uniformly, since larger problems
+            have more moves, and all else uniformly. A smaller problem uses a part of the grid;
+            edges outside of it have no capacity. Its number of nets is proportional to the
+            geometric mean of its columns and rows, so that all sizes are equally congested.
+            None: all problems have the size above.
+        rent: Rent's exponent, 0 to 1; 0.6 to 0.75 are usual for logic. It makes nets local, as on
+            chips: the probability of a distance l between a net's first pin and another is
+            proportional to l^(2 rent − 3) (Cotter and Christie, "The analytical form of the length
             distribution function for computer interconnection", IEEE Transactions on Circuits and
-            Systems 38(3), 1991). 0.6 to 0.75 are usual for logic.
-        macros: how many rectangles, of up to a fifth of the columns and rows, have no capacity but
-            in the two highest layers. No pins are in them.
-        hot_spots: around how many places half of the nets begin, as dense as a normal distribution
-            with a standard deviation of a sixteenth of the columns and rows.
+            Systems 38(3), 1991). None: pins are uniformly distributed.
+        macros: number of blockages: rectangles of up to a fifth of the columns and rows that have
+            capacity in the two highest layers only, and no pins.
+        hot_spots: number of centres around which half of the nets begin, normally distributed with
+            a standard deviation of a sixteenth of the columns and rows.
 
     Raises:
         InputError: a value is out of range.
@@ -175,7 +175,7 @@ def generate_from(options: GeneratorOptions) -> list[Problem]:
 
 
 def generate_each(options: GeneratorOptions) -> Iterator[Problem]:
-    """The problems of :func:`generate_from`, each made when it is asked for.
+    """The problems of :func:`generate_from`, generated one by one.
 
     Raises:
         InputError: a single problem takes too much memory.
@@ -241,7 +241,7 @@ def _of_many_sizes(options: GeneratorOptions, least: Least) -> Iterator[Problem]
 
 
 def _within(problem: Problem, grid: tuple[int, int, int]) -> Problem:
-    """A problem in the corner of a larger grid, in whose rest no edge has capacity."""
+    """A problem in the corner of a larger grid whose other edges have no capacity."""
     more = grid[2] - problem.grid[2]
     whole = replace(
         problem,
@@ -325,7 +325,7 @@ def _reduced(problems: Iterable[Problem], edges: int, capacity: int) -> tuple[Ad
 def _adjusted(
     problem: Problem, edges: NDArray[np.integer], capacity: int
 ) -> tuple[Adjustment, ...]:
-    """What gives edges a capacity of their own; in it layers count from 1."""
+    """The capacity adjustments of edges; their layers count from 1."""
     position = problem.topology.position + np.array([0, 0, 1])
     ends = (position[end].tolist() for end in problem.topology.ends(edges))
     return tuple(Adjustment._make((*a, *b, capacity)) for a, b in zip(*ends, strict=True))

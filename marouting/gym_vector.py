@@ -30,19 +30,18 @@ class _Games(BatchEnv):
 
 
 class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
-    """Games for one player each, side by side; all arrays that it gives are the caller's.
+    """Many Gymnasium environments at once; returned arrays are not overwritten later.
 
-    It gives what ``gymnasium.vector.SyncVectorEnv`` gives for the single environments, with the
-    same seeds.
+    The results are those of ``gymnasium.vector.SyncVectorEnv`` with the same seeds.
 
     Args:
         num_envs: how many games.
         problem: what each of them plays, see :data:`marouting.source.Source`.
         render_mode: ``ansi``, ``rgb_array`` or None.
         autoreset_mode: when a game that is over starts its next episode. ``NEXT_STEP``: in the
-            following step, which ignores its action. ``SAME_STEP``: at once; what it showed at the
-            end is in the infos as ``final_obs`` and ``final_info``. ``DISABLED``: when
-            :meth:`reset` is called with it in ``reset_mask``.
+            following step, which ignores its action. ``SAME_STEP``: at once; the infos hold the
+            last observation and info as ``final_obs`` and ``final_info``. ``DISABLED``: when
+            :meth:`reset` is called for it, with ``reset_mask``.
         **options: the other fields of :class:`marouting.options.GameOptions`, ``threads`` of
             :class:`marouting.vector.BatchEnv`, and ``seed``: unless :meth:`reset` is given others,
             game m has the seed ``seed + m``.
@@ -98,8 +97,8 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         """Starts the episodes of all games, or of those in ``options["reset_mask"]``.
 
         Args:
-            seed: decides which problems are played, if there are several: game m has the seed
-                ``seed + m``. Or a list of one for each game, where None means that it goes on.
+            seed: of the problems drawn, if there are several: game m has the seed ``seed + m``. Or
+                a list with one for each game; a game with None continues its sequence.
             options: see :meth:`marouting.vector.BatchEnv.reset`.
 
         Raises:

@@ -2,13 +2,15 @@
 
 The paper's observation is here; :mod:`marouting.batch.window` has one that fits every grid. You can
 also write your own: any object with the methods of :class:`Observation`. It works in all interfaces
-of the environment, in the batch and in trainings; see :func:`marouting.register`. An observation
-with a method ``state``, whose arguments are those of :meth:`marouting.columns.Games.state` after
-the games, and ``state_space``, with those of :func:`state_space`, also decides what the global
-state is. One that turns what it shows, as :mod:`marouting.batch.window` does, may have a method
-``move_order`` with the arguments and result of :meth:`.window.WindowObservation.move_order`:
-learners then choose among its moves, and their masks are of these; see :func:`move_order_of`.
-Environments take and show the moves of the grid in any case.
+of the environment, in the batch and in trainings; see :func:`marouting.register`.
+
+Optional methods:
+
+* ``state(games, …)`` and ``state_space(…)`` define the global state; their arguments are those of
+  :meth:`marouting.columns.Games.state` and :func:`state_space`.
+* ``move_order``, for an observation that is mirrored like :mod:`marouting.batch.window`: learners
+  then see masks and choose moves in the mirrored frame; see :func:`move_order_of`. Environments
+  always use the moves of the grid.
 
 A worked example: the paper's 12 numbers, and the number of agents that are still routing::
 
@@ -35,8 +37,9 @@ In YAML, with the class in ``my_pieces.py``::
 
     observation: {kind: "my_pieces:CountingObservation"}
 
-For a start there is a simpler form, for the environments alone: in place of ``write`` a method
-``see(game, n)``, which returns what agent n of a :class:`marouting.game.Game` sees::
+A simpler form works in the environments, but not in the batch or in trainings: instead of
+``write``, a method ``see(game, n)`` that returns what agent n of a :class:`marouting.game.Game`
+sees::
 
     class HereAndThere:
         def space(self, problems, overflow):
@@ -279,7 +282,7 @@ def _has_state(observation: Observation) -> bool:
 
 
 def has_form(piece: object, plain: str, columns: str) -> bool:
-    """Whether a piece has a method ``plain``, and no later class only that by ``columns``."""
+    """Whether a piece has ``plain``, and no subclass of its class overrides only ``columns``."""
     for cls in type(piece).__mro__:
         if plain in vars(cls):
             return True

@@ -1,17 +1,15 @@
-"""The array player, which plays M problems at once through arrays.
+"""The array player: plays M problems at once for the batch environment and for trainings.
 
-:class:`marouting.vector.BatchEnv`, the interfaces of the environment and trainings all use it. With
-the paper's observation and reward, a whole step is one compiled call. With the paper's reward and
-another observation, the moves of a step are one compiled call, and the observation is called at
-most twice: for rows whose task ends or whose agent passes the turn, before that happens, and then
-for all. With another reward, the moves are carried out one by one, so that the reward is called for
-each of them.
+With the paper's observation and reward, a whole step is one compiled call. With the paper's reward
+and another observation, the moves of a step are one compiled call, and the observation is called at
+most twice: for the final observations of tasks and turns that end, and then for all rows. With
+another reward, moves are made one by one, and the reward is called after each of them.
 
-:class:`StepBuffers` holds what a learner needs: whether a task ended in the step, and how; what the
-agent saw where it arrived, to bootstrap from, before the next task moved it elsewhere; and, on
-request, only the row of the agent whose turn it is. The transition of a row that ``acted`` leads
-from the ``obs`` before the step to ``final_obs`` if the task ended or the row now belongs to
-another agent, and otherwise to the ``obs`` after the step.
+:class:`StepBuffers` holds what a learner needs: which tasks ended in the step, and how; the final
+observation of a task, from which to bootstrap; and, on request, only the row of the agent whose
+turn it is. The transition of a row that ``acted`` leads from the ``obs`` before the step to
+``final_obs`` if the task ended or the row now belongs to another agent, and otherwise to the
+``obs`` after the step.
 """
 
 import copy
@@ -142,9 +140,9 @@ class Player:
         reward: what moves pay.
         everyone: whether all agents have a row, or only the one whose turn it is.
         buffers: the arrays to use; None: new ones.
-        draws: what the games play, another problem in every episode; None: the problems stay.
-        turned: whether actions and masks are in the order of an observation's own moves, as
-            learners want them (:func:`marouting.observations.move_order_of`).
+        draws: draws the problem of every episode; None: problems are fixed.
+        turned: whether actions and masks are in the observation's own order of moves, as for
+            learners (:func:`marouting.observations.move_order_of`).
 
     Attributes:
         played: (M, K) the moves on the grid of the last step.

@@ -1,8 +1,7 @@
 """Pieces by name: finds the class that a configuration names.
 
-Users can write five kinds of pieces: what agents see (``observation``), what moves pay
-(``reward``), what routes a problem (``router``), what learns (``learner``), and the networks that
-it learns with (``network``). Wherever a name is expected, ``module:Class`` is accepted as well.
+Users can write five kinds of pieces: observations, rewards, routers, learners and networks.
+Wherever a name is expected, ``module:Class`` is accepted as well.
 
 A name comes from one of two places:
 
@@ -111,9 +110,10 @@ def code_allowed() -> bool | frozenset[str]:
 
 @contextlib.contextmanager
 def importing_from(folder: str | os.PathLike[str]) -> Iterator[None]:
-    """Looks for ``module:Class`` in a folder, too, after all others, once it is to be imported.
+    """Within the block, imports of ``module:Class`` also search a folder, after all others.
 
-    Until then nothing else is imported from there by accident.
+    The folder is added to the search path at the first such import, so nothing else is imported
+    from it before.
     """
     token = _folder.set(os.fspath(folder))
     try:

@@ -285,8 +285,8 @@ _COLOURS = [tuple(colour) for colour in PALETTE.tolist()]
 def rgb_array(scene: Scene) -> NDArray[np.uint8]:
     """Draws the scene as a picture, with a panel for each layer and y pointing upwards.
 
-    The caption stands above, a legend below. Gcells are grey squares, and the roads between them
-    are edges. Where there is room for it, every net that uses an edge is a line on it, in the
+    The caption stands above, a legend below. Gcells are grey squares, and edges are the gaps
+    between them. Where there is room for it, every net that uses an edge is a line on it, in the
     colour that the net has in all pictures; edges that are used up have dark borders, overflowed
     ones orange borders. Otherwise every edge is a field between its two Gcells, whose colour says
     how full it is: pale to dark blue (full), and orange to red where it overflows. Edges without

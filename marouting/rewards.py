@@ -1,7 +1,7 @@
 """What a move pays.
 
-A reward is called after every single move, in all interfaces of the environment, in the batch and
-in trainings alike, and it may pay any agent of the problem. The metrics of routes (overflow,
+A reward is called after every single move, in all interfaces and in trainings, and it may pay any
+agent of the problem. The metrics of routes (overflow,
 wirelength, tasks joined) do not depend on it. You can also write your own; see
 :func:`marouting.register`.
 
@@ -28,15 +28,14 @@ A worked example: every net of a problem gets the change in the problem's wirele
 
 In YAML, with the class in ``my_rewards.py``: ``reward: {kind: "my_rewards:TeamReward", price: 5}``.
 
-A reward that pays only the agent that moves may have a simpler form, for the environments alone: a
-method ``pay(game, n)``, which returns what the last move of agent n pays it
-(:class:`marouting.game.Game`).
+A reward that pays only the agent that moves has a simpler form, which works in the environments but
+not in the batch or in trainings: a method ``pay(game, n)`` that returns what agent n gets for its
+last move (:class:`marouting.game.Game`).
 
-For nets that share there are ``team``, ``difference``, ``potential`` and ``mixed``. The *cost* of a
-problem is what a router is judged by, as one number: overflow, tasks not joined and wirelength,
-each with its price. ``team`` and ``difference`` pay what a move takes off the cost, so that rewards
-add up to the change of the cost over an episode; ``potential`` pays for getting nearer to the
-target. A mixture of several, with the paper's among them::
+Cooperative rewards use the *cost* of a problem, the weighted sum of overflow, open tasks and
+wirelength. ``team`` and ``difference`` pay the reduction of the cost by a move, so that rewards add
+up to its reduction over the episode. ``potential`` pays for getting nearer to the target. ``mixed``
+is a weighted sum::
 
     reward:
       kind: mixed
@@ -167,9 +166,9 @@ KNOWN = (PaperReward, NormalisedReward)
 
 @dataclass(frozen=True)
 class TeamReward:
-    """Pays every net that still plays what the move took off the cost of the problem.
+    """Pays every active net by how much a move reduces the cost of the problem.
 
-    The net that is done last is paid the whole change of the cost over the episode.
+    The net that is done last gets the whole reduction of the cost over the episode.
 
     Attributes:
         overflow: price of a unit of overflow, in tracks.
@@ -199,10 +198,10 @@ class TeamReward:
 
 @dataclass(frozen=True)
 class DifferenceReward(TeamReward):
-    """Pays the net that moves what its move took off the cost, with all others in place.
+    """Pays the net that moves by how much its move reduces the cost of the problem.
 
-    This is the exact difference that the move makes (difference rewards: Wolpert and Tumer, 2001).
-    The rewards of all nets add up to the change of the cost over an episode.
+    This is the difference reward of Wolpert and Tumer (2001), exact because the other nets do not
+    change. The rewards of all nets add up to the reduction of the cost over an episode.
 
     Attributes:
         overflow: price of a unit of overflow, in tracks.
@@ -221,11 +220,11 @@ class DifferenceReward(TeamReward):
 class PotentialReward:
     """Pays the net that moves for getting nearer to its target (Ng, Harada and Russell, 1999).
 
-    The potential of an agent is minus its distance to the target in moves, capacities aside. A move
-    is paid ``gamma`` · potential after − potential before; an answer to whether to rip up pays 0.
-    With ``gamma=1`` a task that is joined pays the distance from its start to its target, whatever
-    the way. With the discount factor of the learner, the best policies are those without this
-    reward.
+    The potential of an agent is minus its distance to the target in moves, ignoring capacity. A
+    move pays ``gamma`` · potential after − potential before; a decision about rip-up pays 0. With
+    ``gamma=1`` a joined task pays the distance from its start to its target on any route. If
+    ``gamma`` is the learner's discount factor, adding this reward does not change the best
+    policies.
 
     Attributes:
         gamma: discount factor.

@@ -103,9 +103,9 @@ def fixed_problems(options: GameOptions) -> dict[str, Problem]:
         return load_problems(options.problem)
     if options.split == "train":
         raise InputError(
-            f"split: expected validation or test, found train: of {options.scenario} there is no "
-            "end of training problems, and these are to be known beforehand; a training draws "
-            "them with train.shared: true and train.games"
+            "split: expected validation or test, found train: the training problems of "
+            f"{options.scenario} are endless; to train on them, set train.shared: true and "
+            "train.games"
         )
     return get(options.scenario).problems(options.split)
 
@@ -132,17 +132,17 @@ class ProblemStream:
     Every problem that may be drawn has a number, from which it can be made again.
 
     Args:
-        source: one problem; several, of which every episode plays one drawn at random; or options
-            of the generator with ``seed=None``, by which every episode plays a new one.
-        scenario: the name of a scenario, in place of a source.
+        source: one problem; several, from which every episode draws one; or options of the
+            generator with ``seed=None``, which makes a new one for every episode.
+        scenario: the name of a scenario, instead of a source.
         split: which problems of the scenario.
         held_out: how many of the first numbers of a generator's problems are never drawn.
 
     Attributes:
-        problems: those known beforehand, by name; where every episode plays a new one, an example.
+        problems: by name; if every episode has a new one, an example.
         bounds: problems with at least as many nets, and as much capacity, as any to be played.
-        room: room for any of these.
-        many: whether there are several.
+        room: the array sizes that fit all of them.
+        many: whether there are several problems.
         nets: the numbers of the nets that have something to route in at least one of them.
 
     Raises:
@@ -225,10 +225,10 @@ class ProblemStream:
 
 
 class ProblemSampler:
-    """The problems of M games that may all play another one in each of their episodes.
+    """Draws the problems of M games, one for every episode.
 
-    What a game plays in an episode depends on the seed, on the game's place and on the number of
-    the episode: not on the other games, and not on who asks first.
+    The problem depends only on the seed, the game's index and the number of the episode, not on
+    other games.
 
     Attributes:
         seeds: (M,) objects, the seed of each game.

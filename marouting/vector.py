@@ -44,18 +44,18 @@ class BatchEnv(EzPickle):
     ``AutoresetMode.NEXT_STEP``: that step ignores the problem's actions, its rewards are 0, and its
     observations are those of the new episode.
 
-    Problems stay the same in all episodes, or games play another one in each of their episodes::
+    Problems are fixed, or every episode draws a new one::
 
-        BatchEnv(marouting.generate(8))                           # 8 problems that stay
-        BatchEnv(scenario="toy-4x4-v0", split="validation")       # all of a split, which stay
-        BatchEnv(8, scenario="toy-4x4-v0")                        # new ones, without end
-        BatchEnv(8, problem={"nets": 10, "seed": None})           # new ones of the generator
+        BatchEnv(marouting.generate(8))                           # 8 fixed problems
+        BatchEnv(scenario="toy-4x4-v0", split="validation")       # all problems of a split
+        BatchEnv(8, scenario="toy-4x4-v0")                        # drawn from the training split
+        BatchEnv(8, problem={"nets": 10, "seed": None})           # drawn by the generator
         BatchEnv(8, problem="folder")                             # drawn from a set
 
     Args:
-        problems: the problems, all with the same grid shape; they stay. A number M: so many games,
-            each of which draws a problem for every episode, from ``problem`` or the scenario. None:
-            all problems of a scenario's split ``validation`` or ``test``; they stay.
+        problems: fixed problems, all with the same grid shape. Or a number M of games, each of
+            which draws a problem for every episode, from ``problem`` or the scenario. None: all
+            problems of a scenario's split ``validation`` or ``test``, fixed.
         problem: what M games draw from: one problem, several of which one is drawn for every
             episode, or a generator with ``seed=None``, which makes a new one; see
             :data:`marouting.source.Source`.
@@ -171,11 +171,11 @@ class BatchEnv(EzPickle):
         """Starts the episodes of all problems.
 
         Args:
-            seed: where games draw their problems, the new seed, with which they begin from their
-                first episodes, or one for each game, where None means that it goes on. Problems
-                that stay know no chance.
-            options: with ``reset_mask``, (M,) bool, only the episodes of some problems start, as in
-                Gymnasium's vectors. Others are ignored.
+            seed: if games draw their problems, a new seed for all, or a list with one for each
+                game. A game with a new seed begins its sequence of problems again; with None it
+                continues. Without effect on fixed problems.
+            options: ``reset_mask``, (M,) bool, selects the problems whose episodes start, as in
+                Gymnasium's vectors. Other keys are ignored.
 
         Returns:
             (M, K, *S) float32 observations, and an info like that of :meth:`step`.
@@ -263,12 +263,12 @@ class BatchEnv(EzPickle):
     def state(self) -> NDArray[np.float32]:
         """(M, X, Y, 5 Z) float32, the global states; see :func:`.observations.state_space`.
 
-        Other observations than the paper's may have others, see :func:`.observations.state_of`.
+        Observations can define their own state; see :func:`.observations.state_of`.
         """
         return state_of(self._players[0].observation, self.engine, self._state)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What made the environment, and where it stands: a copy goes on from there."""
+        """The constructor's arguments and the present state, from which a copy continues."""
         order = self.engine.static.order
         return {
             **super().__getstate__(),
@@ -278,7 +278,7 @@ class BatchEnv(EzPickle):
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Makes the environment anew and puts it where the copied one stands."""
+        """Makes the environment again and restores the state."""
         super().__setstate__(state)
         self.restore(state["saved"])
         self.engine.static.order[...] = state["order"]
@@ -306,10 +306,10 @@ class BatchEnv(EzPickle):
             order: (M, N) integers, see :meth:`marouting.Engine.set_order`.
 
         Raises:
-            ValueError: the order is none, or problems are drawn: the next ones have other nets.
+            ValueError: the order is invalid, or problems are not fixed.
         """
         if self._draws is not None:
-            raise ValueError("order: expected problems that stay the same in all episodes")
+            raise ValueError("order: expected fixed problems")
         self.engine.set_order(order)
 
     def _info(self) -> Info:
@@ -341,10 +341,10 @@ def _draws(
 ) -> ProblemSampler | None:
     """What the games of a batch draw their problems from; None if they stay, see `BatchEnv`."""
     if not is_whole(problems):
-        check("problem", source is None, "a number of games beside it")
+        check("problem", source is None, "none: problems= is a list, not a number of games")
         return None
     if options.scenario is None:
-        what = f"a list of problems, or a problem or scenario beside it; found {problems}"
+        what = f"a list of problems, or a problem or scenario as well; found {problems}"
         check("problems", source is not None, what)
     return kind(ProblemStream(source, options.scenario, options.split), seed, cast(int, problems))
 
@@ -353,7 +353,7 @@ def _batch(problems: Sequence[Problem] | int | None, options: GameOptions) -> Se
     """The problems of a batch that stay; see :class:`BatchEnv`."""
     found = "None" if problems is None else "a list"
     if options.scenario is None:
-        what = f"a list of problems, or a scenario beside it; found {found}"
+        what = f"a list of problems, or a scenario; found {found}"
         check("problems", problems is not None, what)
         what = "a list of Problem objects (problem= takes files, folders and generators)"
         listed = isinstance(problems, Sequence) and not isinstance(problems, str)
@@ -361,7 +361,7 @@ def _batch(problems: Sequence[Problem] | int | None, options: GameOptions) -> Se
             check("problems", listed and isinstance(item, Problem), f"{what}; found {item!r}")
         return cast(Sequence[Problem], problems)
     endless = options.split == "train"
-    what = f"how many of {options.scenario} are drawn, found {found}"
+    what = f"a number of games that draw from {options.scenario}, found {found}"
     check("problems", not endless, what)
-    check("problems", problems is None, f"none, or a number, beside a scenario; found {found}")
+    check("problems", problems is None, f"none, or a number, with a scenario; found {found}")
     return list(get(options.scenario).problems(options.split).values())

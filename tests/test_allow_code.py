@@ -112,23 +112,23 @@ ROUTE = ("route", "p.gr", "--router", "dqn")
 BENCHMARK = ("benchmark", "--scenario", "toy-4x4-v0", "jobs=1")
 
 COMMANDS: dict[str, tuple[tuple[str, ...], str]] = {
-    "train": (("train", "train.yaml"), "train.yaml:4: env.reward.kind: names code, evil:Team; "),
-    "train short": (("train", "short.yaml"), "short.yaml:3: env.reward: names code, evil:Team; "),
-    "train mixed": (("train", "mixed.yaml"), "mixed.yaml:4: env.reward.parts.1.kind: names code"),
-    "train learner": (("train", "learner.yaml"), "learner.yaml:1: learner: names code, evil:L"),
-    "train network": (("train", "network.yaml"), "network.yaml:2: learner.network.kind: names"),
-    "train include": (("train", "outer.yaml"), "train.yaml:4: env.reward.kind: names code"),
-    "train alias": (("train", "anchor.yaml"), "anchor.yaml:1: learner.network.kind: names code"),
+    "train": (("train", "train.yaml"), "train.yaml:4: env.reward.kind: found code, evil:Team; "),
+    "train short": (("train", "short.yaml"), "short.yaml:3: env.reward: found code, evil:Team; "),
+    "train mixed": (("train", "mixed.yaml"), "mixed.yaml:4: env.reward.parts.1.kind: found code"),
+    "train learner": (("train", "learner.yaml"), "learner.yaml:1: learner: found code, evil:L"),
+    "train network": (("train", "network.yaml"), "network.yaml:2: learner.network.kind: found"),
+    "train include": (("train", "outer.yaml"), "train.yaml:4: env.reward.kind: found code"),
+    "train alias": (("train", "anchor.yaml"), "anchor.yaml:1: learner.network.kind: found code"),
     "train another reward": (("train", "train.yaml", "env.reward=paper"), "train.yaml:4: env.rew"),
     "train start": (("train", f"env={{{SMALL}}}", "train.start=reward.pt"), "reward.pt: env.rew"),
     "train --resume": (("train", "--resume", "run"), "run/config.yaml:"),
     "train --resume checkpoint": (
         ("train", "--resume", "other", "train.episodes=2"), "other/checkpoint.pt: env.reward.kind",
     ),
-    "config": (("config", "--show", "train.yaml"), "train.yaml:4: env.reward.kind: names code"),
-    "route --config": ((*ROUTE, "--config", "train.yaml"), "train.yaml:4: env.reward.kind: names"),
+    "config": (("config", "--show", "train.yaml"), "train.yaml:4: env.reward.kind: found code"),
+    "route --config": ((*ROUTE, "--config", "train.yaml"), "train.yaml:4: env.reward.kind: found"),
     **{
-        f"route {name}": ((*ROUTE, "--checkpoint", f"{name}.pt"), f"{name}.pt: {key}: names code")
+        f"route {name}": ((*ROUTE, "--checkpoint", f"{name}.pt"), f"{name}.pt: {key}: found code")
         for name, key in (
             ("reward", "env.reward.kind"),
             ("observation", "env.observation"),
@@ -139,19 +139,19 @@ COMMANDS: dict[str, tuple[tuple[str, ...], str]] = {
     },
     "route learned": (
         ("route", "p.gr", "--router", "generalist", "weights=generalist.pt", "seconds=0.1"),
-        "generalist.pt: env.reward: names code",
+        "generalist.pt: env.reward: found code",
     ),
     "view": (
         ("view", "p.gr", "--checkpoint", "reward.pt", "--out", "a.svg"), "reward.pt: env.reward",
     ),
-    "experiment": (("experiment", "e.yaml"), "e.yaml:4: routers.a.router: names code, evil:Mine"),
-    "experiment config": (("experiment", "f.yaml"), "f.yaml: train.yaml:4: env.reward.kind: names"),
+    "experiment": (("experiment", "e.yaml"), "e.yaml:4: routers.a.router: found code, evil:Mine"),
+    "experiment config": (("experiment", "f.yaml"), "f.yaml: train.yaml:4: env.reward.kind: found"),
     "experiment checkpoint": (
         ("experiment", "g.yaml", "routers.b={router: dqn, checkpoint: reward.pt}"),
-        "reward.pt: env.reward.kind: names code, evil:Team; ",
+        "reward.pt: env.reward.kind: found code, evil:Team; ",
     ),
-    "benchmark": ((*BENCHMARK, "--config", "b.yaml"), "b.yaml:2: routers.a.router: names code"),
-    "benchmark policy": ((*BENCHMARK, "--router", "reward.pt"), "reward.pt: env.reward.kind: name"),
+    "benchmark": ((*BENCHMARK, "--config", "b.yaml"), "b.yaml:2: routers.a.router: found code"),
+    "benchmark policy": ((*BENCHMARK, "--router", "reward.pt"), "reward.pt: env.reward.kind: foun"),
 }  # fmt: skip
 
 
@@ -187,7 +187,7 @@ def test_what_the_user_says_is_code_that_may_run(
     # The run folder is of files.
     assert status(["train", "--resume", "own"]) == 2
     assert status(["route", "p.gr", "--router", "dqn", "--checkpoint", "own/policy.pt"]) == 2
-    assert "own/policy.pt: env.reward.kind: names code" in capsys.readouterr().err
+    assert "own/policy.pt: env.reward.kind: found code" in capsys.readouterr().err
     assert status(["train", "--resume", "own", "--allow-code"]) == 0
     assert status(["plot", "own", "--out", "plots"]) == 0
     experiment = ["experiment", "g.yaml", "routers.a={router: 'evil:Mine'}"]
@@ -212,14 +212,14 @@ def test_python_says_so_by_an_argument(here: Path) -> None:
         for read in (marouting.make, load_config, TrainedPolicy.load):
             file = "reward.pt" if read is TrainedPolicy.load else "train.yaml"
             with pytest.raises(
-                InputError, match=r"names code, evil:Team; pass --allow-code .* \(allow"
+                InputError, match=r"found code, evil:Team; pass --allow-code .* \(allow"
             ):
                 read(file)
             assert not Path("ran").exists()
             assert read(file, allow_code=True) is not None  # type: ignore[operator]
             Path("ran").unlink()
             del sys.modules["evil"]
-        with pytest.raises(InputError, match=r"e.yaml:4: routers.a.router: names code, evil:Mine"):
+        with pytest.raises(InputError, match=r"e.yaml:4: routers.a.router: found code, evil:Mine"):
             load_experiment("e.yaml")
         Experiment(load_experiment("e.yaml", allow_code=True)).execute()
         assert marouting.make({"env": {"reward": "evil:Team"}}) is not None
@@ -238,7 +238,7 @@ def test_only_some_code(here: Path) -> None:
     assert code_allowed() is False
     with allowing_code({"evil:Team"}):
         assert read_yaml("train.yaml")["env"]["reward"] == {"kind": "evil:Team"}
-        with pytest.raises(InputError, match="names code, evil:Mine"):
+        with pytest.raises(InputError, match="found code, evil:Mine"):
             read_yaml("e.yaml")
         with allowing_code(["evil:Mine"]), allowing_code(False):
             assert read_yaml("train.yaml")

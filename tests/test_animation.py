@@ -289,7 +289,7 @@ def test_the_command(tmp_path, monkeypatch, capfd):
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "c.svg").read_bytes()
     assert "<title>p: A*</title>" in (tmp_path / "a.svg").read_text("utf-8")
     status, text, notes = run("nothing.solution", "--out", "d.svg", "--frames", "4")
-    assert (status, notes) == (0, "5 open nets go on as A* would\n")
+    assert (status, notes) == (0, "5 open nets: A* completes them in the animation\n")
     assert text.startswith("4 pictures") or text.startswith("3 pictures")
     for arguments, expected in (
         (["--out", "x.bmp"], "x.bmp: expected a picture's suffix"),

@@ -391,7 +391,7 @@ def test_resume_needs_no_configuration_and_leaves_a_finished_run_alone(
     files = {path: path.read_bytes() for path in (here / "run").rglob("*") if path.is_file()}
     assert status(["train", "--resume", "run"]) == 0
     found = capsys.readouterr()
-    assert found.err == "run: is finished, nothing is changed; train.episodes=N gives it more\n"
+    assert found.err == "run: already finished; train.episodes=N adds episodes\n"
     assert found.out == first
     assert files == {p: p.read_bytes() for p in (here / "run").rglob("*") if p.is_file()}
     (here / "run" / "result.json").unlink()
@@ -1162,14 +1162,14 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     ),
     "other inputs": (resaved(thirteen_inputs), "(13,)"),
     "empty layers": (resaved(lambda s: s["learner"]["network"].update(hidden=[0])), "hidden"),
-    "a shape of words": (resaved(lambda state: state.update(obs_shape=["a"])), "whole"),
-    "no learner": (resaved(lambda state: state.pop("learner")), "whole"),
+    "a shape of words": (resaved(lambda state: state.update(obs_shape=["a"])), "complete"),
+    "no learner": (resaved(lambda state: state.pop("learner")), "complete"),
     "another learner": (resaved(lambda s: s["learner"].update(kind="qdn")), "learner 'qdn'"),
-    "no networks": (resaved(lambda s: s.update(names=[], weights=[], episodes=[])), "whole"),
-    "names of none": (resaved(lambda state: state.update(names=3)), "whole"),
+    "no networks": (resaved(lambda s: s.update(names=[], weights=[], episodes=[])), "complete"),
+    "names of none": (resaved(lambda state: state.update(names=3)), "complete"),
     "another game": (resaved(lambda state: state.update(env={"agents": "many"})), "agents"),
     "unknown option": (resaved(lambda state: state.update(env={"gravity": 1})), "gravity"),
-    "no game": (resaved(lambda state: state.pop("env")), "whole"),
+    "no game": (resaved(lambda state: state.pop("env")), "complete"),
     "a parameter": (resaved(lambda s: weights(s, torch.nn.Parameter)), "Parameter"),
     "gradients": (resaved(lambda s: weights(s, lambda w: w.requires_grad_())), "gradients"),
     "sparse": (resaved(lambda s: weights(s, torch.Tensor.to_sparse)), "dense"),
@@ -1399,7 +1399,7 @@ def test_generate_removes_what_killed_runs_left(here: Path) -> None:
 def test_generate_does_not_mix_sets(here: Path, refused: Callable[..., str]) -> None:
     assert status(["generate", "--count", "3", "--nets", "2", "--out", "set"]) == 0
     said = refused("generate", "--count", "2", "--nets", "2", "--out", "set")
-    assert said.endswith("expected no problems of another set, found problem_002.gr in it")
+    assert said.endswith("expected no other problems, found problem_002.gr")
     assert status(["generate", "--count", "4", "--nets", "2", "--out", "set"]) == 0
     assert len(list((here / "set").iterdir())) == 4
 

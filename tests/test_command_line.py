@@ -190,7 +190,7 @@ def test_ctrl_c_ends_a_route_with_the_best_so_far(
     assert json.loads(shown.out)["router"] == router
     lines = shown.err.splitlines()
     assert lines[0] == f"{router}: one of many"
-    assert lines[1] == "stopping with the best solution so far; once more to give it up"
+    assert lines[1] == "stopping with the best solution so far; Ctrl-C again discards it"
     assert Path("best").exists()
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -333,8 +333,8 @@ def test_resume_takes_keys_without_a_configuration(capsys: pytest.CaptureFixture
     assert status(["train", "--resume", "longer", "train.episodes=3", "--json"]) == 0
     found = capsys.readouterr()
     assert json.loads(found.out)["episodes"] == 3
-    assert "longer: 2 episodes become 3" in found.err
-    assert "learner.epsilon goes by the share of all episodes" in found.err
+    assert "longer: train.episodes was 2, now 3" in found.err
+    assert "learner.epsilon depends on train.episodes" in found.err
 
 
 def numbers(command: click.Command) -> Iterator[click.Parameter]:

@@ -205,7 +205,7 @@ def test_a_copy_knows_the_seeds_that_games_have_begun_with() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"problems": SET, "problem": SET}, "problem: expected a number of games beside it"),
+        ({"problems": SET, "problem": SET}, "problem: expected none: problems= is a list"),
         ({"problems": 3}, "problems: expected a list of problems, or a problem or scenario"),
         ({"problems": 0, "problem": SET}, "games: expected a number from 1 to 10000, found 0"),
         ({"problems": 3, "problem": SET, "seed": -1}, "seed: expected a whole number from 0"),
@@ -221,7 +221,7 @@ def test_what_cannot_be_drawn_is_refused(arguments: dict[str, Any], said: str) -
 
 def test_an_order_of_nets_needs_problems_that_stay() -> None:
     env = BatchEnv(2, problem=SET)
-    with pytest.raises(ValueError, match="order: expected problems that stay the same"):
+    with pytest.raises(ValueError, match="order: expected fixed problems"):
         env.set_order(env.engine.static.order)
     other = BatchEnv(SET[:2])
     other.reset()

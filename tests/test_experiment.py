@@ -685,7 +685,7 @@ def test_a_folder_that_holds_problems_of_a_new_set(here: Path, refused: Callable
     (here / "out" / "problems" / "other").mkdir()
     shutil.copy("4.gr", here / "out" / "problems" / "other" / "4.gr")
     said = refused("experiment", config, "problems.other={nets: 2}")
-    assert "4.gr: expected no problems but the experiment's" in said
+    assert "4.gr: expected only problems of this experiment" in said
 
 
 def test_folders_that_hold_something_else(
@@ -700,7 +700,7 @@ def test_folders_that_hold_something_else(
     assert "holds a training" in refused("experiment", config, f"out={run}")
     (here / "a" / "problems" / "small").mkdir(parents=True)
     shutil.copy("4.gr", here / "a" / "problems" / "small" / "4.gr")
-    assert "4.gr: expected no problems but" in refused("experiment", config, f"out={here / 'a'}")
+    assert "4.gr: expected only problems of" in refused("experiment", config, f"out={here / 'a'}")
 
 
 def test_rows_that_are_none(finished: Path, here: Path, refused: Callable[..., str]) -> None:

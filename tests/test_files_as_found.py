@@ -120,7 +120,7 @@ def test_names_in_capitals(plain: Path) -> None:
     routes.write(plain / "again.pr_OUTPUT")
     routes.write(plain / "again.PR_output")
     assert (plain / "again.pr_OUTPUT").read_bytes() == (plain / "again.PR_output").read_bytes()
-    with pytest.raises(InputError, match=r"expected no net for it, only for \.cap"):
+    with pytest.raises(InputError, match=r"expected no net: only \.cap files take it"):
         Problem.read(plain / "p.gr", net=plain / "x.net")
 
 

@@ -113,10 +113,13 @@ def test_one_mechanism_for_every_configuration(capsys: pytest.CaptureFixture[str
 WRONG = {
     "none": ("include: sub/none.yaml\n", "own.yaml:1: include: expected a file, found none at"),
     "a folder": ("\ninclude: sub\n", "own.yaml:2: include: expected a file, found none at sub"),
-    "itself": ("include: own.yaml\n", "own.yaml:1: include: expected no circle"),
+    "itself": ("include: own.yaml\n", "own.yaml:1: include: expected no circular include"),
     "a number": ("include: 3\n", "own.yaml:1: include: expected a file or a list of files"),
     "numbers": ("include: [3]\n", "own.yaml:1: include: expected a file or a list of files"),
-    "a circle": ("include: sub/back.yaml\n", "sub/back.yaml:1: include: expected no circle"),
+    "a circle": (
+        "include: sub/back.yaml\n",
+        "sub/back.yaml:1: include: expected no circular include",
+    ),
     "no YAML": ("include: sub/not.yaml\n", "sub/not.yaml:2: expected YAML"),
     "no mapping": ("include: sub/list.yaml\n", "sub/list.yaml: expected a mapping of keys"),
     "too many": ("include: sub/m1.yaml\n", "include: expected at most 100 files in all"),

@@ -181,12 +181,12 @@ def test_nets_may_come_in_any_order(tmp_path: Path) -> None:
 def test_an_edge_listed_twice_counts_once_and_warns_once(tmp_path: Path) -> None:
     problem = small(tmp_path)
     text = "A 7 3\n(-5,5,1)-(15,5,1)\n(-5,5,1)-(5,5,1)\n(15,5,1)-(-5,5,1)\n!\nB_1 3 0\n!\n"
-    with pytest.warns(UserWarning, match="lists an edge again") as record:
+    with pytest.warns(UserWarning, match="lists an edge twice") as record:
         solution = solution_of(tmp_path, problem, text)
     assert len(record) == 1
     message = str(record[0].message)
     assert "problem.solution:3: net A" in message
-    assert "3 repetitions" in message
+    assert "3 repeated edges" in message
     assert solution.edges[0].tolist() == [edge(problem, 0, 0, 1, 0), edge(problem, 1, 0, 1, 0)]
 
 

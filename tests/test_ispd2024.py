@@ -168,12 +168,12 @@ def test_segments_whose_ends_are_turned_warn(
         same = Solution.read(files.with_suffix(".PR_output"), problem)
     assert old in ROUTES
     (tmp_path / "turned.PR_output").write_text(ROUTES.replace(old, new))
-    with pytest.warns(UserWarning, match="second end is not beyond the first") as record:
+    with pytest.warns(UserWarning, match="expected a segment from its lower to its") as record:
         assert Solution.read(tmp_path / "turned.PR_output", problem) == same
     assert len(record) == 1
     message = str(record[0].message)
-    assert f"turned.PR_output:{line}: net {'a' if line < 8 else 'b'} " in message
-    assert f"{count} such segments" in message
+    assert f"turned.PR_output:{line}: net {'a' if line < 8 else 'b'}: " in message
+    assert f"such segments, {count} in this file" in message
 
 
 def test_wires_that_a_layer_cannot_have(files: Path, tmp_path: Path) -> None:
@@ -441,8 +441,8 @@ def test_spoiled_nets(files: Path, old: str, new: str, line: int, what: str) -> 
         ("0 0 2 3 0 2", "0 0 2 3 1 2", 4, "a segment along one axis"),
         ("0 0 2 3 0 2", "0 0 2 3 0", 4, "a segment 'x y layer x y layer' or ')'"),
         ("0 0 2 3 0 2", "0 0 2 3 0 m3", 4, "a segment"),
-        ("b\n(", "d\n(", 7, "a net of the problem that no earlier block is of"),
-        ("b\n(", "a\n(", 7, "a net of the problem that no earlier block is of"),
+        ("b\n(", "d\n(", 7, "a net of the problem that is not listed above"),
+        ("b\n(", "a\n(", 7, "a net of the problem that is not listed above"),
         ("b\n(", "b\n", 9, "'(' after the name of net b"),
         (ROUTES, ROUTES[:-2], 11, "file ends inside net b, expected ')'"),
         (
@@ -471,5 +471,5 @@ def test_the_other_file_is_missing(files: Path) -> None:
     files.with_suffix(".net").unlink()
     with pytest.raises(InputError, match=r"p\.net: cannot be read"):
         Problem.read(files)
-    with pytest.raises(InputError, match=r"expected no lef for it, only for \.def"):
+    with pytest.raises(InputError, match=r"expected no lef: only \.def files take it"):
         Problem.read(files, lef=["a.lef"])

@@ -1110,7 +1110,11 @@ def test_ppo_learns_the_one_game_there_is() -> None:
 @pytest.mark.parametrize(
     ("kind", "options", "message"),
     [
-        ("dqn", {"double": True, "target_period": 0}, "double: expected a target_period above 0"),
+        (
+            "dqn",
+            {"double": True, "target_period": 0},
+            "double: expected false, or target_period above 0",
+        ),
         ("dqn", {"n_step": 0}, "n_step: expected a number from 1"),
         ("dqn", {"priority_exponent": 1.5}, "priority_exponent: expected a number from 0 to 1"),
         ("dqn", {"importance_exponent": -1}, "importance_exponent: expected a number from 0 to 1"),
@@ -1135,7 +1139,7 @@ def test_setups_that_do_not_fit_are_refused() -> None:
     multi, single = player_of([tiny(nets=6)], multi=True), player_of([tiny()], multi=False)
     with pytest.raises(InputError, match="buffer_size: expected at least 6, the moves of one step"):
         DQN(setup_of(multi, ["a"]), options_of("dqn", buffer_size=5))
-    with pytest.raises(InputError, match="critic: expected local: this game shows no state"):
+    with pytest.raises(InputError, match="critic: expected local: there is no global state"):
         PPO(setup_of(single, ["a"], state_shape=()), options_of("ppo", critic="central"))
     passing = player_of([tiny()], multi=False, turn_order="round_robin")
     with pytest.raises(InputError, match="turn_order: expected sequential"):

@@ -346,7 +346,7 @@ def test_commands_take_designs(
     assert status(["convert", *given, "x.gr", "--format", "guide"]) == 2
     assert "--format: expected ispd2008" in capsys.readouterr().err
     assert status(["convert", "chip.gr", "x.gr", "--tile", "5", "5"]) == 2
-    assert "expected no tile for it, only for .def" in capsys.readouterr().err
+    assert "expected no tile: only .def files take it" in capsys.readouterr().err
 
 
 def test_without_the_extra_it_says_so(

@@ -231,7 +231,7 @@ def test_names_are_given_once_and_nothing_follows(tmp_path: Path) -> None:
     ):
         Problem.read(design(tmp_path, swapped(DEF, again)))
     file = design(tmp_path, f"{DEF}NETS 1 ;\n")
-    with pytest.warns(UserWarning, match=r"chip\.def:21: text after END DESIGN is not read"):
+    with pytest.warns(UserWarning, match=r"chip\.def:21: text after END DESIGN is ignored"):
         Problem.read(file)
 
 

@@ -336,7 +336,7 @@ def test_learned_router_with_a_checkpoint_trains_nothing(
     after = int(trained["single"].policy_episode[1])
     assert routed.report == expected.report == {"from": f"policy after {after} episodes, greedy"}
     assert not watched
-    with pytest.raises(InputError, match="expected a problem named as one of"):
+    with pytest.raises(InputError, match="expected the name of a problem in"):
         LearnedRouter(short(), path)
 
 

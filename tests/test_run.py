@@ -898,7 +898,7 @@ def test_problems_of_an_aborted_start_are_not_taken_for_the_runs(tmp_path: Path)
     config = config_in(tmp_path / "run", 1)
     other = tmp_path / "run" / "problems" / "other.gr"
     generate(1, grid=(4, 4, 2), nets=2)[0].write(other)
-    with pytest.raises(InputError, match=r"problems: expected no problems but this run's, .*other"):
+    with pytest.raises(InputError, match=r"problems: expected only problems of this run, .*other"):
         Run(config)
     assert not (tmp_path / "run" / "config.yaml").exists()
     other.rename(other.with_name("problem_000.gr"))  # of the run's own name: written over
@@ -1094,7 +1094,7 @@ def test_one_process_at_a_time_works_in_a_folder(
     monkeypatch.setattr(Trainer, "burn_in", meanwhile)
     first.execute()
     process = f"process {os.getpid()} on {socket.gethostname()}"
-    assert said == [f"{folder}: {process} works there"] * 2
+    assert said == [f"{folder}: in use by {process}"] * 2
     assert not (folder / ".lock").exists()
     Run(config_in(folder), resume=True).execute()
 

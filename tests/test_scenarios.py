@@ -102,7 +102,7 @@ def test_the_problems_have_names(name: str) -> None:
 
 def test_splits_without_end_or_existence_are_refused() -> None:
     toy = scenarios.get("toy-4x4-v0")
-    with pytest.raises(InputError, match=r"^split: expected validation or test: there is no end"):
+    with pytest.raises(InputError, match=r"^split: expected validation or test, found train"):
         toy.names("train")
     with pytest.raises(InputError, match=r"^split: expected one of train, validation, test"):
         toy.problems("tst")  # type: ignore[arg-type]
@@ -626,11 +626,11 @@ def test_what_environments_refuse(
 @pytest.mark.parametrize(
     ("problems", "options", "said"),
     [
-        (None, {}, "problems: expected a list of problems, or a scenario beside it; found None"),
-        (3, {}, "problems: expected a list of problems, or a problem or scenario beside it; foun"),
-        (None, {"scenario": "toy-4x4-v0"}, "problems: expected how many of toy-4x4-v0 are drawn, "),
+        (None, {}, "problems: expected a list of problems, or a scenario; found None"),
+        (3, {}, "problems: expected a list of problems, or a problem or scenario as well; foun"),
+        (None, {"scenario": "toy-4x4-v0"}, "problems: expected a number of games that draw from t"),
         (0, {"scenario": "toy-4x4-v0"}, "games: expected a number from 1 to 10000, found 0"),
-        (GENERATED, {"scenario": "toy-4x4-v0"}, "problems: expected how many .* found a list"),
+        (GENERATED, {"scenario": "toy-4x4-v0"}, "problems: expected a number of .* found a list"),
         (GENERATED, {"scenario": "toy-4x4-v0", "split": "test"}, "problems: expected none, or a "),
         (3, {"scenario": "toy-4x4-v0", "seed": -1}, "seed: expected a whole number from 0"),
         (GENERATED, {"split": "test"}, "split: expected a scenario beside it"),
@@ -741,7 +741,7 @@ def test_a_generator_without_seed_holds_problems_out(tmp_path: Path) -> None:
         ({"games": 2, "shared": True, "validation": 21}, {"scenario": "toy-4x4-v0"},
          "train.validation: expected at most 20, those of the split, found 21"),
         ({"games": 2, "shared": True, "validation": 2}, {"problem": {"nets": 3}},
-         "train.validation: expected null: it is the set itself"),
+         "train.validation: expected null: a set is evaluated whole"),
         ({"games": 2, "shared": True}, {"problem": {"nets": 3, "seed": None, "count": 2}},
          "problem.count: expected 1 without a seed, found 2"),
     ],
@@ -762,5 +762,5 @@ def test_drawn_problems_are_not_shown_by_solutions(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"^burn_in: expected astar or random with tr"):
         Run(build(Config, raw))
     config = build(Config, {**raw, "learner": {"kind": "dqn"}})
-    with pytest.raises(InputError, match=r"^train\.games: expected null: this training"):
+    with pytest.raises(InputError, match=r"^train\.games: expected null: its problems"):
         Trainer({"p": GENERATED[0]}, config)

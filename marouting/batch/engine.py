@@ -115,9 +115,8 @@ class Engine:
     Args:
         problems: the problems, all with the same grid shape.
         rules: the options of the rules; None: those of the paper.
-        room: how large problems are that may take the place of these, see :meth:`replace`; None:
-            they stay.
-        negotiation: how nets negotiate by prices, as only the generalist's do; None: they do not.
+        room: sizes of the problems that may replace these, see :meth:`replace`; None: none.
+        negotiation: prices of edges, for the generalist only; None: none.
         **changes: fields of :class:`marouting.rules.Rules` that differ from ``rules``.
 
     Attributes:
@@ -181,7 +180,7 @@ class Engine:
 
     @property
     def remaining(self) -> NDArray[np.int32]:
-        """(M, E) what is left of the capacity of every edge; a view, to be read."""
+        """(M, E) remaining capacity of every edge; a view, not to be written."""
         return self.dynamic.remaining
 
     @property
@@ -303,7 +302,7 @@ class Engine:
         (_move_turn if moves.ndim == 1 else _move_all)(self.static, self.dynamic, moves)
 
     def settle(self, everyone: bool) -> None:
-        """The second half of a step of all agents, or of those whose turn it is: tasks start."""
+        """The second half of a step, of all agents or those whose turn it is: next tasks begin."""
         (_settle_all if everyone else _settle_turn)(self.static, self.dynamic)
 
     def step(self, moves: NDArray[np.integer]) -> None:

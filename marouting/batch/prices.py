@@ -1,26 +1,26 @@
-"""Prices of edges: how nets learn from each other, round by round, which edges are in demand.
+"""Prices of edges, which rise round by round where demand exceeds capacity.
 
-Only the generalist (policies/generalist) plays such games: an engine that is given a
-:class:`Negotiation`. The first walk and most rip-up rounds (:mod:`marouting.batch.rounds`) are then
-**priced**. In them an edge inside a layer costs a net
+They need an engine with a :class:`Negotiation`, which only the generalist (policies/generalist)
+uses. The first walk and most rip-up rounds (:mod:`marouting.batch.rounds`) are then **priced**. In
+them an edge inside a layer costs a net
 
     (1 + price) · (1 + present · over / demand),
 
-where ``price`` is what the edge's past overflow has added; ``over`` is what the net would be over
-the remaining capacity, in tracks; and ``present``, at first an option, grows from one
-priced round to the next. So nets share edges cheaply at first, and those that find another way
-nearly as short leave. The longer overflow lasts, the more it adds to a price: that grows along with
-``present``, up to a limit. A via costs 1. An edge that can never hold the net costs the most.
+where ``price`` grows with the edge's past overflow; ``over`` is the overflow that the net would
+cause, in tracks; and ``present`` begins with the option's value and grows from one priced round to
+the next. So overflow is cheap at first, and nets with alternatives of nearly the same length leave
+contested edges first. What overflow adds to a price grows along with ``present``, up to a limit. A
+via costs 1. An edge that can never hold the net costs the maximum.
 
-When priced rounds follow plain ones, nets negotiate again: ``present`` is as small as at first, but
-grows more slowly, and prices have fallen. With ``calm`` prices come to rest: as soon as
-there are routes without overflow, they rise and fall by less each time. Such steps are usual in
+When priced rounds follow plain ones, ``present`` begins with the option's value again but grows
+more slowly, and prices are lowered. With ``calm``, once there are routes without overflow, prices
+change by less each time. Such diminishing steps are usual in
 subgradient methods (Held, Wolfe and Crowder, "Validation of subgradient optimization", Mathematical
 Programming 6, 1974).
 
 This is negotiated congestion, after McMurchie and Ebeling, "PathFinder: a negotiation-based
-performance-driven router for FPGAs", FPGA 1995, with nets that walk. Costs are whole numbers of
-which an edge without a price has :data:`UNIT`; what prices rise by is finer.
+performance-driven router for FPGAs", FPGA 1995, with agents that make moves. Costs are integers:
+an edge without a price costs :data:`UNIT`. Prices have a finer unit, 1 / WHOLE.
 """
 
 from dataclasses import dataclass
@@ -41,8 +41,8 @@ MOST = 60 * UNIT  # the most that an edge costs
 WHOLE = 1024  # ``GAME.present`` and prices count in parts of this
 
 LEAST_PRESENT, MOST_PRESENT = 0.01, 2.0
-"""The bounds of ``present``: a smaller one would not grow, being counted in whole parts, and a
-larger one would hide what prices say."""
+"""The bounds of ``present``: rounding keeps a smaller one from growing, and a larger one outweighs
+prices."""
 
 LARGEST = int(MOST_PRESENT * WHOLE)  # the largest ``present``, in parts of ``WHOLE``
 MOST_CALM = 1000.0  # the largest ``calm``: from the second negotiation on prices no longer rise
@@ -66,14 +66,13 @@ class Negotiation:
     Attributes:
         prices: whether nets negotiate by prices, if there are rip-up rounds; with ``overflow:
             allowed`` only.
-        patience: rounds after which one more net of ``rip_up_neighbours`` is ripped up with a net,
-            from none in the first rounds; 0: all of them from the first round on.
-        present: what one net too many adds to the cost of an edge in the first walk, as a part of
-            it, 0.01 to 2. The more there is of it, the sooner there is no overflow, and the longer
-            routes are.
-        calm: how soon prices come to rest: when nets negotiate for the r-th time after the first,
-            prices rise and fall by 1 / (1 + calm · r) of what they did, once there are routes
-            without overflow. 0 to 1000, in hundredths.
+        patience: number of rounds after which one more neighbour is ripped up with a net, starting
+            with none; 0: ``rip_up.neighbours`` of them from the first round on.
+        present: initial factor of overflow in the cost of an edge, 0.01 to 2. A larger one removes
+            overflow sooner and makes routes longer.
+        calm: how fast price changes shrink once there are routes without overflow: the r-th
+            negotiation after the first multiplies them by 1 / (1 + calm · r). 0 to 1000, in steps
+            of 0.01.
 
     Raises:
         InputError: an option is out of range.
@@ -95,7 +94,7 @@ class Negotiation:
 
 @compiled
 def is_priced(static: Static, dynamic: Dynamic, m: int) -> bool:
-    """Whether the first walk or the present round is; see :mod:`marouting.batch.rounds`."""
+    """Whether the first walk or present round is priced; see :mod:`marouting.batch.rounds`."""
     return is_on(static, Option.PRICES) and dynamic.games[m].plain == 0
 
 

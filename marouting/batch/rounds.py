@@ -4,20 +4,20 @@
 :mod:`marouting.game` the rules in plain Python.
 
 Where nets negotiate (:class:`marouting.batch.prices.Negotiation`) the first walk and some rounds
-are **priced**. In such a round every net is rerouted alone, in an order drawn by lots unless
-``choose: history`` says in which. It keeps its new routes if they join as many tasks and cost it no
-more than the old ones, whatever becomes of the whole problem. So nets part that share an edge. In
-the other rounds, the **plain** ones, all is as without prices; patience counts them in a row.
+are **priced**. In such a round every net is rerouted alone, in random order or that of
+``choose: history``. It keeps its new routes if they join as many tasks and cost the net no more
+than the old ones, even if the whole problem gets worse. **Plain** rounds ignore prices; patience
+counts consecutive plain rounds.
 
-* After the first walk, and after a priced round, the next round is priced if there is overflow,
-  unless ten priced rounds in a row have not lowered it by one per cent of the least since the last
-  plain round. Otherwise it is plain. If earlier routes have joined more tasks or had less overflow,
-  nets take the best of them first.
+* After the first walk or a priced round, the next round is priced if there is overflow, unless ten
+  consecutive priced rounds have not lowered the least overflow since the last plain round by one
+  per cent. Otherwise it is plain. If earlier routes joined more tasks or had less overflow, the
+  best of them are restored first.
 * After a plain round the next one is plain, unless two in a row have gained nothing: no task, not
-  one per cent of the overflow, not a two-thousandth of the wirelength. Otherwise it is priced.
-* With the end of the last round nets take the best routes that they had after any round.
+  one per cent of the overflow, not 1/2000 of the wirelength. Otherwise it is priced.
+* After the last round, the best routes after any round are restored.
 
-No move is made, and no reward paid, when nets take earlier routes.
+Restoring routes makes no move and pays no reward.
 """
 
 from marouting import game as rules

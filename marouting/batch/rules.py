@@ -284,7 +284,7 @@ def settle_everyone(static: Static, dynamic: Dynamic, m: int) -> None:
 
 @inlined
 def free_moves(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
-    """The moves of an agent that cross an edge, one bit per move; its actions if it is asked."""
+    """The moves of an agent that cross an edge, or its rip-up actions, one bit each."""
     cell = as_index(dynamic.agents[m, n].cell)
     free = i64(0)
     for move in range(MOVES):

@@ -1,8 +1,8 @@
-"""Which task an agent has, and where it stands when the task begins.
+"""The tasks of agents: which is next, and where it begins.
 
 The rules are in the section "Tasks" of :mod:`marouting.game`. The options ``target`` and
-``next_pin`` keep the net's **tree**, all Gcells that its edges join to its first pin. With Steiner
-trees, "pin" stands for Steiner points as well.
+``next_pin`` keep the net's **tree**, all Gcells that its edges connect to its first pin. With
+Steiner trees, "pin" stands for Steiner points as well.
 """
 
 from marouting.batch.bits import byte_of, empty, has, put

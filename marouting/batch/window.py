@@ -1,4 +1,4 @@
-"""What an agent sees of its surroundings: a window that is turned towards its target.
+"""The observation ``window``: the agent's surroundings, mirrored towards its target.
 
 The window shows the Gcells within ``radius`` of the agent in x and in y, in its own layer and in
 ``layers`` layers above and below. It is **mirrored** in x and in y so that the target lies towards
@@ -120,12 +120,12 @@ class _Where(NamedTuple):
 
 @dataclass(frozen=True)
 class WindowObservation:
-    """The surroundings of an agent, turned towards its target; see :mod:`marouting.batch.window`.
+    """The surroundings of an agent, mirrored towards its target; see :mod:`marouting.batch.window`.
 
     Attributes:
         radius: Gcells that are seen in each direction of x and y, 0 to 32.
         layers: layers that are seen above and below the agent's own, 0 to 16.
-        channels: what is seen of them, some of ``capacity``, ``demand``, ``history``, ``own``,
+        channels: the quantities shown, some of ``capacity``, ``demand``, ``history``, ``own``,
             ``pins`` and ``heads``.
     """
 

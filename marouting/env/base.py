@@ -370,8 +370,7 @@ class GameMethods(EzPickle):
     def state(self) -> NDArray[np.float32]:
         """The global state, float32: (X, Y, 5 Z), see :func:`marouting.observations.state_space`.
 
-        Other observations than the paper's may have another one, see
-        :func:`marouting.observations.state_of`.
+        Observations can define their own state; see :func:`marouting.observations.state_of`.
         """
         return self._game.state()
 

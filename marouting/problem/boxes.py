@@ -25,7 +25,7 @@ class Boxes(NamedTuple):
 def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The edges between Gcells that a net's boxes touch: (k,) net and edge of each, ascending.
 
-    A guide is a region and says no more. Two Gcells of it that lie above each other are joined, and
+    A guide is only a region. Two Gcells of it that lie above each other are connected, and
     two neighbours of one box if the edge between them has capacity. Guides also count on neighbours
     in different boxes, and on short wires where there are no tracks, such as those across their
     layer's direction: where parts of a net touch in no other way, the former, and then the latter,

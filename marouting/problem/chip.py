@@ -1,4 +1,4 @@
-"""What a chip's files say that the game has no use for, and that routes are written back with.
+"""Data of a chip's files that the game does not use, but that writing routes needs.
 
 A problem counts Gcells and layers. Routing guides name layers and give boxes in chip coordinates;
 the ISPD 2024 contest has a cost of its own. :class:`Chip` keeps what is needed for these.

@@ -44,7 +44,7 @@ Row = TypeVar("Row")
 
 
 class Rows(dict[int, Row], Generic[Row]):
-    """What is known of single Gcells, as Python numbers: made when a Gcell is first asked for."""
+    """Tables of single Gcells, as Python numbers, computed at the first access."""
 
     def __init__(self, row_of: Callable[[int], Row]) -> None:
         self._row_of = row_of

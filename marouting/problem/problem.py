@@ -331,7 +331,7 @@ class Problem:
             ("net", net, ".cap"),
         ):
             if given and suffix != own:
-                raise InputError(f"{os.fspath(path)}: expected no {name} for it, only for {own}")
+                raise InputError(f"{os.fspath(path)}: expected no {name}: only {own} files take it")
         if suffix == ".def":
             files = lef or [beside(path, ".lef")]
             record = lefdef.read_design(path, files, tile)

@@ -129,13 +129,13 @@ class Solution:
     def pruned(self) -> "Solution":
         """The solution without the edges that join nothing: dead ends, loops, parts without pins.
 
-        Of each connected part of a net's route stay the shortest ways, along the net's own edges,
-        from the first of the net's pin Gcells in that part to the others; of several shortest ways
-        always the same one. All other edges go, and with them parts that hold fewer than two pin
-        Gcells. What is left of a part is a tree that ends in pins: without any further edge it
-        would join fewer of them. So ``connected``, ``joined`` and ``disconnected`` of its
-        :func:`evaluate` are the same, and overflow, wirelength and vias are not higher. Time and
-        memory are in proportion to the edges in use, but for one sort.
+        In each connected part of a net's route, the shortest paths along the net's own edges from
+        its first pin Gcell to the others are kept, always the same ones. All other edges are
+        removed, and so are parts with fewer than two pin Gcells. What is left of a part is a tree
+        that ends in pins: without any further edge it would join fewer of them. So ``connected``,
+        ``joined`` and ``disconnected`` of its :func:`evaluate` are the same, and overflow,
+        wirelength and vias are not higher. Time and memory are in proportion to the edges in use,
+        but for one sort.
 
         Returns:
             Another solution of the same problem, or an equal one if no edge joins nothing.
@@ -228,8 +228,8 @@ class Solution:
             at = segment[repeated.argmax()]
             warnings.warn(
                 f"{record.file}:{record.lines['segments'][at]}: "
-                f"net {problem.nets[record.net[at]].name} lists an edge again; "
-                f"{repetitions} repetitions in this file count once",
+                f"net {problem.nets[record.net[at]].name} lists an edge twice; "
+                f"{repetitions} repeated edges in this file are counted once",
                 stacklevel=2,
             )
         return Solution.of_uses(problem, *np.divmod(uses, size))
@@ -325,8 +325,8 @@ def _edges_of_points(
         sides = np.unique(np.concatenate((chip.contest.x_length, chip.contest.y_length)))
         if len(sides) != 1 or not sides[0] > 0:
             raise InputError(
-                f"{record.file}: expected segments in columns and rows: in coordinates, Gcells "
-                "have to be squares of one size"
+                f"{record.file}: expected segments in columns and rows: coordinates need square "
+                "Gcells of one size"
             )
         borders = [sides[0] * lines for lines in borders]
     ends = record.points.copy()
@@ -340,14 +340,14 @@ def _edges_of_points(
 
 
 def _warn_of_turned(problem: Problem, record: ispd.RoutesRecord) -> None:
-    """Warns of segments that the contest's evaluator does not take as they are meant."""
+    """Warns of segments that the contest's evaluator rejects."""
     turned = np.flatnonzero((record.segments[:, 1] - record.segments[:, 0]).sum(axis=1) <= 0)
     if len(turned):
         warnings.warn(
             f"{record.file}:{record.lines['segments'][turned[0]]}: "
-            f"net {problem.nets[record.net[turned[0]]].name} has a segment whose second end is not "
-            f"beyond the first; the ISPD 2024 contest does not take the {len(turned)} such "
-            "segments of this file, here they count",
+            f"net {problem.nets[record.net[turned[0]]].name}: expected a segment from its lower to "
+            f"its higher end; the ISPD 2024 evaluator rejects such segments, {len(turned)} in this "
+            "file; marouting accepts them",
             stacklevel=3,
         )
 

@@ -97,7 +97,7 @@ class Scenario:
         """
         if split == "train":
             raise InputError(
-                "split: expected validation or test: there is no end of training problems"
+                "split: expected validation or test, found train: its problems are endless"
             )
         check_choice("split", split, Split)
         return dict(self._fixed[split])
@@ -149,7 +149,7 @@ class Scenario:
         return frozenset(map(digest, (*self.validation, *self.test)))
 
     def _draw(self, key: str, excluded: Collection[str]) -> Problem:
-        """Draws a problem that keeps the promises; raises InputError if there are hardly any."""
+        """Draws a problem that is not excluded; raises InputError after many attempts."""
         for attempt in range(ATTEMPTS):
             text = f"{self.name}/{key}/{attempt}"
             seed = int.from_bytes(hashlib.sha256(text.encode()).digest())

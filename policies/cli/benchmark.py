@@ -23,8 +23,8 @@ BASELINES = Path("configs/benchmark/baselines.yaml")
     multiple=True,
     metavar="NAME",
     shell_complete=scenario_names,
-    help="Scenario whose problems are routed, or `all`; may be given several times. Without it "
-    "there has to be --leaderboard.",
+    help="Scenario whose problems are routed, or `all`; may be given several times. Without "
+    "it, --leaderboard is required.",
 )
 @click.option(
     "--router",
@@ -34,24 +34,22 @@ BASELINES = Path("configs/benchmark/baselines.yaml")
     shell_complete=routers,
     help="Name of a router or learner, or module:Class, each with options, as in 'astar "
     "best_of=16'; file of a trained policy or run folder of a training; folder of solutions; or "
-    "CSV file of published figures. May be given several times. Without it and --config, all that "
-    "do not learn.",
+    "CSV file of published figures. May be given several times. Without it and --config, all "
+    "routers that are not learners.",
 )
-@click.option("--name", help="What tables call the router.  [default: made of --router]")
+@click.option("--name", help="The router's name in tables.  [default: derived from --router]")
 @click.option(
     "--config",
     type=FILE,
-    help="YAML file with routers by name, beside --router.  [default: configs/benchmark/"
-    "baselines.yaml, without --router]",
+    help="YAML file of more routers, by name.  [default: configs/benchmark/baselines.yaml, if "
+    "there is no --router]",
 )
 @click.option(
     "--budget",
     help="What a router may spend on a problem: time such as 1s, or tries and episodes such "
     "as 16.  [default: as each router's options say]",
 )
-@click.option(
-    "--seeds", type=WHOLE, help="Seeds of routers that draw random numbers.  [default: 3]"
-)
+@click.option("--seeds", type=WHOLE, help="Number of seeds of randomised routers.  [default: 3]")
 @click.option(
     "--split",
     type=click.Choice(["test", "validation"]),
@@ -64,14 +62,14 @@ BASELINES = Path("configs/benchmark/baselines.yaml")
     type=FILE,
     default=Path("runs/benchmark"),
     show_default=True,
-    help="Folder for the result files and the work behind them.",
+    help="Folder for the result files and the routers' own files.",
 )
 @click.option(
     "--leaderboard",
     type=FILE,
     metavar="PAGE",
-    help="Only write this page, the leaderboard, from the result files in --out; plots lie "
-    "beside it, in pictures/leaderboard. Without it, none is written.",
+    help="Only write the leaderboard to this file, from the result files in --out. Its plots go to "
+    "pictures/leaderboard in the same folder. Without it, none is written.",
 )
 @allow_code_option
 @json_option
@@ -91,16 +89,16 @@ def benchmark(
     """Score routers on the problems of a scenario.
 
     The score is 0 for sequential A* and 1 for the best solution known; docs/scenarios.md explains
-    it. Each router gets a result file OUT/SCENARIO.NAME.json. A benchmark that was stopped goes on
-    when the same command is given again. KEY=VALUE changes a key of --config, or an option of a
-    single --router; jobs=N is the number of processes (one per core unless it is given), and
-    engine=ray does the work as tasks of Ray.
+    it. Each router gets a result file OUT/SCENARIO.NAME.json. A benchmark that was stopped
+    continues when the same command is given again. KEY=VALUE changes a key of --config, or an
+    option of a single --router; jobs=N sets the number of processes (default: one per core), and
+    engine=ray distributes the work with Ray.
     """
     if leaderboard is not None:
         from policies.experiment.leaderboard import write_leaderboard
 
         if names or routers or config:
-            raise InputError("--leaderboard: expected no --scenario, --router or --config with it")
+            raise InputError("--leaderboard: expected neither --scenario, --router nor --config")
         written = write_leaderboard(out, leaderboard)
         if as_json:
             click.echo(json.dumps({"files": [str(path) for path in written]}))

@@ -60,7 +60,7 @@ _RENAMED = {
     "report": "evaluate --report",
     "bench": "python -m policies.bench",
 }
-"""Commands that there were before version 0.3, and what does the same."""
+"""Commands removed in version 0.3, and their replacements."""
 
 _RENAMED_OPTIONS = {
     "benchmark --jobs": "jobs=N",
@@ -70,11 +70,11 @@ _RENAMED_OPTIONS = {
     "view --fps": "--frames N: an animation takes about 12 seconds",
     "view --router": "marouting route PROBLEM --router NAME --out FILE, and view of that file",
 }
-"""Options that there were before version 0.3, and what does the same."""
+"""Options removed in version 0.3, and their replacements."""
 
 
 class _Commands(click.Group):
-    """The commands; of one that does not exist it is told which do."""
+    """The commands; an unknown name is an error that lists them."""
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         """The command of a name."""
@@ -111,8 +111,8 @@ def cli(context: click.Context) -> None:
 def generate(out: Path, as_json: bool, **options: Any) -> None:
     """Generate random problems: OUT/problem_000.gr and so on.
 
-    OUT may hold problems of these names, which are written anew. It may hold no others: a set of
-    40 is not half replaced by one of 20.
+    Files of these names in OUT are overwritten. OUT must hold no other problems, so that two sets
+    are never mixed.
     """
     from marouting.generator import generate_each
     from marouting.source import generated_name
@@ -126,7 +126,7 @@ def generate(out: Path, as_json: bool, **options: Any) -> None:
         digits = path.stem.removeprefix("problem_")
         number = int(digits) if digits.isdecimal() else checked.count
         if number >= checked.count or generated_name(number) != path.stem:
-            raise InputError(f"{out}: expected no problems of another set, found {path.name} in it")
+            raise InputError(f"{out}: expected no other problems, found {path.name}")
     problems = generate_each(checked)
     files = [out / f"{generated_name(number)}.gr" for number in range(checked.count)]
     with working_in(out), problems_bar(str(out)) as watch:
@@ -143,7 +143,7 @@ def generate(out: Path, as_json: bool, **options: Any) -> None:
 @click.option(
     "--format",
     type=click.Choice((*FORMATS, *(f for f in ROUTE_FORMATS if f not in FORMATS))),
-    help="Format of OUT.  [default: ispd2008; for routes as the suffix of OUT says]",
+    help="Format of OUT.  [default: ispd2008; with --solution, by the suffix of OUT]",
 )
 @click.option("--solution", type=FILE, help="Solution to write; without it, PROBLEM is written.")
 @json_option
@@ -155,8 +155,8 @@ def convert(
     PROBLEM is a LEF/DEF design (.def), a problem of the ISPD 2024 or 2025 contest (.cap), or ISPD
     text, whose header tells the format. Solutions are ISPD text (ispd2008), a routing guide
     (.guide) or ISPD 2024's output (.PR_output); OpenROAD's route segments are read as well. Any of
-    them may be compressed (.gz). Reading OUT gives the same again; a format that cannot hold it is
-    refused.
+    them may be compressed (.gz). Nothing is lost: a format that cannot hold all of the input is
+    an error.
     """
     known: Sequence[str] = FORMATS if solution is None else ROUTE_FORMATS
     if format is not None and format not in known:
@@ -187,7 +187,7 @@ def convert(
     default="astar",
     show_default=True,
     shell_complete=routers,
-    help=f"What routes the problem: {', '.join(router_names())}, or module:Class.",
+    help=f"Router or learner: {', '.join(router_names())}, or module:Class.",
 )
 @click.option(
     "--checkpoint",
@@ -202,7 +202,7 @@ def convert(
 @click.option(
     "--prune",
     is_flag=True,
-    help="Take away the edges that join nothing before the solution is judged and written.",
+    help="Remove dead ends and loops before the solution is evaluated and written.",
 )
 @click.option(
     "--out",
@@ -225,18 +225,17 @@ def route(
     """Route PROBLEM and evaluate the solution.
 
     KEY=VALUE changes an option of the router, such as net_order=file, seed=1, or time_limit=60
-    (seconds) for optimal. A learner walks with the policy of --checkpoint, or is trained on the
-    problem, as in the paper; its options are the keys of a training's configuration, such as
-    train.episodes=200. Overflow and wirelength are those of the routes as they are; beside them
-    stand those without dead ends and loops (pruned), which --prune takes away. The seconds are
-    those of routing: nothing is compiled or loaded in them.
+    (seconds) for optimal. A learner uses the policy of --checkpoint; without one it is trained on
+    the problem, as in the paper, and its options are the keys of a training's configuration, such
+    as train.episodes=200. Overflow and wirelength are given with and without (pruned) dead ends
+    and loops, which --prune removes. The seconds exclude compiling and loading.
     """
     from policies.cli.progress import waiting
 
     learner = is_learner(router, "--router")
     if checkpoint and not learner:
         expected = " or ".join(names("learner"))
-        raise InputError(f"--checkpoint: expected a learner with it: --router {expected}")
+        raise InputError(f"--checkpoint: expected --router {expected}")
     if checkpoint and (config or overrides):
         raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
     loaded = problem.read()
@@ -333,13 +332,13 @@ def _report(
     "--report",
     "in_detail",
     is_flag=True,
-    help="Say where it is crowded and which nets make detours, instead.",
+    help="Print a report of congestion and detours instead.",
 )
 @click.option(
     "--map",
     "picture",
     type=FILE,
-    help="Picture for a congestion map, such as map.png; without it, none.",
+    help="File for a congestion map, such as map.png; without it, none is drawn.",
 )
 @json_option
 def evaluate_command(
@@ -347,13 +346,12 @@ def evaluate_command(
 ) -> None:
     """Evaluate a solution file by the rules of the ISPD 2008 contest's evaluator.
 
-    Overflow and wirelength are those of the routes as they are; beside them stand those without
-    dead ends and loops, which join nothing (pruned). Of a routing guide, the shortest ways inside
-    it are judged. For a problem of the ISPD 2024 contest its cost stands there as well. A pin with
-    shapes in several Gcells may be reached in any of them.
+    Overflow and wirelength are given with and without (pruned) dead ends and loops. A routing guide
+    is evaluated by the shortest routes inside it. Problems of the ISPD 2024 contest also get the
+    contest's cost. A pin with shapes in several Gcells may be reached in any of them.
 
-    A report has wires and vias by layer, overflow and the edges where it is worst, with the nets
-    that meet there, detours by net against the shortest tree, a histogram of use, and open nets.
+    A report has wires and vias by layer, the edges with the most overflow and the nets on them,
+    each net's detour over the shortest tree, a histogram of edge use, and the open nets.
     """
     loaded = problem.read()
     routes = Solution.read(solution, loaded).at_reached_pins()
@@ -370,7 +368,7 @@ def evaluate_command(
         click.echo(json.dumps(found)) if as_json else show_report(found, str(solution))
         return
     small = small_problem()
-    evaluate(small, sequential_astar(small))  # whatever it compiles or loads is ready then
+    evaluate(small, sequential_astar(small))  # compiles and loads what it needs, which is not timed
     started = time.perf_counter()
     evaluate(routes.problem, routes)
     _report(None, routes, time.perf_counter() - started, as_json)
@@ -382,23 +380,23 @@ def evaluate_command(
     "--show",
     type=FILE,
     metavar="FILE",
-    help="The configuration to show; without it, give --schema.",
+    help="The configuration to show; without it, --schema is required.",
 )
 @click.option(
     "--schema",
     type=click.Choice(["train", "experiment", "benchmark"]),
-    help="Print the JSON schema of this command's configurations, for editors; without it, give "
-    "--show.",
+    help="Print the JSON schema of a command's configurations, for editors; without it, --show is "
+    "required.",
 )
 @allow_code_option
 @json_option
 def config_command(
     overrides: tuple[str, ...], show: Path | None, schema: str | None, as_json: bool
 ) -> None:
-    """Show all values of a configuration, and where each of them is from.
+    """Show all values of a configuration, and where each comes from.
 
-    FILE is the YAML file of a training, an experiment or a benchmark. What it does not say has its
-    default. KEY=VALUE changes a key of it.
+    FILE is the YAML file of a training, an experiment or a benchmark. Keys that it leaves out have
+    their defaults. KEY=VALUE changes a key.
     """
     from policies.cli.resolved import resolve, schema_of, text_of
 
@@ -435,8 +433,8 @@ def train(
     or learner.kind=ppo; the kinds are dqn, ppo, iql, ippo, mappo, imitation and module:Class, and
     each takes its own defaults. env.scenario=toy-4x4-v0 trains one network on problems drawn from
     the scenario's training split, and evaluates it on the validation problems. Everything is
-    written to the run folder, the key `out`. A run that is resumed, finished or not, may get more
-    episodes, with --resume DIR train.episodes=N.
+    written to the run folder, the key `out`. --resume DIR train.episodes=N gives a run more
+    episodes, finished or not.
     """
     from policies.cli.progress import training_bar
     from policies.cli.resolved import check_kind
@@ -465,20 +463,20 @@ def train(
             show(rows, str(run.folder))
 
     if run.finished is not None:
-        click.echo(
-            f"{resume}: is finished, nothing is changed; train.episodes=N gives it more", err=True
-        )
+        click.echo(f"{resume}: already finished; train.episodes=N adds episodes", err=True)
         tell_rows(run.finished)
         return
     if resume is not None and not (resume / CHECKPOINT).exists():
         click.echo(f"{resume}: no checkpoint yet, so the training starts again", err=True)
     if run.had is not None:
-        click.echo(f"{resume}: {run.had} episodes become {settings.train.episodes}", err=True)
+        click.echo(
+            f"{resume}: train.episodes was {run.had}, now {settings.train.episodes}", err=True
+        )
         learner = settings.learner
         for name in learner.cls.schedules(learner.options):
             click.echo(
-                f"{resume}: learner.{name} goes by the share of all episodes, so this is not the "
-                f"training that has {settings.train.episodes} from the start",
+                f"{resume}: learner.{name} depends on train.episodes, so the result differs from "
+                f"a new training of {settings.train.episodes} episodes",
                 err=True,
             )
     click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
@@ -493,11 +491,11 @@ def train(
 @allow_code_option
 @json_option
 def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
-    """Compare routers on sets of problems, as CONFIG, a YAML file, describes.
+    """Compare routers on sets of problems, as the YAML file CONFIG says.
 
-    KEY=VALUE changes a key of CONFIG, such as seeds=[0,1,2]. Everything is written to the folder of
-    the experiment, the key `out`. An experiment that was stopped or killed continues when the same
-    command is given again.
+    KEY=VALUE changes a key of CONFIG, such as seeds=[0,1,2]. Everything is written to the folder
+    that the key `out` names. An experiment that was stopped continues when the same command is
+    given again.
     """
     from policies.cli.progress import problems_bar
     from policies.cli.resolved import check_kind
@@ -582,7 +580,7 @@ def status(
 ) -> int:
     """Runs a command, by default the whole command line; returns the exit status."""
     try:
-        # The command itself may lie anywhere, module:Class is of the folder where it is given.
+        # module:Class is looked up in the current folder, wherever the command is installed.
         with interruptible(), importing_from(Path.cwd()):
             command.main(args=arguments, prog_name=name, standalone_mode=False)
     except InputError as error:
@@ -619,7 +617,7 @@ _show = warnings.showwarning
 
 
 def _complain(message: str) -> int:
-    """One line on standard error, nothing in it that controls a terminal; returns the status."""
+    """Prints one line, without control characters, on standard error; returns the status."""
     click.echo(f"marouting: {InputError(' '.join(message.split()))}", err=True)
     return 2
 

@@ -22,7 +22,7 @@ class _File(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The path; a usage error if it cannot be one."""
         if "\0" in str(value):
-            self.fail(f"{value!r} is no path.", param, ctx)
+            self.fail(f"{value!r} is not a path.", param, ctx)
         return super().convert(value, param, ctx)
 
 
@@ -90,13 +90,13 @@ json_option = click.option(
 
 
 def allow_code_option(command: Callable[..., None]) -> Callable[..., None]:
-    """Gives a command that reads names of pieces from files the option ``--allow-code``."""
+    """Adds the option ``--allow-code`` to a command whose files may name classes."""
 
     @click.option(
         "--allow-code",
         is_flag=True,
         help="Let files name observations, rewards, routers, networks and learners as "
-        "module:Class, which is code that is imported.",
+        "module:Class, which imports and runs that code.",
     )
     @functools.wraps(command)
     def allowing(allow_code: bool, **rest: Any) -> None:

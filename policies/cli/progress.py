@@ -188,7 +188,7 @@ def _asked(begun: threading.Event) -> Iterator[threading.Event]:
             return
         asked.set()
         signal.signal(signal.SIGINT, before)
-        click.echo("stopping with the best solution so far; once more to give it up", err=True)
+        click.echo("stopping with the best solution so far; Ctrl-C again discards it", err=True)
 
     if threading.current_thread() is not threading.main_thread():
         yield asked  # signals are not for other threads

@@ -47,19 +47,19 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
         "--lef",
         type=FILE,
         multiple=True,
-        help="LEF file of a .def file, technology first; may be given several times.  "
-        "[default: the file beside it of the same name]",
+        help="LEF file of a .def file; may be given several times, technology first.  "
+        "[default: the .lef file of the same name]",
     )
     @click.option(
         "--tile",
         type=click.Tuple([WHOLE, WHOLE]),
-        help="Width and height of a Gcell of a .def file, in its units.  "
+        help="Width and height of a Gcell, in units of the .def file.  "
         "[default: its GCELLGRID, or 15 tracks]",
     )
     @click.option(
         "--net",
         type=FILE,
-        help="The .net file of a .cap file.  [default: the file beside it of the same name]",
+        help="The .net file of a .cap file.  [default: the .net file of the same name]",
     )
     @functools.wraps(command)
     def with_file(

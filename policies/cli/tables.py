@@ -62,7 +62,7 @@ FEW = 5
 
 
 def show_training(run: "Run", rows: Sequence[Mapping[str, Any]]) -> None:
-    """Prints what a training on many problems has come to, and what to do next."""
+    """Prints the results of a training on many problems, and the next command."""
     routers = list(dict.fromkeys(row["router"] for row in rows))
     found = [
         Validation.of((row for row in rows if row["router"] == router), run.reference)
@@ -83,8 +83,8 @@ def show_training(run: "Run", rows: Sequence[Mapping[str, Any]]) -> None:
     notes = [f"{rows[-1]['router']}: the saved network, {saved}, in {run.folder / POLICY}"]
     if run.reference:
         notes.append(
-            "gap: wirelength above the scenario's reference, over the problems (their number in "
-            "brackets) with its overflow and no open task"
+            "gap: mean wirelength above the scenario's reference, over the problems without open "
+            "tasks and with the reference's overflow (in brackets: their number)"
         )
     notes.append(f"all problems: {run.folder / RESULT}")
     click.echo("\n".join(map(_wrapped, notes)))
@@ -131,8 +131,8 @@ _NOTES = (
     "overflow, open (two-pin tasks not connected): totals over the problems. problems without: "
     "those with neither. wirelength, gap: means over the problems ± half the 95 % interval "
     "(Student's t). pruned: the mean wirelength without dangling branches and loops, where "
-    "routes have any; all other columns count them. The gap is to the proven optimum, on the "
-    "problems (their number in brackets) that have the optimum's overflow and open tasks. less "
+    "routes have any; all other columns count them. The gap is to the proven optimum, over the "
+    "problems (in brackets: their number) with the optimum's overflow and open tasks. less "
     "WL: share of problems with less wirelength than A* and no more open tasks [95 % interval, "
     "Wilson]. W/T/L: wins, ties and losses by open tasks, then overflow, then wirelength. "
     "seconds: median time per problem. Everything is averaged over the seeds first. Type II: A* "

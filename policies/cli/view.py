@@ -27,18 +27,19 @@ PAGE, MOVING = ".html", (".svg", ".gif")
     "--out",
     type=FILE,
     required=True,
-    help="File, whose suffix says what it is: a page (.html), an animation (.svg, .gif) or a "
+    help="File to write. Its suffix selects a page (.html), an animation (.svg, .gif) or a "
     "picture (.png, .pdf).",
 )
 @click.option(
     "--checkpoint",
     type=FILE,
-    help="File of a trained policy, whose own game is animated; without it, a replay.",
+    help="File of a trained policy, which routes PROBLEM in the animation; without it, SOLUTION is "
+    "replayed.",
 )
 @click.option(
     "--turn-order",
     type=click.Choice(get_args(TurnOrder)),
-    help="Whether in an animation a net finishes before the next one starts.  "
+    help="Order of the nets in an animation: one after the other, or one move each in turn.  "
     "[default: sequential, or as the policy was trained]",
 )
 @click.option(
@@ -46,7 +47,7 @@ PAGE, MOVING = ".html", (".svg", ".gif")
     type=WHOLE,
     default=240,
     show_default=True,
-    help="The most pictures of an animation.",
+    help="The most frames of an animation.",
 )
 @allow_code_option
 @json_option
@@ -63,9 +64,8 @@ def view(
 
     SOLUTION is a solution file, a folder of them (taken in the order of their names), or the run
     folder of a training; without one, sequential A* routes PROBLEM. A page is one file that any
-    browser shows without a network; two solutions are shown side by side, and of more a slider
-    shows one after the other beside the first. An animation plays one solution as a game in which
-    every net walks along its own route.
+    browser shows offline. Two solutions appear side by side; with more, a slider selects the one
+    next to the first. An animation replays one solution, move by move.
     """
     from policies import figures
     from policies.figures.animation import record, replay, save_animation
@@ -96,7 +96,7 @@ def view(
             raise InputError(f"{out}: expected one SOLUTION to animate, found {len(found)}")
         ((name, routes),) = found.items()
         if open_nets := len(evaluate(loaded, routes).disconnected):
-            click.echo(f"{open_nets} open nets go on as A* would", err=True)
+            click.echo(f"{open_nets} open nets: A* completes them in the animation", err=True)
         scenes = record(replay(loaded, routes, turn_order or "sequential"), frames)
     save_animation(scenes, out, f"{problem.stem}: {router_label(name)}")
     count, caption = len(scenes), scenes[-1].caption

@@ -17,7 +17,7 @@ THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_
 
 @dataclass(frozen=True)
 class Call:
-    """A call that another process makes; all of it can be pickled.
+    """A call that another process makes; it can be pickled.
 
     Attributes:
         function: what is called: of a module, so that the other process finds it by its name, or a

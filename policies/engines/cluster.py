@@ -33,8 +33,8 @@ ADDRESS = "RAY_ADDRESS"
 def joined(jobs: int, threads: int) -> Iterator["RayEngine"]:
     """The Ray at RAY_ADDRESS, or this process's own if it has one, or else a new one.
 
-    A new one is of this machine alone, for so many tasks at a time, says nothing, has no dashboard,
-    sends no statistics to its makers, and ends with the block or with this process.
+    A new one uses only this machine, with a limit of parallel tasks, no log output, no dashboard
+    and no usage statistics, and ends with the block or with this process.
 
     Raises:
         InputError: there is none at RAY_ADDRESS, or none can be started.

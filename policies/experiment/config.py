@@ -121,7 +121,7 @@ _SUFFIX = 48 * "."
 def _check_set(name: str) -> None:
     """Raises InputError unless a set may have a name."""
     _check_name(f"problems.{name}", name, ".")
-    check(f"problems.{name}", name != ALL, "another name: all sets together are called this")
+    check(f"problems.{name}", name != ALL, "another name: this one means all sets together")
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class Training:
         for name in PLAYED:
             check(f"env.{name}", name not in self.env, "none: the experiment has its sets")
         told = self.config or self.env or self.learner or self.train
-        check("checkpoint", not (self.checkpoint and told), "nothing to train beside it")
+        check("checkpoint", not (self.checkpoint and told), "alone: nothing is trained")
 
     def resolved(self, learner: str, where: str) -> dict[str, Any]:
         """The same options of a learner with every key of the training filled in."""
@@ -348,7 +348,7 @@ class Entry:
             trains = seeded = "checkpoint" not in options
         else:
             if "seed" in options and has_seed(router):
-                raise InputError(f"{where}: seed: expected none: the experiment has its seeds")
+                raise InputError(f"{where}: seed: expected none: set seeds of the experiment")
             options = spent.fill(router, options, where) if spent else options
             seed = {"seed": 0} if has_seed(router) else {}
             made = router_piece(router, {**options, **seed}, where)
@@ -418,7 +418,7 @@ def load_sets(problems: str | Mapping[str, Any]) -> dict[str, dict[str, Problem]
         folders = [folder, *sorted(path for path in folder.glob("*") if is_dir(path))]
         paths = {path.resolve().name: path for path in folders if problems_in(path)}
     if not paths:
-        raise InputError(f"problems: {folder}: expected .gr files in this folder or those in it")
+        raise InputError(f"problems: {folder}: expected .gr files in this folder or its subfolders")
     for name in paths:
         _check_set(name)
     return {name: load_problems(str(path)) for name, path in paths.items()}

@@ -123,7 +123,7 @@ class Experiment:
                 for problem in sets.get(name, ()):
                     if kept.get(problem) != sets[name][problem]:
                         file = folder / name / f"{problem}.gr"
-                        raise InputError(f"{file}: expected the problem of {name}: another folder?")
+                        raise InputError(f"{file}: expected the problem of {name}, found another")
                 sets[name] = kept
         return sets
 
@@ -142,7 +142,7 @@ class Experiment:
         for path in there:
             name = path.parent.name
             if (before is None or name in new) and path.stem not in self.sets.get(name, ()):
-                raise InputError(f"{path}: expected no problems but the experiment's")
+                raise InputError(f"{path}: expected only problems of this experiment")
         # One part of each router and set, of those that are not finished.
         parts = {(part.set, part.entry.name): part for part in self._left()}
         for part in parts.values():

@@ -246,5 +246,5 @@ def _of(folder: Path, problem: Path) -> Path:
     """The folder for the figures of a problem; raises InputError if none can be called after it."""
     stem = stem_of(problem)
     if stem in (".", ".."):
-        raise InputError(f"{problem}: expected another name: figures would leave their folder")
+        raise InputError(f"{problem}: expected another name: figures go to a folder of this name")
     return folder / stem

@@ -1,21 +1,20 @@
-"""Imitation: a network learns the moves that are best in the end, in games that it plays itself.
+"""Imitation: a network learns an expert's moves, in games that it plays itself.
 
-The teacher knows a solution of every problem, from negotiated congestion, and the **regret** of
-every move: by how much the cheapest routing that begins with it is dearer than the cheapest of all
-(:mod:`policies.generalist.regrets`). It answers for any state, also where the pupil has gone wrong,
-so the pupil learns in states that it gets into by itself (Ross, Gordon, Bagnell, "A reduction of
-imitation learning and structured prediction to no-regret online learning", AISTATS 2011).
+The expert has a solution of every problem, from negotiated congestion, and computes the **regret**
+of every move: the extra cost of the cheapest routing that begins with it
+(:mod:`policies.generalist.regrets`). It does so in any state, so the network is trained on the
+states that its own moves lead to (Ross, Gordon, Bagnell, "A reduction of imitation learning and
+structured prediction to no-regret online learning", AISTATS 2011).
 
-For a state with the regrets r the network's chances p of the moves have the loss
+For a state with regrets r and the network's probabilities p of the moves, the loss is
 
     −log Σ p exp(−16 r) + ``regret`` · Σ p min(r, 4)
 
-All best moves are as good as each other: which of them it prefers, the network is not told. Moves
-that are dearer by a small part of an edge, as there are at prices, are nearly as good.
+It does not prefer one of several best moves. Moves that cost a small fraction of an edge more, as
+occur with prices, are nearly as good.
 
 Games with prices (``train.negotiation``) teach both kinds of rounds: a share of the episodes
-(``plain``) begins with a first walk that is not priced, and leaves the nets to come the room that
-they need.
+(``plain``) begins with a first walk without prices, which keeps the capacity that later nets need.
 
 The network is meant to be shared by nets and problems: ``train.shared: true``, and ``train.games``
 to draw a new problem for every episode. The games: ``agents: single``, ``target: tree``.
@@ -67,30 +66,30 @@ _SCHEDULE = PathfinderOptions(
     patience_factor=8,
     seconds=None,
 )
-"""How the teacher negotiates. It is that of the training of the shipped weights: another one has
+"""How the expert negotiates. It is that of the training of the shipped weights: another one has
 other solutions, and weights."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImitationOptions:
-    """What imitation is told.
+    """The options of imitation learning.
 
     Attributes:
         network: gives the scores of the six moves. By default a multilayer perceptron with layers
             of 160 and 128.
-        learning_rate: Adam's.
-        anneal: whether the learning rate falls to 0 with the last episode, as half a cosine.
+        learning_rate: of Adam.
+        anneal: whether the learning rate falls to 0 along a cosine until the last episode.
         memory: states that are remembered; the oldest go first.
         batch: states of a gradient step.
         reuse: how often a state is learned from, on average.
         regret: weight of the expected regret in the loss.
-        expert_fraction: share of the episodes that the teacher plays, and in which the pupil looks
-            on. Until ``batch`` states are known the teacher plays them all.
-        drawn: share of the episodes in which the pupil draws its moves by their chances. In the
-            rest it makes those with the highest.
-        expert_moves: share of the moves in its own episodes that the teacher makes for it.
+        expert_fraction: share of the episodes that the expert plays. Until ``batch`` states are
+            collected it plays all of them.
+        drawn: share of the episodes in which the network samples its moves. In the others it makes
+            the most probable ones.
+        expert_moves: share of the moves in the network's episodes that the expert makes.
         plain: share of the episodes that begin with plain rounds. Without prices all do.
-        passes: of negotiated congestion over the nets of a problem, for the teacher's solution.
+        passes: number of passes of negotiated congestion for the expert's solution.
         masking: whether only moves that cross an edge are chosen.
     """
 
@@ -118,7 +117,7 @@ class ImitationOptions:
         for name in ("expert_fraction", "drawn", "expert_moves", "plain"):
             check(name, 0 <= getattr(self, name) <= 1, "a number from 0 to 1")
         check("passes", 1 <= self.passes <= MOST, f"a number from 1 to {MOST}")
-        check("masking", self.masking, "true: the teacher knows no other moves")
+        check("masking", self.masking, "true: the expert makes no other moves")
 
 
 class Imitation(Learner):
@@ -241,7 +240,7 @@ class Imitation(Learner):
             player.engine.begin_plain(which & self.plain[0])
 
     def _solution(self, m: int, problem: Problem) -> Solution:
-        """The teacher's solution of the problem that game m plays."""
+        """The expert's solution of the problem that game m plays."""
         known = self._solutions.get(m)
         if known is None or known[0] is not problem:
             known = self._solutions[m] = problem, self._solver.route(problem)
@@ -257,7 +256,7 @@ class Imitation(Learner):
         return np.take_along_axis(out, order, -1)
 
     def _led(self, scores: NDArray[np.float32], regrets: NDArray[np.int32]) -> NDArray[np.float32]:
-        """(M, 6) scores by which the moves are drawn: the teacher's, or the pupil's."""
+        """(M, 6) scores by which moves are sampled: the expert's or the network's."""
         o = self.options
         ways, helps = np.zeros((2, len(scores)))
         _draw(self.explore.keys[0], self.begun[0], _EPISODE, ways)

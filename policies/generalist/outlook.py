@@ -1,9 +1,9 @@
-"""What a learned router looks at: every move's way to the end, all open pins, a folded window.
+"""The generalist's observation: extra path cost of every move, open pins, a window in one layer.
 
 Like the window of :mod:`marouting.batch.window`, it is mirrored in x and in y so that the target
-lies towards +x and +y, and one shape fits every grid, number of layers and capacity. It takes
-longer to compute and is much smaller: the layers are folded into one, and two searches tell for
-every move how much farther than the best it leads.
+lies towards +x and +y, and has the same shape for every grid, number of layers and capacity. It is
+much smaller but takes longer to compute: all layers are combined into one, and two searches find
+the extra cost of every move over the best one.
 
 A row consists of these blocks; s(q) = q / (1 + |q|), far(d) is d in eighths up to 8 Gcells and then
 grows as the logarithm, 1 + ln(d / 8), up to 4; and a net's track is its demand on an edge of the
@@ -11,19 +11,19 @@ layer, at least 1.
 
 =======  ===  =====================================================================================
 numbers  16   as in :mod:`marouting.batch.window`
-detour   12   for +x, −x, +y, −y of the frame, up and down: s(d), where d is by how much the
-              cheapest way to the end that begins with the move is dearer than the cheapest of all;
-              1 where there is none. First with the capacity there is, then with predicted slack
-span     6    for the same moves: s(d), where d is by how much more edges the rest of the net takes
-              if the move is made than after the best of them, as a spanning tree counts it; 1
-              where the agent cannot go
+detour   12   for +x, −x, +y, −y of the frame, up and down: s(d), where d is the extra cost of
+              the cheapest path to the end that begins with the move; 1 where there is none. First
+              with the remaining capacity, then with the predicted slack
+span     6    for the same moves: s(d), where d is the number of edges that the rest of the net, by
+              its spanning tree, needs beyond those after the best move; 1 where the agent cannot
+              go
 crossed  8    of the edges towards +x, −x, +y, −y: s(tracks of remaining capacity, rounded down) of
               the four, then s(predicted slack in tracks) of the four; −1 off the grid
 pins     40   of the target, then of up to four other open pins, the nearest to the agent first:
               1; far(its distance) in x and y of the frame and in z; far(cost of the cheapest way
               from there to the end), 4 if there is none; far(the distance of where that way ends)
               in x and y of the frame; far(distance to the nearest Gcell at an edge of the net or
-              with the agent). 0 for pins that there are not
+              with the agent). 0 for missing pins
 room_x        s(tracks of remaining capacity) of the edges along x that touch the window, the
               largest in all layers; 0 off the grid
 room_y        the same along y
@@ -33,20 +33,20 @@ own           1 for Gcells of the window where, in any layer, the net uses an ed
 open          1 for Gcells of the window where, in any layer, an open task has its target
 =======  ===  =====================================================================================
 
-**The spanning tree** joins, by as few edges as it can, the Gcell that the move leads to, with all
-that the net has wired so far; the end of the task; and the other open pins that are seen. From the
-move's Gcell to the end, and from a pin to the end, it counts the cheapest way with the capacity
-there is; between pins, and from a pin to what is wired, the distance. The move's own edge counts as
+**The spanning tree** joins, with as few edges as possible, the Gcell that the move leads to, the
+net's edges so far, the end of the task, and the other open pins that are seen. A connection of the
+move's Gcell, or of a pin, to the end costs the cheapest path with the remaining capacity; one
+between pins, or from a pin to the net's edges, costs the distance. The move's own edge counts as
 well. A move towards two pins at once is best where the tree has branches to both.
 
-**The cheapest way** leads from a Gcell to one that ends the task: with ``target: tree`` any Gcell
-of the net's tree, otherwise the target. Every edge costs 1, those of the present walk included. One
-without room for the net costs 32 more if overflow is allowed, and cannot be crossed otherwise. With
-the predicted slack, an edge that would be left with less than nothing costs up to 4 more, 1 per
-track. In a priced round (:mod:`marouting.batch.rounds`) an edge costs what it costs the net by
-:mod:`marouting.batch.prices`. Ways stay within ``margin`` Gcells of the box around the task's ends
-and the net's other open pins; in a priced round the box grows by two Gcells more on each side for
-every round before it in a row that gained nothing.
+**The cheapest path** leads from a Gcell to one that ends the task: with ``target: tree`` any Gcell
+of the net's tree, otherwise the target. Every edge costs 1, including those of the present task.
+One without room for the net costs 32 more if overflow is allowed, and cannot be crossed otherwise.
+With the predicted slack, an edge whose slack would become negative costs 1 more per track, up to 4.
+In a priced round (:mod:`marouting.batch.rounds`) the costs are those of
+:mod:`marouting.batch.prices`. Paths stay within ``margin`` Gcells of the box around the task's ends
+and the net's other open pins; in a priced round the box grows by two more Gcells on each side for
+every consecutive round without gain.
 
 Predicted demand is explained in :mod:`marouting.batch.expected`; that of the agent itself is left
 out. Moves are those of the grid; :func:`marouting.batch.window.mirrored` translates them.
@@ -168,7 +168,7 @@ def ways_of(engine: Engine) -> Ways:
 
 @dataclass(frozen=True)
 class OutlookObservation:
-    """What a learned router looks at; see :mod:`policies.generalist.outlook`.
+    """The generalist's observation; see :mod:`policies.generalist.outlook`.
 
     Attributes:
         radius: Gcells that are seen in each direction of x and y, 0 to 32.

@@ -1,16 +1,15 @@
-"""What a move costs in the end: the teacher of routers that learn from the best moves.
+"""The regret of every move, from which imitation learns.
 
-With all other nets in place, the rest of a net's routing is a small Steiner problem: the agent has
-to reach the net's tree, and every other open pin the tree or the agent's walk. Its **regret** of a
-move is by how much the cheapest routing that begins with the move is dearer than the cheapest of
-all. Moves without regret are best; an agent that makes no other has routed its net in the best way
-that the other nets leave.
+With all other nets in place, the rest of a net's routing is a small Steiner problem: connect the
+agent and every other open pin to the net's tree. The **regret** of a move is the extra cost of the
+cheapest routing that begins with it. An agent that only makes moves with regret 0 routes its net
+optimally, given the other nets.
 
-Costs: an edge that the net uses costs nothing; in a priced round any other costs what
-:mod:`marouting.batch.prices` says, elsewhere 1, and 64 more without room for the net. Nets that
-have still to walk for the first time can be given as **coming**: the demand that they will have,
-say by a solution. Then a net leaves them the room that they need: agents that all make moves
-without regret end up with a solution no worse than that one. In priced rounds nobody leaves room.
+Costs: an edge that the net uses costs nothing. In a priced round any other costs what
+:mod:`marouting.batch.prices` says; elsewhere 1, and 64 more without capacity for the net. The
+demand of nets that are not yet routed can be given as **coming**, for instance from a solution.
+Then capacity is kept for them: if all agents make moves with regret 0, the result is no worse than
+that solution. In priced rounds no capacity is kept.
 
 The costs are exact for nets with up to four open pins beside the agent's own (of larger nets the
 four nearest count), inside the box around these pins and ``margin`` Gcells more. When a task

@@ -1,19 +1,20 @@
 """The generalist: one network for all nets and problems, and a search by rip-up rounds.
 
-First all nets walk, by the best moves, from pin to pin: where there is time for it at prices, at
-which they share edges, the more cheaply the more time there is. In another game they walk along
-Steiner trees (:mod:`marouting.trees.steiner`), which are shorter where there is room; if that ends
-better, they walk along its routes in the first game too. Then the router goes through rip-up rounds
-(:mod:`marouting.batch.rounds`), with drawn moves: net after net is asked whether to rip it up, it
-and some of those in its way are rerouted, and what is worse is undone. In priced rounds nets walk
-alone, past edges that past overflow has made dearer, and keep what costs them less; nets with few
-pins walk along cheapest trees then, which are computed, and the network moves the others. The best
-routes of all rounds are noted. With ``copies`` the problem is played several times side by side,
-all but the first with drawn moves and the nets in an order of their own, and the best of them go
-through the rounds. The result is the best copy when the time is over.
+1. The network routes all nets with its best moves. If there is time for priced rounds, edges have
+   prices (:mod:`marouting.batch.prices`): the more time, the cheaper is overflow at first.
+2. A second game follows Steiner trees (:mod:`marouting.trees.steiner`), which are shorter if
+   capacity allows. If its result is better, the first game continues from these routes.
+3. Rip-up rounds (:mod:`marouting.batch.rounds`) with sampled moves: each agent decides whether to
+   rip up its net, which is rerouted together with some nets that block it. Changes that make the
+   solution worse are undone. In priced rounds nets are rerouted one by one and keep routes that
+   cost them less. There, nets with few pins follow a computed cheapest tree, and the network moves
+   the others.
 
-The moves are ordinary moves of the environment and the rounds ordinary rounds; all that is special
-is that they are compiled (:mod:`policies.generalist.walk`).
+With ``copies`` the problem is played several times in parallel. All copies but the first have
+sampled moves and a random net order, and only the best of them enter the rounds. The result is the
+best solution of any copy after any round.
+
+All moves and rounds are those of the environment, compiled (:mod:`policies.generalist.walk`).
 """
 
 import time
@@ -72,7 +73,7 @@ _OFTEN = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class GeneralistOptions:
-    """What the generalist is told.
+    """The options of the generalist.
 
     Attributes:
         weights: a file of a trained policy with the observation ``outlook``, such as
@@ -83,18 +84,17 @@ class GeneralistOptions:
         rounds: the most rip-up rounds; 0 for a single shot.
         copies: copies of the problem that are played.
         keep: how many of them go through rip-up rounds.
-        temperature: that at which moves are drawn.
-        neighbours: the most nets that are rerouted with a net because they stand in its way.
-        patience: plain rounds in a row after which one more of them does so, from none in the first
-            ones; 0: all of them from the first on.
-        prices: whether nets negotiate (:mod:`marouting.batch.prices`), if there is time for it and
-            there are rounds. Without ``overflow: allowed``, of which the weights tell, they cannot.
-        exact_pins: where nets negotiate, those with at most so many pins walk along a cheapest tree
-            that is computed (:mod:`policies.generalist.cheapest_tree`), and do not ask the network;
-            0: none.
+        temperature: of the softmax from which moves are sampled.
+        neighbours: the most blocking nets that are rerouted together with a net.
+        patience: number of consecutive plain rounds after which one more blocking net is rerouted,
+            starting with none; 0: ``neighbours`` of them from the first round on.
+        prices: whether there are priced rounds (:mod:`marouting.batch.prices`), if time allows.
+            They need weights trained with ``overflow: allowed``.
+        exact_pins: in priced rounds, nets with at most this many pins follow a computed cheapest
+            tree (:mod:`policies.generalist.cheapest_tree`) instead of the network; 0: none.
         seed: seed of the random numbers.
-        policy: what chooses the moves: ``network``; or, to see what the search does without
-            learning, ``greedy``, whose moves lead along the cheapest way, or ``random``.
+        policy: what chooses the moves: ``network``; or, as baselines without learning, ``greedy``,
+            the shortest paths at current costs, or ``random``.
 
     Raises:
         InputError: a value is out of range.

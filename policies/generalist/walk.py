@@ -1,24 +1,22 @@
 """A network walks whole games in one compiled loop, copies of a problem side by side.
 
-It plays the game in turn order with the observation ``outlook``. While one net walks, the predicted
-demand of the others and the cheapest ways stay as they are, so they are found once a task; this is
-what makes it many times as fast as the same policy through the player.
+It plays in sequential turn order with the observation ``outlook``. While one net moves, the
+predicted demand of the others and the cheapest paths do not change, so they are computed once a
+task. This makes it many times as fast as the same policy through the player.
 
-An agent may be guided: then it walks along given routes of its net, as far as they lead to its
-target (:mod:`marouting.search.guides`). So the routes of another game become moves of this
-one. In games with prices an agent whose net has few pins walks along a cheapest tree in the same
-way (:mod:`policies.generalist.cheapest_tree`).
+An agent may follow given routes of its net, as far as they lead to its target
+(:mod:`marouting.search.guides`), for example those of another game. In games with prices an agent
+whose net has few pins follows a cheapest tree (:mod:`policies.generalist.cheapest_tree`).
 
-An agent that has taken a quarter of its steps and not arrived goes on by the cheapest way, unless
-the network alone is to walk.
+An agent that has not arrived after a quarter of its steps takes the cheapest path from there,
+unless ``fallback_after`` is None.
 
-An agent that is asked whether to rip up its net (``choose: agents``) does so with a reason: a task
-of its own is open; or it uses an edge with overflow; or, if there is none in the problem, its net
-was shorter after an earlier walk (one that was undone counts as well, but for the last net of it).
-In the first round, and the first of some priced ones, the reason is that its edges cost more than
-its shortest routes would without prices; in the other priced ones, overflow alone. Without a reason
-it does so in one round out of eight, in every round other agents, but not where overflow alone
-counts.
+With ``choose: agents``, an agent rips up its net if one of its tasks is open; if the net uses an
+edge with overflow; or, in a problem without overflow, if an earlier route of the net was shorter
+(reroutes that were undone count too, except for their last net). In the first round, and
+the first of a series of priced ones, it does so if its edges cost more than shortest routes would
+without prices; in the other priced rounds, only for overflow. Any other net is ripped up in one
+round out of eight, unless only overflow counts.
 """
 
 import math

@@ -131,7 +131,7 @@ class RoutingVecEnv(VecEnv):
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Refused: environments of one game have no attributes of their own."""
         del value, indices
-        raise AttributeError(f"{attr_name}: cannot be set, the environments share their games")
+        raise AttributeError(f"{attr_name}: cannot be set: the environments share their games")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any

@@ -16,7 +16,7 @@ from marouting.registry import names
 from marouting.search.guides import AStar, RouteFollower
 
 GUIDES = ("astar", "random")
-"""Guides that are asked move by move; the name of any other router is one too."""
+"""Guides that compute moves one by one; of other routers the solution is replayed."""
 
 
 class Guide(Protocol):
@@ -34,20 +34,20 @@ def guide(
     seed: int,
     replayed: Sequence[Solution] = (),
 ) -> Guide | None:
-    """Who moves the agents in the burn-in.
+    """The guide that moves the agents in the burn-in.
 
     Args:
-        burn_in: ``astar``: every move is A*'s, with the capacities as they are; ``random``; the
+        burn_in: ``astar``: A* computes every move at the present capacities; ``random``; the
             name of another router, whose solution is replayed
             (:class:`marouting.search.guides.RouteFollower`); or a solution file, or a
             folder with a file ``NAME.solution`` or ``NAME.*.solution`` for every problem.
-        problems: by name; the engine plays as many games of each, one after another.
+        problems: by name; the engine has the same number of games of each, in this order.
         engine: the games.
         seed: where the router's random numbers start.
         replayed: the solutions in the files, see :func:`read_solutions`.
 
     Returns:
-        Who moves them; None for random moves.
+        The guide; None for random moves.
 
     Raises:
         InputError: a router cannot route a problem.

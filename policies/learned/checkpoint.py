@@ -1,7 +1,7 @@
-"""Checkpoints and policy files, read with care: plain data and tensors, nothing that runs code.
+"""Checkpoints and policy files: plain data and tensors, nothing that runs code.
 
-What a file holds is believed only as far as it has been checked: :func:`read_checkpoint` checks its
-form, :func:`checked` every tensor against the one that it is to replace.
+:func:`read_checkpoint` checks the form of a file, and :func:`checked` every tensor against the one
+that it replaces.
 """
 
 import math
@@ -83,7 +83,7 @@ def _count(value: Any, most: int, deep: int) -> int:
     inner: Any = ()
     if type(value) is dict:
         if not all(type(key) is str for key in value):
-            raise ValueError("expected keys that are texts")
+            raise ValueError("expected strings as keys")
         inner = value.values()
     elif type(value) in (list, tuple):
         inner = value

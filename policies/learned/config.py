@@ -1,4 +1,4 @@
-"""What a training is told: the schema of a configuration, and the one place of its defaults.
+"""The schema of a training's configuration, and the one place of its defaults.
 
 ``configs/paper/default.yaml`` explains every key. The options of the learner are those of the class
 that ``learner.kind`` names, see :mod:`policies.learned.algorithms`.
@@ -29,28 +29,28 @@ class TrainOptions:
     """How a training runs.
 
     Attributes:
-        episodes: episodes per problem; one is a walk through all two-pin tasks of all nets.
+        episodes: episodes per problem; in one, all nets route all their two-pin tasks.
         shared: whether one network learns all problems; otherwise each problem has its own. None:
-            it does if games draw problems.
-        games: how many games are played side by side, each of which draws a problem at every
-            episode, as environments do: a new one of a scenario's split ``train`` or of a generator
-            with ``seed: null``, or one of a set. ``episodes`` and ``evaluate_every`` then count the
-            episodes of all games together, and the network is evaluated on the scenario's split
-            ``validation``, on problems of the generator that are never drawn, or on the set. None:
-            32 if the problems never end (a scenario's split ``train``, ``seed: null``); otherwise
-            every problem has games of its own.
-        validation: how many problems of the validation split, the first ones, or of the generator
-            a network is evaluated on; None: all of the split, 10 of the generator.
+            true if games draw problems.
+        games: number of games played in parallel, each of which draws a problem for every episode:
+            from a scenario's split ``train``, from a generator with ``seed: null``, or from a set.
+            ``episodes`` and ``evaluate_every`` then count the episodes of all games together, and
+            the network is evaluated on the scenario's split ``validation``, on problems of the
+            generator that are never drawn, or on the set. None: 32 if the problems are endless (a
+            scenario's split ``train``, ``seed: null``); otherwise every problem has its own games.
+        validation: number of problems that the network is evaluated on, the first ones of the
+            validation split or new ones of the generator; None: all of the split, 10 of the
+            generator.
         best: which episode's routes are the solution, the earliest of the best: ``routes``, by
             tasks joined, then overflow, then wirelength; or ``reward``, by tasks joined, then
             reward (the authors' code).
         evaluate_every: episodes per problem between two evaluations of the network: it plays one
             episode without exploration.
-        start: the networks that the training begins with: a file of trained ones (``policy.pt`` or
-            a checkpoint), of the problem of the same name if it holds several, or ``generalist``,
-            the one that is shipped; None: random weights. They must be of the same shape.
-        negotiation: how nets negotiate by prices in the games, for the generalist
-            (:class:`marouting.batch.prices.Negotiation`); None: they do not.
+        start: initial weights of the same shape: a ``policy.pt`` or checkpoint (if it holds several
+            networks, the one of the problem's name), or ``generalist``, the weights of the package;
+            None: random weights.
+        negotiation: prices in the games, for the generalist
+            (:class:`marouting.batch.prices.Negotiation`); None: none.
         policy: which network is saved: ``best``, that of the best evaluation, or ``last``, for a
             learner whose steps get smaller to the end.
         device: ``cpu``, or ``cuda`` for the networks.
@@ -116,9 +116,9 @@ class Config:
         what = f"{wanted} for {self.learner.name}, found {found}"
         check("env.agents", wanted in (None, found), what)
         drawn = self.train.games is not None
-        what = "true: a network for each of problems without end cannot be"
+        what = "true: endless problems need a shared network"
         check("train.shared", self.train.shared or not self.env.endless, what)
-        check("train.games", drawn or not self.env.endless, "a number: these problems never end")
+        check("train.games", drawn or not self.env.endless, "a number: these problems are endless")
 
 
 def load_config(

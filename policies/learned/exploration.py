@@ -1,7 +1,7 @@
-"""How moves are chosen in play: greedily but for a random share, or at random by their scores.
+"""Exploration: epsilon-greedy moves, or moves sampled from a softmax.
 
-Every game has its own random numbers, functions of a key and of the number of the step (see
-:mod:`policies.learned.counter_rng`): its moves do not depend on what else is played beside it.
+The random numbers of a game are functions of its key and the number of the step
+(:mod:`policies.learned.counter_rng`), so its moves do not depend on other games.
 """
 
 from typing import Any
@@ -23,7 +23,7 @@ class Exploration(PerNetworkState):
         keys: (L, games / L) uint64, of each network's games.
 
     Attributes:
-        counters: (L, games / L) int64, steps in which somebody was asked.
+        counters: (L, games / L) int64, steps in which an agent was active.
         epsilon: (L, games / L) float64, chance of a random move; 1 until it is set.
     """
 
@@ -39,11 +39,11 @@ class Exploration(PerNetworkState):
         return {**super().limits(), "counters": COUNT, "epsilon": (0.0, 1.0)}
 
     def epsilon_greedy(self, now: StepBuffers, values: NDArray[np.float32], masking: bool) -> None:
-        """Writes the best moves into a player's buffers, with chance ε random ones.
+        """Writes the best moves, or with probability ε random ones, into a player's buffers.
 
         Args:
             now: the player's buffers, of M games of K rows.
-            values: (M, K, A) what the networks expect of each move.
+            values: (M, K, A) the networks' values of the moves.
             masking: whether only moves that cross an edge are chosen.
         """
         _epsilon_greedy(
@@ -58,13 +58,13 @@ class Exploration(PerNetworkState):
         masking: bool,
         chance: NDArray[np.float32],
     ) -> None:
-        """Writes moves drawn by their scores into a player's buffers.
+        """Samples moves from the softmax of their scores and writes them into a player's buffers.
 
         Args:
             now: the player's buffers, of M games of K rows.
-            scores: (M, K, 6) logarithms of the moves' chances, up to a constant.
+            scores: (M, K, 6) logits of the moves.
             masking: whether only moves that cross an edge are chosen.
-            chance: (M, K) filled with the logarithm of the chosen move's chance.
+            chance: (M, K) filled with the log-probabilities of the chosen moves.
         """
         _sample(
             self.keys.reshape(-1), self.counters.reshape(-1), now.active, now.mask, scores,

@@ -1,8 +1,8 @@
-"""What a learner is: the trainer above knows no more of DQN, PPO or any other than this.
+"""The interface of learners, which is all that the trainer knows about DQN, PPO or others.
 
-A learner plays a :class:`marouting.player.Player` and learns from what comes of it. The player's
-actions and masks are in the order of the observation's own moves, if it has one
-(:func:`marouting.observations.move_order_of`); no learner need know. It has L networks: one
+A learner plays a :class:`marouting.player.Player` and learns from the results. The player
+translates moves and masks if the observation has its own order of moves
+(:func:`marouting.observations.move_order_of`). It has L networks: one
 for each problem, or one that all problems share.
 """
 
@@ -29,20 +29,20 @@ from policies.learned.per_network import COUNT, PerNetworkState
 
 @dataclass(frozen=True)
 class Setup:
-    """What a learner starts with.
+    """The inputs of a learner.
 
     Attributes:
-        names: of its L networks: those of the problems, or ``("all",)`` for one that all share.
-            Their random numbers depend on the names, not on who else is trained.
-        games: problems in the player, a multiple of L. One network's lie one after another: game m
-            belongs to network ``m // (games // L)``.
+        names: names of its L networks: those of the problems, or ``("all",)`` for a shared one.
+            Random numbers depend on the names, not on the other networks.
+        games: number of games in the player, a multiple of L. Game m belongs to network
+            ``m // (games // L)``.
         rows: K, rows of a game in the step buffers.
         obs_shape: of what one agent sees.
         state_shape: of one game's global state.
         player: the player that it will play, for rules about the game.
-        seed: where all random numbers start.
-        device: where the networks are.
-        threads: threads that may work for it.
+        seed: seed of the random numbers.
+        device: device of the networks.
+        threads: number of threads that it may use.
         episodes: of the whole training, per problem, for schedules.
         game_names: (games,) names of the problems, for random numbers; empty: made from ``names``.
     """
@@ -76,7 +76,7 @@ class Setup:
 
 
 class Learner(PerNetworkState, abc.ABC):
-    """L networks that learn, and all that they learn with.
+    """L networks with their optimisers and memories.
 
     A subclass is a piece of the kind ``learner``: its attribute ``Options`` is a dataclass with
     the fields ``network``, a piece, and ``masking``, whether only moves that cross an edge are
@@ -91,7 +91,7 @@ class Learner(PerNetworkState, abc.ABC):
         updates: (L,) int64 gradient steps taken.
         loss: (L,) float64 sum of the losses of all gradient steps.
         path: how it computes, for the log.
-        learning_starts: transitions that each network must have been shown before it plays.
+        learning_starts: transitions that each network must have seen before it plays.
         burn_in: who plays until then, see :func:`policies.learned.burn_in.guide`.
     """
 
@@ -100,7 +100,7 @@ class Learner(PerNetworkState, abc.ABC):
     """The only ``env.agents`` that it is for; None: it is for both."""
 
     endless: ClassVar[Mapping[str, Any]] = {}
-    """Options whose defaults are others where problems never end."""
+    """Defaults of options that differ when problems are endless."""
 
     rows: ClassVar[tuple[str, ...]] = ("updates", "loss")
     path: str = "torch"

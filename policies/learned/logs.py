@@ -146,7 +146,7 @@ class _Lines:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("a+", encoding="utf-8", newline="\n")
             if self._file.tell() < logged:
-                raise InputError(f"{path}: expected at least {logged} bytes, as when it was saved")
+                raise InputError(f"{path}: expected at least {logged} bytes, as at the checkpoint")
             self._file.truncate(logged)
 
     def write(self, lines: Sequence[Episode | GreedyEvaluation]) -> None:

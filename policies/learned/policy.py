@@ -33,7 +33,7 @@ def player_of(
     negotiation: Negotiation | None = None,
     kind: type[Player] = Player,
 ) -> Player:
-    """What plays problems as a configuration's ``env`` says, by the observation's own moves.
+    """A player of the game that a configuration's ``env`` describes, for learners.
 
     Args:
         env: the options.
@@ -90,7 +90,7 @@ class TrainedPolicy:
         obs_shape: S.
         env: the game that it was trained in.
         origin: where it is from, for reports.
-        negotiation: how nets negotiate in it; None: they do not.
+        negotiation: its prices; None: none.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class TrainedPolicy:
             names, weights = list(state["names"]), list(state["weights"])
             episodes, obs_shape = list(state["episodes"]), tuple(state["obs_shape"])
             if not all(type(name) is str for name in names):
-                raise ValueError("names: expected texts")
+                raise ValueError("names: expected strings")
             if not all(type(count) is int and 0 <= count <= MOST for count in episodes):
                 raise ValueError("episodes: expected whole numbers from 0")
             if not all(type(size) is int and 0 < size <= MOST for size in obs_shape):
@@ -144,10 +144,10 @@ class TrainedPolicy:
         except InputError:
             raise
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{where}: expected a whole file of networks: {error!r}") from None
+            raise InputError(f"{where}: expected a complete file of networks: {error!r}") from None
         if len(names) > 1 and name not in names:
             known = textwrap.shorten(str(names), 80)
-            raise InputError(f"{where}: expected a problem named as one of {known}, found {name}")
+            raise InputError(f"{where}: expected the name of a problem in {known}, found {name}")
         row = names.index(name) if name in names else 0
         try:
             make = functools.partial(learner.cls.network, learner.options, obs_shape, env.actions)
@@ -184,7 +184,7 @@ class TrainedPolicy:
         return np.take_along_axis(order, best[:, None].astype(np.int64), -1)[:, 0].astype(np.int8)
 
     def check(self, problem: Problem) -> Player:
-        """What plays a problem, in the game that the policy was trained in.
+        """A player of a problem, with the options that the policy was trained with.
 
         Raises:
             InputError: the game shows observations of another shape than the network was trained
@@ -200,7 +200,7 @@ class TrainedPolicy:
         return player
 
     def solve(self, problem: Problem) -> Routed:
-        """The routes that the policy walks on a problem, in the game that it was trained in.
+        """The policy's routes for a problem, with the options that it was trained with.
 
         Raises:
             InputError: the game shows observations of another shape than the network was trained

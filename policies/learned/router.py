@@ -17,7 +17,7 @@ class LearnedRouter:
 
     Args:
         config: what to train; its ``env.problem`` and ``out`` do not matter here.
-        checkpoint: a trained policy to walk with; None trains on every problem anew.
+        checkpoint: a trained policy to use; None: train on every problem.
         watch: called with the episodes of a training as they end.
         network: the problem whose network to take from a file that holds several.
     """

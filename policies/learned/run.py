@@ -117,7 +117,7 @@ def problems_of(
         episodes = ProblemStream(env.problem, held_out=shown)
         found = dict(map(episodes.problem, range(shown)))
     else:
-        check("train.validation", train.validation is None, "null: it is the set itself")
+        check("train.validation", train.validation is None, "null: a set is evaluated whole")
         found = fixed_problems(env) if kept is None else kept
         episodes = ProblemStream.of(dict(sorted(found.items())))
     draws = None if episodes is None else ProblemSampler(episodes, config.seed, train.games or 1)
@@ -185,7 +185,7 @@ class Run:
             others -= self.problems.keys()
             if others:
                 raise InputError(
-                    f"{self.folder / 'problems'}: expected no problems but this run's, "
+                    f"{self.folder / 'problems'}: expected only problems of this run, "
                     f"found {min(others)}.gr"
                 )
             with working_in(self.folder):
@@ -234,7 +234,7 @@ class Run:
         except InputError:
             raise
         except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise InputError(f"{path}: expected a whole checkpoint: {error!r}") from None
+            raise InputError(f"{path}: expected a complete checkpoint: {error!r}") from None
 
     def _state(self) -> dict[str, Any]:
         logged = {"logged": self._logged, "evaluated": self._evaluated}

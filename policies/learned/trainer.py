@@ -90,7 +90,7 @@ class Trainer:
                 f"found {learner.name}"
             )
         drawn = draws is not None
-        check("train.games", drawn or train.games is None, "null: this training's problems stay")
+        check("train.games", drawn or train.games is None, "null: its problems are fixed")
         self._whole = player_of(config.env, list(problems.values()), config.train.negotiation)
         engine, count = self._whole.engine, 1 if drawn else len(self.names)
         source: Any = draws
@@ -562,5 +562,5 @@ def _device(name: str) -> torch.device:
         torch.zeros(1, device=device).cpu()
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError(f"device: expected cpu, or cuda where there is one: {reason}") from None
+        raise InputError(f"device: expected cpu or an available cuda device: {reason}") from None
     return device

@@ -19,7 +19,7 @@ LOCK = ".lock"
 def working_in(folder: Path) -> Iterator[None]:
     """Keeps other processes out of a folder, which is made if it is missing.
 
-    The lock goes with the process, even one that is killed. The temporary files that killed
+    The lock ends with the process, even if it is killed. The temporary files that killed
     processes have left in the folder are removed.
 
     Raises:
@@ -35,7 +35,7 @@ def working_in(folder: Path) -> Iterator[None]:
             holder = ""
             with contextlib.suppress(OSError):
                 holder = path.read_text(encoding="utf-8", errors="replace")
-            raise InputError(f"{folder}: {holder or 'another process'} works there") from None
+            raise InputError(f"{folder}: in use by {holder or 'another process'}") from None
     try:
         with naming(path, "cannot be written"):
             path.write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")

@@ -131,7 +131,7 @@ def _read_lines(path: Path, schema: type[Line], size: int | None = None) -> list
     # Only line feeds end a line: JSON may hold other separators. All characters are ASCII.
     text = read_text(path, MOST_BYTES)
     if size is not None and len(text) < size:
-        raise InputError(f"{path}: expected at least {size} bytes, as when it was saved")
+        raise InputError(f"{path}: expected at least {size} bytes, as at the checkpoint")
     text = text[:size]
     lines = text.removesuffix("\n").split("\n") if text else []
     return [build_json(schema, line, f"{path}:{n}") for n, line in enumerate(lines, 1)]

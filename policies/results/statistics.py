@@ -41,8 +41,8 @@ def add_gaps(rows: Sequence[Row]) -> None:
     """Fills in ``gap`` of every row: its wirelength above the proven optimum's, in %.
 
     The gap is None if no row of the problem is proven optimal, or if the solution has open tasks or
-    overflow that the optimum lacks: less wirelength is then no merit. Nor is anything a share of an
-    optimum of 0, which a problem has whose nets lie in one Gcell each.
+    overflow that the optimum lacks: its wirelength is then not comparable. It is also None for an
+    optimum of 0, if every net lies in one Gcell.
     """
     optimum: dict[tuple[str, str], Row] = {}
     for row in rows:

@@ -97,11 +97,10 @@ def small_problem() -> Problem:
 
 
 def warm_up(router: Router) -> None:
-    """Routes a small problem, so that the next time is that of routing alone.
+    """Routes a small problem, so that the router has compiled and loaded what it needs.
 
-    Whatever the router compiles or loads is ready then. A learner that would be trained on the
-    problem learns two short episodes. What the small problem does not suit is left to the next one.
-    Who watches the router does not hear of it.
+    A learner without a checkpoint trains for two short episodes. An ``InputError`` is ignored, and
+    the router's ``watch`` is not called.
     """
     small = small_problem()
     with contextlib.ExitStack() as stack:

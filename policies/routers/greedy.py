@@ -23,10 +23,10 @@ class GreedyRouter:
 
     Distances are Manhattan distances over x, y and layer. Of the moves that lead nearer than the
     agent has been in this task, it makes the one across the edge with the most remaining capacity.
-    Its own edges come first, vias last: their capacity has no limit, and an agent that took one
-    whenever it could would change layers at every step. Ties go to the first in the order of
-    :class:`marouting.problem.grid.Move`. If there is no such move it walks a shortest detour, as A*
-    finds it, until there is one again. Where every way is full, it stays until the task fails.
+    The net's own edges come first. Vias come last: their capacity is unlimited, so otherwise agents
+    would change layers at every step. Ties go to the first in the order of
+    :class:`marouting.problem.grid.Move`. If there is no such move, the agent follows a shortest
+    detour, found by A*, until there is one. If no path is left, it stays until the task fails.
 
     Attributes:
         net_order: which nets come first, see :class:`marouting.rules.Nets`.

@@ -49,7 +49,7 @@ def read_routes(
     form: _Form | None = None  # of all lines between parentheses, once the first is read
     while header:
         if len(header) != 1 or header[0] not in known:
-            raise unexpected("a net of the problem that no earlier block is of", header)
+            raise unexpected("a net of the problem that is not listed above", header)
         name = header[0]
         index = known.pop(name)
         if (tokens := lines.next()) != ["("]:

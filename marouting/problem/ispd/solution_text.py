@@ -58,7 +58,7 @@ def read_solution(
                 raise unexpected("a net's name, id and (optional) number of segments", header)
             name, (found, *count), at = header[0], map(int, header[1:]), lines.number
             if name not in known:
-                raise unexpected("a net of the problem that no earlier block is of", header)
+                raise unexpected("a net of the problem that is not listed above", header)
             index = known.pop(name)
             if found != ids[index]:
                 other_ids.add(at, f"net {name}: expected id {ids[index]}, found {found}")
@@ -77,8 +77,8 @@ def read_solution(
                 what = f"expected {count[0]} segments, as this line says, found {listed}"
                 other_counts.add(at, f"net {name}: {what}")
             header = lines.next()
-    other_ids.warn("nets are told by their names")
-    other_counts.warn("what is listed counts; lines may be lost")
+    other_ids.warn("the id is ignored; the name decides")
+    other_counts.warn("the listed segments are used; the file may be incomplete")
     return SolutionRecord(
         os.fspath(path),
         {"segments": numbers},
@@ -88,7 +88,7 @@ def read_solution(
 
 
 class _Differences:
-    """What the file at a path says that is not so, of which one warning tells."""
+    """Inconsistencies in the file at a path, reported in one warning."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path, self._first, self._count = os.fspath(path), "", 0

@@ -135,7 +135,7 @@ def read_def(path: str | os.PathLike[str], library: Library, copy: Copy) -> Desi
             raise unexpected("'END DESIGN'", ["END"])
         if words.peek():
             warnings.warn(
-                f"{design.file}:{words.line}: text after END DESIGN is not read", stacklevel=2
+                f"{design.file}:{words.line}: text after END DESIGN is ignored", stacklevel=2
             )
         if design.pin_vias:
             layer = next(iter(library.routing))

@@ -35,12 +35,12 @@ from policies.learned.networks.graph import Recorded, recorder
 
 @dataclass(frozen=True, kw_only=True)
 class DQNOptions:
-    """What a DQN is told.
+    """The options of a DQN.
 
     Attributes:
         network: gives the values of the six moves.
         gamma: discount factor.
-        learning_rate: Adam's.
+        learning_rate: of Adam.
         batch_size: transitions of a gradient step.
         buffer_size: transitions that the replay memory of a network holds.
         burn_in: whose moves fill the memory first: ``astar``, ``random``, ``pathfinder``,
@@ -97,7 +97,9 @@ class DQNOptions:
         check("epsilon_decay_from", self.epsilon_decay_from >= 0, "a number from 0")
         check("target_period", 0 <= self.target_period <= MOST, f"a number from 0 to {MOST}")
         check("steps_per_update", 1 <= self.steps_per_update <= MOST, f"a number from 1 to {MOST}")
-        check("double", not self.double or self.target_period > 0, "a target_period above 0 for it")
+        check(
+            "double", not self.double or self.target_period > 0, "false, or target_period above 0"
+        )
         check("n_step", 1 <= self.n_step <= 100, "a number from 1 to 100")
         check("priority_exponent", 0 <= self.priority_exponent <= 1, "a number from 0 to 1")
         check("importance_exponent", 0 <= self.importance_exponent <= 1, "a number from 0 to 1")

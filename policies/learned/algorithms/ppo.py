@@ -36,7 +36,7 @@ from policies.learned.networks.stack import View
 
 @dataclass(frozen=True, kw_only=True)
 class PPOOptions:
-    """What PPO is told.
+    """The options of PPO.
 
     Attributes:
         network: gives the scores of the six moves (the actor), and made again with one output,
@@ -45,8 +45,8 @@ class PPOOptions:
         critic: ``local``, it sees what the agent sees, or ``central``, the game's state as well.
         num_envs: games of every problem that are played side by side.
         gamma: discount factor.
-        gae_lambda: λ of the advantage estimates: 0 trusts the critic, 1 the rewards.
-        learning_rate: Adam's.
+        gae_lambda: λ of the advantage estimates; 0 uses only the critic, 1 only the rewards.
+        learning_rate: of Adam.
         anneal: whether the learning rate falls to 0, linearly, with the last episode.
         rollout: transitions between updates.
         minibatch: transitions of a gradient step; a divisor of ``rollout``.
@@ -109,7 +109,7 @@ class PPO(Learner):
             "sequential, for ppo with agents: single",
         )
         self.central = o.critic == "central"
-        check("critic", not self.central or setup.state_shape, "local: this game shows no state")
+        check("critic", not self.central or setup.state_shape, "local: there is no global state")
         features = int(np.prod(setup.obs_shape)) + int(np.prod(setup.state_shape))
         sees = (features,) if self.central else setup.obs_shape
         self.path = f"torch, batched on {setup.device}"

@@ -1,4 +1,4 @@
-"""Rollouts: what networks did since their last update, to be learned from once.
+"""Rollouts: the transitions since the last update, each used for one update.
 
 A network's transitions lie one after another in the order of play. Those of one agent are found by
 its *stream*, a number of its own, so that agents may move at different times, or stop. As soon as

@@ -4,7 +4,7 @@ The router follows PathFinder (McMurchie and Ebeling, "PathFinder: a negotiation
 performance-driven router for FPGAs", FPGA 1995). To a net, the cost of an edge consists of the
 edge's length, a price that records its past overflow (the **history**), and a factor for the
 overflow that the net would cause now (the **present**). Nets on overflowed edges are ripped up and
-rerouted at rising prices until they have found other ways.
+rerouted at rising prices until no edge overflows.
 
 The first pass gives every net a tree of **patterns**, in a microsecond per pin: so there is a whole
 solution at once, however large the problem (:mod:`~policies.routers.pathfinder.patterns`). With
@@ -18,8 +18,8 @@ nothing better any more, passes of a fourth kind improve the best solution:
 * **relax** reroutes every net at the prices left by the earlier rounds. In the first round there
   are no prices yet, so every net takes its shortest route.
 * **negotiate** reroutes every net that uses an overflowed edge. Prices rise from pass to pass, in
-  later rounds by smaller steps. If wanted, a linear program sets the prices that they rise from
-  (:mod:`~policies.routers.pathfinder.relaxation`): some relaxing passes at its prices come before.
+  later rounds by smaller steps. Optionally a linear program sets the initial prices
+  (:mod:`~policies.routers.pathfinder.relaxation`), followed by some relax passes at these prices.
 * **squeeze** reroutes every net for least overflow, then for least length. No net gets worse. As
   soon as a pass gains too little, the next round begins.
 * **repair** lets a net that overflows or takes a detour displace others, and these yet others, a

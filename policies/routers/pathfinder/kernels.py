@@ -28,7 +28,7 @@ _MOST_OVERFLOW = 1000  # tracks of overflow beyond which more cost the same: cos
 
 @compiled
 def mixed(number: int) -> int:
-    """64 bits that look as if they were drawn, others for every number.
+    """64 pseudo-random bits, a function of a number.
 
     SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA
     2014).

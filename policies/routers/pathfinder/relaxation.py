@@ -1,10 +1,9 @@
-"""Prices from a linear program: what all trees that nets have had tell together.
+"""Prices from a linear program over all trees found so far.
 
-A search keeps every tree that a net has had. If nets could mix their trees, the least overflow of
-all mixes would be a linear program: every net gives shares to its trees, and an edge overflows by
-what the shares use of it beyond its capacity. The program's dual values are prices between 0 and 1
-for a track of every edge. They tell better than a count of past overflow which edges are scarce,
-and cheapest trees at these prices are what the program lacks: this is column generation (Dantzig
+A search keeps every tree that it has found for a net. If nets may use fractions of several trees,
+least overflow is a linear program. Its dual values are prices between 0 and 1 for a track of every
+edge. They measure scarcity better than counts of past overflow, and the cheapest trees at these
+prices are the columns to add next: this is column generation (Dantzig
 and Wolfe, "Decomposition principle for linear programs", Operations Research 8, 1960). The shares
 and prices are found by the primal-dual hybrid gradient method (Chambolle and Pock, "A first-order
 primal-dual algorithm for convex problems with applications to imaging", Journal of Mathematical
