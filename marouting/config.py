@@ -418,7 +418,9 @@ def taken(value: Any, hint: Any) -> Any:
             return form.take(value)
     *words, last = dict.fromkeys(form.words for form in forms)
     expected = f"{', '.join(words)} or {last}" if words else last
-    raise InputError(f"expected {expected}, found {_shown(value)}")
+    new = RENAMED_VALUES.get(value) if isinstance(value, str) else None
+    hint = f", which is now {new}" if new and re.search(rf"\b{new}\b", expected) else ""
+    raise InputError(f"expected {expected}, found {_shown(value)}{hint}")
 
 
 class _Form(NamedTuple):
@@ -773,6 +775,9 @@ def _prefix(where: str) -> str:
 
 _LISTED = 280  # the most characters of a list of known keys
 
+
+RENAMED_VALUES = {"chance": "random", "own": "local", "price": "history", "ways": "greedy"}
+"""Values of options before version 0.3, and what they are called now."""
 
 _PRICES = "train.negotiation of a training: only the generalist negotiates by prices"
 

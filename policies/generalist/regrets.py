@@ -86,8 +86,8 @@ class Regrets:
     """
 
     def __init__(self, engine: Engine, margin: int = 3) -> None:
-        check("target", engine.rules.target == "tree", "tree, to learn from regrets")
-        check("turn_order", engine.static.sequential, "sequential, to learn from regrets")
+        check("env.target", engine.rules.target == "tree", "tree, to learn from regrets")
+        check("env.turn_order", engine.static.sequential, "sequential, to learn from regrets")
         games, sets, cells = len(engine.games), 2 << PINS, engine.grid.gcells
         self._engine, self._margin = engine, margin
         self.lessons = Lessons(
