@@ -703,7 +703,6 @@ def refused(here: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str
 
 
 USAGE: dict[str, tuple[list[str], str]] = {
-    "nothing": ([], "command"),
     "unknown command": (["rout"], "rout"),
     "unknown option": (["route", "p.gr", "--rooter", "astar"], "--rooter"),
     "unknown router": (["route", "p.gr", "--router", "dijkstra"], "dijkstra"),
@@ -730,6 +729,11 @@ USAGE: dict[str, tuple[list[str], str]] = {
     "negative seed": (["generate", "--out", "g", "--seed", "-1"], "seed"),
     "negative route seed": (["route", "p.gr", "--router", "dqn", "seed=-1"], "seed"),
 }
+
+
+def test_without_a_command_all_of_them_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    text = printed(capsys)
+    assert all(f"  {name} " in text for name in ("benchmark", "route", "train", "view"))
 
 
 @pytest.mark.parametrize(("arguments", "named"), USAGE.values(), ids=USAGE)

@@ -494,7 +494,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "checkpoint and training": (
         {"routers": {"d": {"router": "dqn", "checkpoint": "c.pt", "learner": {"gamma": 1.0}}}},
-        "checkpoint: expected nothing to train",
+        "checkpoint: expected no keys of a training",
     ),
     "no such scenario": (
         {"problems": {"s": {"scenario": "toy-4x4-v9"}}},

@@ -210,7 +210,7 @@ class Training:
         for name in PLAYED:
             check(f"env.{name}", name not in self.env, "none: the experiment has its sets")
         told = self.config or self.env or self.learner or self.train
-        check("checkpoint", not (self.checkpoint and told), "alone: nothing is trained")
+        check("checkpoint", not (self.checkpoint and told), "no keys of a training beside it")
 
     def resolved(self, learner: str, where: str) -> dict[str, Any]:
         """The same options of a learner with every key of the training filled in."""
