@@ -8,7 +8,6 @@ There are M problems on one grid, with N agents each; problems with fewer agents
 ``nets`` is NOBODY (−1) there. Everything is to be read only.
 """
 
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any, Protocol
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.game import ACTIVE, NOBODY, Game
-from marouting.problem.grid import AXES, MOVES, Grid
+from marouting.problem.grid import AXES, Grid
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 
@@ -177,17 +176,6 @@ class Columns:
     def figures(self) -> dict[str, NDArray[Any]]:
         """What ``before`` is to show after this move."""
         return {name: self.games[name] for name in ("joined", "overflow", "wirelength")}
-
-
-@functools.cache
-def mask_table(actions: int) -> NDArray[np.int8]:
-    """(2^A, A) int8, the action mask of every set of free actions, one bit per action.
-
-    Without a free move all six are 1, so a mask is never all zero.
-    """
-    free = np.arange(1 << actions)
-    free[free % (1 << MOVES) == 0] += (1 << MOVES) - 1
-    return (free[:, None] >> np.arange(actions) & 1).astype(np.int8)
 
 
 def check_rows(

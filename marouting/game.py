@@ -26,6 +26,7 @@ many problems at once, compiled; ``tests/test_game.py`` holds the two equal.
 """
 
 import copy
+import functools
 from array import array
 from collections import Counter
 from enum import IntEnum
@@ -246,7 +247,7 @@ class Game:
             self._rip_up_next()
 
     def free_moves(self, n: int) -> int:
-        """The moves of an agent that cross an edge, one bit per move: the action mask."""
+        """The moves of an agent that cross an edge, one bit per move; see :func:`mask_table`."""
         if self.asked and n == self.turn:
             return 1 | 1 << RIP_UP  # any of the six moves keeps the route: one is enough
         cell, used, remaining = self.cell[n], self.used[n], self.remaining
@@ -503,6 +504,17 @@ class Game:
         for name in ("used", "tree", "begun", "visited", "taken"):
             setattr(twin, name, [set(one) for one in getattr(self, name)])
         return twin
+
+
+@functools.cache
+def mask_table(actions: int) -> NDArray[np.int8]:
+    """(2^A, A) int8, the action mask of every set of :meth:`Game.free_moves`, one bit per action.
+
+    Without a free move all six are 1, so a mask is never all zero.
+    """
+    free = np.arange(1 << actions)
+    free[free % (1 << MOVES) == 0] += (1 << MOVES) - 1
+    return (free[:, None] >> np.arange(actions) & 1).astype(np.int8)
 
 
 def lot(number: int, n: int, other: int) -> int:

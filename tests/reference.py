@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from marouting import Adjustment, Engine, Evaluation, Net, Pin, Problem, Solution
 from marouting.batch.prices import Negotiation
 from marouting.trees.decomposition import two_pin_tasks
+from marouting.trees.steiner import steiner_tasks
 
 Gcell = tuple[int, int, int]
 Edge = tuple[Gcell, Gcell]
@@ -89,6 +90,15 @@ def capacity_of(problem: Problem, edge: Edge) -> int | None:
             return capacity
     along_x = edge[0][0] != edge[1][0]
     return (problem.horizontal_capacity if along_x else problem.vertical_capacity)[edge[0][2]]
+
+
+def steiner_length(problem: Problem) -> NDArray[np.int64]:
+    """(nets,) int64, the length of each net's Steiner tree in edges; 0 within one Gcell."""
+    net, start, target = steiner_tasks(problem).T
+    position = problem.topology.position
+    length = np.zeros(len(problem.nets), np.int64)
+    np.add.at(length, net, np.abs(position[start] - position[target]).sum(axis=1))
+    return length
 
 
 def plain_evaluation(solution: Solution) -> Evaluation:

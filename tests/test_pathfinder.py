@@ -15,7 +15,7 @@ import scipy.sparse
 from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from reference import contested, pin_gcells
+from reference import contested, pin_gcells, steiner_length
 from strategies import problems
 
 from marouting import (
@@ -31,7 +31,7 @@ from marouting import (
 )
 from marouting.config import build, piece, read_yaml
 from marouting.problem.grid import AXES, VIA_AXIS
-from marouting.trees.steiner import EXACT_PINS, steiner_length
+from marouting.trees.steiner import EXACT_PINS
 from policies.routers.base import Router
 from policies.routers.pathfinder import (
     PathfinderOptions,

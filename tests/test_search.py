@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from reference import STEPS, Game, between, contested, distance, gcell_of, random_moves
+from reference import (
+    STEPS,
+    Game,
+    between,
+    contested,
+    distance,
+    gcell_of,
+    random_moves,
+    steiner_length,
+)
 from strategies import problems
 
 from marouting import (
@@ -27,7 +36,7 @@ from marouting.game import NOBODY, Ending, Status
 from marouting.problem.grid import OFF_GRID
 from marouting.search.guides import AStar, search_buffers, shortest_path
 from marouting.trees.decomposition import two_pin_tasks
-from marouting.trees.steiner import EXACT_PINS, steiner_length
+from marouting.trees.steiner import EXACT_PINS
 from policies.routers.astar import AStarRouter
 
 net_orders = st.sampled_from(["half_perimeter", "half_perimeter_up", "file"])

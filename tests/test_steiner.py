@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from reference import Gcell, contested, distance, gcell_of, pin_gcells
+from reference import Gcell, contested, distance, gcell_of, pin_gcells, steiner_length
 from strategies import problems
 
 from marouting import Net, Pin, Problem
 from marouting.trees.decomposition import two_pin_tasks
 from marouting.trees.exact_tree import Search, exact_tree, make_search
 from marouting.trees.lattice import CLOSED, Lattice, make_lattice, set_cost, set_size
-from marouting.trees.steiner import EXACT_PINS, steiner_length, steiner_tasks
+from marouting.trees.steiner import EXACT_PINS, steiner_tasks
 
 any_problem = st.one_of(problems(), contested(max_nets=8, max_pins=14))
 seeds = st.integers(0, 2**32)

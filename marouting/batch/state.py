@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.columns import mask_table
+from marouting.game import mask_table
 from marouting.problem.grid import MOVES
 
 
@@ -146,4 +146,4 @@ class Dynamic(NamedTuple):
     numbers: NDArray[np.int64]  # (M, C) numbers of the options; see Option
 
 
-MASKS = mask_table(MOVES)  # (64, 6) int8, see :func:`marouting.columns.mask_table`
+MASKS = mask_table(MOVES)  # (64, 6) int8, see :func:`marouting.game.mask_table`

@@ -13,8 +13,8 @@ from gymnasium.spaces import Box, Dict, Discrete
 from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 
-from marouting.columns import Columns, mask_table
-from marouting.game import ACTIVE, NOBODY, Game
+from marouting.columns import Columns
+from marouting.game import ACTIVE, NOBODY, Game, mask_table
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.observations import has_form, state_of, state_space_of
 from marouting.options import game_options

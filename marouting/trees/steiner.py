@@ -86,12 +86,3 @@ def steiner_tasks(problem: Problem) -> NDArray[np.int32]:
     grid = np.array(problem.grid, np.int64)
     rows = _cut(first, gcells, problem.topology.position, grid, lattice, search, web, tasks)
     return tasks[:rows].copy()
-
-
-def steiner_length(problem: Problem) -> NDArray[np.int64]:
-    """(nets,) int64, the length of each net's Steiner tree in edges; 0 within one Gcell."""
-    net, start, target = steiner_tasks(problem).T
-    position = problem.topology.position
-    length = np.zeros(len(problem.nets), np.int64)
-    np.add.at(length, net, np.abs(position[start] - position[target]).sum(axis=1))
-    return length

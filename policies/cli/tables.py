@@ -165,9 +165,9 @@ _BENCHMARK = ("score", "open", "overflow", "gap\n%", "at ref.\n%", "A*\nW/T/L", 
 """The headings of a benchmark's table."""
 
 _BENCHMARK_NOTES = (
-    "score: 0 as sequential A*, 1 as the reference (the proven optimum or the best known), by open "
-    "nets, then overflow, then wirelength; interquartile mean [95 % bootstrap interval]. open: "
-    "problems with open nets. overflow: in all, in tracks. gap: mean wirelength above the "
+    "score: 0 for sequential A*, 1 for the reference (the proven optimum or the best known), by "
+    "open nets, then overflow, then wirelength; interquartile mean [95 % bootstrap interval]. "
+    "open: problems with open nets. overflow: the sum, in tracks. gap: mean wirelength above the "
     "reference, of the solutions with its open nets and overflow (the number of problems, if not "
     "all). at ref.: solutions as good as the reference. W/T/L: wins, ties and losses against A*. "
     "seconds: median per problem. All per seed. ?: not known. docs/scenarios.md explains the "

@@ -128,10 +128,10 @@ def _page(groups: Mapping[_Group, Sequence[Result]], drawn: set[str]) -> str:
         "[results/benchmark](../results/benchmark); do not edit it. "
         "[Scenarios](../scenarios.md) explains the protocol and how to add a row.",
         "",
-        "**Score**: 0 as sequential A*, 1 as the reference (the proven optimum, or the best "
+        "**Score**: 0 for sequential A*, 1 for the reference (the proven optimum, or the best "
         "solution known); by open nets, then overflow, then wirelength; interquartile mean over "
         "problems and seeds with its 95 % bootstrap interval. **Open**: problems with open nets. "
-        "**Overflow**: in all, in tracks. **Gap**: mean wirelength above the reference, of the "
+        "**Overflow**: the sum, in tracks. **Gap**: mean wirelength above the reference, of the "
         "solutions with its open nets and overflow; in brackets the number of problems, if not "
         "all. **At reference**: solutions as good as it. **W/T/L**: wins, ties and losses against "
         "A*. All of these are per seed. **Seconds**: median wall time per problem. **Rerun**: "
