@@ -17,13 +17,12 @@ from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from reference import contested
+from reference import contested, steiner_length
 from strategies import problems
 
 from marouting import InputError, Net, Pin, Problem, evaluate, generate, sequential_astar
 from marouting.config import build
 from marouting.problem.grid import AXES, VIA_AXIS, Grid
-from marouting.trees.steiner import steiner_length
 from policies.routers.base import Router, solve, warm_up
 from policies.routers.optimal import OptimalRouter, Optimum
 from policies.routers.optimal.priced_tree import NEVER, Across, Window, cheapest_priced_tree
