@@ -7,6 +7,7 @@ of Gymnasium's own vectors to the latter, use ``gymnasium.make_vec`` (:mod:`maro
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -108,8 +109,10 @@ class BatchEnv(EzPickle):
         )
         if not (is_whole(threads) and threads >= 1):
             raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
-        order = ORDERS["multi" if everyone else "single"]
-        checked = game_options({"turn_order": order, **options})
+        checked = game_options(options)
+        if checked.turn_order is None:
+            order = ORDERS["multi" if everyone else "single"]
+            checked = replace(checked, turn_order=order)
         check("agents_persist", not checked.agents_persist, "false: all rows stay; see active")
         draws = _draws(self._draws_of, problems, problem, checked, seed)
         if draws is None:
