@@ -77,30 +77,44 @@ class StepBuffers(NamedTuple):
 
     @classmethod
     def of(
-        cls, problems: int, rows: int, shape: tuple[int, ...], actions: int = MOVES
+        cls,
+        problems: int,
+        rows: int,
+        shape: tuple[int, ...],
+        actions: int = MOVES,
+        make: Any = None,
     ) -> "StepBuffers":
-        """New buffers; raises InputError if they would take too much memory."""
-        size = math.prod(shape)
-        bytes_of_obs = 2 * np.dtype(np.float32).itemsize * problems * rows * size
-        check_memory(bytes_of_obs, "{} observations of {} numbers", problems * rows, size)
+        """New buffers, of zeros that ``make`` (shape, dtype) makes; None: on the processor.
+
+        Raises:
+            InputError: they would take too much memory.
+        """
+        if make is None:
+            size = math.prod(shape)
+            bytes_of_obs = 2 * np.dtype(np.float32).itemsize * problems * rows * size
+            check_memory(bytes_of_obs, "{} observations of {} numbers", problems * rows, size)
+            make = np.zeros
         each = problems, rows
-        return cls(
-            agents=np.full(each, NOBODY, np.int32),
-            obs=np.zeros((*each, *shape), np.float32),
-            mask=np.ones((*each, actions), np.int8),
-            actions=np.full(each, NOBODY, np.int8),
-            acted=np.zeros(each, np.bool_),
-            reward=np.zeros(each, np.float32),
-            ending=np.zeros(each, np.int8),
-            final_obs=np.zeros((*each, *shape), np.float32),
-            final_mask=np.ones((*each, actions), np.int8),
-            terminated=np.zeros(each, np.bool_),
-            truncated=np.zeros(each, np.bool_),
-            active=np.zeros(each, np.bool_),
-            over=np.zeros(problems, np.bool_),
-            total=np.zeros(problems),
-            final=np.zeros(problems, GAME),
+        buffers = cls(
+            agents=make(each, np.int32),
+            obs=make((*each, *shape), np.float32),
+            mask=make((*each, actions), np.int8),
+            actions=make(each, np.int8),
+            acted=make(each, np.bool_),
+            reward=make(each, np.float32),
+            ending=make(each, np.int8),
+            final_obs=make((*each, *shape), np.float32),
+            final_mask=make((*each, actions), np.int8),
+            terminated=make(each, np.bool_),
+            truncated=make(each, np.bool_),
+            active=make(each, np.bool_),
+            over=make((problems,), np.bool_),
+            total=make((problems,), np.float64),
+            final=make((problems,), GAME),
         )
+        buffers.agents[:] = buffers.actions[:] = NOBODY
+        buffers.mask[:] = buffers.final_mask[:] = 1
+        return buffers
 
 
 class FastPath(NamedTuple):
@@ -112,6 +126,22 @@ class FastPath(NamedTuple):
     via_capacity: float  # see PaperObservation
     prices: NDArray[np.float32]  # (5, 3) see PaperReward.table
     overflow_price: float  # see PaperReward
+
+    @classmethod
+    def of(cls, observation: Observation, reward: Reward, everyone: bool) -> "FastPath":
+        """What is known about these pieces."""
+        looks = observation if type(observation) is PaperObservation else PaperObservation()
+        pays = PaperReward()
+        if isinstance(reward, PaperReward) and type(reward) in KNOWN:
+            pays = reward
+        return cls(
+            everyone,
+            looks is observation,
+            pays is reward,
+            looks.via_capacity,
+            pays.table,
+            pays.overflow_price,
+        )
 
 
 class Earlier(NamedTuple):
@@ -176,18 +206,7 @@ class Player:
             rows = agents if everyone else 1
             buffers = StepBuffers.of(problems, rows, shape, engine.actions)
         self.buffers = buffers
-        looks = observation if type(observation) is PaperObservation else PaperObservation()
-        pays = PaperReward()
-        if isinstance(reward, PaperReward) and type(reward) in KNOWN:
-            pays = reward
-        self.fast = FastPath(
-            everyone,
-            looks is observation,
-            pays is reward,
-            looks.via_capacity,
-            pays.table,
-            pays.overflow_price,
-        )
+        self.fast = FastPath.of(observation, reward, everyone)
         self._bind()
 
     @property
@@ -224,7 +243,7 @@ class Player:
             self._step = specialised(kernel, *self._arguments, True, True)
             return
         nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
-        self._settle = specialised(_settle_and_show, *self._arguments, nobody, nowhere, _NOT)
+        self._settle = specialised(_settle_and_show, *self._arguments, nobody, nowhere, NOT)
         if not own_reward:
             self._move = specialised(_move_and_pay, *self._arguments, nobody)
 
@@ -243,7 +262,7 @@ class Player:
         which = np.ascontiguousarray(which)  # as bound code expects it
         self._start(which)
         nobody = np.full(len(over), NOBODY, np.int32)
-        self._settle(*self._arguments, which, nobody, _NOT)
+        self._settle(*self._arguments, which, nobody, NOT)
         self._look(which)
         self._turn_masks()
 
@@ -376,7 +395,7 @@ class Player:
         if self._before is None:
             self._move(*self._arguments, begins)
             self._look_back(asked)
-            self._settle(*self._arguments, begins, asked, _ALL)
+            self._settle(*self._arguments, begins, asked, ALL)
         else:
             self._move_by_turns(self._before, begins, asked)
             self._look_back(asked)
@@ -627,7 +646,7 @@ def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int
 
 
 @inlined
-def _start(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
+def start_game(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
     """Starts an episode of a problem, in which nobody has acted yet."""
     reset_problem(static, dynamic, m)
     b.over[m] = False
@@ -725,30 +744,80 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
 # --- any observation ------------------------------------------------------------------------------
 
 
+@inlined
+def move_game(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
+    """The moves of a step of one problem and what is paid for them, before anybody settles."""
+    if fast.everyone:
+        move_everyone(static, dynamic, m, b.actions)
+    else:
+        move_player(static, dynamic, m, i64(b.actions[m, 0]))
+    for row in range(b.agents.shape[1]):
+        n = i64(row) if fast.everyone else i64(dynamic.games[m].agent)
+        if n == NOBODY or dynamic.agents[m, as_index(n)].status == Status.ABSENT:
+            b.acted[m, row] = False
+            b.reward[m, row] = 0
+            b.ending[m, row] = Ending.NONE
+        else:
+            b.total[m] += _take_stock(dynamic, b, fast, m, as_index(n), row)
+
+
 @compiled
 def _move_and_pay(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, begins: Any
 ) -> None:
-    """The moves of a step and what the paper's reward pays for them, before anybody settles."""
+    """:func:`move_game` in all problems whose episode does not begin."""
     for m in range(len(begins)):
-        if begins[m]:
-            continue
-        if fast.everyone:
-            move_everyone(static, dynamic, m, b.actions)
-        else:
-            move_player(static, dynamic, m, i64(b.actions[m, 0]))
-        for row in range(b.agents.shape[1]):
-            n = i64(row) if fast.everyone else i64(dynamic.games[m].agent)
-            if n == NOBODY or dynamic.agents[m, as_index(n)].status == Status.ABSENT:
-                b.acted[m, row] = False
-                b.reward[m, row] = 0
-                b.ending[m, row] = Ending.NONE
-            else:
-                b.total[m] += _take_stock(dynamic, b, fast, m, as_index(n), row)
+        if not begins[m]:
+            move_game(static, dynamic, b, fast, m)
 
 
-_NOT, _TURNS, _ALL = 0, 1, 2
+NOT, _TURNS, ALL = 0, 1, 2
 """What is to be settled at the end of a step: nothing, whose turn it is, or all that agents do."""
+
+
+@inlined
+def settle_game(
+    static: Static,
+    dynamic: Dynamic,
+    b: StepBuffers,
+    fast: FastPath,
+    m: int,
+    asked: int,
+    what: int,
+) -> None:
+    """The end of a step of one problem, whose turn was ``asked``'s; writes what became of agents."""
+    game = dynamic.games[m]
+    if what != NOT:
+        if fast.everyone:
+            if what == ALL:
+                settle_everyone(static, dynamic, m)
+            else:
+                settle_turns(static, dynamic, m)
+        elif asked != NOBODY:
+            if what == ALL:
+                settle_player(static, dynamic, m)
+            else:
+                pass_turn(static, dynamic, m)
+        acted = False
+        for row in range(b.agents.shape[1]):
+            acted |= b.acted[m, row]
+        _finish(b, m, acted, game)
+    if not fast.everyone:
+        b.agents[m, 0] = game.agent
+    for row in range(b.agents.shape[1]):
+        n = i64(row) if fast.everyone else i64(asked)
+        if n != NOBODY:  # once a game is over, these stay as its last move left them
+            status = dynamic.agents[m, as_index(n)].status
+            b.terminated[m, row] = status == Status.TERMINATED
+            b.truncated[m, row] = status == Status.TRUNCATED
+        n = i64(b.agents[m, row])
+        b.active[m, row] = n != NOBODY and dynamic.agents[m, as_index(n)].status == Status.ACTIVE
+
+
+@inlined
+def write_mask(static: Static, dynamic: Dynamic, mask: Any, m: int, n: int, row: int) -> None:
+    """Writes the moves of an agent that cross an edge; ones for NOBODY."""
+    _write_mask(mask, m, row, _free(static, dynamic, m, n))
 
 
 @compiled
@@ -761,37 +830,13 @@ def _settle_and_show(
     asked: Any,
     what: int,
 ) -> None:
-    """The end of a step: next tasks start, the turn passes; writes all but what agents see."""
+    """:func:`settle_game` in all problems, and the masks."""
     for m in range(len(begins)):
-        game = dynamic.games[m]
-        if what != _NOT and not begins[m]:
-            if fast.everyone:
-                if what == _ALL:
-                    settle_everyone(static, dynamic, m)
-                else:
-                    settle_turns(static, dynamic, m)
-            elif asked[m] != NOBODY:
-                if what == _ALL:
-                    settle_player(static, dynamic, m)
-                else:
-                    pass_turn(static, dynamic, m)
-            acted = False
-            for row in range(b.agents.shape[1]):
-                acted |= b.acted[m, row]
-            _finish(b, m, acted, game)
-        if not fast.everyone:
-            b.agents[m, 0] = game.agent
+        settle_game(
+            static, dynamic, b, fast, m, i64(asked[m]), i64(NOT) if begins[m] else i64(what)
+        )
         for row in range(b.agents.shape[1]):
-            n = i64(row) if fast.everyone else i64(asked[m])
-            if n != NOBODY:  # once a game is over, these stay as its last move left them
-                status = dynamic.agents[m, as_index(n)].status
-                b.terminated[m, row] = status == Status.TERMINATED
-                b.truncated[m, row] = status == Status.TRUNCATED
-            n = i64(b.agents[m, row])
-            b.active[m, row] = (
-                n != NOBODY and dynamic.agents[m, as_index(n)].status == Status.ACTIVE
-            )
-            _write_mask(b.mask, m, row, _free(static, dynamic, m, n))
+            write_mask(static, dynamic, b.mask, m, i64(b.agents[m, row]), i64(row))
 
 
 # --- the paper's pieces ---------------------------------------------------------------------------
@@ -806,7 +851,7 @@ def _play_everyone(
     """Steps and restarts of all problems, where all agents have a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
-            _start(static, dynamic, b, m)
+            start_game(static, dynamic, b, m)
             for n in range(b.agents.shape[1]):
                 b.active[m, n] = dynamic.agents[m, n].status == Status.ACTIVE
                 if b.active[m, n]:
@@ -822,7 +867,7 @@ def _play_player(
     """:func:`_play_everyone` where only the agent whose turn it is has a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
-            _start(static, dynamic, b, m)
+            start_game(static, dynamic, b, m)
             _look_at_player(static, dynamic, b, fast, m)
         elif steps:
             _step_player(static, dynamic, b, fast, m)
