@@ -136,6 +136,11 @@ class WindowObservation:
         once = len(set(given)) == len(given) > 0 and set(given) <= set(CHANNELS)
         check("channels", once, f"some of {', '.join(CHANNELS)}, each once, found {given}")
 
+    @property
+    def local_radius(self) -> int | None:
+        """``radius``; None with ``demand``, which is made of where all other nets are going."""
+        return None if "demand" in self.channels else self.radius
+
     @cached_property
     def layout(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
         """Where each block of a row is, and the shape to give it: (columns, rows, layers).
