@@ -39,7 +39,15 @@ from marouting.batch.rules import (
 )
 from marouting.batch.state import GAME, MASKS, Dynamic, Option, Static
 from marouting.config import check
-from marouting.game import NOBODY, Crossing, Ending, Status
+from marouting.game import (
+    ACTIVE,
+    ANSWERED,
+    GOES_ON,
+    NOBODY,
+    Crossing,
+    Ending,
+    Status,
+)
 from marouting.kernels import as_index, compiled, i64, inlined, specialised
 from marouting.memory import check_memory
 from marouting.observations import Observation, PaperObservation, has_move_order, move_order_of
@@ -49,6 +57,8 @@ from marouting.rewards import KNOWN, PaperReward, Reward, paid_by
 from marouting.source import ProblemSampler
 
 COMPILES = "the batch of games", 8
+
+_STAYED = Crossing.NONE.value
 
 
 class StepBuffers(NamedTuple):
@@ -244,6 +254,11 @@ class Player:
             return
         nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
         self._settle = specialised(_settle_and_show, *self._arguments, nobody, nowhere, NOT)
+        # Problems, agents and rows of those that have arrived.
+        self._places = tuple(np.zeros(buffers.agents.size, np.int32) for _ in range(3))
+        self._list_arrived = specialised(_list_arrived, *self._arguments, nowhere, *self._places)
+        masks = buffers.final_mask.reshape(-1, engine.actions)
+        self._mask = specialised(_mask_rows, engine.static, engine.dynamic, *self._places, masks)
         if not own_reward:
             self._move = specialised(_move_and_pay, *self._arguments, nobody)
 
@@ -423,8 +438,7 @@ class Player:
             if engine.static.extended:
                 # More may have changed than one edge of one net.
                 mover = engine.agents[np.arange(len(movers)), movers]
-                answered = mover["crossing"] == Crossing.ANSWERED
-                changed = answered | (mover["ending"] != Ending.NONE)
+                changed = (mover["crossing"] == ANSWERED) | (mover["ending"] != GOES_ON)
                 self._mirror(changed & (movers != NOBODY))
         if self.everyone:
             b.reward[:] = paid
@@ -434,8 +448,8 @@ class Player:
             taken = np.arange(len(asked)), asked
         agents = engine.agents[taken].reshape(b.acted.shape)
         nobody = begins if self.everyone else begins | (asked == NOBODY)
-        b.acted[:] = (agents["crossing"] != Crossing.NONE) & ~nobody[:, None]
-        b.ending[:] = np.where(b.acted, agents["ending"], Ending.NONE)
+        b.acted[:] = (agents["crossing"] != _STAYED) & ~nobody[:, None]
+        b.ending[:] = np.where(b.acted, agents["ending"], GOES_ON)
         b.total[:] += b.reward.sum(axis=1, dtype=np.float64)
 
     def _turns(self, begins: NDArray[np.bool_]) -> Iterator[tuple[Any, Any]]:
@@ -460,27 +474,23 @@ class Player:
     def _look_back(self, asked: NDArray[np.int32]) -> None:
         """Writes what agents saw where they arrived, whose tasks ended or who pass the turn."""
         b, engine = self.buffers, self.engine
-        rows = b.ending != Ending.NONE
-        if not (self.everyone or engine.static.sequential):
-            rows |= b.acted & (engine.games["active"] > 1)[:, None]
-        if not rows.any():
+        count = self._list_arrived(*self._arguments, asked, *self._places)
+        if not count:
             return
-        problems, row = np.nonzero(rows)
-        problems = problems.astype(np.int32)
-        agents = row.astype(np.int32) if self.everyone else asked[problems]
+        problems, agents, rows = (array[:count] for array in self._places)
         if self._before is not None:  # those whose tasks have ended stand elsewhere by now
             active = engine.games["active"].copy()
             settled = engine.agents["status"][problems, agents]
-            np.add.at(engine.games["active"], problems, settled != Status.ACTIVE)
+            np.add.at(engine.games["active"], problems, settled != ACTIVE)
             self._swap_arrived(problems, agents)
-        out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
+        out = np.empty((count, *b.obs.shape[2:]), np.float32)
         self._see(problems, agents, out)
-        b.final_obs[rows] = out
-        masks = engine.masks(problems, agents)
+        b.final_obs.reshape(-1, *b.obs.shape[2:])[rows] = out
+        masks = b.final_mask.reshape(-1, engine.actions)
+        self._mask(engine.static, engine.dynamic, problems, agents, rows, masks)
         if self.turned:
             order = move_order_of(self.observation, out, engine.actions)
-            masks = np.take_along_axis(masks, order, -1)
-        b.final_mask[rows] = masks
+            masks[rows] = np.take_along_axis(masks[rows], order, -1)
         if self._before is not None:
             self._swap_arrived(problems, agents)
             engine.games["active"] = active
@@ -531,6 +541,40 @@ def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.
     """(M, K) the entries of orders (M, K, A) at moves (M, K); no move stays none."""
     found = np.take_along_axis(order, np.maximum(moves, 0)[..., None].astype(np.int64), -1)
     return np.where(moves == NOBODY, NOBODY, found[..., 0]).astype(np.int8)
+
+
+@compiled
+def _list_arrived(
+    static: Static,
+    dynamic: Dynamic,
+    b: StepBuffers,
+    fast: FastPath,
+    asked: Any,
+    problems: Any,
+    agents: Any,
+    rows: Any,
+) -> int:
+    """Lists the agents whose tasks have ended, or who pass the turn; returns how many they are."""
+    count = 0
+    for m in range(len(asked)):
+        passes = not (fast.everyone or static.sequential) and dynamic.games[m].active > 1
+        for row in range(b.agents.shape[1]):
+            if b.ending[m, row] != Ending.NONE or (passes and b.acted[m, row]):
+                problems[count] = m
+                agents[count] = row if fast.everyone else asked[m]
+                rows[count] = m * b.agents.shape[1] + row
+                count += 1
+    return count
+
+
+@compiled
+def _mask_rows(
+    static: Static, dynamic: Dynamic, problems: Any, agents: Any, rows: Any, out: Any
+) -> None:
+    """Fills rows (K,) of ``out`` with the masks of agents (K,)."""
+    for i in range(len(rows)):
+        free = free_moves(static, dynamic, as_index(problems[i]), as_index(agents[i]))
+        write_moves(free, out, as_index(rows[i]))
 
 
 @compiled

@@ -41,7 +41,6 @@ class Maps(NamedTuple):
     counted: NDArray[np.int32]  # (M, N, 3) Gcell, target and task of agents in the maps, or NOBODY
     corner: NDArray[np.int64]  # (M, G, 2) what ``expected`` is the sum of, over lower x and y
     expected: NDArray[np.int64]  # (M, G, 2) expected demand on a Gcell's edges towards +x and +y
-    heads: NDArray[np.int32]  # (M, G) active agents
     later: NDArray[np.uint8]  # (M, T) tasks in the maps that agents have still to begin
     changed: NDArray[np.int32]  # (M, 2) first and last column with changes to be summed up
 
@@ -66,7 +65,6 @@ def maps_of(engine: Engine) -> Maps:
             counted=np.zeros((m, n, 3), np.int32),
             corner=np.zeros((m, grid.gcells, 2), np.int64),
             expected=np.zeros((m, grid.gcells, 2), np.int64),
-            heads=np.zeros((m, grid.gcells), np.int32),
             later=np.zeros((m, engine.most_tasks), np.uint8),
             changed=np.tile(np.array([_NO_COLUMN, NOBODY], np.int32), (m, 1)),
         )
@@ -90,7 +88,7 @@ def _begin_maps(static: Static, maps: Maps, m: int) -> None:
     tracks = static.demand[m].sum(axis=0)
     maps.track[m] = np.where(tracks > 0, tracks / playing, 1)
     maps.counted[m] = NOBODY
-    for array in (maps.corner, maps.expected, maps.heads, maps.later):
+    for array in (maps.corner, maps.expected, maps.later):
         array[m] = 0
 
 
@@ -133,7 +131,6 @@ def count_task(static: Static, maps: Maps, m: int, n: int, near: int, far: int, 
 def count_agent(static: Static, maps: Maps, m: int, n: int, later: bool, sign: int) -> None:
     """Adds an agent's present task and those noted as later to the maps, or takes them off."""
     cell, target = as_index(maps.counted[m, n, 0]), as_index(maps.counted[m, n, 1])
-    maps.heads[m, cell] += sign
     count_task(static, maps, m, n, cell, target, sign)
     if later:
         for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
