@@ -40,6 +40,10 @@ class BatchEnv(EzPickle):
     :meth:`reset`, :meth:`step` and :meth:`state` return belong to the environment and are
     overwritten by the next call, so copy what you want to keep.
 
+    The rows of agents that are done stay, and are paid until the problem's episode is over. With
+    ``agents_persist`` they are terminated or truncated only then, all together, and their masks
+    allow a single action, which has no effect.
+
     A problem whose episode is over starts its next one in the following step, like Gymnasium's
     ``AutoresetMode.NEXT_STEP``: that step ignores the problem's actions, its rewards are 0, and its
     observations are those of the new episode.
@@ -61,6 +65,9 @@ class BatchEnv(EzPickle):
             :data:`marouting.source.Source`.
         everyone: whether all agents have a row and move in every step.
         autoreset: whether the next episode starts when one is over.
+        play_once: whether each of a list of problems, or of the problems of a split, is played only
+            once after :meth:`reset`. Its rows then stay inactive, so that a loop ``while
+            info["active"].any()`` ends. Not for games that draw their problems.
         threads: number of threads among which the problems are divided; the results do not depend
             on it. Several threads may call your own observation or reward at the same time, each
             for its own problems.
@@ -92,6 +99,7 @@ class BatchEnv(EzPickle):
         problem: Source = None,
         everyone: bool = True,
         autoreset: bool = True,
+        play_once: bool = False,
         threads: int = 1,
         seed: int = 0,
         **options: Any,
@@ -102,6 +110,7 @@ class BatchEnv(EzPickle):
             problem=problem,
             everyone=everyone,
             autoreset=autoreset,
+            play_once=play_once,
             threads=threads,
             seed=seed,
             **options,
@@ -110,7 +119,10 @@ class BatchEnv(EzPickle):
             raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
         order = ORDERS["multi" if everyone else "single"]
         checked = game_options({"turn_order": order, **options})
-        check("agents_persist", not checked.agents_persist, "false: all rows stay; see active")
+        self._persists = checked.agents_persist
+        check("agents_persist", everyone or not self._persists, "false: only one row")
+        once = not play_once or not is_whole(problems)
+        check("play_once", once, "false: these games draw their problems")
         draws = _draws(self._draws_of, problems, problem, checked, seed)
         if draws is None:
             self.engine = engine = Engine(_batch(problems, checked), checked)
@@ -120,7 +132,7 @@ class BatchEnv(EzPickle):
             )
         self._draws = draws
         bounds = draws.episodes.bounds if draws else engine.problems
-        self.autoreset, self._everyone = autoreset, everyone
+        self.autoreset, self._everyone = autoreset and not play_once, everyone
         observation, reward = checked.observation.make(), checked.reward.make()
         overflow = engine.static.overflow_allowed
         self.single_observation_space = observation.space(bounds, overflow)
@@ -217,7 +229,8 @@ class BatchEnv(EzPickle):
             * (M, K, *S) float32 observations,
             * (M, K) float32 rewards: what the moves of the step paid each agent,
             * (M, K) bool terminated: all tasks of the agent are joined,
-            * (M, K) bool truncated: all tasks of the agent have ended and some failed,
+            * (M, K) bool truncated: all tasks of the agent have ended and some failed; both wait
+              for the end of the episode with ``agents_persist``,
             * an info, a dictionary of
 
               * ``agents`` (M, K) int32: the agent of each row, −1 for none;
@@ -258,7 +271,16 @@ class BatchEnv(EzPickle):
         first.step(self.autoreset)
         for other in running:
             other.result()
+        if self._persists:
+            self._end_together()
         return b.obs, b.reward, b.terminated, b.truncated, self._info()
+
+    def _end_together(self) -> None:
+        """Agents that are done stay to the end of the episode, with a single action."""
+        b = self._buffers
+        playing = self.engine.games["active"] > 0
+        b.terminated[playing] = b.truncated[playing] = False
+        b.mask[~b.active & self.present] = np.eye(1, self.engine.actions, dtype=np.int8)
 
     def state(self) -> NDArray[np.float32]:
         """(M, X, Y, 5 Z) float32, the global states; see :func:`.observations.state_space`.
