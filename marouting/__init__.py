@@ -18,6 +18,7 @@ from marouting.generator import generate
 from marouting.make import make
 from marouting.observations import Observation, PaperObservation
 from marouting.options import EnvOptions
+from marouting.problem.field import Field
 from marouting.problem.grid import Move
 from marouting.problem.net import Adjustment, Net, Pin
 from marouting.problem.problem import Problem
@@ -31,6 +32,7 @@ __all__ = [
     "Engine",
     "EnvOptions",
     "Evaluation",
+    "Field",
     "InputError",
     "Move",
     "Net",

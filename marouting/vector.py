@@ -7,6 +7,7 @@ of Gymnasium's own vectors to the latter, use ``gymnasium.make_vec`` (:mod:`maro
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -117,8 +118,10 @@ class BatchEnv(EzPickle):
         )
         if not (is_whole(threads) and threads >= 1):
             raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
-        order = ORDERS["multi" if everyone else "single"]
-        checked = game_options({"turn_order": order, **options})
+        checked = game_options(options)
+        if checked.turn_order is None:
+            order = ORDERS["multi" if everyone else "single"]
+            checked = replace(checked, turn_order=order)
         self._persists = checked.agents_persist
         check("agents_persist", everyone or not self._persists, "false: only one row")
         once = not play_once or not is_whole(problems)
