@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from marouting.batch.engine import Engine
 from marouting.config import check
 from marouting.errors import InputError
-from marouting.observations import state_of, state_space_of
+from marouting.observations import Observation, state_of, state_space_of
 from marouting.options import ORDERS, GameOptions, game_options
 from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
@@ -171,6 +171,11 @@ class BatchEnv(EzPickle):
         """Prepares threads, which start as they are needed."""
         self._process = os.getpid()
         self._threads = ThreadPoolExecutor(len(self._players))
+
+    @property
+    def observation(self) -> Observation:
+        """What agents see, the object that writes it."""
+        return self._players[0].observation
 
     @property
     def present(self) -> NDArray[np.bool_]:
