@@ -1,9 +1,9 @@
 """The array player: plays M problems at once for the batch environment and for trainings.
 
-With the paper's observation and reward, a whole step is one compiled call. With the paper's reward
-and another observation, the moves of a step are one compiled call, and the observation is called at
-most twice: for the final observations of tasks and turns that end, and then for all rows. With
-another reward, moves are made one by one, and the reward is called after each of them.
+With the paper's observation and a built-in reward, a whole step is one compiled call. With another
+observation, the moves of a step are one compiled call, and the observation is called at most twice:
+for the final observations of tasks and turns that end, and then for all rows. With a reward of your
+own, moves are made one by one, and the reward is called after each of them.
 
 :class:`StepBuffers` holds what a learner needs: which tasks ended in the step, and how; the final
 observation of a task, from which to bootstrap; and, on request, only the row of the agent whose
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from marouting.batch.bits import copy_row
 from marouting.batch.engine import Engine
 from marouting.batch.observation import paper_reward, see_paper, write_paper
+from marouting.batch.payment import move_and_pay
 from marouting.batch.rules import (
     free_moves,
     may_move,
@@ -53,7 +54,7 @@ from marouting.memory import check_memory
 from marouting.observations import Observation, PaperObservation, has_move_order, move_order_of
 from marouting.options import FORMS
 from marouting.problem.grid import MOVES
-from marouting.rewards import KNOWN, PaperReward, Reward, paid_by
+from marouting.rewards import Prices, Reward, Share, paid_by, prices_of
 from marouting.source import ProblemSampler
 
 COMPILES = "the batch of games", 8
@@ -132,25 +133,40 @@ class FastPath(NamedTuple):
 
     everyone: bool  # whether all agents have a row, or only the one whose turn it is
     observation: bool  # whether the observation is the paper's
-    reward: bool  # whether the reward is the paper's
+    reward: bool  # whether the reward is nothing but the following prices
+    shares: bool | None  # True if they are more than the table, which only pays the agent that
+    # moves, otherwise None: then compiled code knows by the type that it need not look
     via_capacity: float  # see PaperObservation
-    prices: NDArray[np.float32]  # (5, 3) see PaperReward.table
-    overflow_price: float  # see PaperReward
+    table: NDArray[np.float32]  # (5, 3) see marouting.rewards.Prices
+    overflow_price: float  # see Prices.added_overflow
+    prices: NDArray[np.float64]  # (4, 3) see Prices.shared
+    cells: NDArray[np.int32]  # (M, 2, G) to work with, if failed tasks are charged for; else G = 0
 
     @classmethod
-    def of(cls, observation: Observation, reward: Reward, everyone: bool) -> "FastPath":
-        """What is known about these pieces."""
-        looks = observation if type(observation) is PaperObservation else PaperObservation()
-        pays = PaperReward()
-        if isinstance(reward, PaperReward) and type(reward) in KNOWN:
-            pays = reward
+    def of(
+        cls,
+        shape: tuple[int, int],
+        observation: Observation,
+        reward: Reward,
+        *,
+        everyone: bool,
+        make: Any = np.zeros,
+    ) -> "FastPath":
+        """What the compiled step of M games on G Gcells (shape) has to know about these pieces."""
+        paper = type(observation) is PaperObservation
+        prices = prices_of(reward)
+        known = Prices.of() if prices is None else prices
+        charges = known.shared[Share.OTHERS, 1] != 0
         return cls(
-            everyone,
-            looks is observation,
-            pays is reward,
-            looks.via_capacity,
-            pays.table,
-            pays.overflow_price,
+            everyone=everyone,
+            observation=paper,
+            reward=prices is not None,
+            shares=True if known.shared.any() else None,
+            via_capacity=observation.via_capacity if paper else PaperObservation().via_capacity,
+            table=known.table.astype(np.float32),
+            overflow_price=float(known.added_overflow),
+            prices=known.shared,
+            cells=make((shape[0], 2, shape[1] * charges), np.int32),
         )
 
 
@@ -187,8 +203,6 @@ class Player:
     Attributes:
         played: (M, K) the moves on the grid of the last step.
         fast: what the compiled step knows about the pieces.
-        paid: (M, N) float32, what the last step paid every agent. None with the paper's reward,
-            which pays only the agent that moves.
     """
 
     def __init__(
@@ -216,14 +230,15 @@ class Player:
             rows = agents if everyone else 1
             buffers = StepBuffers.of(problems, rows, shape, engine.actions)
         self.buffers = buffers
-        self.fast = FastPath.of(observation, reward, everyone)
+        shape = len(engine.games), engine.grid.gcells
+        self.fast = FastPath.of(shape, observation, reward, everyone=everyone)
         self._bind()
 
     @property
     def compiled(self) -> bool:
         """Whether a whole step is one compiled call.
 
-        It is with the paper's observation, reward and six actions.
+        It is with the paper's observation and six actions, and a built-in reward.
         """
         return self.fast.observation and self.fast.reward and self.engine.actions == MOVES
 
@@ -234,7 +249,6 @@ class Player:
         if self.everyone:
             buffers.agents[:] = engine.pairs(everyone=True)[1].reshape(engine.nets.shape)
         own_reward = not self.fast.reward
-        self.paid = np.zeros(engine.nets.shape, np.float32) if own_reward else None
         self._before: Earlier | None = None
         self.kernel_buffers = buffers
         if self.compiled:  # masks are written in pairs of bytes, which is faster
@@ -308,6 +322,7 @@ class Player:
         part.engine = self.engine.part(which)
         part.buffers = StepBuffers._make(array[which] for array in self.buffers)
         part.draws = self.draws and self.draws.part(which)
+        part.fast = self.fast._replace(cells=self.fast.cells[which])
         part._bind()
         return part
 
@@ -425,12 +440,11 @@ class Player:
         self, before: Earlier, begins: NDArray[np.bool_], asked: NDArray[np.int32]
     ) -> None:
         """Makes the moves, each with a call of the reward, and writes what came of them."""
-        b, engine, paid = self.buffers, self.engine, self.paid
-        assert paid is not None
+        b, engine = self.buffers, self.engine
+        paid = np.zeros(engine.nets.shape, np.float32)
         for name in ("added_overflow", "crossing", "ending"):
             engine.agents[name] = 0
         before.agents[...] = engine.agents
-        paid[:] = 0
         for movers, moves in self._turns(begins):
             _move(engine.static, engine.dynamic, movers, moves)
             paid += paid_by(self.reward, engine, before, movers)
@@ -679,14 +693,25 @@ def _look_at_player(
 
 
 @inlined
+def _make_moves(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
+    """The moves of a step of one problem, before anybody settles."""
+    if fast.shares is not None:
+        move_and_pay(static, dynamic, fast, m, b.actions, b.reward)
+    elif fast.everyone:
+        move_everyone(static, dynamic, m, b.actions)
+    else:
+        move_player(static, dynamic, m, i64(b.actions[m, 0]))
+
+
+@inlined
 def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int) -> Any:
     """Writes the result of an agent's move; returns the reward."""
     agent = dynamic.agents[m, n]
-    reward = paper_reward(fast.prices, fast.overflow_price, agent)
     b.acted[m, row] = agent.crossing != Crossing.NONE
-    b.reward[m, row] = reward
     b.ending[m, row] = agent.ending
-    return reward
+    if fast.shares is None:
+        b.reward[m, row] = paper_reward(fast.table, fast.overflow_price, agent)
+    return b.reward[m, row]
 
 
 @inlined
@@ -730,7 +755,7 @@ def _step_everyone(
     game = dynamic.games[m]
     playing = game.active > 0
     total = b.total[m]
-    move_everyone(static, dynamic, m, b.actions)
+    _make_moves(static, dynamic, b, fast, m)
     for n in range(b.agents.shape[1]):
         # One loop does everything for an agent while its data is in the cache.
         agent = dynamic.agents[m, n]
@@ -756,7 +781,7 @@ def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
     game = dynamic.games[m]
     playing = game.active > 0
     mover, row = i64(game.agent), i64(0)
-    move_player(static, dynamic, m, i64(b.actions[m, 0]))
+    _make_moves(static, dynamic, b, fast, m)
     if mover == NOBODY:
         b.acted[m, 0] = False
         b.reward[m, 0] = 0
@@ -778,7 +803,7 @@ def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
 
 @inlined
 def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
-    """A step of one problem, with the paper's observation and reward."""
+    """A step of one problem, with the paper's observation and a built-in reward."""
     if fast.everyone:
         _step_everyone(static, dynamic, b, fast, m)
     else:
@@ -791,10 +816,7 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
 @inlined
 def move_game(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """The moves of a step of one problem and what is paid for them, before anybody settles."""
-    if fast.everyone:
-        move_everyone(static, dynamic, m, b.actions)
-    else:
-        move_player(static, dynamic, m, i64(b.actions[m, 0]))
+    _make_moves(static, dynamic, b, fast, m)
     for row in range(b.agents.shape[1]):
         n = i64(row) if fast.everyone else i64(dynamic.games[m].agent)
         if n == NOBODY or dynamic.agents[m, as_index(n)].status == Status.ABSENT:

@@ -7,6 +7,7 @@ of Gymnasium's own vectors to the latter, use ``gymnasium.make_vec`` (:mod:`maro
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from marouting.batch.engine import Engine
 from marouting.config import check
 from marouting.errors import InputError
-from marouting.observations import state_of, state_space_of
+from marouting.observations import Observation, state_of, state_space_of
 from marouting.options import ORDERS, GameOptions, game_options
 from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
@@ -39,6 +40,10 @@ class BatchEnv(EzPickle):
     than the largest one are padded; ``present`` tells which agents exist. The arrays that
     :meth:`reset`, :meth:`step` and :meth:`state` return belong to the environment and are
     overwritten by the next call, so copy what you want to keep.
+
+    The rows of agents that are done stay, and are paid until the problem's episode is over. With
+    ``agents_persist`` they are terminated or truncated only then, all together, and their masks
+    allow a single action, which has no effect.
 
     A problem whose episode is over starts its next one in the following step, like Gymnasium's
     ``AutoresetMode.NEXT_STEP``: that step ignores the problem's actions, its rewards are 0, and its
@@ -61,6 +66,9 @@ class BatchEnv(EzPickle):
             :data:`marouting.source.Source`.
         everyone: whether all agents have a row and move in every step.
         autoreset: whether the next episode starts when one is over.
+        play_once: whether each of a list of problems, or of the problems of a split, is played only
+            once after :meth:`reset`. Its rows then stay inactive, so that a loop ``while
+            info["active"].any()`` ends. Not for games that draw their problems.
         threads: number of threads among which the problems are divided; the results do not depend
             on it. Several threads may call your own observation or reward at the same time, each
             for its own problems.
@@ -102,6 +110,7 @@ class BatchEnv(EzPickle):
         problem: Source = None,
         everyone: bool = True,
         autoreset: bool = True,
+        play_once: bool = False,
         threads: int = 1,
         seed: int = 0,
         device: str = "cpu",
@@ -113,6 +122,7 @@ class BatchEnv(EzPickle):
             problem=problem,
             everyone=everyone,
             autoreset=autoreset,
+            play_once=play_once,
             threads=threads,
             seed=seed,
             device=device,
@@ -120,9 +130,14 @@ class BatchEnv(EzPickle):
         )
         if not (is_whole(threads) and threads >= 1):
             raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
-        order = ORDERS["multi" if everyone else "single"]
-        checked = game_options({"turn_order": order, **options})
-        check("agents_persist", not checked.agents_persist, "false: all rows stay; see active")
+        checked = game_options(options)
+        if checked.turn_order is None:
+            order = ORDERS["multi" if everyone else "single"]
+            checked = replace(checked, turn_order=order)
+        self._persists = checked.agents_persist
+        check("agents_persist", everyone or not self._persists, "false: only one row")
+        once = not play_once or not is_whole(problems)
+        check("play_once", once, "false: these games draw their problems")
         draws = _draws(self._draws_of, problems, problem, checked, seed)
         if draws is None:
             self.engine = engine = Engine(fixed_batch(problems, checked), checked)
@@ -132,7 +147,7 @@ class BatchEnv(EzPickle):
             )
         self._draws = draws
         bounds = draws.episodes.bounds if draws else engine.problems
-        self.autoreset, self._everyone = autoreset, everyone
+        self.autoreset, self._everyone = autoreset and not play_once, everyone
         observation, reward = checked.observation.make(), checked.reward.make()
         overflow = engine.static.overflow_allowed
         self.single_observation_space = observation.space(bounds, overflow)
@@ -168,6 +183,11 @@ class BatchEnv(EzPickle):
         """Prepares threads, which start as they are needed."""
         self._process = os.getpid()
         self._threads = ThreadPoolExecutor(len(self._players))
+
+    @property
+    def observation(self) -> Observation:
+        """What agents see, the object that writes it."""
+        return self._players[0].observation
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -236,7 +256,8 @@ class BatchEnv(EzPickle):
             * (M, K, *S) float32 observations,
             * (M, K) float32 rewards: what the moves of the step paid each agent,
             * (M, K) bool terminated: all tasks of the agent are joined,
-            * (M, K) bool truncated: all tasks of the agent have ended and some failed,
+            * (M, K) bool truncated: all tasks of the agent have ended and some failed; both wait
+              for the end of the episode with ``agents_persist``,
             * an info, a dictionary of
 
               * ``agents`` (M, K) int32: the agent of each row, −1 for none;
@@ -277,7 +298,16 @@ class BatchEnv(EzPickle):
         first.step(self.autoreset)
         for other in running:
             other.result()
+        if self._persists:
+            self._end_together()
         return b.obs, b.reward, b.terminated, b.truncated, self._info()
+
+    def _end_together(self) -> None:
+        """Agents that are done stay to the end of the episode, with a single action."""
+        b = self._buffers
+        playing = self.engine.games["active"] > 0
+        b.terminated[playing] = b.truncated[playing] = False
+        b.mask[~b.active & self.present] = np.eye(1, self.engine.actions, dtype=np.int8)
 
     def state(self) -> NDArray[np.float32]:
         """(M, X, Y, 5 Z) float32, the global states; see :func:`.observations.state_space`.

@@ -32,6 +32,7 @@ from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.source import ProblemStream, Source
+from marouting.rewards import prices_of
 from marouting.vector import FIGURES, BatchEnv, Info, fixed_batch
 
 POOL = 1024
@@ -87,9 +88,6 @@ class CudaBatchEnv(BatchEnv):
         check("agents_persist", not checked.agents_persist, "false: all rows stay; see active")
         observation, reward = checked.observation.make(), checked.reward.make()
         self.autoreset, self._everyone, self.stream = autoreset, everyone, 0
-        self._fast = FastPath.of(observation, reward, everyone)
-        known = f"paper or normalised for device cuda, found {type(reward).__name__}"
-        check("reward", self._fast.reward, known)
         drawn = is_whole(problems)
         if drawn:
             episodes = ProblemStream(problem, checked.scenario, checked.split)
@@ -107,10 +105,14 @@ class CudaBatchEnv(BatchEnv):
         self.single_observation_space = observation.space(bounds, overflow)
         self.single_state_space = state_space(bounds, overflow)
         self.single_action_space = Discrete(checked.actions)
-        self._look, *looks = _looks(observation)
-        self._fast = self._fast._replace(prices=self._device.of(self._fast.prices))
+        known = f"a built-in one for device cuda, found {type(reward).__name__}"
+        check("reward", prices_of(reward) is not None, known)
         with self._device.allocating():
             self._upload(static, drawn, seed)
+            self._look, *looks = self._looks(observation)
+            shape, zeros = (self.num_problems, len(static.neighbour)), self._device.zeros
+            fast = FastPath.of(shape, observation, reward, everyone=everyone, make=zeros)
+            self._fast = FastPath._make(map(self._device.of, fast))
         self._launches = launches(*looks)
         self._recorded: dict[tuple[bool, bool], Recorded] = {}
         self._begun = False
@@ -227,6 +229,18 @@ class CudaBatchEnv(BatchEnv):
     def _run(self, kernel: Any, threads: int, *arguments: Any) -> None:
         self._device.launch(kernel, threads, self.stream, *arguments)
 
+    def _looks(self, observation: Any) -> tuple[Any, Any, Any]:
+        """What an observation needs on the device, and its kernels ``see`` and ``prepare``."""
+        if type(observation) is PaperObservation:
+            return Paper(float(observation.via_capacity)), see_paper, prepare_nothing
+        what = f"paper or window for device cuda, found {type(observation).__name__}"
+        check("observation", type(observation) is WindowObservation, what)
+        where = observation.where
+        check("observation.channels", where.demand < 0, "no demand for device cuda")
+        heads = (self.num_problems, len(self._static.neighbour) * (where.heads >= 0))
+        look = Surroundings(self._device.zeros(heads, np.int16, "C"), *where)
+        return look, see_window, prepare_window
+
     def _play(self, *, steps: bool, restarts: bool) -> None:
         """A step of all games, or the beginning of some."""
 
@@ -319,15 +333,6 @@ class CudaBatchEnv(BatchEnv):
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Not on a device: raises InputError."""
         check("device", False, "cpu, for set_order")
-
-
-def _looks(observation: Any) -> tuple[Any, Any, Any]:
-    """What an observation needs on the device, and its kernels ``see`` and ``prepare``."""
-    if type(observation) is PaperObservation:
-        return Paper(float(observation.via_capacity)), see_paper, prepare_nothing
-    what = f"paper or window for device cuda, found {type(observation).__name__}"
-    check("observation", False, what)
-    raise AssertionError
 
 
 def _drawn(episodes: ProblemStream, pool: int | None, seed: int) -> list[Problem]:
