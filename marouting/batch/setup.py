@@ -1,7 +1,7 @@
 """Setting up the game: the constant arrays of a batch of problems."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +16,16 @@ from marouting.problem.grid import Grid
 from marouting.problem.problem import UNLIMITED, Problem
 from marouting.rules import RipUp, Rules, net_ranks
 from marouting.trees.decomposition import two_pin_tasks
+
+
+Make = Callable[[str, tuple[int, ...], Any], Any]
+"""Makes an array of zeros, of a name, a shape and a dtype, where the games are to be."""
+
+
+def zeros(name: str, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """An array of zeros on the processor."""
+    del name
+    return np.zeros(shape, dtype)
 
 
 class Room(NamedTuple):
@@ -201,7 +211,7 @@ _PLAIN = _options(Rules(), (0, 0, 0))  # the options of the paper's game: all ar
 
 
 def dynamic_state(
-    static: Static, grid: Grid, agents: int, games: int | None = None, make: Any = None
+    static: Static, grid: Grid, agents: int, games: int | None = None, make: Make | None = None
 ) -> Dynamic:
     """The arrays that change during an episode, of zeros.
 
@@ -210,7 +220,7 @@ def dynamic_state(
         grid: the grid.
         agents: N.
         games: M; None: as many as the problems of ``static``.
-        make: makes them (shape, dtype); None: on the processor.
+        make: makes them; None: on the processor.
 
     Raises:
         InputError: they take too much memory.
@@ -226,12 +236,12 @@ def dynamic_state(
             m * agents,
             grid,
         )
-        make = np.zeros
+        make = zeros
     return Dynamic(
-        remaining=make((m, edges), np.int32),
-        used=make((m, agents, ways), np.uint8),
-        agents=make((m, agents), AGENT),
-        games=make((m,), GAME),
-        sets=make((m, rows, ways), np.uint8),
-        numbers=make((m, columns), np.int64),
+        remaining=make("remaining", (m, edges), np.int32),
+        used=make("used", (m, agents, ways), np.uint8),
+        agents=make("agents", (m, agents), AGENT),
+        games=make("games", (m,), GAME),
+        sets=make("sets", (m, rows, ways), np.uint8),
+        numbers=make("numbers", (m, columns), np.int64),
     )
