@@ -22,6 +22,7 @@ from marouting.config import (
 )
 from marouting.options import EnvOptions, with_suggestions
 from marouting.registry import allowing_code, lookup, names
+from marouting.scenarios import get
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +31,9 @@ class TrainOptions:
 
     Attributes:
         episodes: episodes per problem; in one, all nets route all their two-pin tasks.
+        steps: moves of all agents, counted when an episode is over, after which a training ends
+            whose games draw problems; ``episodes`` is then the most episodes. None: it ends after
+            ``episodes``.
         shared: whether one network learns all problems; otherwise each problem has its own. None:
             true if games draw problems.
         games: number of games played in parallel, each of which draws a problem for every episode:
@@ -63,6 +67,7 @@ class TrainOptions:
     """
 
     episodes: int = 1000
+    steps: int | None = None
     shared: bool | None = None
     games: int | None = None
     validation: int | None = None
@@ -81,7 +86,9 @@ class TrainOptions:
     def __post_init__(self) -> None:
         check("episodes", 1 <= self.episodes <= MOST, f"a number from 1 to {MOST}")
         check("evaluate_every", 1 <= self.evaluate_every <= MOST, f"a number from 1 to {MOST}")
-        games, shown = self.games, self.validation
+        games, shown, steps = self.games, self.validation, self.steps
+        check("steps", steps is None or 1 <= steps <= MOST, f"a number from 1 to {MOST}")
+        check("steps", steps is None or games is not None, "null without train.games")
         check("games", games is None or 1 <= games <= 10_000, "a number from 1 to 10000")
         check("shared", games is None or self.shared, "true: games draw problems for one network")
         check("validation", shown is None or 1 <= shown <= 10_000, "a number from 1 to 10000")
@@ -150,9 +157,9 @@ def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
     """The configuration in plain data.
 
     Some defaults depend on other keys: ``env.agents`` on the learner; the game on what its scenario
-    suggests (:attr:`marouting.scenarios.Scenario.env`); what agents see, how a
-    training runs, and options of learners (:attr:`.Learner.endless`) on whether its problems never
-    end.
+    suggests (:attr:`marouting.scenarios.Scenario.env`); what agents see, how a training runs, and
+    options of learners (:attr:`.Learner.endless`) on whether its problems never end; how long it
+    runs on the scenario as well (:attr:`marouting.scenarios.Scenario.training`).
 
     Args:
         raw: the configuration.
@@ -173,7 +180,12 @@ def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
         env = {"observation": "window", **env}
         learner = {"kind": kind, **getattr(cls, "endless", {}), **learner}
     if train.get("games") is not None or _endless(env):
-        train = {**DRAWN, **{key: value for key, value in train.items() if value is not None}}
+        scenario = env.get("scenario")
+        suggested = {} if scenario is None else get(scenario).training
+        given = {key: value for key, value in train.items() if value is not None}
+        train = {**DRAWN, **suggested, **given}
+        if train.get("steps") is not None and "episodes" not in given:
+            train["episodes"] = MOST
     return build(Config, {**raw, "env": env, "learner": learner, "train": train}, where)
 
 
