@@ -42,6 +42,9 @@ class TrainOptions:
             the network is evaluated on the scenario's split ``validation``, on problems of the
             generator that are never drawn, or on the set. None: 32 if the problems are endless (a
             scenario's split ``train``, ``seed: null``); otherwise every problem has its own games.
+        problems: number of training problems of the scenario, or of the generator, that games draw
+            from. They are kept in memory: to make a problem can take longer than to play it. None:
+            every episode has a new one.
         validation: number of problems that the network is evaluated on, the first ones of the
             validation split or new ones of the generator; None: all of the split, 10 of the
             generator.
@@ -70,6 +73,7 @@ class TrainOptions:
     steps: int | None = None
     shared: bool | None = None
     games: int | None = None
+    problems: int | None = None
     validation: int | None = None
     best: Literal["routes", "reward"] = "routes"
     evaluate_every: int = 10
@@ -91,6 +95,9 @@ class TrainOptions:
         check("steps", steps is None or games is not None, "null without train.games")
         check("games", games is None or 1 <= games <= 10_000, "a number from 1 to 10000")
         check("shared", games is None or self.shared, "true: games draw problems for one network")
+        kept = self.problems
+        check("problems", kept is None or 1 <= kept <= 100_000, "a number from 1 to 100000")
+        check("problems", kept is None or games is not None, "null without train.games")
         check("validation", shown is None or 1 <= shown <= 10_000, "a number from 1 to 10000")
         check("validation", shown is None or games is not None, "null without train.games")
         check("threads", 1 <= self.threads <= 1024, "a number from 1 to 1024")

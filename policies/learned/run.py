@@ -111,13 +111,14 @@ def problems_of(
         what = f"at most {len(found)}, those of the split, found {shown}"
         check("train.validation", shown <= len(found), what)
         found = dict(list(found.items())[:shown])
-        episodes = ProblemStream(None, env.scenario)
+        episodes = ProblemStream(None, env.scenario, most=train.problems)
     elif env.scenario is None and generated:
         shown = _GENERATED if train.validation is None else train.validation
-        episodes = ProblemStream(env.problem, held_out=shown)
+        episodes = ProblemStream(env.problem, held_out=shown, most=train.problems)
         found = dict(map(episodes.problem, range(shown)))
     else:
         check("train.validation", train.validation is None, "null: a set is evaluated whole")
+        check("train.problems", train.problems is None, "null: a set is played whole")
         found = fixed_problems(env) if kept is None else kept
         episodes = ProblemStream.of(dict(sorted(found.items())))
     draws = None if episodes is None else ProblemSampler(episodes, config.seed, train.games or 1)
