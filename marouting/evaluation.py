@@ -90,9 +90,12 @@ class PolicyResult:
     agent_steps: int
     rows: tuple[ProblemResult, ...]
 
-    def as_dict(self) -> dict[str, Any]:
-        """All figures as plain data."""
-        return asdict(self)
+    def as_dict(self, rows: bool = True) -> dict[str, Any]:
+        """All figures as plain data, with those of each problem or without."""
+        figures = asdict(self)
+        if not rows:
+            del figures["rows"]
+        return figures
 
     def __str__(self) -> str:
         gap = "" if self.gap is None else f", {self.gap:.2f} % above the reference"

@@ -51,6 +51,7 @@ def static_state(
     rules: Rules,
     room: Room | None = None,
     negotiation: Negotiation | None = None,
+    options: NDArray[np.int64] | None = None,
 ) -> tuple[Static, NDArray[np.int32]]:
     """The constant arrays of M problems with one grid shape.
 
@@ -59,6 +60,7 @@ def static_state(
         rules: the options of the rules.
         room: the size of the arrays; None: what these problems need.
         negotiation: how nets negotiate; None: they do not.
+        options: :attr:`.Static.options`, if they are known already.
 
     Returns:
         The arrays, and (M, N) int32, the net of every agent, NOBODY where there is no agent.
@@ -106,6 +108,8 @@ def static_state(
             raise InputError(f"problem {m}: expected demands that add up to at most {UNLIMITED}")
         ranks = net_ranks(problem, rules.nets.order)[nets]
         order[m, : len(nets)] = np.argsort(ranks, kind="stable")
+    if options is None and extended:
+        options = _options(rules, (int(shape[1]), grid.gcells, grid.edges), negotiation)
     static = Static(
         neighbour=grid.neighbour,
         edge=grid.edge,
@@ -120,9 +124,7 @@ def static_state(
         overflow_allowed=overflow,
         max_steps=rules.steps_per_task(problems[0].grid),
         extended=True if extended else None,
-        options=_options(rules, (int(shape[1]), grid.gcells, grid.edges), negotiation)
-        if extended
-        else _PLAIN,
+        options=_PLAIN if options is None else options,
     )
     return static, agent_net
 
@@ -144,7 +146,7 @@ def replace_problem(
     Raises:
         InputError: the problem is too large, on another grid, or has nothing to route.
     """
-    own, own_nets = static_state([problem], rules)
+    own, own_nets = static_state([problem], rules, options=static.options)
     shapes = [tuple(state.position[-1].tolist()) for state in (static, own)]
     if shapes[0] != shapes[1]:
         raise InputError(f"problem: expected one grid shape, found another, {problem.grid}")

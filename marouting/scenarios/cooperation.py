@@ -33,8 +33,13 @@ def one_shot(layers: int = 1, **options: Any) -> dict[str, Any]:
             "layers": layers - 1,
             "channels": ["capacity", "own", "heads"],
         },
+        "reward": {"kind": "team", "overflow": 20.0, "open": 20.0},
         **options,
     }
+
+
+TRAINING = {"games": 128, "problems": 4096, "steps": 3_000_000, "evaluate_every": 1000}
+"""How a training runs: about five minutes of one core."""
 
 
 def _drawn(rng: np.random.Generator, ends: Range) -> int:
@@ -80,6 +85,7 @@ COOPERATION = (
         validation=50,
         test=100,
         env=one_shot(),
+        training=TRAINING,
     ),
 )
 """Scenarios for policies that decide by what they see, easiest first."""
