@@ -294,9 +294,7 @@ def prepare_window(static: Static, dynamic: Dynamic, look: Surroundings, m: int)
 
 
 @kernels.inlined
-def tell_window(
-    static: Static, dynamic: Dynamic, look: Surroundings, m: int, out: Any
-) -> None:
+def tell_window(static: Static, dynamic: Dynamic, look: Surroundings, m: int, out: Any) -> None:
     """Writes the global state that goes with the observation ``window``."""
     for layer in range(look.tracks.shape[1]):
         look.maps.track[m, layer] = look.tracks[look.number[m], layer]
@@ -352,7 +350,12 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
 
     @jit
     def begin(
-        static: Static, dynamic: Dynamic, b: StepBuffers, pool: Pool, step: Step, steps: bool,
+        static: Static,
+        dynamic: Dynamic,
+        b: StepBuffers,
+        pool: Pool,
+        step: Step,
+        steps: bool,
         restarts: bool,
     ) -> None:
         place = i64(cuda.grid(1))
@@ -386,9 +389,7 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
         step.asked[m] = dynamic.games[m].agent
         if step.begins[m]:
             if len(pool.capacity) > 0:
-                pool.number[m] = drawn(
-                    pool.key[m], i64(pool.episode[m]), i64(len(pool.capacity))
-                )
+                pool.number[m] = drawn(pool.key[m], i64(pool.episode[m]), i64(len(pool.capacity)))
                 pool.episode[m] += 1
                 for n in range(b.agents.shape[1] * fast.everyone):
                     there = static.first[m, n] < static.first[m, n + 1]

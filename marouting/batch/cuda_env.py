@@ -387,9 +387,7 @@ class CudaBatchEnv(BatchEnv):
         check("device", False, "cpu, for set_order")
 
 
-def _in_turn(
-    static: Static, nets: NDArray[np.int32]
-) -> tuple[Static, NDArray[np.int32]]:
+def _in_turn(static: Static, nets: NDArray[np.int32]) -> tuple[Static, NDArray[np.int32]]:
     """The same problems with their agents numbered in turn order, and the agents' nets."""
     tasks, first = static.tasks.copy(), static.first.copy()
     demand, nets = static.demand.copy(), nets.copy()
