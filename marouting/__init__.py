@@ -14,6 +14,7 @@ from marouting._version import __version__
 from marouting.batch.engine import Engine
 from marouting.batch.window import WindowObservation
 from marouting.errors import InputError
+from marouting.evaluation import PolicyResult, evaluate_policy
 from marouting.generator import generate
 from marouting.make import make
 from marouting.observations import Observation, PaperObservation
@@ -40,12 +41,14 @@ __all__ = [
     "PaperObservation",
     "PaperReward",
     "Pin",
+    "PolicyResult",
     "Problem",
     "Reward",
     "Solution",
     "WindowObservation",
     "__version__",
     "evaluate",
+    "evaluate_policy",
     "generate",
     "global_routing_v0",
     "make",

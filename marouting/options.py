@@ -48,8 +48,8 @@ class GameOptions(Rules):
             :mod:`marouting.rewards`.
         agents_persist: whether agents that are done stay in ``agents`` until all are done. With
             several problems, ``agents`` is then the same in each, and those that a problem lacks
-            are inactive. For libraries that need a fixed set of agents; PettingZoo's interfaces
-            only.
+            are inactive. For libraries that need a fixed set of agents, and for rewards that pay
+            agents that are done.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
     """
 

@@ -38,8 +38,13 @@ def one_shot(
             "layers": layers - 1,
             "channels": list(channels),
         },
+        "reward": {"kind": "team", "overflow": 20.0, "open": 20.0},
         **options,
     }
+
+
+TRAINING = {"games": 128, "problems": 4096, "steps": 3_000_000, "evaluate_every": 1000}
+"""How a training runs: about five minutes of one core."""
 
 
 def _drawn(rng: np.random.Generator, ends: Range) -> int:
@@ -206,6 +211,7 @@ COOPERATION = (
         Gates(),
         description="A narrow gate that saves a detour, and a net that may have no other way.",
         env=one_shot(),
+        training=TRAINING,
         **SIZES,
     ),
     Scenario(
@@ -213,6 +219,7 @@ COOPERATION = (
         Gates(motifs=(2, 2), rows=14),
         description="Two narrow gates, one above the other, each with nets of its own.",
         env=one_shot(),
+        training=TRAINING,
         **SIZES,
     ),
     Scenario(
@@ -220,6 +227,7 @@ COOPERATION = (
         Gates(columns=(7, 10), wall=(2, 6), motifs=(1, 2), rows=14, tracks=(1, 2), flexible=(1, 4)),
         description="One or two gates of one or two tracks; position, size and nets vary.",
         env=one_shot(),
+        training=TRAINING,
         **SIZES,
     ),
     Scenario(
@@ -227,6 +235,7 @@ COOPERATION = (
         Braess(),
         description="A short-cut that makes all worse off when all take it.",
         env=one_shot(),
+        training=TRAINING,
         **SIZES,
     ),
     Scenario(
@@ -235,6 +244,7 @@ COOPERATION = (
         description="Ten to twelve nets through one square: congestion without a culprit.",
         accept=routable,
         env=one_shot(),
+        training=TRAINING,
         **SIZES,
     ),
     _once(

@@ -54,6 +54,8 @@ class Scenario:
         accept: draws that it refuses are thrown away; None: it takes all.
         env: options of the environment (:class:`marouting.options.EnvOptions`) that are the
             defaults where the scenario is played.
+        training: how a training on the scenario's problems runs
+            (:class:`policies.learned.config.TrainOptions`), unless it is told otherwise.
         open_cost: what an open task costs, in edges of wire; see :meth:`cost`.
         mirrors: whether mirror images of a held-out problem are held out as well.
         largest: makes a problem with at least as many nets and pins and as much capacity as any
@@ -63,7 +65,7 @@ class Scenario:
             :func:`policies.experiment.references.solve_scenario` writes; None: that of the package.
 
     Attributes:
-        name, generator, description, env, open_cost: as given.
+        name, generator, description, env, training, open_cost: as given.
         references: the file with the references, which need not be there.
     """
 
@@ -77,13 +79,15 @@ class Scenario:
         test: int = 40,
         accept: Callable[[Problem], bool] | None = None,
         env: Mapping[str, Any] | None = None,
+        training: Mapping[str, Any] | None = None,
         open_cost: int = 20,
         mirrors: bool = True,
         largest: Callable[[], Problem] | None = None,
         references: Path | None = None,
     ) -> None:
         self.name, self.generator, self.description = name, generator, description
-        self.env, self.open_cost = dict(env or {}), open_cost
+        self.env, self.training = dict(env or {}), dict(training or {})
+        self.open_cost = open_cost
         self._counts: dict[Split, int] = {"validation": validation, "test": test}
         self._accept, self._largest = accept, largest
         self._digest = mirror_digest if mirrors else digest
