@@ -38,7 +38,7 @@ def one_shot(layers: int = 1, **options: Any) -> dict[str, Any]:
     }
 
 
-TRAINING = {"games": 128, "problems": 4096, "steps": 3_000_000, "evaluate_every": 1000}
+TRAINING = {"games": 128, "problems": 4096, "steps": 2_000_000, "evaluate_every": 1000}
 """How a training runs: about five minutes of one core."""
 
 

@@ -104,6 +104,9 @@ class PPO(Learner):
         "network": {"kind": "mlp", "hidden": [128, 128]},
         "gamma": 0.99,
         "gae_lambda": 0.95,
+        "rollout": 8192,
+        "minibatch": 1024,
+        "epochs": 4,
         "final_failures": True,
     }
     rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "keys", "progress")
