@@ -135,7 +135,7 @@ class PPO(Learner):
             count, o.rollout, setup.games // count, setup.rows, player.engine.nets.shape[1],
             setup.actions, setup.obs_shape, setup.state_shape if self.central else (),
             o.reward_scale,
-            late=player.everyone and (player.fast.shares is not None or not player.fast.reward),
+            late=setup.pays_late,
         )  # fmt: skip
         self.explore = Exploration(setup.game_keys("explore"))
         self.keys = setup.network_keys("sample")
