@@ -12,6 +12,10 @@ Optional methods:
   then see masks and choose moves in the mirrored frame; see :func:`move_order_of`. Environments
   always use the moves of the grid.
 
+An observation whose agents see no further than their surroundings says so by an attribute
+``local_radius``, a whole number from 0; see :func:`local_radius_of`. Decentralised policies are
+compared by such observations, and :func:`marouting.batch.locality.check_local` holds them to it.
+
 A worked example: the paper's 12 numbers, and the number of agents that are still routing::
 
     import numpy as np
@@ -52,7 +56,7 @@ sees::
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -62,6 +66,7 @@ from marouting.columns import Games, check_rows
 from marouting.errors import InputError
 from marouting.game import NOBODY, Game
 from marouting.problem.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid, Rows
+from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 from marouting.registry import register
 
@@ -112,9 +117,11 @@ class PaperObservation:
     Attributes:
         via_capacity: the number shown for a via, whose real capacity is unlimited. The authors'
             code starts at 10 (there it runs out; here it does not).
+        local_radius: 0, see :func:`local_radius_of`.
     """
 
     via_capacity: float = 10.0
+    local_radius: ClassVar[int] = 0
 
     def __post_init__(self) -> None:
         if not 0 <= self.via_capacity < np.inf:
@@ -215,6 +222,26 @@ def most_capacity(problem: Problem) -> float:
 def most_demand(problem: Problem) -> float:
     """An upper bound for the demand on an edge: every net uses it, in its most demanding layer."""
     return float(problem.net_demand.max(axis=1).sum(dtype=np.int64))
+
+
+def local_radius_of(observation: Observation) -> int | None:
+    """How far the agents of an observation see, in Gcells along x and y, in all layers.
+
+    What an agent may see is its own net (where it is, its pins, its tasks, its route); the Gcells
+    within the radius and the active agents that stand there; and of the edges that touch such a
+    Gcell capacity, remaining capacity and history. Where others are going is not part of it.
+
+    Returns:
+        The observation's ``local_radius``; None if it has none, and agents may see everything.
+
+    Raises:
+        InputError: it is something else than a whole number from 0, or None.
+    """
+    radius: int | None = getattr(observation, "local_radius", None)
+    if radius is not None and not (is_whole(radius) and radius >= 0):
+        found = f"{type(observation).__name__}.local_radius"
+        raise InputError(f"{found}: expected a whole number from 0, or None, found {radius!r}")
+    return radius
 
 
 def has_move_order(observation: Observation) -> bool:

@@ -25,6 +25,7 @@ from marouting.batch.engine import Engine
 from marouting.batch.observation import paper_reward, see_paper, write_paper
 from marouting.batch.payment import move_and_pay
 from marouting.batch.rules import (
+    clear_problem,
     free_moves,
     may_move,
     move_agent,
@@ -38,9 +39,18 @@ from marouting.batch.rules import (
     settle_turns,
     write_moves,
 )
+from marouting.batch.setup import Make, zeros
 from marouting.batch.state import GAME, MASKS, Dynamic, Option, Static
 from marouting.config import check
-from marouting.game import NOBODY, Crossing, Ending, Status
+from marouting.game import (
+    ACTIVE,
+    ANSWERED,
+    GOES_ON,
+    NOBODY,
+    Crossing,
+    Ending,
+    Status,
+)
 from marouting.kernels import as_index, compiled, i64, inlined, specialised
 from marouting.memory import check_memory
 from marouting.observations import Observation, PaperObservation, has_move_order, move_order_of
@@ -50,6 +60,8 @@ from marouting.rewards import Prices, Reward, Share, paid_by, prices_of
 from marouting.source import ProblemSampler
 
 COMPILES = "the batch of games", 8
+
+_STAYED = Crossing.NONE.value
 
 
 class StepBuffers(NamedTuple):
@@ -78,30 +90,44 @@ class StepBuffers(NamedTuple):
 
     @classmethod
     def of(
-        cls, problems: int, rows: int, shape: tuple[int, ...], actions: int = MOVES
+        cls,
+        problems: int,
+        rows: int,
+        shape: tuple[int, ...],
+        actions: int = MOVES,
+        make: Make | None = None,
     ) -> "StepBuffers":
-        """New buffers; raises InputError if they would take too much memory."""
-        size = math.prod(shape)
-        bytes_of_obs = 2 * np.dtype(np.float32).itemsize * problems * rows * size
-        check_memory(bytes_of_obs, "{} observations of {} numbers", problems * rows, size)
+        """New buffers, made by ``make``; None: on the processor.
+
+        Raises:
+            InputError: they would take too much memory.
+        """
+        if make is None:
+            size = math.prod(shape)
+            bytes_of_obs = 2 * np.dtype(np.float32).itemsize * problems * rows * size
+            check_memory(bytes_of_obs, "{} observations of {} numbers", problems * rows, size)
+            make = zeros
         each = problems, rows
-        return cls(
-            agents=np.full(each, NOBODY, np.int32),
-            obs=np.zeros((*each, *shape), np.float32),
-            mask=np.ones((*each, actions), np.int8),
-            actions=np.full(each, NOBODY, np.int8),
-            acted=np.zeros(each, np.bool_),
-            reward=np.zeros(each, np.float32),
-            ending=np.zeros(each, np.int8),
-            final_obs=np.zeros((*each, *shape), np.float32),
-            final_mask=np.ones((*each, actions), np.int8),
-            terminated=np.zeros(each, np.bool_),
-            truncated=np.zeros(each, np.bool_),
-            active=np.zeros(each, np.bool_),
-            over=np.zeros(problems, np.bool_),
-            total=np.zeros(problems),
-            final=np.zeros(problems, GAME),
+        buffers = cls(
+            agents=make("agents", each, np.int32),
+            obs=make("obs", (*each, *shape), np.float32),
+            mask=make("mask", (*each, actions), np.int8),
+            actions=make("actions", each, np.int8),
+            acted=make("acted", each, np.bool_),
+            reward=make("reward", each, np.float32),
+            ending=make("ending", each, np.int8),
+            final_obs=make("final_obs", (*each, *shape), np.float32),
+            final_mask=make("final_mask", (*each, actions), np.int8),
+            terminated=make("terminated", each, np.bool_),
+            truncated=make("truncated", each, np.bool_),
+            active=make("active", each, np.bool_),
+            over=make("over", (problems,), np.bool_),
+            total=make("total", (problems,), np.float64),
+            final=make("final", (problems,), GAME),
         )
+        buffers.agents[:] = buffers.actions[:] = NOBODY
+        buffers.mask[:] = buffers.final_mask[:] = 1
+        return buffers
 
 
 class FastPath(NamedTuple):
@@ -120,9 +146,15 @@ class FastPath(NamedTuple):
 
     @classmethod
     def of(
-        cls, engine: Engine, observation: Observation, reward: Reward, *, everyone: bool
+        cls,
+        shape: tuple[int, int],
+        observation: Observation,
+        reward: Reward,
+        *,
+        everyone: bool,
+        make: Make = zeros,
     ) -> "FastPath":
-        """What the compiled step has to know about these pieces."""
+        """What the compiled step of M games on G Gcells (shape) has to know about these pieces."""
         paper = type(observation) is PaperObservation
         prices = prices_of(reward)
         known = Prices.of() if prices is None else prices
@@ -136,7 +168,7 @@ class FastPath(NamedTuple):
             table=known.table.astype(np.float32),
             overflow_price=float(known.added_overflow),
             prices=known.shared,
-            cells=np.zeros((len(engine.games), 2, engine.grid.gcells * charges), np.int32),
+            cells=make("cells", (shape[0], 2, shape[1] * charges), np.int32),
         )
 
 
@@ -200,7 +232,8 @@ class Player:
             rows = agents if everyone else 1
             buffers = StepBuffers.of(problems, rows, shape, engine.actions)
         self.buffers = buffers
-        self.fast = FastPath.of(engine, observation, reward, everyone=everyone)
+        shape = len(engine.games), engine.grid.gcells
+        self.fast = FastPath.of(shape, observation, reward, everyone=everyone)
         self._bind()
 
     @property
@@ -236,7 +269,12 @@ class Player:
             self._step = specialised(kernel, *self._arguments, True, True)
             return
         nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
-        self._settle = specialised(_settle_and_show, *self._arguments, nobody, nowhere, _NOT)
+        self._settle = specialised(_settle_and_show, *self._arguments, nobody, nowhere, NOT)
+        # Problems, agents and rows of those that have arrived.
+        self._places = tuple(np.zeros(buffers.agents.size, np.int32) for _ in range(3))
+        self._list_arrived = specialised(_list_arrived, *self._arguments, nowhere, *self._places)
+        masks = buffers.final_mask.reshape(-1, engine.actions)
+        self._mask = specialised(_mask_rows, engine.static, engine.dynamic, *self._places, masks)
         if not own_reward:
             self._move = specialised(_move_and_pay, *self._arguments, nobody)
 
@@ -255,7 +293,7 @@ class Player:
         which = np.ascontiguousarray(which)  # as bound code expects it
         self._start(which)
         nobody = np.full(len(over), NOBODY, np.int32)
-        self._settle(*self._arguments, which, nobody, _NOT)
+        self._settle(*self._arguments, which, nobody, NOT)
         self._look(which)
         self._turn_masks()
 
@@ -389,7 +427,7 @@ class Player:
         if self._before is None:
             self._move(*self._arguments, begins)
             self._look_back(asked)
-            self._settle(*self._arguments, begins, asked, _ALL)
+            self._settle(*self._arguments, begins, asked, ALL)
         else:
             self._move_by_turns(self._before, begins, asked)
             self._look_back(asked)
@@ -416,8 +454,7 @@ class Player:
             if engine.static.extended:
                 # More may have changed than one edge of one net.
                 mover = engine.agents[np.arange(len(movers)), movers]
-                answered = mover["crossing"] == Crossing.ANSWERED
-                changed = answered | (mover["ending"] != Ending.NONE)
+                changed = (mover["crossing"] == ANSWERED) | (mover["ending"] != GOES_ON)
                 self._mirror(changed & (movers != NOBODY))
         if self.everyone:
             b.reward[:] = paid
@@ -427,8 +464,8 @@ class Player:
             taken = np.arange(len(asked)), asked
         agents = engine.agents[taken].reshape(b.acted.shape)
         nobody = begins if self.everyone else begins | (asked == NOBODY)
-        b.acted[:] = (agents["crossing"] != Crossing.NONE) & ~nobody[:, None]
-        b.ending[:] = np.where(b.acted, agents["ending"], Ending.NONE)
+        b.acted[:] = (agents["crossing"] != _STAYED) & ~nobody[:, None]
+        b.ending[:] = np.where(b.acted, agents["ending"], GOES_ON)
         b.total[:] += b.reward.sum(axis=1, dtype=np.float64)
 
     def _turns(self, begins: NDArray[np.bool_]) -> Iterator[tuple[Any, Any]]:
@@ -453,27 +490,23 @@ class Player:
     def _look_back(self, asked: NDArray[np.int32]) -> None:
         """Writes what agents saw where they arrived, whose tasks ended or who pass the turn."""
         b, engine = self.buffers, self.engine
-        rows = b.ending != Ending.NONE
-        if not (self.everyone or engine.static.sequential):
-            rows |= b.acted & (engine.games["active"] > 1)[:, None]
-        if not rows.any():
+        count = self._list_arrived(*self._arguments, asked, *self._places)
+        if not count:
             return
-        problems, row = np.nonzero(rows)
-        problems = problems.astype(np.int32)
-        agents = row.astype(np.int32) if self.everyone else asked[problems]
+        problems, agents, rows = (array[:count] for array in self._places)
         if self._before is not None:  # those whose tasks have ended stand elsewhere by now
             active = engine.games["active"].copy()
             settled = engine.agents["status"][problems, agents]
-            np.add.at(engine.games["active"], problems, settled != Status.ACTIVE)
+            np.add.at(engine.games["active"], problems, settled != ACTIVE)
             self._swap_arrived(problems, agents)
-        out = np.empty((len(problems), *b.obs.shape[2:]), np.float32)
+        out = np.empty((count, *b.obs.shape[2:]), np.float32)
         self._see(problems, agents, out)
-        b.final_obs[rows] = out
-        masks = engine.masks(problems, agents)
+        b.final_obs.reshape(-1, *b.obs.shape[2:])[rows] = out
+        masks = b.final_mask.reshape(-1, engine.actions)
+        self._mask(engine.static, engine.dynamic, problems, agents, rows, masks)
         if self.turned:
             order = move_order_of(self.observation, out, engine.actions)
-            masks = np.take_along_axis(masks, order, -1)
-        b.final_mask[rows] = masks
+            masks[rows] = np.take_along_axis(masks[rows], order, -1)
         if self._before is not None:
             self._swap_arrived(problems, agents)
             engine.games["active"] = active
@@ -524,6 +557,40 @@ def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.
     """(M, K) the entries of orders (M, K, A) at moves (M, K); no move stays none."""
     found = np.take_along_axis(order, np.maximum(moves, 0)[..., None].astype(np.int64), -1)
     return np.where(moves == NOBODY, NOBODY, found[..., 0]).astype(np.int8)
+
+
+@compiled
+def _list_arrived(
+    static: Static,
+    dynamic: Dynamic,
+    b: StepBuffers,
+    fast: FastPath,
+    asked: Any,
+    problems: Any,
+    agents: Any,
+    rows: Any,
+) -> int:
+    """Lists the agents whose tasks have ended, or who pass the turn; returns how many they are."""
+    count = 0
+    for m in range(len(asked)):
+        passes = not (fast.everyone or static.sequential) and dynamic.games[m].active > 1
+        for row in range(b.agents.shape[1]):
+            if b.ending[m, row] != Ending.NONE or (passes and b.acted[m, row]):
+                problems[count] = m
+                agents[count] = row if fast.everyone else asked[m]
+                rows[count] = m * b.agents.shape[1] + row
+                count += 1
+    return count
+
+
+@compiled
+def _mask_rows(
+    static: Static, dynamic: Dynamic, problems: Any, agents: Any, rows: Any, out: Any
+) -> None:
+    """Fills rows (K,) of ``out`` with the masks of agents (K,)."""
+    for i in range(len(rows)):
+        free = free_moves(static, dynamic, as_index(problems[i]), as_index(agents[i]))
+        write_moves(free, out, as_index(rows[i]))
 
 
 @compiled
@@ -650,8 +717,8 @@ def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int
 
 
 @inlined
-def _start(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
-    """Starts an episode of a problem, in which nobody has acted yet."""
+def start_game(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
+    """Starts an episode of a problem that is cleared, in which nobody has acted yet."""
     reset_problem(static, dynamic, m)
     b.over[m] = False
     b.total[m] = 0
@@ -748,27 +815,77 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
 # --- any observation ------------------------------------------------------------------------------
 
 
+@inlined
+def move_game(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
+    """The moves of a step of one problem and what is paid for them, before anybody settles."""
+    _make_moves(static, dynamic, b, fast, m)
+    for row in range(b.agents.shape[1]):
+        n = i64(row) if fast.everyone else i64(dynamic.games[m].agent)
+        if n == NOBODY or dynamic.agents[m, as_index(n)].status == Status.ABSENT:
+            b.acted[m, row] = False
+            b.reward[m, row] = 0
+            b.ending[m, row] = Ending.NONE
+        else:
+            b.total[m] += _take_stock(dynamic, b, fast, m, as_index(n), row)
+
+
 @compiled
 def _move_and_pay(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, begins: Any
 ) -> None:
-    """The moves of a step and what they pay, before anybody settles."""
+    """:func:`move_game` in all problems whose episode does not begin."""
     for m in range(len(begins)):
-        if begins[m]:
-            continue
-        _make_moves(static, dynamic, b, fast, m)
-        for row in range(b.agents.shape[1]):
-            n = i64(row) if fast.everyone else i64(dynamic.games[m].agent)
-            if n == NOBODY or dynamic.agents[m, as_index(n)].status == Status.ABSENT:
-                b.acted[m, row] = False
-                b.reward[m, row] = 0
-                b.ending[m, row] = Ending.NONE
-            else:
-                b.total[m] += _take_stock(dynamic, b, fast, m, as_index(n), row)
+        if not begins[m]:
+            move_game(static, dynamic, b, fast, m)
 
 
-_NOT, _TURNS, _ALL = 0, 1, 2
+NOT, _TURNS, ALL = 0, 1, 2
 """What is to be settled at the end of a step: nothing, whose turn it is, or all that agents do."""
+
+
+@inlined
+def settle_game(
+    static: Static,
+    dynamic: Dynamic,
+    b: StepBuffers,
+    fast: FastPath,
+    m: int,
+    asked: int,
+    what: int,
+) -> None:
+    """The end of a step of one problem, whose turn was ``asked``'s; writes what became of agents."""
+    game = dynamic.games[m]
+    if what != NOT:
+        if fast.everyone:
+            if what == ALL:
+                settle_everyone(static, dynamic, m)
+            else:
+                settle_turns(static, dynamic, m)
+        elif asked != NOBODY:
+            if what == ALL:
+                settle_player(static, dynamic, m)
+            else:
+                pass_turn(static, dynamic, m)
+        acted = False
+        for row in range(b.agents.shape[1]):
+            acted |= b.acted[m, row]
+        _finish(b, m, acted, game)
+    if not fast.everyone:
+        b.agents[m, 0] = game.agent
+    for row in range(b.agents.shape[1]):
+        n = i64(row) if fast.everyone else i64(asked)
+        if n != NOBODY:  # once a game is over, these stay as its last move left them
+            status = dynamic.agents[m, as_index(n)].status
+            b.terminated[m, row] = status == Status.TERMINATED
+            b.truncated[m, row] = status == Status.TRUNCATED
+        n = i64(b.agents[m, row])
+        b.active[m, row] = n != NOBODY and dynamic.agents[m, as_index(n)].status == Status.ACTIVE
+
+
+@inlined
+def write_mask(static: Static, dynamic: Dynamic, mask: Any, m: int, n: int, row: int) -> None:
+    """Writes the moves of an agent that cross an edge; ones for NOBODY."""
+    _write_mask(mask, m, row, _free(static, dynamic, m, n))
 
 
 @compiled
@@ -781,37 +898,13 @@ def _settle_and_show(
     asked: Any,
     what: int,
 ) -> None:
-    """The end of a step: next tasks start, the turn passes; writes all but what agents see."""
+    """:func:`settle_game` in all problems, and the masks."""
     for m in range(len(begins)):
-        game = dynamic.games[m]
-        if what != _NOT and not begins[m]:
-            if fast.everyone:
-                if what == _ALL:
-                    settle_everyone(static, dynamic, m)
-                else:
-                    settle_turns(static, dynamic, m)
-            elif asked[m] != NOBODY:
-                if what == _ALL:
-                    settle_player(static, dynamic, m)
-                else:
-                    pass_turn(static, dynamic, m)
-            acted = False
-            for row in range(b.agents.shape[1]):
-                acted |= b.acted[m, row]
-            _finish(b, m, acted, game)
-        if not fast.everyone:
-            b.agents[m, 0] = game.agent
+        settle_game(
+            static, dynamic, b, fast, m, i64(asked[m]), i64(NOT) if begins[m] else i64(what)
+        )
         for row in range(b.agents.shape[1]):
-            n = i64(row) if fast.everyone else i64(asked[m])
-            if n != NOBODY:  # once a game is over, these stay as its last move left them
-                status = dynamic.agents[m, as_index(n)].status
-                b.terminated[m, row] = status == Status.TERMINATED
-                b.truncated[m, row] = status == Status.TRUNCATED
-            n = i64(b.agents[m, row])
-            b.active[m, row] = (
-                n != NOBODY and dynamic.agents[m, as_index(n)].status == Status.ACTIVE
-            )
-            _write_mask(b.mask, m, row, _free(static, dynamic, m, n))
+            write_mask(static, dynamic, b.mask, m, i64(b.agents[m, row]), i64(row))
 
 
 # --- the paper's pieces ---------------------------------------------------------------------------
@@ -826,7 +919,8 @@ def _play_everyone(
     """Steps and restarts of all problems, where all agents have a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
-            _start(static, dynamic, b, m)
+            clear_problem(static, dynamic, m, i64(0), i64(1))
+            start_game(static, dynamic, b, m)
             for n in range(b.agents.shape[1]):
                 b.active[m, n] = dynamic.agents[m, n].status == Status.ACTIVE
                 if b.active[m, n]:
@@ -842,7 +936,8 @@ def _play_player(
     """:func:`_play_everyone` where only the agent whose turn it is has a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
-            _start(static, dynamic, b, m)
+            clear_problem(static, dynamic, m, i64(0), i64(1))
+            start_game(static, dynamic, b, m)
             _look_at_player(static, dynamic, b, fast, m)
         elif steps:
             _step_player(static, dynamic, b, fast, m)

@@ -210,6 +210,11 @@ class ProblemStream:
         found.problems = dict(problems)
         return found
 
+    @property
+    def endless(self) -> bool:
+        """Whether every episode has a new problem."""
+        return self._drawn is not None
+
     def number(self, rng: np.random.Generator) -> int:
         """Draws the number of a problem."""
         if self._drawn is not None:

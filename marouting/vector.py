@@ -27,7 +27,7 @@ from marouting.problem.problem import Problem
 from marouting.scenarios import get
 from marouting.source import ProblemSampler, ProblemStream, Source
 
-_FIGURES = ("overflow", "wirelength", "joined", "steps")
+FIGURES = ("overflow", "wirelength", "joined", "steps")
 
 Info = dict[str, Any]
 
@@ -74,6 +74,8 @@ class BatchEnv(EzPickle):
             for its own problems.
         seed: a whole number from 0 that decides which problems are drawn. What a game plays in an
             episode depends on the seed, on the game's place and on the number of the episode alone.
+        device: ``cpu``, or ``cuda`` for a CUDA device (:mod:`marouting.batch.cuda_env`), which
+            takes another option, ``pool``.
         **options: the fields of :class:`marouting.options.GameOptions` about the rules, the
             observation, the reward and the scenario; unless given, ``turn_order`` is
             ``round_robin`` for all agents and ``sequential`` for one row.
@@ -93,6 +95,14 @@ class BatchEnv(EzPickle):
 
     _draws_of: ClassVar[type[ProblemSampler]] = ProblemSampler
 
+    def __new__(cls, *_: Any, device: str = "cpu", **__: Any) -> "BatchEnv":
+        """On another device it is a :class:`marouting.batch.cuda_env.CudaBatchEnv`."""
+        if cls is BatchEnv and device != "cpu":
+            from marouting.batch.cuda_env import CudaBatchEnv
+
+            return super().__new__(CudaBatchEnv)
+        return super().__new__(cls)
+
     def __init__(
         self,
         problems: Sequence[Problem] | int | None = None,
@@ -103,6 +113,7 @@ class BatchEnv(EzPickle):
         play_once: bool = False,
         threads: int = 1,
         seed: int = 0,
+        device: str = "cpu",
         **options: Any,
     ) -> None:
         EzPickle.__init__(
@@ -114,6 +125,7 @@ class BatchEnv(EzPickle):
             play_once=play_once,
             threads=threads,
             seed=seed,
+            device=device,
             **options,
         )
         if not (is_whole(threads) and threads >= 1):
@@ -128,7 +140,7 @@ class BatchEnv(EzPickle):
         check("play_once", once, "false: these games draw their problems")
         draws = _draws(self._draws_of, problems, problem, checked, seed)
         if draws is None:
-            self.engine = engine = Engine(_batch(problems, checked), checked)
+            self.engine = engine = Engine(fixed_batch(problems, checked), checked)
         else:
             self.engine = engine = Engine(
                 draws.problems.tolist(), checked, room=draws.episodes.room
@@ -204,14 +216,7 @@ class BatchEnv(EzPickle):
             ValueError: ``reset_mask`` is not one boolean per problem, or there is not one seed per
                 problem.
         """
-        listed = isinstance(seed, Sequence | np.ndarray)
-        seeds = list(cast(Sequence[int | None], seed if listed else [seed] * self.num_problems))
-        if len(seeds) != self.num_problems:
-            raise ValueError(f"seed: expected one, or {self.num_problems} of them, found {seed}")
-        which = np.asarray((options or {}).get("reset_mask", np.ones(self.num_problems, np.bool_)))
-        which = which if self._begun else np.ones_like(which)
-        if which.shape != (self.num_problems,) or which.dtype != np.bool_:
-            raise ValueError(f"reset_mask: expected {self.num_problems} booleans, found {which}")
+        which, seeds = self._chosen(seed, options)
         if self._draws is not None:
             self._draws.begin(seeds, which)
         first = 0
@@ -221,6 +226,20 @@ class BatchEnv(EzPickle):
             player.reset(some)
         self._begun = True
         return self._buffers.obs, self._info()
+
+    def _chosen(
+        self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None
+    ) -> tuple[NDArray[np.bool_], list[int | None]]:
+        """The games that a reset starts, and a seed for each; see :meth:`reset`."""
+        listed = isinstance(seed, Sequence | np.ndarray)
+        seeds = list(cast(Sequence[int | None], seed if listed else [seed] * self.num_problems))
+        if len(seeds) != self.num_problems:
+            raise ValueError(f"seed: expected one, or {self.num_problems} of them, found {seed}")
+        which = np.asarray((options or {}).get("reset_mask", np.ones(self.num_problems, np.bool_)))
+        which = which if self._begun else np.ones_like(which)
+        if which.shape != (self.num_problems,) or which.dtype != np.bool_:
+            raise ValueError(f"reset_mask: expected {self.num_problems} booleans, found {which}")
+        return which, seeds
 
     def step(
         self, actions: NDArray[np.integer]
@@ -357,8 +376,8 @@ class BatchEnv(EzPickle):
             "final_obs": b.final_obs,
             "final_mask": b.final_mask,
             "over": b.over,
-            **{figure: games[figure] for figure in _FIGURES},
-            "final_info": {figure: b.final[figure] for figure in _FIGURES},
+            **{figure: games[figure] for figure in FIGURES},
+            "final_info": {figure: b.final[figure] for figure in FIGURES},
         }
 
 
@@ -379,7 +398,9 @@ def _draws(
     return kind(ProblemStream(source, options.scenario, options.split), seed, cast(int, problems))
 
 
-def _batch(problems: Sequence[Problem] | int | None, options: GameOptions) -> Sequence[Problem]:
+def fixed_batch(
+    problems: Sequence[Problem] | int | None, options: GameOptions
+) -> Sequence[Problem]:
     """The problems of a batch that stay; see :class:`BatchEnv`."""
     found = "None" if problems is None else "a list"
     if options.scenario is None:

@@ -198,6 +198,19 @@ def test_every_number_is_as_the_oracle_says(
             engine.step(rng.integers(-1, 6, engine.nets.shape))
 
 
+def test_long_columns_are_as_the_oracle_says() -> None:
+    """Kernels cut columns of more than 32 Gcells into pieces."""
+    problem = generate(1, grid=(3, 80, 1), nets=12, capacity=3, seed=1)[0]
+    window = WindowObservation(32, 0, ("capacity", "demand", "own", "pins", "heads"))
+    engine, rng = Engine([problem], turn_order="round_robin"), np.random.default_rng(0)
+    for _ in range(20):
+        engine.step(rng.integers(0, 6, engine.nets.shape))
+    for n, row in enumerate(rows_of(engine, window)):
+        answer = blocks(engine, window, 0, n)
+        for name, (where, shape) in window.layout.items():
+            np.testing.assert_allclose(row[where].reshape(shape), answer[name], atol=3e-5)
+
+
 def test_the_layout_of_a_row() -> None:
     window = WindowObservation(radius=1, layers=0, channels=("pins", "own"))
     assert window.layout == {

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
 from marouting.batch.places import grid_of
+from marouting.batch.setup import Make, zeros
 from marouting.batch.state import Dynamic, Static
 from marouting.batch.tasks import is_later
 from marouting.game import NOBODY, Status
@@ -41,7 +42,6 @@ class Maps(NamedTuple):
     counted: NDArray[np.int32]  # (M, N, 3) Gcell, target and task of agents in the maps, or NOBODY
     corner: NDArray[np.int64]  # (M, G, 2) what ``expected`` is the sum of, over lower x and y
     expected: NDArray[np.int64]  # (M, G, 2) expected demand on a Gcell's edges towards +x and +y
-    heads: NDArray[np.int32]  # (M, G) active agents
     later: NDArray[np.uint8]  # (M, T) tasks in the maps that agents have still to begin
     changed: NDArray[np.int32]  # (M, 2) first and last column with changes to be summed up
 
@@ -49,6 +49,21 @@ class Maps(NamedTuple):
 _maps: WeakKeyDictionary[Engine, tuple[Maps, NDArray[np.int64]]] = WeakKeyDictionary()
 """The maps of every engine that is observed, and (M,) which of the problems that have been in its
 places they are of. They follow from its state, so nobody saves them."""
+
+
+def new_maps(shape: tuple[int, int, int, int, int], make: Make = zeros) -> Maps:
+    """Maps of M problems with N agents, G Gcells, Z layers and T tasks (shape), yet to begin."""
+    m, n, gcells, layers, tasks = shape
+    return Maps(
+        lanes=make("lanes", (m, VIA_AXIS, layers), np.int32),
+        lane_count=make("lane_count", (m, VIA_AXIS), np.int32),
+        track=make("track", (m, layers), np.float32),
+        counted=make("counted", (m, n, 3), np.int32),
+        corner=make("corner", (m, gcells, 2), np.int64),
+        expected=make("expected", (m, gcells, 2), np.int64),
+        later=make("later", (m, tasks), np.uint8),
+        changed=make("changed", (m, 2), np.int32),
+    )
 
 
 def maps_of(engine: Engine) -> Maps:
@@ -59,17 +74,7 @@ def maps_of(engine: Engine) -> Maps:
         m, n = engine.nets.shape
         layers = grid.shape[VIA_AXIS]
         check_memory(EXPECTED * m * grid.gcells, "expected demand of {} grids of {}", m, grid)
-        maps = Maps(
-            lanes=np.zeros((m, VIA_AXIS, layers), np.int32),
-            lane_count=np.zeros((m, VIA_AXIS), np.int32),
-            track=np.zeros((m, layers), np.float32),
-            counted=np.zeros((m, n, 3), np.int32),
-            corner=np.zeros((m, grid.gcells, 2), np.int64),
-            expected=np.zeros((m, grid.gcells, 2), np.int64),
-            heads=np.zeros((m, grid.gcells), np.int32),
-            later=np.zeros((m, engine.most_tasks), np.uint8),
-            changed=np.tile(np.array([_NO_COLUMN, NOBODY], np.int32), (m, 1)),
-        )
+        maps = new_maps((m, n, grid.gcells, layers, engine.most_tasks))
         found = _maps[engine] = maps, np.full(m, NOBODY, np.int64)
     maps, of = found
     if (of != engine.replaced).any():
@@ -86,12 +91,18 @@ def _begin_maps(static: Static, maps: Maps, m: int) -> None:
     lanes = (capacity > 0).any(axis=0).T
     lanes[~lanes.any(axis=1)] = True
     maps.lanes[m], maps.lane_count[m] = lanes, lanes.sum(axis=1)
+    maps.track[m] = track_of(static, m)
+    maps.counted[m] = NOBODY
+    maps.changed[m] = _NO_COLUMN, NOBODY
+    for array in (maps.corner, maps.expected, maps.later):
+        array[m] = 0
+
+
+def track_of(static: Static, m: int) -> NDArray[np.float64]:
+    """(Z,) the mean demand of a problem's agents on an edge of each layer, 1 where it is 0."""
     playing = np.count_nonzero(np.diff(static.first[m]))
     tracks = static.demand[m].sum(axis=0)
-    maps.track[m] = np.where(tracks > 0, tracks / playing, 1)
-    maps.counted[m] = NOBODY
-    for array in (maps.corner, maps.expected, maps.heads, maps.later):
-        array[m] = 0
+    return np.where(tracks > 0, tracks / playing, 1)
 
 
 @compiled
@@ -133,7 +144,6 @@ def count_task(static: Static, maps: Maps, m: int, n: int, near: int, far: int, 
 def count_agent(static: Static, maps: Maps, m: int, n: int, later: bool, sign: int) -> None:
     """Adds an agent's present task and those noted as later to the maps, or takes them off."""
     cell, target = as_index(maps.counted[m, n, 0]), as_index(maps.counted[m, n, 1])
-    maps.heads[m, cell] += sign
     count_task(static, maps, m, n, cell, target, sign)
     if later:
         for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):

@@ -1,8 +1,8 @@
 """Setting up the game: the constant arrays of a batch of problems."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,16 @@ from marouting.problem.grid import Grid
 from marouting.problem.problem import UNLIMITED, Problem
 from marouting.rules import RipUp, Rules, net_ranks
 from marouting.trees.decomposition import two_pin_tasks
+
+
+Make = Callable[[str, tuple[int, ...], Any], Any]
+"""Makes an array of zeros, of a name, a shape and a dtype, where the games are to be."""
+
+
+def zeros(name: str, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """An array of zeros on the processor."""
+    del name
+    return np.zeros(shape, dtype)
 
 
 class Room(NamedTuple):
@@ -202,22 +212,38 @@ def _options(
 _PLAIN = _options(Rules(), (0, 0, 0))  # the options of the paper's game: all are switched off
 
 
-def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
-    """The arrays that change during an episode; raises InputError if they take too much memory."""
-    m, edges = static.capacity.shape
+def dynamic_state(
+    static: Static, grid: Grid, agents: int, games: int | None = None, make: Make | None = None
+) -> Dynamic:
+    """The arrays that change during an episode, of zeros.
+
+    Args:
+        static: those that do not.
+        grid: the grid.
+        agents: N.
+        games: M; None: as many as the problems of ``static``.
+        make: makes them; None: on the processor.
+
+    Raises:
+        InputError: they take too much memory.
+    """
+    edges = static.capacity.shape[1]
+    m = len(static.capacity) if games is None else games
     ways, rows = -(-edges // 8), int(static.options[Option.ROWS])
     columns = int(static.options[Option.COLUMNS])
-    check_memory(
-        m * ((agents + rows) * ways + 8 * columns),
-        "a batch with {} nets on a grid of {} (global_routing_v0.env has room for more)",
-        m * agents,
-        grid,
-    )
+    if make is None:
+        check_memory(
+            m * ((agents + rows) * ways + 8 * columns),
+            "a batch with {} nets on a grid of {} (global_routing_v0.env has room for more)",
+            m * agents,
+            grid,
+        )
+        make = zeros
     return Dynamic(
-        remaining=np.empty((m, edges), np.int32),
-        used=np.zeros((m, agents, ways), np.uint8),
-        agents=np.zeros((m, agents), AGENT),
-        games=np.zeros(m, GAME),
-        sets=np.zeros((m, rows, ways), np.uint8),
-        numbers=np.zeros((m, columns), np.int64),
+        remaining=make("remaining", (m, edges), np.int32),
+        used=make("used", (m, agents, ways), np.uint8),
+        agents=make("agents", (m, agents), AGENT),
+        games=make("games", (m,), GAME),
+        sets=make("sets", (m, rows, ways), np.uint8),
+        numbers=make("numbers", (m, columns), np.int64),
     )

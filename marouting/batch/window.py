@@ -58,20 +58,29 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from marouting.batch.bits import byte_of
-from marouting.batch.edges import uses
+from marouting.batch.engine import Engine
 from marouting.batch.expected import Maps, maps_of, refresh, share_of, slack_of, squashed
 from marouting.batch.mirror import engine_of
 from marouting.batch.places import grid_of, position
-from marouting.batch.rules import free_moves
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_later
+from marouting.batch.window_rows import (
+    SCALARS,
+    Where,
+    count_heads,
+    high,
+    low,
+    place,
+    write_window,
+)
 from marouting.columns import Games, check_rows
 from marouting.config import check
 from marouting.game import NOBODY, Status
@@ -100,22 +109,8 @@ _BLOCKS: dict[str, tuple[int, ...]] = {
 """The blocks of every channel: edges along an axis, or Gcells."""
 
 _NAMES = ("_x", "_y", "_z", "")
-_SCALARS = 16
 _FAR = 4.0
 """log2(1 + d) / 8 for the largest d of a grid."""
-
-
-class _Where(NamedTuple):
-    """What the compiled code has to know of the options."""
-
-    radius: int
-    layers: int
-    capacity: int  # where the channel begins in a row; -1: it is not there
-    demand: int
-    history: int
-    own: int
-    pins: int
-    heads: int
 
 
 @dataclass(frozen=True)
@@ -141,6 +136,11 @@ class WindowObservation:
         once = len(set(given)) == len(given) > 0 and set(given) <= set(CHANNELS)
         check("channels", once, f"some of {', '.join(CHANNELS)}, each once, found {given}")
 
+    @property
+    def local_radius(self) -> int | None:
+        """``radius``; None with ``demand``, which is made of where all other nets are going."""
+        return None if "demand" in self.channels else self.radius
+
     @cached_property
     def layout(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
         """Where each block of a row is, and the shape to give it: (columns, rows, layers).
@@ -149,9 +149,9 @@ class WindowObservation:
         ``own_z``, ``pins`` and ``heads``.
         """
         found: dict[str, tuple[slice, tuple[int, ...]]] = {
-            "numbers": (slice(0, _SCALARS), (_SCALARS,))
+            "numbers": (slice(0, SCALARS), (SCALARS,))
         }
-        begin, side = _SCALARS, 2 * self.radius + 1
+        begin, side = SCALARS, 2 * self.radius + 1
         for channel in CHANNELS:
             if channel in self.channels:
                 for kind in _BLOCKS[channel]:
@@ -169,13 +169,14 @@ class WindowObservation:
         return next(reversed(self.layout.values()))[0].stop
 
     @cached_property
-    def _where(self) -> _Where:
+    def where(self) -> Where:
+        """The options, for compiled code."""
         begins = {
             channel: self.layout[channel + _NAMES[_BLOCKS[channel][0]]][0].start
             for channel in CHANNELS
             if channel in self.channels
         }
-        return _Where(self.radius, self.layers, *(begins.get(name, NOBODY) for name in CHANNELS))
+        return Where(self.radius, self.layers, *(begins.get(name, NOBODY) for name in CHANNELS))
 
     def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
         """The box of a row, the same for all problems; see :class:`.observations.Observation`."""
@@ -204,8 +205,11 @@ class WindowObservation:
         """
         check_rows(games, problems, agents, out, self.size)
         engine = engine_of(games)
-        maps = maps_of(engine)
-        _window(engine.static, engine.dynamic, maps, self._where, problems, agents, out)
+        known = engine.static, engine.dynamic
+        rows = self.where, problems, agents, out
+        _write_rows(*known, _heads_of(engine), *rows)
+        if "demand" in self.channels:
+            _write_demands(*known, maps_of(engine), *rows)
 
     def move_order(self, obs: NDArray[np.float32]) -> NDArray[np.int64]:
         """The moves on the grid that the moves of the window are, for what learns in the window.
@@ -250,8 +254,20 @@ class WindowObservation:
         if out is None:
             out = np.empty((len(engine.games), columns, rows, layers * channels), np.float32)
         flat = out.reshape(len(out), -1, channels)
-        _state(engine.static, engine.dynamic, maps_of(engine), self._where, flat)
+        heads = _heads_of(engine)
+        _state(engine.static, engine.dynamic, maps_of(engine), heads, self.where, flat)
         return out
+
+
+_heads: WeakKeyDictionary[Engine, NDArray[np.int32]] = WeakKeyDictionary()
+
+
+def _heads_of(engine: Engine) -> NDArray[np.int32]:
+    """(M, G) int32 to count in; see :func:`.window_rows.count_heads`."""
+    found = _heads.get(engine)
+    if found is None:
+        found = _heads[engine] = np.zeros((len(engine.games), engine.grid.gcells), np.int32)
+    return found
 
 
 def move_order(obs: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -289,8 +305,22 @@ def mirrored(moves: NDArray[np.integer], obs: NDArray[np.float32]) -> NDArray[np
 
 
 @compiled
+def _write_rows(
+    static: Static, dynamic: Dynamic, heads: Any, where: Where, problems: Any, agents: Any, out: Any
+) -> None:
+    """Fills ``out`` (K, size) with all channels but ``demand``, which stays 0."""
+    counted = i64(NOBODY)
+    for i in range(len(problems)):
+        m, n = as_index(problems[i]), i64(agents[i])
+        if where.heads >= 0 and m != counted:
+            count_heads(dynamic, heads, m)
+            counted = m
+        write_window(static, dynamic, heads, where, m, n, out, i)
+
+
+@compiled
 def _take_own(
-    static: Static, maps: Maps, where: _Where, m: int, n: int, cell: int, sign: int
+    static: Static, maps: Maps, where: Where, m: int, n: int, cell: int, sign: int
 ) -> None:
     """Takes a net's own expected demand off the edges of its window (−1), or adds it again (1)."""
     _, rows, layers = grid_of(static)
@@ -318,228 +348,124 @@ def _take_own(
 
 
 @compiled
-def _edges(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    where: _Where,
-    m: int,
-    n: int,
-    axis: int,
-    begin: int,
-    out: Any,
-    row: int,
+def _write_demand(
+    static: Static, dynamic: Dynamic, maps: Maps, where: Where, m: int, n: int, out: Any, row: int
 ) -> None:
-    """Writes the blocks of one axis, which begins at ``begin`` in each channel."""
+    """Writes ``demand`` into a row in which it is 0."""
     columns, rows, layers = grid_of(static)
     agent = dynamic.agents[m, n]
-    cell, target = as_index(agent.cell), as_index(agent.target)
-    x, y, z = position(static, cell)
-    right = static.position[target, 0] >= x
-    up = static.position[target, 1] >= y
-    # The last edge of an axis leads off the grid; in a mirror an edge belongs to its other end.
-    along_x, along_y, along_z = i64(axis == 0), i64(axis == 1), i64(axis == VIA_AXIS)
+    target = as_index(agent.target)
+    x, y, z = position(static, as_index(agent.cell))
+    right = i64(static.position[target, 0] >= x)
+    up = i64(static.position[target, 1] >= y)
     reach, deep = i64(where.radius), i64(where.layers)
-    p = begin
-    for i in range(-reach - along_x, reach + 1):
-        gx = x + i if right else x - i - along_x
-        in_x = 0 <= gx < columns - along_x
-        for j in range(-reach - along_y, reach + 1):
-            gy = y + j if up else y - j - along_y
-            inside = in_x and 0 <= gy < rows - along_y
-            for k in range(-deep - along_z, deep + 1):
-                gz = z + k
-                capacity = slack = history = own = np.float32(0)
-                if inside and 0 <= gz < layers - along_z:
+    side, depth = 2 * reach + 1, 2 * deep + 1
+    for axis in range(VIA_AXIS):
+        along_x, along_y = i64(axis == 0), i64(axis == 1)
+        begin = where.demand + axis * side * (side + 1) * depth
+        for gx in range(low(x, reach, along_x), high(x, reach, along_x, columns)):
+            i = place(i64(gx), x, reach, along_x, right)
+            for gy in range(low(y, reach, along_y), high(y, reach, along_y, rows)):
+                j = place(i64(gy), y, reach, along_y, up)
+                for gz in range(low(z, deep, i64(0)), high(z, deep, i64(0), layers)):
                     at = as_index((gx * rows + gy) * layers + gz)
-                    edge = as_index(AXES * at + axis)
-                    if where.own >= 0:
-                        own = np.float32(uses(dynamic.used, m, n, edge))
-                    if axis != VIA_AXIS:
-                        remaining = dynamic.remaining[m, edge]
-                        track = np.float32(max(static.demand[m, n, as_index(gz)], 1))
-                        if where.capacity >= 0:
-                            capacity = squashed(np.floor(np.float32(remaining) / track))
-                        if where.demand >= 0:
-                            slack = squashed(slack_of(maps, m, at, axis, remaining, track))
-                        if where.history >= 0 and static.options[Option.HISTORY] >= 0:
-                            at = as_index(static.options[Option.HISTORY] + edge)
-                            history = squashed(np.float32(dynamic.numbers[m, at]))
-                if axis != VIA_AXIS:
-                    if where.capacity >= 0:
-                        out[row, as_index(where.capacity + p)] = capacity
-                    if where.demand >= 0:
-                        out[row, as_index(where.demand + p)] = slack
-                    if where.history >= 0:
-                        out[row, as_index(where.history + p)] = history
-                if where.own >= 0:
-                    out[row, as_index(where.own + p)] = own
-                p += 1
+                    remaining = dynamic.remaining[m, as_index(AXES * at + axis)]
+                    track = np.float32(max(static.demand[m, n, as_index(gz)], 1))
+                    slack = squashed(slack_of(maps, m, at, i64(axis), remaining, track))
+                    p = begin + (i * (side + along_y) + j) * depth + gz - z + deep
+                    out[row, as_index(p)] = slack
 
 
 @compiled
-def _gcells(
-    static: Static, dynamic: Dynamic, maps: Maps, where: _Where, m: int, n: int, out: Any, row: int
+def _write_demands(
+    static: Static, dynamic: Dynamic, maps: Maps, where: Where, problems: Any, agents: Any, out: Any
 ) -> None:
-    """Writes the channels ``pins`` and ``heads``."""
-    columns, rows, layers = grid_of(static)
-    agent = dynamic.agents[m, n]
-    cell, target = as_index(agent.cell), as_index(agent.target)
-    x, y, z = position(static, cell)
-    sign_x = 1 if static.position[target, 0] >= x else -1
-    sign_y = 1 if static.position[target, 1] >= y else -1
-    active = agent.status == Status.ACTIVE
-    reach, deep = i64(where.radius), i64(where.layers)
-    p = i64(0)
-    for i in range(-reach, reach + 1):
-        gx = x + sign_x * i
-        for j in range(-reach, reach + 1):
-            gy = y + sign_y * j
-            inside = 0 <= gx < columns and 0 <= gy < rows
-            for k in range(-deep, deep + 1):
-                gz = z + k
-                if where.heads >= 0:
-                    others = np.float32(0)
-                    if inside and 0 <= gz < layers:
-                        at = as_index((gx * rows + gy) * layers + gz)
-                        others = np.float32(maps.heads[m, at] - i64(active and at == cell))
-                    out[row, as_index(where.heads + p)] = squashed(others)
-                if where.pins >= 0:
-                    out[row, as_index(where.pins + p)] = 0
-                p += 1
-    if where.pins >= 0 and active:
-        for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
-            if task != agent.task and not is_later(static, dynamic, m, n, i64(task)):
-                continue
-            pin = target if task == agent.task else as_index(static.tasks[task, 1])
-            i = (i64(static.position[pin, 0]) - x) * sign_x + reach
-            j = (i64(static.position[pin, 1]) - y) * sign_y + reach
-            k = i64(static.position[pin, 2]) - z + deep
-            if 0 <= i <= 2 * reach and 0 <= j <= 2 * reach and 0 <= k <= 2 * deep:
-                at = (i * (2 * reach + 1) + j) * (2 * deep + 1) + k
-                out[row, as_index(where.pins + at)] = 1
-
-
-@compiled
-def write_numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
-    """Writes the first 16 numbers of a row."""
-    agent = dynamic.agents[m, n]
-    cell, target = as_index(agent.cell), as_index(agent.target)
-    free = free_moves(static, dynamic, m, n)
-    for axis in range(AXES):
-        far = i64(static.position[target, axis]) - i64(static.position[cell, axis])
-        back = i64(0)
-        if axis != VIA_AXIS:
-            back = i64(far < 0)
-            out[row, axis] = 1 - 2 * back
-            far = abs(far)
-        logarithm = np.float32(math.log2(1.0 + abs(far)) / 8)
-        out[row, 2 + axis] = squashed(np.float32(far))
-        out[row, 5 + axis] = logarithm if far >= 0 else -logarithm
-        for way in range(2):
-            out[row, 8 + 2 * axis + way] = free >> (2 * axis + (way ^ back)) & 1
-    left = np.float32(static.max_steps - agent.steps) / np.float32(static.max_steps)
-    out[row, 14] = max(left, np.float32(0))
-    tasks = i64(0)
-    if agent.status == Status.ACTIVE:
-        tasks += 1
-        for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
-            tasks += is_later(static, dynamic, m, n, i64(task))
-    out[row, 15] = squashed(np.float32(tasks))
-
-
-@compiled
-def _window(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    where: _Where,
-    problems: Any,
-    agents: Any,
-    out: Any,
-) -> None:
-    """Fills ``out`` (K, size)."""
+    """Writes ``demand`` into ``out`` (K, size), after :func:`_write_rows`."""
     refreshed = i64(NOBODY)
-    side, deep = 2 * i64(where.radius) + 1, 2 * i64(where.layers) + 1
-    edges = side * (side + 1) * deep
-    along = max(where.capacity, where.demand, where.history, where.own) >= 0
     for i in range(len(problems)):
-        m, n = i64(problems[i]), i64(agents[i])
+        m, n = as_index(problems[i]), i64(agents[i])
         if n == NOBODY:
-            for f in range(out.shape[1]):
-                out[i, f] = 0
             continue
-        m, n = as_index(m), as_index(n)
-        if m != refreshed and (where.demand >= 0 or where.heads >= 0):
+        n = as_index(n)
+        if m != refreshed:
             refresh(static, dynamic, maps, m, i64(NOBODY))
             refreshed = m
-        write_numbers(static, dynamic, m, n, out, i)
-        takes = where.demand >= 0 and maps.counted[m, n, 0] != NOBODY
         cell = as_index(dynamic.agents[m, n].cell)
-        # One loop instead of three calls, which would compile everything three times.
-        for axis in range(AXES):
-            if takes and axis != 1:
-                _take_own(static, maps, where, m, n, cell, axis - 1)  # and put back before the vias
-            if along if axis != VIA_AXIS else where.own >= 0:
-                _edges(static, dynamic, maps, where, m, n, axis, edges * axis, out, i)
-        if where.pins >= 0 or where.heads >= 0:
-            _gcells(static, dynamic, maps, where, m, n, out, i)
+        counts = maps.counted[m, n, 0] != NOBODY
+        # Two turns instead of two calls, which would compile it twice.
+        for sign in range(-1, 2, 2):
+            if counts:
+                _take_own(static, maps, where, m, n, cell, sign)
+            if sign < 0:
+                _write_demand(static, dynamic, maps, where, m, n, out, i)
 
 
 # --- the global state -----------------------------------------------------------------------------
 
 
 @compiled
-def _state(static: Static, dynamic: Dynamic, maps: Maps, where: _Where, out: Any) -> None:
+def _state(
+    static: Static, dynamic: Dynamic, maps: Maps, heads: Any, where: Where, out: Any
+) -> None:
     """Fills ``out`` (M, G, C)."""
-    layers = maps.track.shape[1]
     for m in range(out.shape[0]):
-        if where.demand >= 0 or where.heads >= 0:
-            refresh(static, dynamic, maps, m, i64(NOBODY))
-        begin = i64(0)
-        for cell in range(out.shape[1]):
-            track = maps.track[m, cell % layers]
-            begin = 0
-            if where.capacity >= 0:
-                for axis in range(VIA_AXIS):
-                    remaining = np.float32(dynamic.remaining[m, AXES * cell + axis])
-                    out[m, cell, begin + axis] = squashed(remaining / track)
-                begin += VIA_AXIS
-            if where.demand >= 0:
-                for axis in range(VIA_AXIS):
-                    remaining = dynamic.remaining[m, AXES * cell + axis]
-                    slack = slack_of(maps, m, cell, axis, remaining, track)
-                    out[m, cell, begin + axis] = squashed(slack)
-                begin += VIA_AXIS
-            if where.history >= 0:
-                for axis in range(VIA_AXIS):
-                    out[m, cell, begin + axis] = 0
-                    if static.options[Option.HISTORY] >= 0:
-                        at = as_index(static.options[Option.HISTORY] + AXES * cell + axis)
-                        history = np.float32(dynamic.numbers[m, at])
-                        out[m, cell, begin + axis] = squashed(history)
-                begin += VIA_AXIS
-            for channel in range(begin, out.shape[2]):
-                out[m, cell, channel] = 0
-        pins = begin + AXES * i64(where.own >= 0)
-        for n in range(dynamic.agents.shape[1]):
-            if where.own >= 0:
-                for byte in range(dynamic.used.shape[2]):
-                    bits = byte_of(dynamic.used, m, n, byte)
-                    edge = 8 * byte
-                    while bits != 0:
-                        if bits & 1:
-                            out[m, edge // AXES, begin + edge % AXES] += 1
-                        edge, bits = edge + 1, bits >> 1
-            agent = dynamic.agents[m, n]
-            if where.pins >= 0 and agent.status == Status.ACTIVE:
-                out[m, as_index(agent.target), pins] += 1
-                for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
-                    if not is_later(static, dynamic, m, n, i64(task)):
-                        continue
-                    out[m, as_index(static.tasks[task, 1]), pins] += 1
-        for cell in range(out.shape[1]):
-            if where.heads >= 0:
-                out[m, cell, out.shape[2] - 1] = maps.heads[m, cell]
-            for channel in range(begin, out.shape[2]):
-                out[m, cell, channel] = squashed(out[m, cell, channel])
+        write_window_state(static, dynamic, maps, heads, where, m, out)
+
+
+@compiled
+def write_window_state(
+    static: Static, dynamic: Dynamic, maps: Maps, heads: Any, where: Where, m: int, out: Any
+) -> None:
+    """Fills ``out[m]`` (G, C)."""
+    layers = maps.track.shape[1]
+    if where.demand >= 0:
+        refresh(static, dynamic, maps, m, i64(NOBODY))
+    if where.heads >= 0:
+        count_heads(dynamic, heads, m)
+    begin = i64(0)
+    for cell in range(out.shape[1]):
+        track = maps.track[m, cell % layers]
+        begin = 0
+        if where.capacity >= 0:
+            for axis in range(VIA_AXIS):
+                remaining = np.float32(dynamic.remaining[m, AXES * cell + axis])
+                out[m, cell, begin + axis] = squashed(remaining / track)
+            begin += VIA_AXIS
+        if where.demand >= 0:
+            for axis in range(VIA_AXIS):
+                remaining = dynamic.remaining[m, AXES * cell + axis]
+                slack = slack_of(maps, m, cell, axis, remaining, track)
+                out[m, cell, begin + axis] = squashed(slack)
+            begin += VIA_AXIS
+        if where.history >= 0:
+            for axis in range(VIA_AXIS):
+                out[m, cell, begin + axis] = 0
+                if static.options[Option.HISTORY] >= 0:
+                    at = as_index(static.options[Option.HISTORY] + AXES * cell + axis)
+                    history = np.float32(dynamic.numbers[m, at])
+                    out[m, cell, begin + axis] = squashed(history)
+            begin += VIA_AXIS
+        for channel in range(begin, out.shape[2]):
+            out[m, cell, channel] = 0
+    pins = begin + AXES * i64(where.own >= 0)
+    for n in range(dynamic.agents.shape[1]):
+        if where.own >= 0:
+            for byte in range(dynamic.used.shape[2]):
+                bits = byte_of(dynamic.used, m, n, byte)
+                edge = 8 * byte
+                while bits != 0:
+                    if bits & 1:
+                        out[m, edge // AXES, begin + edge % AXES] += 1
+                    edge, bits = edge + 1, bits >> 1
+        agent = dynamic.agents[m, n]
+        if where.pins >= 0 and agent.status == Status.ACTIVE:
+            out[m, as_index(agent.target), pins] += 1
+            for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
+                if not is_later(static, dynamic, m, n, i64(task)):
+                    continue
+                out[m, as_index(static.tasks[task, 1]), pins] += 1
+    for cell in range(out.shape[1]):
+        if where.heads >= 0:
+            out[m, cell, out.shape[2] - 1] = heads[m, cell]
+        for channel in range(begin, out.shape[2]):
+            out[m, cell, channel] = squashed(out[m, cell, channel])

@@ -159,9 +159,10 @@ class Scenario:
             InputError: it is no validation or test problem of this scenario, or the scenario has no
                 references.
         """
-        found = references_in(self.references).get(digest(problem))
+        known = references_in(self.references).references
+        found = known.get(digest(problem))
         if found is None:
-            check(f"{self.name}: references", references_in(self.references), "a file with them")
+            check(f"{self.name}: references", known, "a file with them")
             raise InputError(
                 f"problem: expected a validation or test problem of {self.name}, found another"
             )
@@ -173,6 +174,22 @@ class Scenario:
         The cost of a policy is the sum over the problems, divided by that of the references.
         """
         return wirelength + self.open_cost * open_tasks
+
+    def score(self, cost: float, split: Split = "test") -> float:
+        """The score of a policy: 0 for the best local rule, 1 for the optimum, the more the better.
+
+        Args:
+            cost: the policy's :meth:`cost` on all problems of the split, divided by that of the
+                references.
+            split: ``validation`` or ``test``.
+
+        Raises:
+            InputError: the best local rule is not known for this scenario and split.
+        """
+        rule = references_in(self.references).heuristic.get(split)
+        if rule is None:
+            raise InputError(f"{self.name}: expected a scenario with a known best local rule")
+        return (rule - cost) / (rule - 1)
 
     @property
     def grid(self) -> tuple[int, int, int]:

@@ -71,7 +71,8 @@ from marouting.batch.places import grid_of, position
 from marouting.batch.prices import UNIT, edge_cost, is_priced, price_of
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import holds, is_later, is_on, next_nearest
-from marouting.batch.window import MOST_RADIUS, move_order, write_numbers
+from marouting.batch.window import MOST_RADIUS, move_order
+from marouting.batch.window_rows import write_numbers
 from marouting.columns import Games, check_rows
 from marouting.config import check
 from marouting.game import NOBODY, Crossing

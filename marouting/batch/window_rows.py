@@ -1,0 +1,337 @@
+"""The rows of the observation ``window``, compiled: one kernel writes the row of one agent.
+
+:mod:`marouting.batch.window` says what is in a row. Most of it is nought, so a row is cleared
+first and then only what is on the grid is written. What follows from a whole number is looked up.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from marouting.batch.bits import byte_of
+from marouting.batch.expected import squashed
+from marouting.batch.places import grid_of, position
+from marouting.batch.rules import free_moves
+from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.tasks import is_later
+from marouting.game import NOBODY, Status
+from marouting.kernels import as_index, compiled, i64, inlined
+from marouting.problem.grid import AXES, VIA_AXIS
+
+SCALARS = 16
+"""Numbers at the beginning of a row."""
+
+_NEAR = 256
+_SQUASHED = np.array([q / (1 + abs(q)) for q in range(-_NEAR, _NEAR)], np.float32)
+_LOGARITHMS = np.array([math.log2(1 + d) / 8 for d in range(_NEAR)], np.float32)
+
+
+class Where(NamedTuple):
+    """What the compiled code has to know of the options."""
+
+    radius: int
+    layers: int
+    capacity: int  # where the channel begins in a row; -1: it is not there
+    demand: int
+    history: int
+    own: int
+    pins: int
+    heads: int
+
+
+@inlined
+def squashed_whole(number: int) -> Any:
+    """float32, q / (1 + |q|) of a whole number."""
+    if -_NEAR <= number < _NEAR:
+        return _SQUASHED[as_index(number + _NEAR)]
+    return squashed(np.float32(number))
+
+
+@inlined
+def _logarithm(distance: int) -> Any:
+    """float32, log2(1 + d) / 8 of a distance."""
+    if distance < _NEAR:
+        return _LOGARITHMS[as_index(distance)]
+    return np.float32(math.log2(1.0 + distance) / 8)
+
+
+@inlined
+def _tracks(remaining: int, track: int) -> Any:
+    """float32, s(how often a track fits into the remaining capacity, rounded down)."""
+    if track == 1:
+        return squashed_whole(remaining)
+    return squashed(np.float32(math.floor(np.float32(remaining) / np.float32(track))))
+
+
+# --- where the window lies on the grid ------------------------------------------------------------
+# Along one direction of the grid: ``along`` is 1 for edges in that direction, of which there is one
+# less on the grid and one more in the window than there are Gcells, and 0 otherwise.
+
+
+@inlined
+def low(here: int, reach: int, along: int) -> int:
+    """The first place on the grid that is in the window."""
+    return max(here - reach - along, i64(0))
+
+
+@inlined
+def high(here: int, reach: int, along: int, side: int) -> int:
+    """The last place on the grid that is in the window, plus one."""
+    return min(here + reach, side - 1 - along) + 1
+
+
+@inlined
+def place(at: int, here: int, reach: int, along: int, forward: int) -> int:
+    """The place in the window of a place on the grid; ``forward`` 0: the window is mirrored."""
+    return at - here + reach + along if forward else here - at + reach
+
+
+_CHUNK = 32
+
+
+@inlined
+def _bits(number: int) -> int:
+    """So many bits, at most 32, for a loop that shifts them out one by one.
+
+    Columns of a window are short. A loop over a range would be made into one over vectors, which
+    takes twice as long for so few numbers.
+    """
+    return (i64(1) << min(number, i64(_CHUNK))) - 1
+
+
+# --- channels -------------------------------------------------------------------------------------
+
+
+@inlined
+def _write_edges(
+    static: Static,
+    dynamic: Dynamic,
+    where: Where,
+    m: int,
+    n: int,
+    axis: int,
+    x: int,
+    y: int,
+    z: int,
+    right: int,
+    up: int,
+    history: int,
+    begin: int,
+    out: Any,
+    row: int,
+) -> None:
+    """Writes a block of ``capacity``, or of ``history``, whose numbers begin at ``history``."""
+    columns, rows, layers = grid_of(static)
+    reach, deep = i64(where.radius), i64(where.layers)
+    along_x, along_y = i64(axis == 0), i64(axis == 1)
+    height, depth = 2 * reach + 1 + along_y, 2 * deep + 1
+    low_y, high_y = low(y, reach, along_y), high(y, reach, along_y, rows)
+    first = place(low_y, y, reach, along_y, up)
+    step = depth if up else -depth
+    for gz in range(low(z, deep, i64(0)), high(z, deep, i64(0), layers)):
+        track = max(i64(static.demand[m, n, as_index(gz)]), 1)
+        for gx in range(low(x, reach, along_x), high(x, reach, along_x, columns)):
+            column = place(i64(gx), x, reach, along_x, right)
+            p = begin + (column * height + first) * depth + gz - z + deep
+            edge = AXES * ((gx * rows + low_y) * layers + gz) + axis
+            for chunk in range(low_y, high_y, _CHUNK):
+                left = _bits(high_y - chunk)
+                while left != 0:
+                    if history < 0:
+                        remaining = i64(dynamic.remaining[m, as_index(edge)])
+                        out[row, as_index(p)] = _tracks(remaining, track)
+                    else:
+                        rounds = i64(dynamic.numbers[m, as_index(history + edge)])
+                        out[row, as_index(p)] = squashed_whole(rounds)
+                    edge, p, left = edge + AXES * layers, p + step, left >> 1
+
+
+@inlined
+def _write_own(
+    static: Static,
+    dynamic: Dynamic,
+    where: Where,
+    m: int,
+    n: int,
+    x: int,
+    y: int,
+    z: int,
+    right: int,
+    up: int,
+    out: Any,
+    row: int,
+) -> None:
+    """Writes ``own``: the bits of a column of the grid that touches the window are side by side."""
+    columns, rows, layers = grid_of(static)
+    reach, deep = i64(where.radius), i64(where.layers)
+    side, depth = 2 * reach + 1, 2 * deep + 1
+    block = side * (side + 1) * depth
+    low_y, high_y = low(y, reach, i64(1)), high(y, reach, i64(0), rows)
+    for gx in range(low(x, reach, i64(1)), high(x, reach, i64(0), columns)):
+        first = AXES * layers * (gx * rows + low_y)
+        last = AXES * layers * (gx * rows + high_y) - 1
+        for byte in range(first >> 3, (last >> 3) + 1):
+            bits = byte_of(dynamic.used, m, n, byte)
+            edge = 8 * byte
+            while bits != 0:
+                if bits & 1 and first <= edge <= last:
+                    cell, axis = edge // AXES, edge % AXES
+                    along_x, along_y, along_z = i64(axis == 0), i64(axis == 1), i64(axis == 2)
+                    i = place(i64(gx), x, reach, along_x, right)
+                    j = place(cell // layers - gx * rows, y, reach, along_y, up)
+                    k = cell % layers - z + deep + along_z
+                    inside = 0 <= i < side + along_x and 0 <= j < side + along_y
+                    if inside and 0 <= k < depth + along_z:
+                        p = (i * (side + along_y) + j) * (depth + along_z) + k
+                        out[row, as_index(where.own + block * axis + p)] = 1
+                bits, edge = bits >> 1, edge + 1
+
+
+@inlined
+def _write_heads(
+    static: Static,
+    heads: Any,
+    where: Where,
+    m: int,
+    x: int,
+    y: int,
+    z: int,
+    right: int,
+    up: int,
+    active: int,
+    out: Any,
+    row: int,
+) -> None:
+    """Writes ``heads``."""
+    columns, rows, layers = grid_of(static)
+    reach, deep = i64(where.radius), i64(where.layers)
+    side, depth = 2 * reach + 1, 2 * deep + 1
+    low_y, high_y = low(y, reach, i64(0)), high(y, reach, i64(0), rows)
+    first = place(low_y, y, reach, i64(0), up)
+    step = depth if up else -depth
+    for gz in range(low(z, deep, i64(0)), high(z, deep, i64(0), layers)):
+        for gx in range(low(x, reach, i64(0)), high(x, reach, i64(0), columns)):
+            column = place(i64(gx), x, reach, i64(0), right)
+            p = where.heads + (column * side + first) * depth + gz - z + deep
+            cell = (gx * rows + low_y) * layers + gz
+            for chunk in range(low_y, high_y, _CHUNK):
+                left = _bits(high_y - chunk)
+                while left != 0:
+                    out[row, as_index(p)] = squashed_whole(i64(heads[m, as_index(cell)]))
+                    cell, p, left = cell + layers, p + step, left >> 1
+    here = as_index((x * rows + y) * layers + z)
+    middle = where.heads + (reach * side + reach) * depth + deep
+    out[row, as_index(middle)] = squashed_whole(heads[m, here] - active)
+
+
+@inlined
+def _write_pins(
+    static: Static,
+    dynamic: Dynamic,
+    where: Where,
+    m: int,
+    n: int,
+    x: int,
+    y: int,
+    z: int,
+    right: int,
+    up: int,
+    out: Any,
+    row: int,
+) -> None:
+    """Writes ``pins`` of an active agent."""
+    reach, deep = i64(where.radius), i64(where.layers)
+    side, depth = 2 * reach + 1, 2 * deep + 1
+    agent = dynamic.agents[m, n]
+    for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
+        pin = as_index(agent.target)
+        if task != agent.task:
+            if not is_later(static, dynamic, m, n, i64(task)):
+                continue
+            pin = as_index(static.tasks[task, 1])
+        i = place(i64(static.position[pin, 0]), x, reach, i64(0), right)
+        j = place(i64(static.position[pin, 1]), y, reach, i64(0), up)
+        k = i64(static.position[pin, 2]) - z + deep
+        if 0 <= i < side and 0 <= j < side and 0 <= k < depth:
+            out[row, as_index(where.pins + (i * side + j) * depth + k)] = 1
+
+
+@inlined
+def write_numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, row: int) -> None:
+    """Writes the first 16 numbers of a row."""
+    agent = dynamic.agents[m, n]
+    cell, target = as_index(agent.cell), as_index(agent.target)
+    free = free_moves(static, dynamic, m, n)
+    for axis in range(AXES):
+        far = i64(static.position[target, axis]) - i64(static.position[cell, axis])
+        back = i64(0)
+        if axis != VIA_AXIS:
+            back = i64(far < 0)
+            out[row, axis] = 1 - 2 * back
+            far = abs(far)
+        out[row, 2 + axis] = squashed_whole(far)
+        out[row, 5 + axis] = _logarithm(far) if far >= 0 else -_logarithm(-far)
+        for way in range(2):
+            out[row, 8 + 2 * axis + way] = free >> (2 * axis + (way ^ back)) & 1
+    left = np.float32(static.max_steps - agent.steps) / np.float32(static.max_steps)
+    out[row, 14] = max(left, np.float32(0))
+    tasks = i64(0)
+    if agent.status == Status.ACTIVE:
+        tasks += 1
+        for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
+            tasks += is_later(static, dynamic, m, n, i64(task))
+    out[row, 15] = squashed_whole(tasks)
+
+
+@inlined
+def write_window(
+    static: Static, dynamic: Dynamic, heads: Any, where: Where, m: int, n: int, out: Any, row: int
+) -> None:
+    """Fills a row of ``out`` (K, size) with what an agent sees; zeros for NOBODY.
+
+    The channel ``demand`` stays 0.
+
+    ``heads`` (M, G) is as :func:`count_heads` leaves it; it is read only for that channel.
+    """
+    for f in range(out.shape[1]):
+        out[row, f] = 0
+    if n == NOBODY:
+        return
+    n = as_index(n)
+    write_numbers(static, dynamic, m, n, out, row)
+    agent = dynamic.agents[m, n]
+    cell, target, active = as_index(agent.cell), as_index(agent.target), i64(0)
+    active += agent.status == Status.ACTIVE
+    x, y, z = position(static, cell)
+    right = i64(static.position[target, 0] >= x)
+    up = i64(static.position[target, 1] >= y)
+    side = 2 * i64(where.radius) + 1
+    block = side * (side + 1) * (2 * i64(where.layers) + 1)
+    # One loop over the blocks instead of four calls, which would compile everything four times.
+    for turn in range(2 * VIA_AXIS):
+        axis, begin, history = i64(turn % VIA_AXIS), i64(where.capacity), i64(NOBODY)
+        if turn >= VIA_AXIS:
+            begin, history = i64(where.history), i64(static.options[Option.HISTORY])
+        if begin >= 0 and (turn < VIA_AXIS or history >= 0):
+            begin += block * axis
+            _write_edges(
+                static, dynamic, where, m, n, axis, x, y, z, right, up, history, begin, out, row
+            )
+    if where.own >= 0:
+        _write_own(static, dynamic, where, m, n, x, y, z, right, up, out, row)
+    if where.pins >= 0 and active:
+        _write_pins(static, dynamic, where, m, n, x, y, z, right, up, out, row)
+    if where.heads >= 0:
+        _write_heads(static, heads, where, m, x, y, z, right, up, active, out, row)
+
+
+@compiled
+def count_heads(dynamic: Dynamic, heads: Any, m: int) -> None:
+    """Counts the active agents of a problem in each Gcell, into ``heads`` (M, G)."""
+    for cell in range(heads.shape[1]):
+        heads[m, cell] = 0
+    for n in range(dynamic.agents.shape[1]):
+        agent = dynamic.agents[m, n]
+        if agent.status == Status.ACTIVE:
+            heads[m, as_index(agent.cell)] += 1
