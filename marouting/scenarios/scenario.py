@@ -187,9 +187,13 @@ class Scenario:
             InputError: the best local rule is not known for this scenario and split.
         """
         rule = references_in(self.references).heuristic.get(split)
-        if rule is None:
+        if rule is None:  # see has_local_rule
             raise InputError(f"{self.name}: expected a scenario with a known best local rule")
         return (rule - cost) / (rule - 1)
+
+    def has_local_rule(self, split: Split) -> bool:
+        """Whether the cost of the best local rule is known, from which :meth:`score` counts."""
+        return split in references_in(self.references).heuristic
 
     @property
     def grid(self) -> tuple[int, int, int]:
