@@ -83,10 +83,11 @@ def lookup(kind: str, name: str, where: str = "") -> type[Any]:
                 f"{prefix}unknown {kind} {name!r}; {nearest(name, names(kind))}"
                 f"expected module:Class or one of {', '.join(names(kind))}"
             )
-        found = name
-    if not isinstance(found, str):
+        found, cls = name, imported(name, prefix)
+    elif not isinstance(found, str):
         return found
-    cls = imported(found, prefix)
+    else:
+        cls = _imported(found, prefix)
     if not isinstance(cls, type):
         module, _, qualified = found.partition(":")
         raise InputError(f"{prefix}{found}: there is no class {qualified} in {module}")
@@ -147,9 +148,14 @@ def _entry_points(kind: str) -> dict[str, str]:
 
 
 def imported(path: str, prefix: str = "") -> Any:
-    """The object at ``module:Name``, or None; raises InputError if there is no such module."""
+    """What a user has at ``module:Name``, or None; raises InputError if there is no such module."""
     if (folder := _folder.get()) is not None and folder not in sys.path:
         sys.path.append(folder)
+    return _imported(path, prefix)
+
+
+def _imported(path: str, prefix: str) -> Any:
+    """The object at ``module:Name``, or None; raises InputError if there is no such module."""
     module, _, qualified = path.partition(":")
     try:
         found: Any = importlib.import_module(module)
