@@ -138,6 +138,7 @@ DIGESTS = {
     "crossing-v0": ("cc1bdd72dd9ee458", "62870b966a4c0a8f", "d43adb3aca4f89ba"),
     "two-pin-once-8x8-v0": ("146dde958ef6ee39", "a04be8ec48fb8500", "b5851dcb6920c394"),
     "multi-pin-once-8x8-v0": ("29e8daf123933638", "42872b592d913c86", "c0ea9970c140554b"),
+    "two-pin-once-32x32-v0": ("1294461af5910ae7", "fe720a5828d018f5", "3a3bddecbe8f7447"),
     "online-8x8-v0": ("c00816a1602e21f3", "0665eae5311238f7", "9f3a3d201547b658"),
 }
 """SHA-256 of the exact problems of each scenario: validation, test, the first three of seed 0."""

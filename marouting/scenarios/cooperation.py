@@ -260,6 +260,15 @@ COOPERATION = (
         one_shot(("capacity", "own", "pins", "heads"), layers=2, target="tree", next_pin="nearest"),
     ),
     _once(
+        "two-pin-once-32x32-v0",
+        "Five hundred two-pin nets, routed once.",
+        RandomNets(grid=(32, 32, 2), nets=(500, 500), max_pins=(2, 2), capacity=(9, 9)),
+        one_shot(layers=2),
+        validation=10,
+        test=20,
+        open_cost=80,
+    ),
+    _once(
         "online-8x8-v0",
         "Twenty-four nets that arrive one by one; none sees those that are still to come.",
         RandomNets(grid=(8, 8, 2), nets=(24, 24), max_pins=(2, 2), capacity=(2, 2)),
