@@ -62,7 +62,7 @@ class Play(NamedTuple):
     counters: NDArray[np.int64]  # (M,)
     epsilon: NDArray[np.float64]  # (M,)
     pending: NDArray[np.int64]  # (L,) moves not yet answered by a gradient step
-    moves: NDArray[np.int8]  # (M, S, K) see LoggedPlayer; without room where nothing is logged
+    moves: NDArray[np.int16]  # (M, S, K) see LoggedPlayer; without room where nothing is logged
     made: NDArray[np.int64]  # (M,) likewise
 
 
@@ -207,7 +207,7 @@ class FusedDQN(DQN):
     def play(self, player: Player, steps: int) -> None:
         """See :meth:`policies.learned.learner.Learner.play`; one network after the other."""
         b, explore, engine = player.buffers, self.explore, player.engine
-        moves, made = np.empty((1, 0, 1), np.int8), np.zeros(len(b.over), np.int64)
+        moves, made = np.empty((1, 0, 1), np.int16), np.zeros(len(b.over), np.int64)
         if isinstance(player, LoggedPlayer):
             player.make_log(steps)
             moves, made = player.moves, player.made
