@@ -14,10 +14,12 @@ from marouting._version import __version__
 from marouting.batch.engine import Engine
 from marouting.batch.window import WindowObservation
 from marouting.errors import InputError
+from marouting.evaluation import PolicyResult, evaluate_policy
 from marouting.generator import generate
 from marouting.make import make
 from marouting.observations import Observation, PaperObservation
 from marouting.options import EnvOptions
+from marouting.problem.field import Field
 from marouting.problem.grid import Move
 from marouting.problem.net import Adjustment, Net, Pin
 from marouting.problem.problem import Problem
@@ -31,6 +33,7 @@ __all__ = [
     "Engine",
     "EnvOptions",
     "Evaluation",
+    "Field",
     "InputError",
     "Move",
     "Net",
@@ -38,12 +41,14 @@ __all__ = [
     "PaperObservation",
     "PaperReward",
     "Pin",
+    "PolicyResult",
     "Problem",
     "Reward",
     "Solution",
     "WindowObservation",
     "__version__",
     "evaluate",
+    "evaluate_policy",
     "generate",
     "global_routing_v0",
     "make",

@@ -9,10 +9,16 @@ line on standard error says so before it begins.
 """
 
 import functools
+import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+
+def simulated() -> bool:
+    """Whether this thread belongs to numba's CUDA simulator."""
+    return type(threading.current_thread()).__name__ == "BlockThread"
 
 
 class Kernel:
@@ -41,7 +47,9 @@ class Kernel:
         return compile_with(self.py_func, self._options, Kernel, part=True)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Calls it; the first time it is compiled."""
+        """Calls it; the first time it is compiled. In numba's CUDA simulator it stays Python."""
+        if simulated():
+            return self.py_func(*arguments)
         return self.dispatcher(*arguments)
 
     def __getattr__(self, name: str) -> Any:

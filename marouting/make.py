@@ -8,7 +8,7 @@ from typing import Any
 from marouting.config import build, read_yaml
 from marouting.env.single import GlobalRoutingSingle
 from marouting.errors import InputError
-from marouting.options import EnvOptions
+from marouting.options import EnvOptions, with_suggestions
 from marouting.registry import allowing_code
 
 
@@ -48,7 +48,7 @@ def make(
         part = {} if part is None else part
         if not isinstance(part, Mapping):
             raise InputError(f"{where}: env: expected a mapping, found {part!r}")
-        options = build(EnvOptions, part, f"{where}: env")
+        options = build(EnvOptions, with_suggestions(part), f"{where}: env")
     else:
         options = getattr(config, "env", config)
         if not isinstance(options, EnvOptions):

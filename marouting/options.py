@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
-from marouting.config import Named, build, check, piece_field, take_pieces, unknown_key
+from marouting.config import Named, build, check, merged, piece_field, take_pieces, unknown_key
 from marouting.errors import UnknownOption
 from marouting.generator import GeneratorOptions
 from marouting.rules import Rules, TurnOrder
-from marouting.scenarios import Split, get
+from marouting.scenarios import Split, get, names
 
 Agents = Literal["single", "multi"]
 RenderMode = Literal["ansi", "rgb_array", "human"]
@@ -37,7 +37,8 @@ class GameOptions(Rules):
             (:class:`marouting.generator.GeneratorOptions`). With several problems, every reset
             draws one; with ``seed: null`` the generator makes a new one. None: a small problem,
             or those of the scenario.
-        scenario: the name of a scenario (:mod:`marouting.scenarios`), instead of ``problem``.
+        scenario: the name of a scenario (:mod:`marouting.scenarios`), instead of ``problem``. It
+            may have defaults of its own for the other options.
         split: which of the scenario's problems: ``train``, a new one at every reset;
             ``validation`` or ``test``, a random one of this fixed set at every reset.
         observation: what agents see: the name of a registered observation, ``module:Class``, a
@@ -47,8 +48,8 @@ class GameOptions(Rules):
             :mod:`marouting.rewards`.
         agents_persist: whether agents that are done stay in ``agents`` until all are done. With
             several problems, ``agents`` is then the same in each, and those that a problem lacks
-            are inactive. For libraries that need a fixed set of agents; PettingZoo's interfaces
-            only.
+            are inactive. For libraries that need a fixed set of agents, and for rewards that pay
+            agents that are done.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
     """
 
@@ -115,8 +116,16 @@ class EnvOptions(GameOptions):
     agents: Agents = "single"
 
 
+def with_suggestions(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options in plain data, with those of their scenario where they say nothing themselves."""
+    scenario = options.get("scenario")
+    if isinstance(scenario, str) and scenario in names():
+        return merged(get(scenario).env, options)
+    return dict(options)
+
+
 def game_options(options: Mapping[str, Any]) -> GameOptions:
-    """Checks options given as keywords.
+    """Checks options given as keywords, and adds those that their scenario suggests.
 
     Args:
         options: fields of :class:`GameOptions`; ``observation`` and ``reward`` may also be objects.
@@ -130,7 +139,8 @@ def game_options(options: Mapping[str, Any]) -> GameOptions:
         if name not in known:
             what = f"got an unexpected keyword argument {name!r}"
             raise UnknownOption(f"{unknown_key(name, known)} ({what})")
-    plain = dict(options)
+    plain = with_suggestions(options)
+    plain.pop("agents", None)  # of the interface
     for name in ("observation", "reward"):
         check(name, plain.get(name, name) is not None, "a name, a mapping or an object, found None")
     pieces = {

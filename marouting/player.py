@@ -1,9 +1,9 @@
 """The array player: plays M problems at once for the batch environment and for trainings.
 
-With the paper's observation and reward, a whole step is one compiled call. With the paper's reward
-and another observation, the moves of a step are one compiled call, and the observation is called at
-most twice: for the final observations of tasks and turns that end, and then for all rows. With
-another reward, moves are made one by one, and the reward is called after each of them.
+With the paper's observation and a built-in reward, a whole step is one compiled call. With another
+observation, the moves of a step are one compiled call, and the observation is called at most twice:
+for the final observations of tasks and turns that end, and then for all rows. With a reward of your
+own, moves are made one by one, and the reward is called after each of them.
 
 :class:`StepBuffers` holds what a learner needs: which tasks ended in the step, and how; the final
 observation of a task, from which to bootstrap; and, on request, only the row of the agent whose
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from marouting.batch.bits import copy_row
 from marouting.batch.engine import Engine
 from marouting.batch.observation import paper_reward, see_paper, write_paper
+from marouting.batch.payment import move_and_pay
 from marouting.batch.rules import (
     free_moves,
     may_move,
@@ -54,7 +55,7 @@ from marouting.memory import check_memory
 from marouting.observations import Observation, PaperObservation, has_move_order, move_order_of
 from marouting.options import FORMS
 from marouting.problem.grid import MOVES
-from marouting.rewards import KNOWN, PaperReward, Reward, paid_by
+from marouting.rewards import Prices, Reward, Share, paid_by, prices_of
 from marouting.source import ProblemSampler
 
 COMPILES = "the batch of games", 8
@@ -88,30 +89,44 @@ class StepBuffers(NamedTuple):
 
     @classmethod
     def of(
-        cls, problems: int, rows: int, shape: tuple[int, ...], actions: int = MOVES
+        cls,
+        problems: int,
+        rows: int,
+        shape: tuple[int, ...],
+        actions: int = MOVES,
+        make: Any = None,
     ) -> "StepBuffers":
-        """New buffers; raises InputError if they would take too much memory."""
-        size = math.prod(shape)
-        bytes_of_obs = 2 * np.dtype(np.float32).itemsize * problems * rows * size
-        check_memory(bytes_of_obs, "{} observations of {} numbers", problems * rows, size)
+        """New buffers, of zeros that ``make`` (shape, dtype) makes; None: on the processor.
+
+        Raises:
+            InputError: they would take too much memory.
+        """
+        if make is None:
+            size = math.prod(shape)
+            bytes_of_obs = 2 * np.dtype(np.float32).itemsize * problems * rows * size
+            check_memory(bytes_of_obs, "{} observations of {} numbers", problems * rows, size)
+            make = np.zeros
         each = problems, rows
-        return cls(
-            agents=np.full(each, NOBODY, np.int32),
-            obs=np.zeros((*each, *shape), np.float32),
-            mask=np.ones((*each, actions), np.int8),
-            actions=np.full(each, NOBODY, np.int16),
-            acted=np.zeros(each, np.bool_),
-            reward=np.zeros(each, np.float32),
-            ending=np.zeros(each, np.int8),
-            final_obs=np.zeros((*each, *shape), np.float32),
-            final_mask=np.ones((*each, actions), np.int8),
-            terminated=np.zeros(each, np.bool_),
-            truncated=np.zeros(each, np.bool_),
-            active=np.zeros(each, np.bool_),
-            over=np.zeros(problems, np.bool_),
-            total=np.zeros(problems),
-            final=np.zeros(problems, GAME),
+        buffers = cls(
+            agents=make(each, np.int32),
+            obs=make((*each, *shape), np.float32),
+            mask=make((*each, actions), np.int8),
+            actions=make(each, np.int16),
+            acted=make(each, np.bool_),
+            reward=make(each, np.float32),
+            ending=make(each, np.int8),
+            final_obs=make((*each, *shape), np.float32),
+            final_mask=make((*each, actions), np.int8),
+            terminated=make(each, np.bool_),
+            truncated=make(each, np.bool_),
+            active=make(each, np.bool_),
+            over=make((problems,), np.bool_),
+            total=make((problems,), np.float64),
+            final=make((problems,), GAME),
         )
+        buffers.agents[:] = buffers.actions[:] = NOBODY
+        buffers.mask[:] = buffers.final_mask[:] = 1
+        return buffers
 
 
 class FastPath(NamedTuple):
@@ -119,10 +134,41 @@ class FastPath(NamedTuple):
 
     everyone: bool  # whether all agents have a row, or only the one whose turn it is
     observation: bool  # whether the observation is the paper's
-    reward: bool  # whether the reward is the paper's
+    reward: bool  # whether the reward is nothing but the following prices
+    shares: bool | None  # True if they are more than the table, which only pays the agent that
+    # moves, otherwise None: then compiled code knows by the type that it need not look
     via_capacity: float  # see PaperObservation
-    prices: NDArray[np.float32]  # (5, 3) see PaperReward.table
-    overflow_price: float  # see PaperReward
+    table: NDArray[np.float32]  # (5, 3) see marouting.rewards.Prices
+    overflow_price: float  # see Prices.added_overflow
+    prices: NDArray[np.float64]  # (4, 3) see Prices.shared
+    cells: NDArray[np.int32]  # (M, 2, G) to work with, if failed tasks are charged for; else G = 0
+
+    @classmethod
+    def of(
+        cls,
+        shape: tuple[int, int],
+        observation: Observation,
+        reward: Reward,
+        *,
+        everyone: bool,
+        make: Any = np.zeros,
+    ) -> "FastPath":
+        """What the compiled step of M games on G Gcells (shape) has to know about these pieces."""
+        paper = type(observation) is PaperObservation
+        prices = prices_of(reward)
+        known = Prices.of() if prices is None else prices
+        charges = known.shared[Share.OTHERS, 1] != 0
+        return cls(
+            everyone=everyone,
+            observation=paper,
+            reward=prices is not None,
+            shares=True if known.shared.any() else None,
+            via_capacity=observation.via_capacity if paper else PaperObservation().via_capacity,
+            table=known.table.astype(np.float32),
+            overflow_price=float(known.added_overflow),
+            prices=known.shared,
+            cells=make((shape[0], 2, shape[1] * charges), np.int32),
+        )
 
 
 class Earlier(NamedTuple):
@@ -158,8 +204,6 @@ class Player:
     Attributes:
         played: (M, K) the moves on the grid of the last step.
         fast: what the compiled step knows about the pieces.
-        paid: (M, N) float32, what the last step paid every agent. None with the paper's reward,
-            which pays only the agent that moves.
     """
 
     def __init__(
@@ -187,25 +231,15 @@ class Player:
             rows = agents if everyone else 1
             buffers = StepBuffers.of(problems, rows, shape, engine.actions)
         self.buffers = buffers
-        looks = observation if type(observation) is PaperObservation else PaperObservation()
-        pays = PaperReward()
-        if isinstance(reward, PaperReward) and type(reward) in KNOWN:
-            pays = reward
-        self.fast = FastPath(
-            everyone,
-            looks is observation,
-            pays is reward,
-            looks.via_capacity,
-            pays.table,
-            pays.overflow_price,
-        )
+        shape = len(engine.games), engine.grid.gcells
+        self.fast = FastPath.of(shape, observation, reward, everyone=everyone)
         self._bind()
 
     @property
     def compiled(self) -> bool:
         """Whether a whole step is one compiled call.
 
-        It is with the paper's observation, reward and six actions.
+        It is with the paper's observation and six actions, and a built-in reward.
         """
         return self.fast.observation and self.fast.reward and self.engine.actions == MOVES
 
@@ -216,7 +250,6 @@ class Player:
         if self.everyone:
             buffers.agents[:] = engine.pairs(everyone=True)[1].reshape(engine.nets.shape)
         own_reward = not self.fast.reward
-        self.paid = np.zeros(engine.nets.shape, np.float32) if own_reward else None
         self._before: Earlier | None = None
         self.kernel_buffers = buffers
         if self.compiled:  # masks are written in pairs of bytes, which is faster
@@ -235,7 +268,7 @@ class Player:
             self._step = specialised(kernel, *self._arguments, True, True)
             return
         nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
-        self._settle = specialised(_settle_and_show, *self._arguments, nobody, nowhere, _NOT)
+        self._settle = specialised(_settle_and_show, *self._arguments, nobody, nowhere, NOT)
         # Problems, agents and rows of those that have arrived.
         self._places = tuple(np.zeros(buffers.agents.size, np.int32) for _ in range(3))
         self._list_arrived = specialised(_list_arrived, *self._arguments, nowhere, *self._places)
@@ -259,7 +292,7 @@ class Player:
         which = np.ascontiguousarray(which)  # as bound code expects it
         self._start(which)
         nobody = np.full(len(over), NOBODY, np.int32)
-        self._settle(*self._arguments, which, nobody, _NOT)
+        self._settle(*self._arguments, which, nobody, NOT)
         self._look(which)
         self._turn_masks()
 
@@ -290,6 +323,7 @@ class Player:
         part.engine = self.engine.part(which)
         part.buffers = StepBuffers._make(array[which] for array in self.buffers)
         part.draws = self.draws and self.draws.part(which)
+        part.fast = self.fast._replace(cells=self.fast.cells[which])
         part._bind()
         return part
 
@@ -397,7 +431,7 @@ class Player:
         if self._before is None:
             self._move(*self._arguments, begins)
             self._look_back(asked)
-            self._settle(*self._arguments, begins, asked, _ALL)
+            self._settle(*self._arguments, begins, asked, ALL)
         else:
             self._move_by_turns(self._before, begins, asked)
             self._look_back(asked)
@@ -412,12 +446,11 @@ class Player:
         self, before: Earlier, begins: NDArray[np.bool_], asked: NDArray[np.int32]
     ) -> None:
         """Makes the moves, each with a call of the reward, and writes what came of them."""
-        b, engine, paid = self.buffers, self.engine, self.paid
-        assert paid is not None
+        b, engine = self.buffers, self.engine
+        paid = np.zeros(engine.nets.shape, np.float32)
         for name in ("added_overflow", "crossing", "ending"):
             engine.agents[name] = 0
         before.agents[...] = engine.agents
-        paid[:] = 0
         for movers, moves in self._turns(begins):
             _move(engine.static, engine.dynamic, movers, moves)
             paid += paid_by(self.reward, engine, before, movers)
@@ -666,18 +699,29 @@ def _look_at_player(
 
 
 @inlined
-def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int) -> Any:
-    """Writes the result of an agent's move; returns the reward."""
-    agent = dynamic.agents[m, n]
-    reward = paper_reward(fast.prices, fast.overflow_price, agent)
-    b.acted[m, row] = agent.crossing != Crossing.NONE
-    b.reward[m, row] = reward
-    b.ending[m, row] = agent.ending
-    return reward
+def _make_moves(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
+    """The moves of a step of one problem, before anybody settles."""
+    if fast.shares is not None:
+        move_and_pay(static, dynamic, fast, m, b.actions, b.reward)
+    elif fast.everyone:
+        move_everyone(static, dynamic, m, b.actions)
+    else:
+        move_player(static, dynamic, m, i64(b.actions[m, 0]))
 
 
 @inlined
-def _start(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
+def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int) -> Any:
+    """Writes the result of an agent's move; returns the reward."""
+    agent = dynamic.agents[m, n]
+    b.acted[m, row] = agent.crossing != Crossing.NONE
+    b.ending[m, row] = agent.ending
+    if fast.shares is None:
+        b.reward[m, row] = paper_reward(fast.table, fast.overflow_price, agent)
+    return b.reward[m, row]
+
+
+@inlined
+def start_game(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
     """Starts an episode of a problem, in which nobody has acted yet."""
     reset_problem(static, dynamic, m)
     b.over[m] = False
@@ -717,7 +761,7 @@ def _step_everyone(
     game = dynamic.games[m]
     playing = game.active > 0
     total = b.total[m]
-    move_everyone(static, dynamic, m, b.actions)
+    _make_moves(static, dynamic, b, fast, m)
     for n in range(b.agents.shape[1]):
         # One loop does everything for an agent while its data is in the cache.
         agent = dynamic.agents[m, n]
@@ -743,7 +787,7 @@ def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
     game = dynamic.games[m]
     playing = game.active > 0
     mover, row = i64(game.agent), i64(0)
-    move_player(static, dynamic, m, i64(b.actions[m, 0]))
+    _make_moves(static, dynamic, b, fast, m)
     if mover == NOBODY:
         b.acted[m, 0] = False
         b.reward[m, 0] = 0
@@ -765,7 +809,7 @@ def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
 
 @inlined
 def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
-    """A step of one problem, with the paper's observation and reward."""
+    """A step of one problem, with the paper's observation and a built-in reward."""
     if fast.everyone:
         _step_everyone(static, dynamic, b, fast, m)
     else:
@@ -775,30 +819,77 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
 # --- any observation ------------------------------------------------------------------------------
 
 
+@inlined
+def move_game(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
+    """The moves of a step of one problem and what is paid for them, before anybody settles."""
+    _make_moves(static, dynamic, b, fast, m)
+    for row in range(b.agents.shape[1]):
+        n = i64(row) if fast.everyone else i64(dynamic.games[m].agent)
+        if n == NOBODY or dynamic.agents[m, as_index(n)].status == Status.ABSENT:
+            b.acted[m, row] = False
+            b.reward[m, row] = 0
+            b.ending[m, row] = Ending.NONE
+        else:
+            b.total[m] += _take_stock(dynamic, b, fast, m, as_index(n), row)
+
+
 @compiled
 def _move_and_pay(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, begins: Any
 ) -> None:
-    """The moves of a step and what the paper's reward pays for them, before anybody settles."""
+    """:func:`move_game` in all problems whose episode does not begin."""
     for m in range(len(begins)):
-        if begins[m]:
-            continue
-        if fast.everyone:
-            move_everyone(static, dynamic, m, b.actions)
-        else:
-            move_player(static, dynamic, m, i64(b.actions[m, 0]))
-        for row in range(b.agents.shape[1]):
-            n = i64(row) if fast.everyone else i64(dynamic.games[m].agent)
-            if n == NOBODY or dynamic.agents[m, as_index(n)].status == Status.ABSENT:
-                b.acted[m, row] = False
-                b.reward[m, row] = 0
-                b.ending[m, row] = Ending.NONE
-            else:
-                b.total[m] += _take_stock(dynamic, b, fast, m, as_index(n), row)
+        if not begins[m]:
+            move_game(static, dynamic, b, fast, m)
 
 
-_NOT, _TURNS, _ALL = 0, 1, 2
+NOT, _TURNS, ALL = 0, 1, 2
 """What is to be settled at the end of a step: nothing, whose turn it is, or all that agents do."""
+
+
+@inlined
+def settle_game(
+    static: Static,
+    dynamic: Dynamic,
+    b: StepBuffers,
+    fast: FastPath,
+    m: int,
+    asked: int,
+    what: int,
+) -> None:
+    """The end of a step of one problem, whose turn was ``asked``'s; writes what became of agents."""
+    game = dynamic.games[m]
+    if what != NOT:
+        if fast.everyone:
+            if what == ALL:
+                settle_everyone(static, dynamic, m)
+            else:
+                settle_turns(static, dynamic, m)
+        elif asked != NOBODY:
+            if what == ALL:
+                settle_player(static, dynamic, m)
+            else:
+                pass_turn(static, dynamic, m)
+        acted = False
+        for row in range(b.agents.shape[1]):
+            acted |= b.acted[m, row]
+        _finish(b, m, acted, game)
+    if not fast.everyone:
+        b.agents[m, 0] = game.agent
+    for row in range(b.agents.shape[1]):
+        n = i64(row) if fast.everyone else i64(asked)
+        if n != NOBODY:  # once a game is over, these stay as its last move left them
+            status = dynamic.agents[m, as_index(n)].status
+            b.terminated[m, row] = status == Status.TERMINATED
+            b.truncated[m, row] = status == Status.TRUNCATED
+        n = i64(b.agents[m, row])
+        b.active[m, row] = n != NOBODY and dynamic.agents[m, as_index(n)].status == Status.ACTIVE
+
+
+@inlined
+def write_mask(static: Static, dynamic: Dynamic, mask: Any, m: int, n: int, row: int) -> None:
+    """Writes the moves of an agent that cross an edge; ones for NOBODY."""
+    _write_mask(static, mask, m, row, _free(static, dynamic, m, n))
 
 
 @compiled
@@ -811,37 +902,13 @@ def _settle_and_show(
     asked: Any,
     what: int,
 ) -> None:
-    """The end of a step: next tasks start, the turn passes; writes all but what agents see."""
+    """:func:`settle_game` in all problems, and the masks."""
     for m in range(len(begins)):
-        game = dynamic.games[m]
-        if what != _NOT and not begins[m]:
-            if fast.everyone:
-                if what == _ALL:
-                    settle_everyone(static, dynamic, m)
-                else:
-                    settle_turns(static, dynamic, m)
-            elif asked[m] != NOBODY:
-                if what == _ALL:
-                    settle_player(static, dynamic, m)
-                else:
-                    pass_turn(static, dynamic, m)
-            acted = False
-            for row in range(b.agents.shape[1]):
-                acted |= b.acted[m, row]
-            _finish(b, m, acted, game)
-        if not fast.everyone:
-            b.agents[m, 0] = game.agent
+        settle_game(
+            static, dynamic, b, fast, m, i64(asked[m]), i64(NOT) if begins[m] else i64(what)
+        )
         for row in range(b.agents.shape[1]):
-            n = i64(row) if fast.everyone else i64(asked[m])
-            if n != NOBODY:  # once a game is over, these stay as its last move left them
-                status = dynamic.agents[m, as_index(n)].status
-                b.terminated[m, row] = status == Status.TERMINATED
-                b.truncated[m, row] = status == Status.TRUNCATED
-            n = i64(b.agents[m, row])
-            b.active[m, row] = (
-                n != NOBODY and dynamic.agents[m, as_index(n)].status == Status.ACTIVE
-            )
-            _write_mask(static, b.mask, m, row, _free(static, dynamic, m, n))
+            write_mask(static, dynamic, b.mask, m, i64(b.agents[m, row]), i64(row))
 
 
 # --- the paper's pieces ---------------------------------------------------------------------------
@@ -856,7 +923,7 @@ def _play_everyone(
     """Steps and restarts of all problems, where all agents have a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
-            _start(static, dynamic, b, m)
+            start_game(static, dynamic, b, m)
             for n in range(b.agents.shape[1]):
                 b.active[m, n] = dynamic.agents[m, n].status == Status.ACTIVE
                 if b.active[m, n]:
@@ -872,7 +939,7 @@ def _play_player(
     """:func:`_play_everyone` where only the agent whose turn it is has a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
-            _start(static, dynamic, b, m)
+            start_game(static, dynamic, b, m)
             _look_at_player(static, dynamic, b, fast, m)
         elif steps:
             _step_player(static, dynamic, b, fast, m)

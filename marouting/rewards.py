@@ -1,9 +1,11 @@
 """What a move pays.
 
 A reward is called after every single move, in all interfaces and in trainings, and it may pay any
-agent of the problem. The metrics of routes (overflow,
-wirelength, tasks joined) do not depend on it. You can also write your own; see
-:func:`marouting.register`.
+agent of the problem. The metrics of routes (overflow, wirelength, tasks joined) do not depend on
+it. You can also write your own; see :func:`marouting.register`.
+
+Agents that are done can be paid as well: the batch pays them until the episode is over, the
+PettingZoo environments only with ``agents_persist``, because otherwise they have left.
 
 If several agents move in one step, their moves are carried out and paid one after the other, in
 turn order. An agent's reward for the step is the sum of what all these moves paid it. In the AEC
@@ -34,8 +36,9 @@ last move (:class:`marouting.game.Game`).
 
 Cooperative rewards use the *cost* of a problem, the weighted sum of overflow, open tasks and
 wirelength. ``team`` and ``difference`` pay the reduction of the cost by a move, so that rewards add
-up to its reduction over the episode. ``potential`` pays for getting nearer to the target. ``mixed``
-is a weighted sum::
+up to its reduction over the episode; ``counterfactual`` pays each net for the cost that would not
+be there without it. ``potential`` pays for getting nearer to the target. ``mixed`` is a weighted
+sum. The batch and trainings pay all of these in compiled code. Mixtures::
 
     reward:
       kind: mixed
@@ -49,7 +52,8 @@ import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from enum import IntEnum
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +61,8 @@ from numpy.typing import NDArray
 from marouting.columns import Before, Games
 from marouting.config import check, piece
 from marouting.errors import InputError
-from marouting.game import ACTIVE, NOBODY, WAITING, Crossing, Ending, Game
+from marouting.game import NOBODY, Crossing, Ending, Game
+from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.registry import register
 
 _MOST = 1e30
@@ -80,13 +85,67 @@ class Reward(Protocol):
 
         Returns:
             (M, N) rewards of any float dtype. They are ignored for problems in which nobody moved
-            and for agents that were done before the move.
+            and where there is no agent. Agents that are done are paid as well.
         """
         ...
 
 
+class Share(IntEnum):
+    """Rows of :attr:`Prices.shared`."""
+
+    MOVER = 0  #: of overflow, open tasks and wirelength that the move takes off the problem, for
+    #: the net that moves
+    TEAM = 1  #: the same, for every net
+    OTHERS = 2  #: of overflow and failed tasks that the other nets account for, see
+    #: :class:`CounterfactualReward`
+    NEARER = 3  #: of the distance to the target before the move, and after it
+
+
+class Prices(NamedTuple):
+    """What one move pays, in numbers: the rewards that compiled steps of the batch can pay.
+
+    Attributes:
+        table: (5, 3), what the net that moves is paid by Crossing and Ending.
+        added_overflow: subtracted from it for every unit of overflow that the move adds.
+        shared: (4, 3), prices by :class:`Share`.
+    """
+
+    table: NDArray[np.floating]
+    added_overflow: float
+    shared: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, **shares: tuple[float, float, float]) -> "Prices":
+        """Prices without a table, from rows of ``shared`` by their names in lower case."""
+        shared = np.zeros((len(Share), 3))
+        for name, row in shares.items():
+            shared[Share[name.upper()]] = row
+        return cls(np.zeros((len(Crossing), len(Ending))), 0.0, shared)
+
+    def plus(self, weight: float, other: "Prices") -> "Prices":
+        """The sum of these prices and weighted others."""
+        table = self.table + weight * other.table
+        added = self.added_overflow + weight * other.added_overflow
+        return Prices(table, added, self.shared + weight * other.shared)
+
+
+class PricedReward:
+    """A reward that is nothing but prices."""
+
+    @property
+    def prices(self) -> Prices:
+        """What a move pays."""
+        raise NotImplementedError
+
+    def __call__(
+        self, games: Games, before: Before, movers: NDArray[np.int32]
+    ) -> NDArray[np.floating]:
+        """What the moves pay; see :class:`Reward`."""
+        return pay_moves(self.prices, games, before, movers)
+
+
 @dataclass(frozen=True)
-class PaperReward:
+class PaperReward(PricedReward):
     """+100 for reaching the target pin, −1 for any other move (paper, equation for R(a, s')).
 
     Only the agent that moves is paid.
@@ -120,20 +179,10 @@ class PaperReward:
         table[[Crossing.NONE, Crossing.ANSWERED]] = 0
         return table
 
-    def __call__(
-        self, games: Games, before: Before, movers: NDArray[np.int32]
-    ) -> NDArray[np.floating]:
-        """What the moves pay; see :class:`Reward`."""
-        del before
-        moved = np.flatnonzero(movers != NOBODY)
-        crossing, ending, added = (
-            games.agents[name][moved, movers[moved]]
-            for name in ("crossing", "ending", "added_overflow")
-        )
-        paid = np.zeros(games.agents.shape, np.float32)
-        overflow = np.float32(self.overflow_price) * added.astype(np.float32)
-        paid[moved, movers[moved]] = self.table[crossing, ending] - overflow
-        return paid
+    @property
+    def prices(self) -> Prices:
+        """What a move pays."""
+        return Prices(self.table, self.overflow_price, np.zeros((len(Share), 3)))
 
     def pay(self, game: Game, n: int) -> float:
         """What the last move of agent n pays it, as a number that float32 can hold."""
@@ -160,15 +209,9 @@ class NormalisedReward(PaperReward):
     step: float = -0.01
 
 
-KNOWN = (PaperReward, NormalisedReward)
-"""The rewards that compiled steps know; subclasses may do anything."""
-
-
 @dataclass(frozen=True)
-class TeamReward:
-    """Pays every active net by how much a move reduces the cost of the problem.
-
-    The net that is done last gets the whole reduction of the cost over the episode.
+class CostReward(PricedReward):
+    """Rewards that pay for a lower cost of the problem.
 
     Attributes:
         overflow: price of a unit of overflow, in tracks.
@@ -180,28 +223,18 @@ class TeamReward:
     open: float = 100.0
     wirelength: float = 1.0
 
-    def saved(self, games: Games, before: Before) -> NDArray[np.float64]:
-        """(M,) what moves took off the cost of each problem."""
-        now, then = games.games, before.games
-        saved = self.overflow * (then["overflow"] - now["overflow"])
-        saved += self.open * (now["joined"] - then["joined"])
-        saved += self.wirelength * (then["wirelength"] - now["wirelength"])
-        return np.asarray(saved, np.float64)
-
-    def __call__(
-        self, games: Games, before: Before, movers: NDArray[np.int32]
-    ) -> NDArray[np.floating]:
-        """What the moves pay; see :class:`Reward`."""
-        del movers
-        return np.broadcast_to(self.saved(games, before)[:, None], games.agents.shape)
+    @property
+    def _cost(self) -> tuple[float, float, float]:
+        return self.overflow, self.open, self.wirelength
 
 
 @dataclass(frozen=True)
-class DifferenceReward(TeamReward):
-    """Pays the net that moves by how much its move reduces the cost of the problem.
+class TeamReward(CostReward):
+    """Pays every net by how much a move reduces the cost of the problem.
 
-    This is the difference reward of Wolpert and Tumer (2001), exact because the other nets do not
-    change. The rewards of all nets add up to the reduction of the cost over an episode.
+    Every net gets the whole reduction of the cost over the episode, as long as it can be paid:
+    those that are done are paid for the moves of the others too. In PettingZoo's interfaces an
+    agent that is done leaves and is paid no more, unless ``agents_persist`` is on.
 
     Attributes:
         overflow: price of a unit of overflow, in tracks.
@@ -209,15 +242,66 @@ class DifferenceReward(TeamReward):
         wirelength: price of an edge that a net uses.
     """
 
-    def __call__(
-        self, games: Games, before: Before, movers: NDArray[np.int32]
-    ) -> NDArray[np.floating]:
-        """What the moves pay; see :class:`Reward`."""
-        return _to_movers(self.saved(games, before), movers, games)
+    @property
+    def prices(self) -> Prices:
+        """What a move pays."""
+        return Prices.of(team=self._cost)
 
 
 @dataclass(frozen=True)
-class PotentialReward:
+class DifferenceReward(CostReward):
+    """Pays the net that moves by how much its move reduces the cost of the problem.
+
+    The rewards of all nets add up to the reduction of the cost over an episode. A net pays nothing
+    for standing in the way of others; see :class:`CounterfactualReward`.
+
+    Attributes:
+        overflow: price of a unit of overflow, in tracks.
+        open: price of a two-pin task that is not joined.
+        wirelength: price of an edge that a net uses.
+    """
+
+    @property
+    def prices(self) -> Prices:
+        """What a move pays."""
+        return Prices.of(mover=self._cost)
+
+
+@dataclass(frozen=True)
+class CounterfactualReward(CostReward):
+    """Pays every net for the cost of the problem with this net minus the cost without it.
+
+    This is the difference reward of Wolpert and Tumer (2001) and Devlin et al. (2014). The cost
+    that net i accounts for is the cost of the state minus that of the state without net i, where
+    everything else is as it is:
+
+    * the edges that net i uses, and its open tasks;
+    * the overflow that goes if it gives its edges back. Two nets that overflow an edge by one track
+      account for it both;
+    * every task of another net that failed while net i alone was in its way: with the capacity that
+      was left then, no path led from that agent to its target, but one does if net i's edges are
+      free.
+
+    Every move pays each net the decrease of the cost that it accounts for, so that its rewards add
+    up to the cost of its open tasks at the beginning minus the cost that it accounts for in the
+    last state, which is exact. Before that, a task of another net that is still open counts as one
+    that will be joined, and a net that stands in its way is only charged when the task fails, even
+    if it is done itself by then. In rip-up rounds it pays what ``difference`` pays.
+
+    Attributes:
+        overflow: price of a unit of overflow, in tracks.
+        open: price of a two-pin task that is not joined.
+        wirelength: price of an edge that a net uses.
+    """
+
+    @property
+    def prices(self) -> Prices:
+        """What a move pays."""
+        return Prices.of(mover=self._cost, others=(self.overflow, self.open, 0.0))
+
+
+@dataclass(frozen=True)
+class PotentialReward(PricedReward):
     """Pays the net that moves for getting nearer to its target (Ng, Harada and Russell, 1999).
 
     The potential of an agent is minus its distance to the target in moves, ignoring capacity. A
@@ -237,14 +321,10 @@ class PotentialReward:
     def __post_init__(self) -> None:
         check("gamma", 0 <= self.gamma <= 1, f"a number from 0 to 1, found {self.gamma}")
 
-    def __call__(
-        self, games: Games, before: Before, movers: NDArray[np.int32]
-    ) -> NDArray[np.floating]:
-        """What the moves pay; see :class:`Reward`."""
-        crossing = games.agents["crossing"][np.arange(len(movers)), movers]
-        movers = np.where(crossing == Crossing.ANSWERED, np.int32(NOBODY), movers)
-        after, then = (_distance(games, agents, movers) for agents in (games.agents, before.agents))
-        return _to_movers(self.scale * (then - self.gamma * after), movers, games)
+    @property
+    def prices(self) -> Prices:
+        """What a move pays."""
+        return Prices.of(nearer=(self.scale, self.scale * self.gamma, 0.0))
 
 
 @dataclass(frozen=True)
@@ -285,6 +365,113 @@ class MixedReward:
         return paid
 
 
+KNOWN = (
+    PaperReward, NormalisedReward, TeamReward, DifferenceReward, CounterfactualReward,
+    PotentialReward,
+)  # fmt: skip
+"""The rewards that compiled steps know by their prices; subclasses may do anything."""
+
+
+def prices_of(reward: Reward) -> Prices | None:
+    """The prices of a built-in reward, or of a mixture of them; None for any other."""
+    if isinstance(reward, PricedReward) and type(reward) in KNOWN:
+        return reward.prices
+    if type(reward) is not MixedReward:
+        return None
+    whole = Prices.of()
+    for weight, part in reward.rewards:
+        prices = prices_of(part)
+        if prices is None:
+            return None
+        whole = whole.plus(weight, prices)
+    return whole
+
+
+# --- by columns -----------------------------------------------------------------------------------
+
+
+def pay_moves(
+    prices: Prices, games: Games, before: Before, movers: NDArray[np.int32]
+) -> NDArray[np.floating]:
+    """(M, N) what moves pay at some prices; the arguments are those of :class:`Reward`."""
+    paid = np.zeros(games.agents.shape)
+    moved = np.flatnonzero(movers != NOBODY)
+    who = movers[moved]
+    crossing, ending, added = (
+        games.agents[name][moved, who] for name in ("crossing", "ending", "added_overflow")
+    )
+    overflow = np.float32(prices.added_overflow) * added.astype(np.float32)
+    paid[moved, who] = prices.table.astype(np.float32)[crossing, ending] - overflow
+    if not prices.shared.any():
+        return paid
+    now, then = games.games, before.games
+    saved = [then["overflow"] - now["overflow"], now["joined"] - then["joined"]]
+    change = np.stack([*saved, then["wirelength"] - now["wirelength"]], axis=1)[moved]
+    paid[moved, who] += change @ prices.shared[Share.MOVER]
+    paid[moved] += (change @ prices.shared[Share.TEAM])[:, None]
+    position, (leaving, arriving, _) = games.grid.position, prices.shared[Share.NEARER]
+    target = position[before.agents["target"][moved, who]]
+    for price, agents in ((leaving, before.agents), (-arriving, games.agents)):
+        distance = np.abs(position[agents["cell"][moved, who]] - target).sum(axis=1)
+        paid[moved, who] += price * np.where(crossing == Crossing.ANSWERED, 0, distance)
+    if prices.shared[Share.OTHERS].any():
+        for m, n in zip(moved.tolist(), who.tolist(), strict=True):
+            if not before.games["round"][m]:
+                _pay_others(prices.shared[Share.OTHERS], games, before, m, n, paid[m])
+    return paid
+
+
+def _pay_others(
+    prices: NDArray[np.float64], games: Games, before: Before, m: int, n: int, paid: Any
+) -> None:
+    """Pays the other nets of problem m by the counterfactual reward for a move of agent n."""
+    edges = np.arange(games.remaining.shape[1])
+    now, then = games.remaining[m], before.remaining[m]
+    changed = edges[(now != then) & (np.minimum(now, then) < 0)]
+    failed = games.agents["ending"][m, n] == Ending.FAILED
+    shut_in = failed and not _reaches(games, m, n, now)
+    if not (len(changed) or shut_in):
+        return
+    for other in np.flatnonzero(games.nets[m] != NOBODY).tolist():
+        if other == n:
+            continue
+        demand = _demand(games, m, other)
+        used = games.uses(np.full_like(edges, m), np.full_like(edges, other), edges)
+        own = changed[used[changed]]
+        due_now, due_then = (_due(left[own], demand[own]).sum() for left in (now, then))
+        paid[other] += prices[0] * (due_then - due_now)
+        if shut_in and _reaches(games, m, n, now + used * demand):
+            paid[other] -= prices[1]
+
+
+def _due(remaining: NDArray[np.integer], demand: NDArray[np.integer]) -> NDArray[np.integer]:
+    """The overflow of edges that would go if a net gave them back."""
+    return np.maximum(-remaining, 0) - np.maximum(-remaining - demand, 0)
+
+
+def _demand(games: Games, m: int, n: int) -> NDArray[np.int64]:
+    """(E,) the demand of an agent's net on every edge; 0 on vias."""
+    by_layer = games.problems[m].net_demand[games.nets[m, n]].astype(np.int64)
+    edges = np.arange(games.remaining.shape[1])
+    return np.where(edges % AXES == VIA_AXIS, 0, by_layer[edges // AXES % len(by_layer)])
+
+
+def _reaches(games: Games, m: int, n: int, remaining: NDArray[np.integer]) -> bool:
+    """Whether an agent could walk to its target, if so much were left of every edge (E,)."""
+    edges = np.arange(len(remaining))
+    used = games.uses(np.full_like(edges, m), np.full_like(edges, n), edges)
+    room = used | (edges % AXES == VIA_AXIS) | (remaining >= _demand(games, m, n))
+    grid, target = games.grid, games.agents["target"][m, n]
+    queue = [int(games.agents["cell"][m, n])]
+    reached = set(queue)
+    for cell in queue:
+        for _, edge, ahead in grid.exits_of[cell]:
+            if room[edge] and ahead not in reached:
+                reached.add(ahead)
+                queue.append(ahead)
+    return target in reached
+
+
 def paid_by(
     reward: Reward, games: Games, before: Before, movers: NDArray[np.int32]
 ) -> NDArray[np.float32]:
@@ -297,26 +484,7 @@ def paid_by(
     if not np.isfinite(paid).all():
         found = paid[~np.isfinite(paid)][0]
         raise InputError(f"reward: expected finite numbers, found {found} from {name}")
-    status = before.agents["status"]
-    playing = (status == ACTIVE) | (status == WAITING)
-    return np.where(playing & (movers != NOBODY)[:, None], paid, np.float32(0))
-
-
-def _to_movers(
-    gains: NDArray[np.float64], movers: NDArray[np.int32], games: Games
-) -> NDArray[np.float64]:
-    """(M, N) rewards that pay the agents that moved what was gained in their problems (M,)."""
-    paid = np.zeros(games.agents.shape)
-    moved = np.flatnonzero(movers != NOBODY)
-    paid[moved, movers[moved]] = gains[moved]
-    return paid
-
-
-def _distance(games: Games, agents: Any, movers: NDArray[np.int32]) -> NDArray[np.float64]:
-    """(M,) moves between the agents that moved and their targets, on an empty grid."""
-    position, every = games.grid.position, np.arange(len(movers))
-    cell, target = agents["cell"][every, movers], agents["target"][every, movers]
-    return np.abs(position[cell] - position[target]).sum(axis=1).astype(np.float64)
+    return np.where((games.nets != NOBODY) & (movers != NOBODY)[:, None], paid, np.float32(0))
 
 
 for _name, _kind in (
@@ -324,6 +492,7 @@ for _name, _kind in (
     ("normalised", NormalisedReward),
     ("team", TeamReward),
     ("difference", DifferenceReward),
+    ("counterfactual", CounterfactualReward),
     ("potential", PotentialReward),
     ("mixed", MixedReward),
 ):

@@ -163,12 +163,12 @@ class ProblemStream:
             check("problem", source is None, "none beside a scenario, which has its own")
             found, self.many = get(scenario), True
             # The same bounds in every split: what learns in one can play in the others.
-            self.bounds = [found.largest]
-            largest = found.level.nets[1]
-            self.room = Room(largest, largest * found.level.max_pins[1])
-            self.nets = list(range(len(found.largest.nets)))
+            self.bounds = found.bounds
+            self.room = Room.of(self.bounds)
+            self.nets = list(range(self.room.nets))
             if split == "train":
-                self._drawn, self.problems = found, {"example": found.largest}
+                largest = max(self.bounds, key=lambda problem: len(problem.nets))
+                self._drawn, self.problems = found, {"example": largest}
             else:
                 self.problems = found.problems(split)
             return
@@ -204,6 +204,11 @@ class ProblemStream:
         found = cls(list(problems.values()))
         found.problems = dict(problems)
         return found
+
+    @property
+    def endless(self) -> bool:
+        """Whether every episode has a new problem."""
+        return self._drawn is not None
 
     def number(self, rng: np.random.Generator) -> int:
         """Draws the number of a problem."""

@@ -7,6 +7,7 @@ of Gymnasium's own vectors to the latter, use ``gymnasium.make_vec`` (:mod:`maro
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from marouting.batch.engine import Engine
 from marouting.config import check
 from marouting.errors import InputError
-from marouting.observations import state_of, state_space_of
+from marouting.observations import Observation, state_of, state_space_of
 from marouting.options import ORDERS, GameOptions, game_options
 from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
@@ -26,7 +27,7 @@ from marouting.problem.problem import Problem
 from marouting.scenarios import get
 from marouting.source import ProblemSampler, ProblemStream, Source
 
-_FIGURES = ("overflow", "wirelength", "joined", "steps")
+FIGURES = ("overflow", "wirelength", "joined", "steps")
 
 Info = dict[str, Any]
 
@@ -39,6 +40,10 @@ class BatchEnv(EzPickle):
     than the largest one are padded; ``present`` tells which agents exist. The arrays that
     :meth:`reset`, :meth:`step` and :meth:`state` return belong to the environment and are
     overwritten by the next call, so copy what you want to keep.
+
+    The rows of agents that are done stay, and are paid until the problem's episode is over. With
+    ``agents_persist`` they are terminated or truncated only then, all together, and their masks
+    allow a single action, which has no effect.
 
     A problem whose episode is over starts its next one in the following step, like Gymnasium's
     ``AutoresetMode.NEXT_STEP``: that step ignores the problem's actions, its rewards are 0, and its
@@ -61,11 +66,16 @@ class BatchEnv(EzPickle):
             :data:`marouting.source.Source`.
         everyone: whether all agents have a row and move in every step.
         autoreset: whether the next episode starts when one is over.
+        play_once: whether each of a list of problems, or of the problems of a split, is played only
+            once after :meth:`reset`. Its rows then stay inactive, so that a loop ``while
+            info["active"].any()`` ends. Not for games that draw their problems.
         threads: number of threads among which the problems are divided; the results do not depend
             on it. Several threads may call your own observation or reward at the same time, each
             for its own problems.
         seed: a whole number from 0 that decides which problems are drawn. What a game plays in an
             episode depends on the seed, on the game's place and on the number of the episode alone.
+        device: ``cpu``, or ``cuda`` for a CUDA device (:mod:`marouting.batch.cuda_env`), which
+            takes another option, ``pool``.
         **options: the fields of :class:`marouting.options.GameOptions` about the rules, the
             observation, the reward and the scenario; unless given, ``turn_order`` is
             ``round_robin`` for all agents and ``sequential`` for one row.
@@ -85,6 +95,14 @@ class BatchEnv(EzPickle):
 
     _draws_of: ClassVar[type[ProblemSampler]] = ProblemSampler
 
+    def __new__(cls, *_: Any, device: str = "cpu", **__: Any) -> "BatchEnv":
+        """On another device it is a :class:`marouting.batch.cuda_env.CudaBatchEnv`."""
+        if cls is BatchEnv and device != "cpu":
+            from marouting.batch.cuda_env import CudaBatchEnv
+
+            return super().__new__(CudaBatchEnv)
+        return super().__new__(cls)
+
     def __init__(
         self,
         problems: Sequence[Problem] | int | None = None,
@@ -92,8 +110,10 @@ class BatchEnv(EzPickle):
         problem: Source = None,
         everyone: bool = True,
         autoreset: bool = True,
+        play_once: bool = False,
         threads: int = 1,
         seed: int = 0,
+        device: str = "cpu",
         **options: Any,
     ) -> None:
         EzPickle.__init__(
@@ -102,25 +122,32 @@ class BatchEnv(EzPickle):
             problem=problem,
             everyone=everyone,
             autoreset=autoreset,
+            play_once=play_once,
             threads=threads,
             seed=seed,
+            device=device,
             **options,
         )
         if not (is_whole(threads) and threads >= 1):
             raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
-        order = ORDERS["multi" if everyone else "single"]
-        checked = game_options({"turn_order": order, **options})
-        check("agents_persist", not checked.agents_persist, "false: all rows stay; see active")
+        checked = game_options(options)
+        if checked.turn_order is None:
+            order = ORDERS["multi" if everyone else "single"]
+            checked = replace(checked, turn_order=order)
+        self._persists = checked.agents_persist
+        check("agents_persist", everyone or not self._persists, "false: only one row")
+        once = not play_once or not is_whole(problems)
+        check("play_once", once, "false: these games draw their problems")
         draws = _draws(self._draws_of, problems, problem, checked, seed)
         if draws is None:
-            self.engine = engine = Engine(_batch(problems, checked), checked)
+            self.engine = engine = Engine(fixed_batch(problems, checked), checked)
         else:
             self.engine = engine = Engine(
                 draws.problems.tolist(), checked, room=draws.episodes.room
             )
         self._draws = draws
         bounds = draws.episodes.bounds if draws else engine.problems
-        self.autoreset, self._everyone = autoreset, everyone
+        self.autoreset, self._everyone = autoreset and not play_once, everyone
         observation, reward = checked.observation.make(), checked.reward.make()
         overflow = engine.static.overflow_allowed
         self.single_observation_space = observation.space(bounds, overflow)
@@ -158,6 +185,11 @@ class BatchEnv(EzPickle):
         self._threads = ThreadPoolExecutor(len(self._players))
 
     @property
+    def observation(self) -> Observation:
+        """What agents see, the object that writes it."""
+        return self._players[0].observation
+
+    @property
     def present(self) -> NDArray[np.bool_]:
         """(M, N) bool, whether there is an agent."""
         return self.engine.tasks > 0
@@ -184,14 +216,7 @@ class BatchEnv(EzPickle):
             ValueError: ``reset_mask`` is not one boolean per problem, or there is not one seed per
                 problem.
         """
-        listed = isinstance(seed, Sequence | np.ndarray)
-        seeds = list(cast(Sequence[int | None], seed if listed else [seed] * self.num_problems))
-        if len(seeds) != self.num_problems:
-            raise ValueError(f"seed: expected one, or {self.num_problems} of them, found {seed}")
-        which = np.asarray((options or {}).get("reset_mask", np.ones(self.num_problems, np.bool_)))
-        which = which if self._begun else np.ones_like(which)
-        if which.shape != (self.num_problems,) or which.dtype != np.bool_:
-            raise ValueError(f"reset_mask: expected {self.num_problems} booleans, found {which}")
+        which, seeds = self._chosen(seed, options)
         if self._draws is not None:
             self._draws.begin(seeds, which)
         first = 0
@@ -202,6 +227,20 @@ class BatchEnv(EzPickle):
         self._begun = True
         return self._buffers.obs, self._info()
 
+    def _chosen(
+        self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None
+    ) -> tuple[NDArray[np.bool_], list[int | None]]:
+        """The games that a reset starts, and a seed for each; see :meth:`reset`."""
+        listed = isinstance(seed, Sequence | np.ndarray)
+        seeds = list(cast(Sequence[int | None], seed if listed else [seed] * self.num_problems))
+        if len(seeds) != self.num_problems:
+            raise ValueError(f"seed: expected one, or {self.num_problems} of them, found {seed}")
+        which = np.asarray((options or {}).get("reset_mask", np.ones(self.num_problems, np.bool_)))
+        which = which if self._begun else np.ones_like(which)
+        if which.shape != (self.num_problems,) or which.dtype != np.bool_:
+            raise ValueError(f"reset_mask: expected {self.num_problems} booleans, found {which}")
+        return which, seeds
+
     def step(
         self, actions: NDArray[np.integer]
     ) -> tuple[
@@ -210,14 +249,15 @@ class BatchEnv(EzPickle):
         """Moves the agents of all rows, those of each problem in turn order.
 
         Args:
-            actions: (M, K) integers, 0 to 5 (6 where ``rip_up`` has ``choose: agents``), or −1 for
-                no move. Those of agents that are done or absent are ignored.
+            actions: (M, K) integers, 0 to A − 1 (see :class:`marouting.rules.Rules`), or −1 for no
+                move. Those of agents that are done or absent are ignored.
 
         Returns:
             * (M, K, *S) float32 observations,
             * (M, K) float32 rewards: what the moves of the step paid each agent,
             * (M, K) bool terminated: all tasks of the agent are joined,
-            * (M, K) bool truncated: all tasks of the agent have ended and some failed,
+            * (M, K) bool truncated: all tasks of the agent have ended and some failed; both wait
+              for the end of the episode with ``agents_persist``,
             * an info, a dictionary of
 
               * ``agents`` (M, K) int32: the agent of each row, −1 for none;
@@ -258,7 +298,16 @@ class BatchEnv(EzPickle):
         first.step(self.autoreset)
         for other in running:
             other.result()
+        if self._persists:
+            self._end_together()
         return b.obs, b.reward, b.terminated, b.truncated, self._info()
+
+    def _end_together(self) -> None:
+        """Agents that are done stay to the end of the episode, with a single action."""
+        b = self._buffers
+        playing = self.engine.games["active"] > 0
+        b.terminated[playing] = b.truncated[playing] = False
+        b.mask[~b.active & self.present] = np.eye(1, self.engine.actions, dtype=np.int8)
 
     def state(self) -> NDArray[np.float32]:
         """(M, X, Y, 5 Z) float32, the global states; see :func:`.observations.state_space`.
@@ -327,8 +376,8 @@ class BatchEnv(EzPickle):
             "final_obs": b.final_obs,
             "final_mask": b.final_mask,
             "over": b.over,
-            **{figure: games[figure] for figure in _FIGURES},
-            "final_info": {figure: b.final[figure] for figure in _FIGURES},
+            **{figure: games[figure] for figure in FIGURES},
+            "final_info": {figure: b.final[figure] for figure in FIGURES},
         }
 
 
@@ -349,7 +398,9 @@ def _draws(
     return kind(ProblemStream(source, options.scenario, options.split), seed, cast(int, problems))
 
 
-def _batch(problems: Sequence[Problem] | int | None, options: GameOptions) -> Sequence[Problem]:
+def fixed_batch(
+    problems: Sequence[Problem] | int | None, options: GameOptions
+) -> Sequence[Problem]:
     """The problems of a batch that stay; see :class:`BatchEnv`."""
     found = "None" if problems is None else "a list"
     if options.scenario is None:

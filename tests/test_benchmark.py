@@ -24,13 +24,13 @@ from scipy import stats
 
 from marouting import InputError, Problem, Solution, evaluate, scenarios, sequential_astar
 from marouting.config import build, plain
+from marouting.scenarios.score import Figures, score
 from policies.cli.main import status
 from policies.experiment import experiment
 from policies.experiment.benchmark import from_text, load_entries
 from policies.experiment.config import Budget
 from policies.experiment.leaderboard import read_groups
 from policies.experiment.result import Outcome, Result, Task, read_result, summarise
-from policies.experiment.score import Figures, score
 from policies.learned.config import Config, load_config
 from policies.learned.trainer import Trainer
 from policies.results.statistics import bootstrap_interval, interquartile_mean

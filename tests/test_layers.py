@@ -53,6 +53,7 @@ ROOMS = {
         ("render",),
         ("env",),
         ("vector", "gym_vector", "global_routing_v0", "make"),
+        ("evaluation",),
         ("",),  # the package's own __init__.py
         (DOOR,),
     ),

@@ -586,6 +586,44 @@ def test_advantages_and_returns_of_every_agent() -> None:
     assert np.array_equal(rollout.obs[which[0], : len(beyond)], beyond)
 
 
+def test_what_agents_are_paid_when_they_are_done_is_paid_for_their_last_move() -> None:
+    rng = np.random.default_rng(5)
+    rollout = Rollout(1, 4, 2, 2, 2, MOVES, (FEATURES,), late=True)
+    value = np.array([[1, 2], [3, 4]], np.float32)
+    nothing = np.zeros((2, 2), np.float32)
+
+    def add(acted: Any, paid: Any, done: Any, over: Any) -> PreStep:
+        before, after = step_of(2, 2, rng)
+        after.acted[:], after.reward[:], after.terminated[:], after.over[:] = (
+            acted,
+            paid,
+            done,
+            over,
+        )
+        after.ending[:] = np.where(after.acted & after.terminated, Ending.JOINED, Ending.NONE)
+        rollout.add(before, after, nothing, value, nothing, None)
+        return before
+
+    # Agent 0 of game 0 is done, agent 1 goes on; in game 1 both are done at once.
+    first = add([[1, 1], [1, 1]], [[1, 2], [3, 4]], [[1, 0], [1, 1]], [0, 1])
+    assert rollout.count == [3]
+    assert rollout.waits.tolist() == [[True, False, False, False]]
+    add([[0, 1], [0, 0]], [[10, 20], [7, 7]], [[1, 0], [1, 1]], [0, 0])
+    assert rollout.full().tolist() == [0]
+    # Learned from now, the agent's earlier moves lead to a state of the value 1.
+    last = np.full((1, 4), 50, np.float32)
+    advantage, _ = rollout.advantages(np.array([0]), last, 0.5, 0.0)
+    assert advantage.tolist() == [[2 + 0.5 * 2 - 2, 3 - 3, 4 - 4, 20 + 0.5 * 50 - 2]]
+    rollout.drop(np.array([0]))
+    add([[0, 1], [0, 0]], [[100, 200], [0, 0]], [[1, 1], [1, 1]], [1, 0])
+    assert not rollout.waits.any()
+    assert rollout.count == [2]
+    assert rollout.reward[0, :2].tolist() == [111, 200]
+    assert rollout.stream[0, :2].tolist() == [0, 1]
+    np.testing.assert_array_equal(rollout.obs[0, 0], first.obs[0, 0])
+    assert rollout.advantages(np.array([0]), last, 1.0, 1.0)[0][0, :2].tolist() == [110, 198]
+
+
 def test_rollouts_are_shuffled_by_key_and_counter() -> None:
     own = keys(0, ["a", "b"], "x")
     orders = [shuffled(100, own[0], np.int64(0)), shuffled(100, own[0], np.int64(1)),

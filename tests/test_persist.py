@@ -66,8 +66,11 @@ def test_agents_that_stay_play_the_same_game(reward: str) -> None:
         other_seen, other_rewards, other_ended, other_cut, other_infos = leaves.step(
             {agent: actions[agent] for agent in leaves.agents}
         )
-        assert {a: r for a, r in rewards.items() if a in other_rewards} == other_rewards
-        assert not any(r for a, r in rewards.items() if a not in playing)
+        for agent, paid in other_rewards.items():  # those who leave miss the rest of the step
+            assert rewards[agent] == paid if agent in leaves.agents else rewards[agent] >= paid
+        late = [r for a, r in rewards.items() if a not in playing]
+        # Those who are done are paid on, by a reward that pays all.
+        assert all(late) if reward != "paper" else not any(late)
         if stays.agents:
             assert leaves.agents
             assert not any((*ended.values(), *cut.values()))
@@ -116,8 +119,9 @@ def test_agents_that_stay_in_turns(reward: str) -> None:
     assert env.metrics() == other.metrics()
     if reward == "paper":
         assert sums == other_sums
-    else:  # those who stay are not paid once they are done
-        assert all(sums[agent] == other_sums[agent] for agent in sums)
+    else:  # those who stay are paid on when they are done
+        assert all(sums[agent] >= other_sums[agent] for agent in sums)
+        assert sum(sums.values()) > sum(other_sums.values())
 
 
 def test_pettingzoo_accepts_agents_that_stay() -> None:
@@ -128,8 +132,51 @@ def test_pettingzoo_accepts_agents_that_stay() -> None:
 def test_where_there_is_nobody_to_stay() -> None:
     with pytest.raises(InputError, match="agents_persist: expected false"):
         GlobalRoutingSingle(PROBLEM, agents_persist=True)
-    with pytest.raises(InputError, match="agents_persist: expected false"):
-        BatchEnv([PROBLEM], agents_persist=True)
+    with pytest.raises(InputError, match="agents_persist: expected false: only one row"):
+        BatchEnv([PROBLEM], agents_persist=True, everyone=False)
+
+
+def test_rows_of_agents_that_stay_end_together() -> None:
+    rng = np.random.default_rng(2)
+    options: dict[str, Any] = {"max_steps": 9, "reward": "team", "play_once": True}
+    smaller = generate(1, grid=(4, 4, 2), nets=2, seed=5)[0]
+    stays, plain = (
+        BatchEnv([PROBLEM, smaller], agents_persist=p, **options) for p in (True, False)
+    )
+    _, info = stays.reset()
+    plain.reset()
+    lasting = late = 0
+    while info["active"].any():
+        waiting = stays.present & ~info["active"]
+        assert (info["action_mask"][waiting] == NO_OP).all()
+        actions = (info["action_mask"] * rng.random(info["action_mask"].shape)).argmax(axis=-1)
+        _, paid, ended, cut, info = stays.step(actions)
+        _, plain_paid, plain_ended, plain_cut, plain_info = plain.step(actions)
+        np.testing.assert_array_equal(paid, plain_paid)
+        over = ~plain_info["active"].any(axis=1, keepdims=True)
+        np.testing.assert_array_equal(ended, plain_ended & over)
+        np.testing.assert_array_equal(cut, plain_cut & over)
+        lasting += int((plain_ended & ~over).sum())
+        late += np.count_nonzero(paid[waiting])
+    assert lasting
+    assert late
+    assert ((ended ^ cut) == stays.present).all()
+
+
+def test_problems_that_are_played_once() -> None:
+    env = BatchEnv(scenario="toy-4x4-v0", split="validation", play_once=True, max_steps=8)
+    _, info = env.reset()
+    ends = np.zeros(env.num_problems, int)
+    while info["active"].any():
+        *_, info = env.step(info["action_mask"].argmax(axis=-1))
+        ends += info["over"]
+    assert (ends == 1).all()
+    steps = info["final_info"]["steps"].copy()
+    env.step(info["action_mask"].argmax(axis=-1))
+    np.testing.assert_array_equal(info["final_info"]["steps"], steps)
+    assert env.reset()[1]["active"].any()
+    with pytest.raises(InputError, match="play_once: expected false: these games draw"):
+        BatchEnv(3, scenario="toy-4x4-v0", play_once=True)
 
 
 @pytest.mark.parametrize("persist", [False, True])

@@ -5,7 +5,7 @@ import hashlib
 import itertools
 import json
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,19 +22,28 @@ from strategies import problems as any_problem
 import marouting
 from marouting import (
     ENVIRONMENT_ID,
+    Field,
     InputError,
     Net,
     Pin,
     Problem,
+    WindowObservation,
     evaluate,
     global_routing_v0,
     scenarios,
     sequential_astar,
 )
 from marouting.config import build
-from marouting.scenarios import Level, Scenario, digest
-from marouting.scenarios.references import Best, path_of, read_references, references_of
-from marouting.scenarios.scenario import routable
+from marouting.scenarios import (
+    COOPERATION,
+    PLANNING,
+    RandomNets,
+    Scenario,
+    digest,
+    mirror_digest,
+    routable,
+)
+from marouting.scenarios.references import Best, path_of, read_references, references_in
 from marouting.source import load_problem
 from marouting.vector import BatchEnv
 from policies.experiment.references import (
@@ -51,7 +60,7 @@ from policies.routers.optimal import OptimalRouter
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 NAMES = scenarios.names()
-FEASIBLE = [name for name in NAMES if scenarios.get(name).feasible]
+FEASIBLE = [name for name in NAMES if not name.startswith("tight")]
 SMALL = [name for name in FEASIBLE if name != "large-64x64-v0"]
 """Those whose optima take a moment to prove."""
 
@@ -78,7 +87,6 @@ def test_names() -> None:
         assert scenario.name == name
         assert scenario.description.endswith(".")
         assert scenario.description.count(". ") <= 1
-    assert {name for name in NAMES if name.startswith("tight")} == set(NAMES) - set(FEASIBLE)
 
 
 def test_an_unknown_name_suggests_the_nearest() -> None:
@@ -96,8 +104,9 @@ def test_the_problems_have_names(name: str) -> None:
         assert list(scenario.problems(split).values()) == problems
         assert all(problem.grid == scenario.grid for problem in problems)
     assert all(a is b for a, b in zip(scenario.test, scenario.test, strict=True))
+    count = len(scenario.test)
     scenario.test.clear()
-    assert len(scenario.test) == scenario.level.test
+    assert len(scenario.test) == count >= 10
 
 
 def test_splits_without_end_or_existence_are_refused() -> None:
@@ -122,6 +131,7 @@ DIGESTS = {
     "large-64x64-v0": ("f1707dff51af4e50", "77d6f129782e6495", "ba7935b33c5e1e49"),
     "tight-16x16-v0": ("d01285e06abc9564", "67c3cca46be39948", "082415c9186f3699"),
     "tight-32x32-v0": ("4166a3c481b46238", "d66271c72ef43861", "20b4413a597669c0"),
+    "gates-8x7-v0": ("df35cdfa7afbaf69", "89544c238c2dd949", "fad5e3a142e543cb"),
 }
 """SHA-256 of the exact problems of each scenario: validation, test, the first three of seed 0."""
 
@@ -140,11 +150,12 @@ def test_a_version_never_changes(name: str) -> None:
 
 
 def test_a_scenario_depends_on_nothing_but_its_parameters() -> None:
-    level = scenarios.get("toy-4x4-v0").level
-    again = Scenario(level)
-    assert next(again.train(5)) == next(scenarios.get("toy-4x4-v0").train(5))
-    assert again.test == scenarios.get("toy-4x4-v0").test
-    assert Scenario(replace(level, name="toy-4x4-v1")).test != again.test
+    toy = scenarios.get("toy-4x4-v0")
+    options: dict[str, Any] = {"accept": routable, "mirrors": False}
+    again = Scenario(toy.name, toy.generator, **options)
+    assert next(again.train(5)) == next(toy.train(5))
+    assert again.test == toy.test
+    assert Scenario("toy-4x4-v1", toy.generator, **options).test != again.test
 
 
 def test_training_problems_come_from_their_seed() -> None:
@@ -157,10 +168,11 @@ def test_training_problems_come_from_their_seed() -> None:
     assert len({digest(problem) for problem in first}) == 5
 
 
-@every
-def test_problems_are_as_the_level_says(name: str) -> None:
+@pytest.mark.parametrize("name", [scenario.name for scenario in PLANNING])
+def test_random_nets_are_as_their_generator_says(name: str) -> None:
     scenario = scenarios.get(name)
-    level = scenario.level
+    level = scenario.generator
+    assert isinstance(level, RandomNets)
     drawn = [*scenario.validation, *scenario.test]
     nets = {len(problem.nets) for problem in drawn}
     assert set(range(level.nets[0], level.nets[1] + 1)) >= nets
@@ -173,25 +185,21 @@ def test_problems_are_as_the_level_says(name: str) -> None:
     assert {len(problem.adjustments) for problem in drawn} == {level.reduced_edges}
 
 
-ONE_NET = Level(
-    name="one-net-v0",
-    description="",
-    grid=(3, 2, 2),
-    nets=(1, 1),
-    max_pins=(2, 2),
-    capacity=(1, 1),
-    validation=4,
-    test=4,
-)
+ONE_NET = RandomNets(grid=(3, 2, 2), nets=(1, 1), max_pins=(2, 2), capacity=(1, 1))
 """There are 15 different problems: pairs of six Gcells."""
 
 
+def one_net(validation: int = 4, test: int = 4, mirrors: bool = False) -> Scenario:
+    """A scenario of so few problems that the held-out ones are drawn again and again."""
+    return Scenario("one-net-v0", ONE_NET, validation=validation, test=test, mirrors=mirrors)
+
+
 def test_held_out_problems_never_occur_in_training() -> None:
-    scenario = Scenario(ONE_NET)
+    scenario = one_net()
     held = [digest(problem) for problem in (*scenario.validation, *scenario.test)]
     assert len(set(held)) == 8
     # Without the promise, training problems would be drawn from among them.
-    drawn = {digest(ONE_NET.problem(np.random.default_rng(i))) for i in range(300)}
+    drawn = {digest(ONE_NET(np.random.default_rng(i))) for i in range(300)}
     assert len(drawn) == 15
     assert drawn > set(held)
     for seed in range(2):
@@ -199,13 +207,91 @@ def test_held_out_problems_never_occur_in_training() -> None:
         assert found == drawn - set(held)
 
 
-def test_a_level_with_too_few_problems_is_refused() -> None:
-    scenario = Scenario(replace(ONE_NET, validation=5, test=10))
+def mirrored(problem: Problem, *, columns: bool, rows: bool, exchanged: bool = False) -> Problem:
+    """A problem whose columns or rows are reversed, and then exchanged, pin by pin."""
+    (width, height, _), (wide, high) = problem.grid, problem.tile
+    assert problem.origin == (0, 0)
+    assert not exchanged or (wide, width) == (high, height)
+
+    def place(x: int, y: int) -> tuple[int, int]:
+        x, y = width - 1 - x if columns else x, height - 1 - y if rows else y
+        return (y, x) if exchanged else (x, y)
+
+    def moved(pin: Pin) -> Pin:
+        x, y = place(pin.x // wide, pin.y // high)
+        return Pin(x * wide, y * high, pin.layer)
+
+    along, across = problem.horizontal_capacity, problem.vertical_capacity
+    return replace(
+        problem,
+        horizontal_capacity=across if exchanged else along,
+        vertical_capacity=along if exchanged else across,
+        nets=tuple(replace(net, pins=tuple(map(moved, net.pins))) for net in problem.nets),
+        adjustments=tuple(
+            marouting.Adjustment(
+                *place(a.x1, a.y1), a.layer1, *place(a.x2, a.y2), a.layer2, a.capacity
+            )
+            for a in problem.adjustments
+        ),
+    )
+
+
+MIRRORS = [
+    {"columns": columns, "rows": rows} for columns in (False, True) for rows in (False, True)
+]
+
+
+@pytest.mark.parametrize("name", ["gates-8x7-v0", "toy-4x4-v0", "paper-table2-row3-v0"])
+def test_mirror_images_share_a_digest(name: str) -> None:
+    problems = scenarios.get(name).test[:4]
+    square = problems[0].grid[0] == problems[0].grid[1]
+    own = set()
+    for problem in problems:
+        images = [mirrored(problem, **mirror) for mirror in MIRRORS]
+        if square:
+            images += [mirrored(problem, **mirror, exchanged=True) for mirror in MIRRORS]
+        assert len(set(map(digest, images))) == len(images)
+        assert {mirror_digest(image) for image in images} == {mirror_digest(problem)}
+        own.add(mirror_digest(problem))
+    assert len(own) == len(problems)
+
+
+def test_mirror_images_of_held_out_problems_never_occur_in_training() -> None:
+    scenario = one_net(2, 2, mirrors=True)
+    held = [*scenario.validation, *scenario.test]
+    images = {digest(mirrored(problem, **mirror)) for problem in held for mirror in MIRRORS}
+    drawn = {digest(ONE_NET(np.random.default_rng(i))) for i in range(300)}
+    found = {digest(problem) for problem in itertools.islice(scenario.train(0), 150)}
+    assert found == drawn - images
+    assert len(images) > 4
+    # With mirror images allowed, they do occur.
+    loose = one_net(2, 2)
+    images = {
+        digest(mirrored(problem, **mirror))
+        for problem in (*loose.validation, *loose.test)
+        for mirror in MIRRORS
+    }
+    assert images & {digest(problem) for problem in itertools.islice(loose.train(0), 150)}
+
+
+@pytest.mark.parametrize("name", [scenario.name for scenario in COOPERATION])
+def test_levels_for_policies_hold_mirror_images_out(name: str) -> None:
+    scenario = scenarios.get(name)
+    held = [mirror_digest(problem) for problem in (*scenario.validation, *scenario.test)]
+    assert len(set(held)) == len(held)
+    drawn = itertools.islice(scenario.train(7), 1000 if name == "gates-8x7-v0" else 20)
+    assert not set(held) & {
+        digest(mirrored(problem, **mirror)) for problem in drawn for mirror in MIRRORS
+    }
+
+
+def test_a_scenario_with_too_few_problems_is_refused() -> None:
+    scenario = one_net(5, 10)
     assert len({digest(p) for p in (*scenario.validation, *scenario.test)}) == 15
     with pytest.raises(InputError, match=r"^one-net-v0: expected a problem that fits within 1000"):
         next(scenario.train(0))
     with pytest.raises(InputError, match="one-net-v0: expected a problem"):
-        _ = Scenario(replace(ONE_NET, validation=16)).validation
+        _ = one_net(16).validation
 
 
 @every
@@ -229,14 +315,15 @@ def test_training_problems_are_feasible(name: str) -> None:
 
 
 def test_infeasible_problems_are_not_kept() -> None:
-    level = replace(scenarios.get("toy-4x4-v0").level, nets=(6, 6), validation=1, test=1)
-    raw = [level.problem(np.random.default_rng(i)) for i in range(12)]
+    draw = RandomNets(grid=(4, 4, 2), nets=(6, 6), max_pins=(2, 2), capacity=(1, 1))
+    raw = [draw(np.random.default_rng(i)) for i in range(12)]
     least = [OptimalRouter().solve(problem).overflow for problem in raw]
     assert 0 < sum(overflow > 0 for overflow in least) < 12
     # Whatever A* has proven feasible is; it may miss some.
     assert all(overflow == 0 for p, overflow in zip(raw, least, strict=True) if routable(p))
     assert any(map(routable, raw))
-    for problem in itertools.islice(Scenario(level).train(0), 5):
+    scenario = Scenario("six-nets-v0", draw, validation=1, test=1, accept=routable)
+    for problem in itertools.islice(scenario.train(0), 5):
         assert OptimalRouter().solve(problem).overflow == 0
 
 
@@ -289,17 +376,17 @@ def test_digests_differ_where_routing_does() -> None:
 @every
 def test_every_fixed_problem_has_a_reference(name: str) -> None:
     scenario, problems = scenarios.get(name), fixed(name)
-    assert {record.problem for record in references_of(name).values()} == set(problems)
+    assert {record.problem for record in references_in(path_of(name)).values()} == set(problems)
     for of, problem in problems.items():
         best = scenario.best(problem)
         overflow, wirelength, proven = scenario.reference(problem)
         assert (overflow, wirelength, proven) == (best.overflow, best.wirelength, best.proven)
-        assert references_of(name)[digest(problem)].problem == of
+        assert references_in(path_of(name))[digest(problem)].problem == of
         assert proven == ((overflow, wirelength) == best.bound)
         assert best.bound <= (overflow, wirelength)
         assert best.how.startswith("solution by")
         assert best.seconds > 0
-        if scenario.feasible:
+        if name in FEASIBLE:
             assert overflow == 0
         astar = evaluate(problem, sequential_astar(problem))
         assert (overflow, wirelength) <= (astar.overflow, astar.wirelength)
@@ -307,7 +394,7 @@ def test_every_fixed_problem_has_a_reference(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["toy-4x4-v0", "two-pin-8x8-v0", "paper-table2-row3-v0"])
 def test_all_references_of_the_easy_ones_are_proven(name: str) -> None:
-    assert all(record.proven for record in references_of(name).values())
+    assert all(record.proven for record in references_in(path_of(name)).values())
 
 
 def check_proven(name: str, names: Sequence[str]) -> None:
@@ -324,7 +411,7 @@ def check_proven(name: str, names: Sequence[str]) -> None:
 
 @pytest.mark.parametrize("name", SMALL)
 def test_some_references_are_optimal(name: str) -> None:
-    proven = [record.problem for record in references_of(name).values() if record.proven]
+    proven = [record.problem for record in references_in(path_of(name)).values() if record.proven]
     check_proven(name, proven[::15])
 
 
@@ -386,8 +473,9 @@ def test_what_is_known_is_checked(tmp_path: Path) -> None:
 def test_references_are_computed_once_and_only_get_better(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("policies.experiment.references.path_of", lambda name: tmp_path / name)
     name = "two-pin-8x8-v0"
+    best = {of: scenarios.get(name).best(problem) for of, problem in fixed(name).items()}
+    monkeypatch.setattr(scenarios.get(name), "references", tmp_path / name)
     hasty = Effort(seconds=0)  # A* and the bound of nets alone
     steps = solve_scenario(name, hasty)
     first = next(steps)
@@ -401,11 +489,8 @@ def test_references_are_computed_once_and_only_get_better(
     problem = fixed(name)["validation_000"]
     assert better.problem == first.problem == "validation_000"
     assert better.proven
-    assert tuple(scenarios.get(name).reference(problem)) == (
-        better.overflow,
-        better.wirelength,
-        True,
-    )
+    known = best["validation_000"]
+    assert (known.overflow, known.wirelength) == (better.overflow, better.wirelength)
     assert better.seconds > first.seconds
     assert read_references(tmp_path / name)[digest(problem)] == better
 
@@ -419,7 +504,7 @@ def test_a_worse_search_changes_nothing() -> None:
         if router.solve(problem).overflow > 0
     )
     for bound in (0, least.wirelength):
-        known = replace(references_of(toy.name)[digest(problem)], bound_wirelength=bound)
+        known = replace(references_in(path_of(toy.name))[digest(problem)], bound_wirelength=bound)
         found = solve(problem, of, Effort(0), known)
         assert (found.overflow, found.wirelength) == (least.overflow, least.wirelength)
         assert (0, bound) <= found.bound <= (least.overflow, least.wirelength)
@@ -639,6 +724,114 @@ def test_what_environments_refuse(
 def test_what_batches_refuse(problems: Any, options: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=f"^{said}"):
         BatchEnv(problems, **options)
+
+
+# Own scenarios ------------------------------------------------------------------------------------
+
+
+def corridor(rng: np.random.Generator) -> Problem:
+    """One to four nets through a wall with a gate."""
+    field = Field(6, 4).wall(right_of=2).gate(right_of=2, row=int(rng.integers(4)), tracks=4)
+    for start, end in rng.integers(4, size=(rng.integers(1, 5), 2)).tolist():
+        field.net((0, start), (5, end))
+    return field.problem()
+
+
+@pytest.fixture
+def own() -> Iterator[Scenario]:
+    """A registered scenario, which is forgotten afterwards."""
+    suggested = {
+        "turn_order": "round_robin", "mask": {"visited": True}, "agents": "multi",
+        "observation": {"kind": "window", "radius": 1},
+    }  # fmt: skip
+    yield scenarios.register("corridor-v0", corridor, validation=3, test=6, env=suggested)
+    del scenarios._known["corridor-v0"]
+
+
+def test_an_own_generator_is_a_scenario(own: Scenario) -> None:
+    assert scenarios.get("corridor-v0") is own
+    assert scenarios.names()[-1] == "corridor-v0"
+    assert (len(own.validation), len(own.test), own.grid) == (3, 6, (6, 4, 1))
+    assert next(own.train(3)) == next(own.train(3)) != next(own.train(4))
+    env = global_routing_v0.parallel_env(scenario="corridor-v0")
+    seen, _ = env.reset(seed=0)
+    assert len(env.possible_agents) == max(len(p.nets) for p in (*own.validation, *own.test))
+    assert seen["net_0"].shape == own_window(1)
+    batch = BatchEnv(scenario="corridor-v0", split="test")
+    assert list(batch.engine.problems) == own.test
+    assert not batch.engine.static.sequential
+    assert BatchEnv(5, scenario="corridor-v0").num_problems == 5
+    config = config_of({"env": {"scenario": "corridor-v0"}, "learner": {"kind": "ppo"}})
+    assert config.env.observation.options.radius == 1
+    assert config.env.mask.visited
+
+
+def own_window(radius: int, **options: Any) -> tuple[int, ...]:
+    """The shape of what a window shows."""
+    return (WindowObservation(radius=radius, **options).size,)
+
+
+@makers
+@pytest.mark.usefixtures("own")
+def test_options_that_a_scenario_suggests_can_be_changed(make: Callable[..., Any]) -> None:
+    env = make(scenario="corridor-v0")
+    assert env.unwrapped.game.rules.mask.visited
+    assert not env.unwrapped.game.sequential
+    changed = make(
+        scenario="corridor-v0", turn_order="sequential", mask={"in_observation": True},
+        observation={"radius": 2},
+    )  # fmt: skip
+    rules = changed.unwrapped.game.rules
+    assert (rules.turn_order, rules.mask.visited, rules.mask.in_observation) == (
+        "sequential", True, True,
+    )  # fmt: skip
+    assert make(scenario="corridor-v0", observation="paper").unwrapped is not None
+    assert make(scenario="toy-4x4-v0").unwrapped.game.rules == make().unwrapped.game.rules
+
+
+def test_training_problems_are_no_larger_than_the_fixed_ones() -> None:
+    def sized(rng: np.random.Generator) -> Problem:
+        field = Field(5, 5, capacity=int(rng.integers(1, 1000)))
+        for _ in range(rng.integers(1, 30)):
+            field.net((0, 0), *rng.integers(1, 5, size=(rng.integers(1, 4), 2)).tolist())
+        return field.problem()
+
+    scenario = Scenario("sized-v0", sized, validation=2, test=2)
+    fixed = [*scenario.validation, *scenario.test]
+    for problem in itertools.islice(scenario.train(0), 20):
+        assert len(problem.nets) <= max(len(p.nets) for p in fixed)
+        assert problem.horizontal_capacity <= max(p.horizontal_capacity for p in fixed)
+        pins = [sum(len(net.pins) for net in p.nets) for p in (problem, *fixed)]
+        assert pins[0] <= max(pins[1:])
+    free = [len(sized(np.random.default_rng(i)).nets) for i in range(100)]
+    assert max(free) > max(len(p.nets) for p in fixed)
+
+
+@pytest.mark.usefixtures("own")
+def test_what_own_scenarios_are_refused() -> None:
+    for name in ("toy-4x4-v0", "", 3):
+        with pytest.raises(InputError, match=r"^name: expected one that no scenario of the pack"):
+            scenarios.register(name, corridor)  # type: ignore[arg-type]
+    again = scenarios.register("corridor-v0", corridor, test=2)
+    assert scenarios.get("corridor-v0") is again
+
+    def growing(rng: np.random.Generator) -> Problem:
+        return Field(int(rng.integers(3, 99)), 4).net((0, 0), (1, 1)).problem()
+
+    with pytest.raises(InputError, match=r"^growing-v0: expected problems with one grid shape"):
+        _ = Scenario("growing-v0", growing).test
+
+
+def test_own_references(own: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=r"^corridor-v0: references: expected a file with them"):
+        own.reference(own.test[0])
+    monkeypatch.setattr(own, "references", tmp_path / "corridor.json")
+    assert len(list(solve_scenario("corridor-v0", Effort(seconds=20)))) == 9
+    for problem in own.test:
+        overflow, wirelength, proven = own.reference(problem)
+        assert (overflow, proven) == (0, True)
+        assert own.cost(wirelength, 0) == wirelength
+        assert own.cost(wirelength - 5, 1) == wirelength + 15
 
 
 # Trainings ---------------------------------------------------------------------------------------

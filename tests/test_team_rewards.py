@@ -4,15 +4,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
+from reference import contested
 
-from marouting import InputError, generate, global_routing_v0
+from marouting import InputError, Net, Pin, Problem, generate, global_routing_v0
+from marouting.config import piece
 from marouting.env.single import GlobalRoutingSingle
+from marouting.game import NOBODY, Ending, Game
+from marouting.rewards import PricedReward, Prices, prices_of
 from marouting.vector import BatchEnv
 from policies.learned.config import load_config
 from policies.learned.trainer import Trainer
 
+seeds = st.integers(0, 2**32)
 plain = {
     "seed": st.integers(0, 1000),
     "overflow": st.sampled_from(["forbidden", "allowed"]),
@@ -37,6 +44,35 @@ games = st.fixed_dictionaries(
 prices = st.fixed_dictionaries(
     {name: st.floats(0, 50, width=16) for name in ("overflow", "open", "wirelength")}
 )
+
+rewards = st.one_of(
+    st.builds(
+        lambda kind, own: {"kind": kind, **own},
+        st.sampled_from(["team", "difference", "counterfactual"]),
+        prices,
+    ),
+    st.sampled_from(
+        [
+            {"kind": "paper", "overflow_price": 2.5, "own_edge": 0.0},
+            {"kind": "potential", "gamma": 0.9, "scale": 0.5},
+            {
+                "kind": "mixed",
+                "parts": [
+                    {"kind": "paper", "weight": 0.1},
+                    {"kind": "team", "weight": -0.5},
+                    {"kind": "counterfactual"},
+                    {"kind": "mixed", "parts": [{"kind": "potential"}], "weight": 2.0},
+                ],
+            },
+        ]
+    ),
+)
+
+
+def masked_moves(rng: np.random.Generator, mask: NDArray[np.int8]) -> NDArray[np.int8]:
+    """(M, K) random moves, most often allowed ones."""
+    wanted = rng.random(mask.shape) + mask * (rng.random(mask.shape[:2]) < 0.9)[..., None]
+    return wanted.argmax(axis=-1).astype(np.int8)
 
 
 def play(game: dict[str, Any], reward: dict[str, Any]) -> tuple[Any, dict[str, float], set[str]]:
@@ -80,6 +116,150 @@ def test_a_member_of_the_team_that_stays_is_paid_the_whole_change(game: Any, pri
     order = [f"net_{played.nets[n]}" for n in played.order]
     agent = next(agent for agent in reversed(order) if agent in last)
     assert paid[agent] == pytest.approx(gained(env, prices), abs=0.05)
+
+
+@given(games, prices)
+def test_all_of_a_team_that_stays_are_paid_the_whole_change(game: Any, prices: Any) -> None:
+    env, paid, _ = play({**game, "agents_persist": True}, {"kind": "team", **prices})
+    assert list(paid.values()) == pytest.approx([gained(env, prices)] * 5, abs=0.05)
+
+
+class ByColumns(PricedReward):
+    """A reward by its columns' form: the player does not know its prices."""
+
+    def __init__(self, **options: Any) -> None:
+        self.reward: Any = piece("reward", options, where="reward").make()
+
+    @property
+    def prices(self) -> Prices:
+        found = prices_of(self.reward)
+        assert found is not None
+        return found
+
+
+@examples(60)
+@given(contested(max_nets=6), games, st.booleans(), rewards, seeds)
+def test_compiled_rewards_are_those_by_columns(
+    problem: Problem, game: Any, everyone: bool, reward: Any, seed: int
+) -> None:
+    options = {**game, "everyone": everyone}
+    del options["seed"]
+    batches = [
+        BatchEnv([problem, generate(1, problem.grid, nets=3, seed=seed)[0]], reward=one, **options)
+        for one in (reward, ByColumns(**reward))
+    ]
+    compiled, by_columns = batches
+    assert compiled._players[0].fast.reward
+    assert not by_columns._players[0].fast.reward
+    rng = np.random.default_rng(seed)
+    for batch in batches:
+        batch.reset()
+    for _ in range(40):
+        info = compiled._info()
+        moves = masked_moves(rng, info["action_mask"])
+        steps = [batch.step(moves) for batch in batches]
+        np.testing.assert_allclose(steps[0][1], steps[1][1], rtol=1e-5, atol=1e-3)
+        np.testing.assert_array_equal(steps[0][0], steps[1][0])
+
+
+def accounted_for(game: Game, n: int, prices: Any, failures: dict[int, int]) -> float:
+    """The cost that a net accounts for, computed from nothing but routes and capacities."""
+    without = dict.fromkeys(range(len(game.capacity)), 0)
+    whole = dict(without)
+    for other, used in enumerate(game.used):
+        for edge in used:
+            if edge % 3 != 2:
+                demand = game.demand[other][edge // 3 % game.layers]
+                whole[edge] += demand
+                without[edge] += demand * (other != n)
+    overflow = sum(
+        max(whole[edge] - game.capacity[edge], 0) - max(without[edge] - game.capacity[edge], 0)
+        for edge in whole
+    )
+    open_tasks = len(game.tasks[n]) - game.joined[n] + failures.get(n, 0)
+    return (
+        prices["overflow"] * overflow
+        + prices["open"] * open_tasks
+        + prices["wirelength"] * len(game.used[n])
+    )
+
+
+@examples(40)
+@given(
+    contested(max_nets=5),
+    st.fixed_dictionaries({**plain, "release_failed": st.booleans()}),
+    prices,
+    seeds,
+)
+def test_counterfactuals_add_up_to_what_each_net_accounts_for(
+    problem: Problem, options: Any, prices: Any, seed: int
+) -> None:
+    options = {name: value for name, value in options.items() if name != "seed"}
+    reward = {"kind": "counterfactual", **prices}
+    env = global_routing_v0.parallel_env(problem, reward=reward, agents_persist=True, **options)
+    env.reset()
+    played, rng = env.unwrapped.game, np.random.default_rng(seed)
+    begin = {n: prices["open"] * len(tasks) for n, tasks in enumerate(played.tasks)}
+    paid, failures = dict.fromkeys(begin, 0.0), dict.fromkeys(begin, 0)
+    move = Game.move
+
+    def watched(game: Game, n: int, action: int) -> None:
+        move(game, n, action)
+        if game.ending[n] == Ending.FAILED:
+            for other in shut_in_by(game, n):
+                failures[other] += 1
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Game, "move", watched)
+        while env.agents:
+            moves = {a: int(rng.choice(np.flatnonzero(env.action_mask(a)))) for a in env.agents}
+            _, rewards, *_ = env.step(moves)
+            for n, net in enumerate(played.nets):
+                paid[n] += rewards[f"net_{net}"]
+    for n in paid:
+        whole = begin[n] - accounted_for(played, n, prices, failures)
+        assert paid[n] == pytest.approx(whole, abs=0.05)
+
+
+def shut_in_by(game: Game, n: int) -> list[int]:
+    """The nets each of which alone keeps agent n from its target."""
+
+    def reaches(without: int) -> bool:
+        reached, last = {game.cell[n]}, None
+        while last != len(reached):
+            last = len(reached)
+            for cell in list(reached):
+                layer = cell % game.layers
+                for _, edge, ahead in game.grid.exits_of[cell]:
+                    left = game.remaining[edge]
+                    if without != NOBODY and edge in game.used[without]:
+                        left += game.demand[without][layer]
+                    if edge % 3 == 2 or edge in game.used[n] or left >= game.demand[n][layer]:
+                        reached.add(ahead)
+        return game.target[n] in reached
+
+    if reaches(NOBODY):
+        return []
+    return [other for other in range(len(game.nets)) if other != n and reaches(other)]
+
+
+def test_who_stands_in_the_way_is_charged() -> None:
+    """Two nets want the only track between two Gcells, and the first one to move gets it."""
+    nets = Net("a", 0, (Pin(0, 0, 1), Pin(1, 0, 1))), Net("b", 1, (Pin(0, 0, 1), Pin(1, 0, 1)))
+    problem = Problem((2, 1, 1), (0,), (1,), nets, (1,), (0,), (0,))
+    env = BatchEnv([problem], reward={"kind": "counterfactual", "open": 20}, max_steps=2)
+    env.reset()
+    east = np.zeros((1, 2), np.int8)
+    _, paid, ended, _, info = env.step(east)
+    assert paid.tolist() == [[20 - 1, 0]]
+    assert ended.tolist() == [[True, False]]
+    _, paid, _, cut, info = env.step(east)
+    assert paid.tolist() == [[-20, 0]]
+    assert cut.tolist() == [[False, True]]
+    assert info["over"].all()
+    team = BatchEnv([problem], reward={"kind": "team", "open": 20}, max_steps=2)
+    team.reset()
+    assert team.step(east)[1].tolist() == [[19, 19]]
 
 
 @given(st.fixed_dictionaries(plain), st.sampled_from([0.25, 1.0, 3.0]))

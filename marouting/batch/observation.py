@@ -63,26 +63,32 @@ def see_paper(
 
 
 @compiled
+def write_state(dynamic: Dynamic, m: int, out: Any) -> None:
+    """Fills ``out[m]`` (G, 5) with a global state; see :func:`.observations.state_space`."""
+    for cell in range(out.shape[1]):
+        for axis in range(VIA_AXIS):
+            out[m, cell, axis] = dynamic.remaining[m, AXES * cell + axis]
+        for channel in range(VIA_AXIS, CHANNELS):
+            out[m, cell, channel] = 0
+    for n in range(dynamic.agents.shape[1]):
+        for byte in range(dynamic.used.shape[2]):
+            bits = byte_of(dynamic.used, m, n, byte)
+            edge = 8 * byte
+            while bits != 0:
+                if bits & 1 and edge % AXES == VIA_AXIS:
+                    out[m, edge // AXES, VIA_AXIS] += 1
+                edge, bits = edge + 1, bits >> 1
+        agent = dynamic.agents[m, n]
+        if agent.status == Status.ACTIVE:
+            out[m, as_index(agent.cell), AXES] += 1
+            out[m, as_index(agent.target), AXES + 1] += 1
+
+
+@compiled
 def write_states(dynamic: Dynamic, out: Any) -> None:
-    """Fills ``out`` (M, G, 5) with global states; see :func:`.observations.state_space`."""
+    """Fills ``out`` (M, G, 5) with global states."""
     for m in range(out.shape[0]):
-        for cell in range(out.shape[1]):
-            for axis in range(VIA_AXIS):
-                out[m, cell, axis] = dynamic.remaining[m, AXES * cell + axis]
-            for channel in range(VIA_AXIS, CHANNELS):
-                out[m, cell, channel] = 0
-        for n in range(dynamic.agents.shape[1]):
-            for byte in range(dynamic.used.shape[2]):
-                bits = byte_of(dynamic.used, m, n, byte)
-                edge = 8 * byte
-                while bits != 0:
-                    if bits & 1 and edge % AXES == VIA_AXIS:
-                        out[m, edge // AXES, VIA_AXIS] += 1
-                    edge, bits = edge + 1, bits >> 1
-            agent = dynamic.agents[m, n]
-            if agent.status == Status.ACTIVE:
-                out[m, as_index(agent.cell), AXES] += 1
-                out[m, as_index(agent.target), AXES + 1] += 1
+        write_state(dynamic, m, out)
 
 
 @inlined

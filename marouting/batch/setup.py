@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,22 +203,38 @@ def _options(
 _PLAIN = _options(Rules(), (0, 0, 0))  # the options of the paper's game: all are switched off
 
 
-def dynamic_state(static: Static, grid: Grid, agents: int) -> Dynamic:
-    """The arrays that change during an episode; raises InputError if they take too much memory."""
-    m, edges = static.capacity.shape
+def dynamic_state(
+    static: Static, grid: Grid, agents: int, games: int | None = None, make: Any = None
+) -> Dynamic:
+    """The arrays that change during an episode, of zeros.
+
+    Args:
+        static: those that do not.
+        grid: the grid.
+        agents: N.
+        games: M; None: as many as the problems of ``static``.
+        make: makes them (shape, dtype); None: on the processor.
+
+    Raises:
+        InputError: they take too much memory.
+    """
+    edges = static.capacity.shape[1]
+    m = len(static.capacity) if games is None else games
     ways, rows = -(-edges // 8), int(static.options[Option.ROWS])
     columns = int(static.options[Option.COLUMNS])
-    check_memory(
-        m * ((agents + rows) * ways + 8 * columns),
-        "a batch with {} nets on a grid of {} (global_routing_v0.env has room for more)",
-        m * agents,
-        grid,
-    )
+    if make is None:
+        check_memory(
+            m * ((agents + rows) * ways + 8 * columns),
+            "a batch with {} nets on a grid of {} (global_routing_v0.env has room for more)",
+            m * agents,
+            grid,
+        )
+        make = np.zeros
     return Dynamic(
-        remaining=np.empty((m, edges), np.int32),
-        used=np.zeros((m, agents, ways), np.uint8),
-        agents=np.zeros((m, agents), AGENT),
-        games=np.zeros(m, GAME),
-        sets=np.zeros((m, rows, ways), np.uint8),
-        numbers=np.zeros((m, columns), np.int64),
+        remaining=make((m, edges), np.int32),
+        used=make((m, agents, ways), np.uint8),
+        agents=make((m, agents), AGENT),
+        games=make((m,), GAME),
+        sets=make((m, rows, ways), np.uint8),
+        numbers=make((m, columns), np.int64),
     )

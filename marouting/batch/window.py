@@ -186,7 +186,8 @@ class WindowObservation:
         return next(reversed(self.layout.values()))[0].stop
 
     @cached_property
-    def _where(self) -> Where:
+    def where(self) -> Where:
+        """The options, for compiled code."""
         begins: dict[str, int] = {}
         for channel, name, _ in self._blocks:
             begins.setdefault(channel, self.layout[name][0].start)
@@ -221,7 +222,7 @@ class WindowObservation:
         check_rows(games, problems, agents, out, self.size)
         engine = engine_of(games)
         known = engine.static, engine.dynamic
-        rows = self._where, problems, agents, out
+        rows = self.where, problems, agents, out
         _write_rows(*known, _heads_of(engine), *rows)
         if "demand" in self.channels:
             _write_demands(*known, maps_of(engine), *rows)
@@ -267,7 +268,7 @@ class WindowObservation:
             out = np.empty((len(engine.games), columns, rows, layers * channels), np.float32)
         flat = out.reshape(len(out), -1, channels)
         heads = _heads_of(engine)
-        _state(engine.static, engine.dynamic, maps_of(engine), heads, self._where, flat)
+        _state(engine.static, engine.dynamic, maps_of(engine), heads, self.where, flat)
         return out
 
 

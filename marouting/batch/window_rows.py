@@ -364,13 +364,15 @@ def write_window(
 def count_heads(dynamic: Dynamic, heads: Any, m: int) -> None:
     """Counts the active agents of a problem in each Gcell, and joins the bits of their messages.
 
-    ``heads`` (M, 2 G) holds the numbers of agents of all Gcells, then their messages.
+    ``heads`` (M, 2 G) holds the numbers of agents of all Gcells, then their messages. Without
+    messages (M, G) are enough.
     """
-    gcells = heads.shape[1] // 2
+    gcells = dynamic.remaining.shape[1] // AXES
     for cell in range(heads.shape[1]):
         heads[m, cell] = 0
     for n in range(dynamic.agents.shape[1]):
         agent = dynamic.agents[m, n]
         if agent.status == Status.ACTIVE:
             heads[m, as_index(agent.cell)] += 1
-            heads[m, as_index(gcells + agent.cell)] |= agent.message
+            if heads.shape[1] > gcells:
+                heads[m, as_index(gcells + agent.cell)] |= agent.message

@@ -142,8 +142,11 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
             # does where they move one at a time; what agents saw where they arrived, they saw when
             # all had moved.
             paid, arrived = np.zeros(len(game.nets), np.float32), {}
+            stays = np.ones(len(game.nets), np.bool_)
             for n in movers:
-                paid += base.move(n, moves[n])
+                if not base.persists:  # those who are done have left
+                    stays = np.array(game.status) == ACTIVE
+                paid += base.move(n, moves[n]) * stays
                 if game.ending[n]:
                     arrived[n] = _standing(game, n)
                 game.settle(n)

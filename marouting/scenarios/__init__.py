@@ -1,4 +1,4 @@
-"""The benchmark's problems: named, versioned scenarios of growing difficulty.
+"""The benchmark's problems: named, versioned scenarios.
 
 >>> from marouting import scenarios
 >>> toy = scenarios.get("toy-4x4-v0")
@@ -6,33 +6,45 @@
 >>> overflow, wirelength, proven = toy.reference(problem)
 >>> new = next(toy.train(seed=0))
 
-A scenario is a row of parameters (:data:`marouting.scenarios.levels.LEVELS`). Its problems are
-generated from these and from seeds, the same on every machine; only the references, what is known
-about the best solution of each validation and test problem, are stored. What a ``-v0`` gives never
-changes: a changed scenario gets a new version. ``docs/scenarios.md`` compares them.
+Problems are drawn by a generator from seeds, the same on every machine; only the references, what
+is known about the best solution of each validation and test problem, are stored. What a ``-v0``
+gives never changes: a changed scenario gets a new version. ``docs/scenarios.md`` compares them.
+
+Your own generator becomes a scenario by :func:`register`::
+
+    from marouting import Field, scenarios
+
+    def corridor(rng):
+        field = Field(6, 4).wall(right_of=2).gate(right_of=2, row=int(rng.integers(4)), tracks=2)
+        for row in rng.integers(4, size=(2, 2)).tolist():
+            field.net((0, row[0]), (5, row[1]))
+        return field.problem()
+
+    scenarios.register("corridor-v0", corridor, env={"turn_order": "round_robin"})
+    env = marouting.global_routing_v0.parallel_env(scenario="corridor-v0")
 """
 
-import functools
+from typing import Any
 
 from marouting.errors import InputError, nearest
-from marouting.scenarios.digests import digest
-from marouting.scenarios.levels import LEVELS, Level
+from marouting.scenarios.cooperation import COOPERATION
+from marouting.scenarios.digests import digest, mirror_digest
+from marouting.scenarios.planning import PLANNING, RandomNets
 from marouting.scenarios.references import Best, Reference
-from marouting.scenarios.scenario import SPLITS, Scenario, Split
+from marouting.scenarios.scenario import SPLITS, Generator, Scenario, Split, routable
 
 __all__ = [
-    "SPLITS", "Best", "Level", "Reference", "Scenario", "Split", "digest", "get", "names",
+    "COOPERATION", "PLANNING", "SPLITS", "Best", "Generator", "RandomNets", "Reference", "Scenario",
+    "Split", "digest", "get", "mirror_digest", "names", "register", "routable",
 ]  # fmt: skip
+
+_shipped = {scenario.name: scenario for scenario in (*PLANNING, *COOPERATION)}
+_known = dict(_shipped)
 
 
 def names() -> list[str]:
-    """The names of all scenarios, easiest first."""
-    return [level.name for level in LEVELS]
-
-
-@functools.cache
-def _scenario(level: Level) -> Scenario:
-    return Scenario(level)
+    """The names of all scenarios: those for planners, those for policies, registered ones."""
+    return list(_known)
 
 
 def get(name: str) -> Scenario:
@@ -41,8 +53,31 @@ def get(name: str) -> Scenario:
     Raises:
         InputError: there is no such scenario.
     """
-    for level in LEVELS:
-        if level.name == name:
-            return _scenario(level)
-    hint = nearest(str(name), names(), cutoff=0.4)
-    raise InputError(f"scenario: {hint}expected one of {', '.join(names())}, found {name!r}")
+    found = _known.get(name) if isinstance(name, str) else None
+    if found is None:
+        hint = nearest(str(name), names(), cutoff=0.4)
+        raise InputError(f"scenario: {hint}expected one of {', '.join(names())}, found {name!r}")
+    return found
+
+
+def register(name: str, generator: Generator, **options: Any) -> Scenario:
+    """Makes the problems of a generator a scenario, which all interfaces then find by its name.
+
+    Args:
+        name: the name; registering it again replaces the scenario. End it with a version, such as
+            ``-v0``, and give it a new one when the problems change: they depend on the name.
+        generator: a function that draws a problem with the random numbers of a NumPy
+            ``Generator``, and with nothing else.
+        options: further arguments of :class:`Scenario`, such as ``validation``, ``test``, ``env``
+            and ``accept``.
+
+    Returns:
+        The scenario.
+
+    Raises:
+        InputError: a scenario of the package has this name.
+    """
+    if not isinstance(name, str) or not name or name in _shipped:
+        raise InputError(f"name: expected one that no scenario of the package has, found {name!r}")
+    _known[name] = Scenario(name, generator, **options)
+    return _known[name]

@@ -96,6 +96,6 @@ def read_references(path: Path) -> dict[str, Record]:
 
 
 @functools.cache
-def references_of(scenario: str) -> Mapping[str, Record]:
-    """The references of a scenario that travel with the package."""
-    return read_references(path_of(scenario))
+def references_in(path: Path) -> Mapping[str, Record]:
+    """:func:`read_references`, once for each file."""
+    return read_references(path)

@@ -2,29 +2,38 @@
 
 Every problem is drawn from a seed of its own: the SHA-256 of a text such as
 ``two-pin-8x8-v0/test/7/0``, with the scenario, the split, the problem's place and the attempt.
-Attempts are thrown away until a problem keeps two promises:
+Attempts are thrown away until a problem keeps three promises:
 
 * It is not among the problems held out. No training problem is, under any seed, one of the
-  validation and test problems (:func:`marouting.scenarios.digests.digest`), and these all differ.
-* It is feasible if the scenario promises so: sequential A* has routed it without overflow, in one
-  of :data:`ORDERS` net orders. So a few feasible problems are thrown away as well.
+  validation and test problems (:func:`marouting.scenarios.digests.digest`), and these all differ;
+  unless the scenario says otherwise, mirror images count as the same problem.
+* The scenario accepts it. Most accept what is feasible, as far as :func:`routable` can tell:
+  sequential A* has routed it without overflow, in one of :data:`ORDERS` net orders. So a few
+  feasible problems are thrown away as well.
+* It is no larger than the scenario's :attr:`Scenario.bounds`.
 """
 
 import functools
 import hashlib
 import itertools
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
+from marouting.config import check
 from marouting.errors import InputError
+from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem, check_choice
-from marouting.scenarios.digests import digest
-from marouting.scenarios.levels import Level
-from marouting.scenarios.references import Best, Reference, references_of
+from marouting.scenarios.digests import digest, mirror_digest
+from marouting.scenarios.references import Best, Reference, path_of, references_in
 from marouting.search.astar import sequential_astar
+
+Generator = Callable[[np.random.Generator], Problem]
+"""Draws a problem with random numbers; all its problems have one grid shape."""
 
 Split = Literal["train", "validation", "test"]  # the parts of a scenario
 SPLITS: tuple[Split, ...] = get_args(Split)
@@ -34,23 +43,51 @@ ATTEMPTS = 1000  # the most attempts for one problem. None of the scenarios come
 
 
 class Scenario:
-    """The problems of a level.
+    """Problems drawn by a generator.
 
     Args:
-        level: the parameters.
+        name: its name, with the version at the end.
+        generator: what draws problems. They may differ in all but the shape of the grid.
+        description: one sentence.
+        validation: number of validation problems.
+        test: number of test problems.
+        accept: draws that it refuses are thrown away; None: it takes all.
+        env: options of the environment (:class:`marouting.options.EnvOptions`) that are the
+            defaults where the scenario is played.
+        open_cost: what an open task costs, in edges of wire; see :meth:`cost`.
+        mirrors: whether mirror images of a held-out problem are held out as well.
+        largest: makes a problem with at least as many nets and pins and as much capacity as any
+            that is drawn. None: draws with more of them than all validation and test problems are
+            thrown away.
+        references: the file with the references, which
+            :func:`policies.experiment.references.solve_scenario` writes; None: that of the package.
 
     Attributes:
-        level: the parameters.
-        name: its name.
-        description: one sentence.
-        grid: columns, rows and layers of Gcells, the same in all problems.
-        feasible: whether every problem has a solution without overflow.
+        name, generator, description, env, open_cost: as given.
+        references: the file with the references, which need not be there.
     """
 
-    def __init__(self, level: Level) -> None:
-        self.level = level
-        self.name, self.description = level.name, level.description
-        self.grid, self.feasible = level.grid, level.feasible
+    def __init__(
+        self,
+        name: str,
+        generator: Generator,
+        *,
+        description: str = "",
+        validation: int = 20,
+        test: int = 40,
+        accept: Callable[[Problem], bool] | None = None,
+        env: Mapping[str, Any] | None = None,
+        open_cost: int = 20,
+        mirrors: bool = True,
+        largest: Callable[[], Problem] | None = None,
+        references: Path | None = None,
+    ) -> None:
+        self.name, self.generator, self.description = name, generator, description
+        self.env, self.open_cost = dict(env or {}), open_cost
+        self._counts: dict[Split, int] = {"validation": validation, "test": test}
+        self._accept, self._largest = accept, largest
+        self._digest = mirror_digest if mirrors else digest
+        self.references = path_of(name) if references is None else references
 
     def __repr__(self) -> str:
         return f"Scenario({self.name})"
@@ -67,7 +104,7 @@ class Scenario:
         if not (is_whole(seed) and seed >= 0):
             raise InputError(f"seed: expected a whole number from 0, found {seed!r}")
         return (
-            self._draw(f"train/{int(seed)}/{number}", self._held_out)
+            self._draw(f"train/{int(seed)}/{number}", self._held_out, self._fits)
             for number in itertools.count()
         )
 
@@ -115,48 +152,85 @@ class Scenario:
         """All that is known about the best solution of a problem.
 
         Raises:
-            InputError: it is no validation or test problem of this scenario.
+            InputError: it is no validation or test problem of this scenario, or the scenario has no
+                references.
         """
-        found = references_of(self.name).get(digest(problem))
+        found = references_in(self.references).get(digest(problem))
         if found is None:
+            check(f"{self.name}: references", references_in(self.references), "a file with them")
             raise InputError(
                 f"problem: expected a validation or test problem of {self.name}, found another"
             )
         return found
 
+    def cost(self, wirelength: float, open_tasks: float) -> float:
+        """What routes cost: their wirelength, and :attr:`open_cost` for every open task.
+
+        The cost of a policy is the sum over the problems, divided by that of the references.
+        """
+        return wirelength + self.open_cost * open_tasks
+
+    @property
+    def grid(self) -> tuple[int, int, int]:
+        """Columns, rows and layers of Gcells, the same in all problems."""
+        return self.bounds[0].grid
+
     @functools.cached_property
-    def largest(self) -> Problem:
-        """A problem with at least as many nets and as much capacity as any of the scenario."""
-        return self.level.largest()
+    def bounds(self) -> list[Problem]:
+        """Problems that, together, have as many nets and pins and as much capacity as any drawn."""
+        if self._largest is not None:
+            return [self._largest()]
+        return [*self.validation, *self.test]
+
+    @functools.cached_property
+    def _most(self) -> NDArray[np.integer]:
+        """What no training problem has more of; see :func:`_size`."""
+        return np.max([_size(problem) for problem in self.bounds], axis=0)
 
     @functools.cached_property
     def _fixed(self) -> dict[Split, dict[str, Problem]]:
         """The validation and test problems by their names."""
         known: set[str] = set()
         fixed: dict[Split, dict[str, Problem]] = {}
-        counts: dict[Split, int] = {"validation": self.level.validation, "test": self.level.test}
-        for split, count in counts.items():
+        for split, count in self._counts.items():
             fixed[split] = {}
             for number in range(count):
-                problem = self._draw(f"{split}/{number}", known)
-                known.add(digest(problem))
+                problem = self._draw(f"{split}/{number}", known, self._accept)
+                known.add(self._digest(problem))
                 fixed[split][f"{split}_{number:03d}"] = problem
+        if len({problem.grid for of in fixed.values() for problem in of.values()}) > 1:
+            raise InputError(f"{self.name}: expected problems with one grid shape")
         return fixed
 
     @functools.cached_property
     def _held_out(self) -> frozenset[str]:
         """The digests of the validation and test problems."""
-        return frozenset(map(digest, (*self.validation, *self.test)))
+        return frozenset(map(self._digest, (*self.validation, *self.test)))
 
-    def _draw(self, key: str, excluded: Collection[str]) -> Problem:
+    def _fits(self, problem: Problem) -> bool:
+        """Whether a training problem is accepted and within the bounds."""
+        check(f"{self.name}: grid", problem.grid == self.grid, f"{self.grid} in all problems")
+        if self._largest is None and (_size(problem) > self._most).any():
+            return False
+        return self._accept is None or self._accept(problem)
+
+    def _draw(
+        self, key: str, excluded: Collection[str], fits: Callable[[Problem], bool] | None
+    ) -> Problem:
         """Draws a problem that is not excluded; raises InputError after many attempts."""
         for attempt in range(ATTEMPTS):
             text = f"{self.name}/{key}/{attempt}"
             seed = int.from_bytes(hashlib.sha256(text.encode()).digest())
-            problem = self.level.problem(np.random.default_rng(seed))
-            if digest(problem) not in excluded and (not self.feasible or routable(problem)):
+            problem = self.generator(np.random.default_rng(seed))
+            if self._digest(problem) not in excluded and (fits is None or fits(problem)):
                 return problem
         raise InputError(f"{self.name}: expected a problem that fits within {ATTEMPTS} attempts")
+
+
+def _size(problem: Problem) -> NDArray[np.integer]:
+    """(3,) nets, pins, and tracks of the widest edge; vias do not count."""
+    tracks = problem.capacity.reshape(-1, AXES)[:, :VIA_AXIS].max()
+    return np.array([len(problem.nets), len(problem.gcell_of_pins), tracks])
 
 
 def routable(problem: Problem) -> bool:

@@ -20,6 +20,7 @@ import numpy as np
 from marouting import InputError, __version__, evaluate, scenarios, sequential_astar
 from marouting.config import build, check, override, read_yaml
 from marouting.files import is_dir, is_file, stem_of, suffix_of
+from marouting.scenarios.score import Figures
 from policies.engines import EngineName, cores, processor
 from policies.experiment.config import (
     PUBLISHED,
@@ -31,7 +32,6 @@ from policies.experiment.config import (
 )
 from policies.experiment.experiment import Experiment
 from policies.experiment.result import Outcome, Result, Task
-from policies.experiment.score import Figures
 from policies.results.rows import Row
 from policies.results.run_folder import CHECKPOINT, METRICS, POLICY, read_episodes
 from policies.results.statistics import interquartile_mean

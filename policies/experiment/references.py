@@ -29,7 +29,7 @@ from marouting import (
 )
 from marouting.config import check
 from marouting.files import write_text
-from marouting.scenarios.references import Record, path_of, read_references
+from marouting.scenarios.references import Record, read_references, references_in
 from policies.routers.optimal import OptimalRouter
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
@@ -83,12 +83,12 @@ def _better(known: Record, new: Record) -> Record:
 
 
 def solve_scenario(name: str, effort: Effort, *, again: bool = False) -> Iterator[Record]:
-    """Computes the references of a scenario and writes them to the package's file, one by one.
+    """Computes the references of a scenario and writes them to its file, one by one.
 
     With ``again`` effort is also spent on problems whose reference is known but not proven.
     """
     scenario = scenarios.get(name)
-    path = path_of(name)
+    path = scenario.references
     known = read_references(path)
     problems = {**scenario.problems("validation"), **scenario.problems("test")}
     places = {scenarios.digest(problem): (of, problem) for of, problem in problems.items()}
@@ -100,6 +100,7 @@ def solve_scenario(name: str, effort: Effort, *, again: bool = False) -> Iterato
         known[digest] = solve(problem, of, effort, before)
         in_order = {d: asdict(known[d]) for d in places if d in known}
         write_text(path, json.dumps({"references": in_order}, indent=1) + "\n")
+        references_in.cache_clear()
         yield known[digest]
 
 

@@ -19,8 +19,8 @@ import numpy as np
 
 from marouting.config import Meets, between, build_json, check
 from marouting.files import read_text, write_text
+from marouting.scenarios.score import Figures, score
 from policies.experiment.config import Split
-from policies.experiment.score import Figures, score
 from policies.results.rows import Count, Measure, Name, Row, Seconds
 from policies.results.statistics import bootstrap_interval, gap, interquartile_mean
 
@@ -70,7 +70,7 @@ class Outcome:
         wirelength: in edges.
         vias: None if not known.
         seconds: wall time, with the training if there was one for this problem; None if not known.
-        score: see :mod:`policies.experiment.score`; None where ``open`` is.
+        score: see :mod:`marouting.scenarios.score`; None where ``open`` is.
     """
 
     problem: Name

@@ -20,7 +20,7 @@ from marouting.config import (
     read_yaml,
     take_pieces,
 )
-from marouting.options import EnvOptions
+from marouting.options import EnvOptions, with_suggestions
 from marouting.registry import allowing_code, lookup, names
 
 
@@ -149,7 +149,8 @@ def load_config(
 def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
     """The configuration in plain data.
 
-    Some defaults depend on other keys: ``env.agents`` on the learner; what agents see, how a
+    Some defaults depend on other keys: ``env.agents`` on the learner; the game on what its scenario
+    suggests (:attr:`marouting.scenarios.Scenario.env`); what agents see, how a
     training runs, and options of learners (:attr:`.Learner.endless`) on whether its problems never
     end.
 
@@ -167,7 +168,7 @@ def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
     kind = learner.get("kind", names("learner")[0])
     cls = lookup("learner", kind) if kind in names("learner") else None
     agents = getattr(cls, "agents", None)
-    env = env if agents is None else {"agents": agents, **env}
+    env = with_suggestions(env if agents is None else {"agents": agents, **env})
     if _endless(env):
         env = {"observation": "window", **env}
         learner = {"kind": kind, **getattr(cls, "endless", {}), **learner}

@@ -25,7 +25,7 @@ _MANY = 4
 
 def layers_of(player: Player, module: nn.Module, *, masking: bool) -> tuple[int, ...] | None:
     """Units of a network's layers, inputs first, if :func:`play_out` does it in these games."""
-    known = player.fast.observation and player.fast.reward
+    known = player.fast.observation and player.fast.reward and player.fast.shares is None
     fits = known or (masking and _looks_out(player))
     return plain_sizes(module) if fits and player.engine.actions == MOVES else None
 

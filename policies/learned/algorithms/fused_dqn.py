@@ -36,16 +36,16 @@ from policies.learned.networks.mlp import MLP
 
 def obstacle(setup: Setup, options: DQNOptions) -> str | None:
     """Why the fused DQN does not apply, or None where it does."""
-    network = options.network
+    network, fast = options.network, setup.player.fast
     given = network.options
     reasons = {
         f"device {setup.device}": setup.device.type != "cpu",
-        "an observation other than the paper's": not setup.player.fast.observation,
-        "a reward other than the paper's": not setup.player.fast.reward,
+        "an observation other than the paper's": not fast.observation,
+        "a reward other than the paper's": not fast.reward or fast.shares is not None,
         f"network {network.name}": network.cls is not MLP or network.given,
         "a dueling network": network.cls is MLP and given["dueling"],
         "an activation other than relu": network.cls is MLP and given["activation"] != "relu",
-        "rip_up agents": setup.player.engine.actions > MOVES,
+        "actions beyond the six moves": setup.player.engine.actions > MOVES,
         "double": options.double,
         "n_step": options.n_step > 1,
         "prioritised": options.prioritised,

@@ -7,7 +7,8 @@ second MAPPO (Yu et al., 2022), both with one actor for all agents as in these p
 Deviations from the papers and from CleanRL's implementation:
 
 * A task is an agent's episode: the sum of rewards ends where a task is joined. A task that failed
-  only ran out of steps, and is bootstrapped from.
+  only ran out of steps, and is bootstrapped from, unless ``final_failures`` says otherwise.
+* What an agent is paid once it is done counts as paid with its last move.
 * Rollouts are counted in transitions, not in steps: agents finish at different times.
 * Rewards are multiplied by ``reward_scale``, and no values are normalised or clipped.
 * Actor and critic are two networks with an optimiser each; there is no annealing but the linear one
@@ -56,6 +57,8 @@ class PPOOptions:
         reward_scale: factor of all rewards: the critic learns numbers of the order of 1.
         max_gradient: length that longer gradients are cut to.
         masking: whether only moves that cross an edge are chosen.
+        final_failures: whether a failed task ends the sum of rewards, as a joined one does: for
+            games in which the limit of steps is part of what is to be learned (Pardo et al., 2018).
     """
 
     network: Named = piece_field("network", "mlp", hidden=(64, 64))
@@ -73,6 +76,7 @@ class PPOOptions:
     reward_scale: float = 0.05
     max_gradient: float = 0.5
     masking: bool = True
+    final_failures: bool = False
 
     def __post_init__(self) -> None:
         take_pieces(self)
@@ -121,6 +125,7 @@ class PPO(Learner):
             count, o.rollout, setup.games // count, setup.rows, player.engine.nets.shape[1],
             setup.actions, setup.obs_shape, setup.state_shape if self.central else (),
             o.reward_scale,
+            late=player.everyone and (player.fast.shares is not None or not player.fast.reward),
         )  # fmt: skip
         self.explore = Exploration(setup.game_keys("explore"))
         self.keys = setup.network_keys("sample")
@@ -156,7 +161,7 @@ class PPO(Learner):
             scores, values = self._look(now.obs, now.active, states)
             self.explore.sample(now, scores, self.options.masking, chance)
             player.step()
-            failed = now.acted & (now.ending == Ending.FAILED)
+            failed = now.acted & (now.ending == Ending.FAILED) & (not self.options.final_failures)
             states_after = self._states(player) if failed.any() else None
             final = self._values(now.final_obs, failed, states_after)
             self.rollout.add(before, now, chance, values, final, states)

@@ -4,6 +4,9 @@ A network's transitions lie one after another in the order of play. Those of one
 its *stream*, a number of its own, so that agents may move at different times, or stop. As soon as
 a network has a rollout's worth of transitions they are learned from; what has come in beyond that
 with the same step is the start of the next rollout.
+
+Rewards may pay agents that are done. Then the last transition of an agent waits until its game is
+over, and everything that the agent is paid until then is part of that transition's reward.
 """
 
 from typing import Any, ClassVar
@@ -37,6 +40,7 @@ class Rollout(PerNetworkState):
         obs_shape: of one observation.
         state_shape: of what else the critic sees; () for nothing.
         scale: factor of all rewards.
+        late: whether agents that are done may be paid.
 
     Attributes:
         obs: (L, C, *S) float32.
@@ -50,11 +54,13 @@ class Rollout(PerNetworkState):
         stream: (L, C) int64.
         state: (L, C, *state_shape) float32.
         count: (L,) int64, transitions there are.
+        waits: (L, streams) bool, whether the last transition of an agent waits, in the place of its
+            stream behind all others.
     """
 
     rows: ClassVar[tuple[str, ...]] = (
         "obs", "mask", "action", "chance", "value", "reward", "ending", "after", "stream", "state_",
-        "count",
+        "count", "waits",
     )  # fmt: skip
 
     def __init__(
@@ -68,10 +74,14 @@ class Rollout(PerNetworkState):
         obs_shape: tuple[int, ...],
         state_shape: tuple[int, ...] = (),
         scale: float = 1.0,
+        *,
+        late: bool = False,
     ) -> None:
-        self.size, self.agents, self.scale = size, agents, scale
+        self.size, self.agents, self.scale, self.late = size, agents, scale, late
         self.streams = games * agents
-        each = networks, size + games * rows
+        self._waiting = size + games * rows
+        each = networks, self._waiting + self.streams * late
+        self.waits = np.zeros((networks, self.streams * late), np.bool_)
         self.obs = np.zeros((*each, *obs_shape), np.float32)
         self.mask = np.ones((*each, actions), np.int8)
         self.action, self.stream = np.zeros((2, *each), np.int64)
@@ -112,18 +122,43 @@ class Rollout(PerNetworkState):
         """
         m, k = np.nonzero(after.acted)
         games = len(after.acted) // len(self.count)
-        n = m // games
-        # Behind the network's earlier transitions, and those of this step that come first.
-        at = self.count[n] + np.arange(len(n)) - np.searchsorted(n, n)
-        self.count += np.bincount(n, minlength=len(self.count))
+        n, stream = m // games, m % games * self.agents + before.agents[m, k]
+        waits = np.zeros(len(m), np.bool_)
+        if self.late:
+            done = after.terminated | after.truncated
+            waits = (done & ~after.over[:, None])[m, k]
+            self._pay_late(after)
+        at = np.empty(len(m), np.int64)
+        at[waits], at[~waits] = self._waiting + stream[waits], self._places(n[~waits])
         self.obs[n, at], self.mask[n, at] = before.obs[m, k], before.mask[m, k]
         self.action[n, at], self.ending[n, at] = after.actions[m, k], after.ending[m, k]
         self.reward[n, at] = self.scale * after.reward[m, k].astype(np.float64)
         self.chance[n, at], self.value[n, at] = chance[m, k], value[m, k]
         self.after[n, at] = final_value[m, k]
-        self.stream[n, at] = m % games * self.agents + before.agents[m, k]
+        self.stream[n, at] = stream
         if states is not None:
             self.state_[n, at] = states[m]
+        if self.late:
+            self.waits[n[waits], stream[waits]] = True
+
+    def _places(self, n: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(B,) places for further transitions of networks (B,), which are in ascending order."""
+        at = self.count[n] + np.arange(len(n)) - np.searchsorted(n, n)
+        self.count += np.bincount(n, minlength=len(self.count))
+        return at
+
+    def _pay_late(self, after: StepBuffers) -> None:
+        """Pays the transitions that wait; those of games that are over wait no longer."""
+        networks = len(self.count)
+        paid = self.scale * after.reward.astype(np.float64).reshape(networks, -1)
+        self.reward[:, self._waiting :] += np.where(self.waits, paid, 0)
+        over = np.repeat(after.over, self.agents).reshape(networks, -1) & self.waits
+        n, stream = np.nonzero(over)
+        at = self._places(n)
+        for name in self.rows[:-2]:
+            row = getattr(self, name)
+            row[n, at] = row[n, self._waiting + stream]
+        self.waits &= ~over
 
     def full(self) -> NDArray[np.int64]:
         """(D,) the networks that have a rollout's worth."""
@@ -143,6 +178,8 @@ class Rollout(PerNetworkState):
         Returns:
             (D, size) float32 advantages and (D, size) float32 returns, advantage plus value.
         """
+        if self.late:  # what comes next for those whose last transition waits
+            last = np.where(self.waits, self.value[:, self._waiting :], last)
         advantage = np.empty((len(which), self.action.shape[1]), np.float32)
         ahead, gain = np.empty((2, self.streams), np.float32)
         for i, n in enumerate(which.tolist()):
@@ -161,7 +198,7 @@ class Rollout(PerNetworkState):
         """Forgets the rollouts of networks; what came in beyond them moves to the front."""
         for n in which.tolist():
             left = self.count[n] - self.size
-            for name in self.rows[:-1]:
+            for name in self.rows[:-2]:
                 row = getattr(self, name)[n]
                 row[:left] = row[self.size : self.size + left]
             self.count[n] = left

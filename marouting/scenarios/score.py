@@ -24,7 +24,8 @@ scores less than 0, for wirelength by twentieths of the reference's, bent by q.
 
 from typing import NamedTuple
 
-from marouting import Evaluation, InputError
+from marouting.errors import InputError
+from marouting.problem.solution import Evaluation
 
 OPEN, OVERFLOW, WIRELENGTH = range(3)
 

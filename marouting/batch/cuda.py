@@ -1,0 +1,388 @@
+"""The batch of games on a CUDA device.
+
+The rules are those of the processor: the kernels of :mod:`marouting.batch` and
+:mod:`marouting.player`, compiled for the device. One thread plays one game, and one thread writes
+what one agent sees. A step is four launches: games move, agents whose tasks have ended see where
+they arrived, games settle, agents see.
+
+Without a device, numba's simulator runs the same code as Python (``NUMBA_ENABLE_CUDASIM=1``), which
+is slow and meant for tests.
+"""
+
+import contextlib
+import functools
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from marouting import kernels
+from marouting.batch.observation import write_paper, write_state
+from marouting.batch.state import Dynamic, Static
+from marouting.errors import InputError
+from marouting.game import NOBODY, Ending
+from marouting.kernels import i64
+from marouting.player import (
+    ALL,
+    NOT,
+    FastPath,
+    StepBuffers,
+    move_game,
+    settle_game,
+    start_game,
+    write_mask,
+)
+
+THREADS = 128
+"""Threads of a block."""
+
+cuda: Any = None
+"""The module ``numba.cuda``, once there is a :class:`Device`."""
+
+
+class Pool(NamedTuple):
+    """The problems from which games draw, in arrays of P problems; empty where problems stay."""
+
+    capacity: Any  # (P, E) as in Static, and so on
+    demand: Any  # (P, N, Z)
+    first: Any  # (P, N + 1)
+    order: Any  # (P, N)
+    key: Any  # (M,) uint64, from which the draws of a game follow
+    episode: Any  # (M,) int64, the episodes that a game has begun
+    number: Any  # (M,) int32, the problem that it plays
+
+
+class Step(NamedTuple):
+    """What the launches of a step pass on to each other."""
+
+    which: Any  # (M,) bool, in a reset: the games that begin
+    begins: Any  # (M,) bool, games that begin in this step
+    asked: Any  # (M,) int32, the agent whose turn it was
+
+
+class Paper(NamedTuple):
+    """What the paper's observation needs."""
+
+    via_capacity: float
+
+
+class Device:
+    """The CUDA device that numba has chosen.
+
+    Attributes:
+        simulated: whether numba only simulates a device.
+
+    Raises:
+        InputError: numba-cuda is not installed, there is no device, or its driver is too old.
+    """
+
+    def __init__(self) -> None:
+        global cuda
+        cuda = _load()
+        self.simulated = "simulator" in cuda.jit.__module__
+        if not self.simulated:
+            _make_known()
+
+    def jit(self, function: Any) -> Any:
+        """A kernel that is launched from Python."""
+        if not self.simulated:
+            return cuda.jit(extensions=[_Arguments])(function)
+        kernel = cuda.jit(function)
+        kernel.extensions = [_Arguments]
+        return kernel
+
+    def zeros(self, shape: tuple[int, ...], dtype: Any, order: str = "F") -> Any:
+        """A new array of zeros; with ``F`` what belongs to neighbouring games is side by side."""
+        if self.simulated:
+            return self.of(np.zeros(shape, dtype, order))
+        array = cuda.device_array(shape, dtype, order=order)
+        if array.size:
+            from numba.cuda.cudadrv.driver import device_memset
+
+            device_memset(array, 0, array.size * array.dtype.itemsize)
+        return array
+
+    def of(self, value: Any) -> Any:
+        """A copy of an array on the device; anything else as it is."""
+        return cuda.to_device(value) if isinstance(value, np.ndarray) else value
+
+    def array(self, value: Any) -> Any:
+        """An array that another library has on the device, without a copy."""
+        return value if self.simulated else cuda.as_cuda_array(value)
+
+    def synchronize(self) -> None:
+        """Waits until all work on the device is done."""
+        cuda.synchronize()
+
+    def column(self, records: Any, name: str) -> Any:
+        """A view of a field of an array of records."""
+        if self.simulated:
+            return type(records)(records._ary[name])
+        kind, offset = records.dtype.fields[name][:2]
+        pointer, read_only = records.__cuda_array_interface__["data"]
+        interface = {
+            "shape": records.shape,
+            "strides": records.strides,
+            "typestr": kind.str,
+            "data": (pointer + offset, read_only),
+            "version": 3,
+        }
+        return cuda.from_cuda_array_interface(interface, owner=records)
+
+    @contextlib.contextmanager
+    def allocating(self) -> Iterator[None]:
+        """Raises InputError where the device has too little memory."""
+        try:
+            yield
+        except Exception as error:
+            if "OUT_OF_MEMORY" not in str(error):
+                raise
+            free, whole = cuda.current_context().get_memory_info()
+            text = f"{free / 2**30:.1f} of its {whole / 2**30:.1f} GiB are free"
+            raise InputError(f"device: expected more memory for these games, {text}") from None
+
+    def launch(self, kernel: Any, threads: int, stream: Any, *arguments: Any) -> None:
+        """Runs a kernel in so many threads."""
+        block = min(THREADS, threads)
+        kernel[-(-threads // block), block, stream](*arguments)
+
+
+class Recorded:
+    """Launches that are recorded once, as a CUDA graph, and then repeated by a single call.
+
+    Numba takes a third of a millisecond to pass on the arguments of a launch.
+    """
+
+    def __init__(self, launch: Callable[[Any], None]) -> None:
+        from cuda.bindings import driver
+
+        self._driver = driver
+        self._keeps = launch  # and with it the arrays
+        stream = cuda.stream()
+        handle = int(stream.handle)
+        mode = driver.CUstreamCaptureMode.CU_STREAM_CAPTURE_MODE_RELAXED
+        self._checked(driver.cuStreamBeginCapture(handle, mode))
+        launch(stream)
+        graph = self._checked(driver.cuStreamEndCapture(handle))
+        self._graph = self._checked(driver.cuGraphInstantiate(graph, 0))
+
+    def __call__(self, stream: int) -> None:
+        self._checked(self._driver.cuGraphLaunch(self._graph, stream))
+
+    @staticmethod
+    def _checked(answer: Any) -> Any:
+        error, *found = answer
+        if int(error) != 0:
+            raise RuntimeError(f"CUDA: {error!r}")
+        return found[0] if found else None
+
+
+def _load() -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            from numba import cuda as found
+        except ImportError:
+            raise InputError("device: expected numba-cuda (extra cuda), found none") from None
+    if not found.is_available():
+        error = getattr(found, "cuda_error", lambda: None)() or "none"
+        reason = " ".join(str(error).split())
+        raise InputError(f"device: expected a CUDA device and its driver, found {reason}")
+    if "simulator" not in found.jit.__module__ and "numba_cuda" not in str(found.__file__):
+        raise InputError("device: expected numba-cuda (extra cuda), found none")
+    return found
+
+
+@functools.cache
+def _make_known() -> None:
+    """In code for the device, a kernel stands for what numba-cuda makes of it."""
+    from numba.core.registry import cpu_target
+    from numba.cuda.typing.typeof import typeof_impl
+
+    # Arrays are indexed by members of an IntEnum, which numba-cuda takes from numba once it is there.
+    cpu_target.typing_context.refresh()
+    made: dict[kernels.Kernel, Any] = {}
+
+    def type_of(kernel: Any, context: Any) -> Any:
+        if kernel not in made:
+            made[kernel] = cuda.jit(device=True)(kernel.py_func)
+        return typeof_impl(made[kernel], context)
+
+    typeof_impl.register(kernels.Kernel)(type_of)
+
+
+class _Arguments:
+    """How arguments that numba-cuda does not know are passed to kernels."""
+
+    @staticmethod
+    def prepare_args(kind: Any, value: Any, **_: Any) -> tuple[Any, Any]:
+        if kind is None:  # in the simulator
+            from marouting.batch.simulator import arguments
+
+            return kind, arguments(value)
+        from numba import types
+
+        # All there is to know of None is its type; what is passed is a null pointer.
+        return (types.int64, 0) if isinstance(kind, types.NoneType) else (kind, value)
+
+
+# --- kernels --------------------------------------------------------------------------------------
+
+
+@kernels.compiled
+def drawn(key: Any, episode: int, problems: int) -> int:
+    """The number of the problem that a game plays in an episode (SplitMix64 of the two)."""
+    z = key + np.uint64(episode) * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return i64((z >> np.uint64(11)) % np.uint64(problems))
+
+
+@kernels.compiled
+def put_problem(static: Static, b: StepBuffers, pool: Pool, m: int) -> None:
+    """At the beginning of an episode: puts the problem that game m draws in its place."""
+    p = drawn(pool.key[m], i64(pool.episode[m]), i64(len(pool.capacity)))
+    pool.episode[m] += 1
+    pool.number[m] = p
+    for edge in range(pool.capacity.shape[1]):
+        static.capacity[m, edge] = pool.capacity[p, edge]
+    for n in range(pool.order.shape[1]):
+        static.order[m, n] = pool.order[p, n]
+        for layer in range(pool.demand.shape[2]):
+            static.demand[m, n, layer] = pool.demand[p, n, layer]
+    for n in range(pool.first.shape[1]):
+        static.first[m, n] = pool.first[p, n]
+    if b.agents.shape[1] == pool.order.shape[1]:
+        for n in range(pool.order.shape[1]):
+            there = static.first[m, n] < static.first[m, n + 1]
+            b.agents[m, n] = n if there else NOBODY
+
+
+@kernels.inlined
+def see_paper(
+    static: Static, dynamic: Dynamic, look: Paper, m: int, n: int, out: Any, row: int
+) -> None:
+    """Writes what an agent sees by the paper's observation."""
+    write_paper(static, dynamic, look.via_capacity, m, n, out, row)
+
+
+@kernels.inlined
+def prepare_nothing(static: Static, dynamic: Dynamic, look: Paper, m: int) -> None:
+    """The paper's observation needs nothing but the state."""
+
+
+class Launches(NamedTuple):
+    """The kernels of a step, see :func:`launches`."""
+
+    take: Any
+    move: Any
+    arrive: Any
+    settle: Any
+    show: Any
+    state: Any
+
+
+@functools.cache
+def launches(see: Any, prepare: Any) -> Launches:
+    """The kernels of a step, for an observation.
+
+    Args:
+        see: writes what an agent sees, with arguments (static, dynamic, look, m, n, out, row).
+        prepare: makes what ``see`` needs of game m, with arguments (static, dynamic, look, m).
+    """
+    jit = Device().jit
+
+    @jit
+    def take(given: Any, actions: Any, most: int, refused: Any) -> None:
+        place = i64(cuda.grid(1))
+        row = place // len(actions)
+        m = place - row * len(actions)
+        if row >= actions.shape[1]:
+            return
+        move = i64(given[m, row])
+        fits = NOBODY <= move < most
+        actions[m, row] = move if fits else NOBODY
+        if not fits:
+            refused[0] = 1
+
+    @jit
+    def move(
+        static: Static,
+        dynamic: Dynamic,
+        b: StepBuffers,
+        fast: FastPath,
+        look: Any,
+        pool: Pool,
+        step: Step,
+        steps: bool,
+        restarts: bool,
+    ) -> None:
+        m = i64(cuda.grid(1))
+        if m >= len(b.over):
+            return
+        step.begins[m] = b.over[m] and restarts if steps else step.which[m]
+        step.asked[m] = dynamic.games[m].agent
+        if step.begins[m]:
+            if len(pool.capacity) > 0:
+                put_problem(static, b, pool, m)
+            start_game(static, dynamic, b, m)
+        elif steps:
+            move_game(static, dynamic, b, fast, m)
+        prepare(static, dynamic, look, m)
+
+    @jit
+    def arrive(
+        static: Static, dynamic: Dynamic, b: StepBuffers, look: Any, step: Step, everyone: bool
+    ) -> None:
+        place = i64(cuda.grid(1))
+        row = place // len(b.over)
+        m = place - row * len(b.over)
+        if row >= b.agents.shape[1]:
+            return
+        ended = b.ending[m, row] != Ending.NONE
+        passes = not everyone and not static.sequential and dynamic.games[m].active > 1
+        if step.begins[m] or not (ended or (passes and b.acted[m, row])):
+            return
+        n = row if everyone else i64(step.asked[m])
+        see(static, dynamic, look, m, n, b.final_obs[m], row)
+        write_mask(static, dynamic, b.final_mask, m, n, row)
+
+    @jit
+    def settle(
+        static: Static,
+        dynamic: Dynamic,
+        b: StepBuffers,
+        fast: FastPath,
+        look: Any,
+        step: Step,
+        steps: bool,
+    ) -> None:
+        m = i64(cuda.grid(1))
+        if m >= len(b.over):
+            return
+        if not steps and not step.begins[m]:
+            return
+        what = i64(ALL) if steps and not step.begins[m] else i64(NOT)
+        settle_game(static, dynamic, b, fast, m, i64(step.asked[m]), what)
+        prepare(static, dynamic, look, m)
+
+    @jit
+    def show(static: Static, dynamic: Dynamic, b: StepBuffers, look: Any) -> None:
+        place = i64(cuda.grid(1))
+        row = place // len(b.over)
+        m = place - row * len(b.over)
+        if row >= b.agents.shape[1]:
+            return
+        n = i64(b.agents[m, row])
+        see(static, dynamic, look, m, n, b.obs[m], row)
+        write_mask(static, dynamic, b.mask, m, n, row)
+
+    @jit
+    def state(dynamic: Dynamic, out: Any) -> None:
+        m = i64(cuda.grid(1))
+        if m < len(out):
+            write_state(dynamic, m, out)
+
+    return Launches(take, move, arrive, settle, show, state)

@@ -1,0 +1,354 @@
+"""Many problems at once on a CUDA device; made by ``BatchEnv(…, device="cuda")``."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.spaces import Discrete
+from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
+
+from marouting.batch.bits import numbers_of
+from marouting.batch.cuda import (
+    Device,
+    Paper,
+    Pool,
+    Recorded,
+    Step,
+    launches,
+    prepare_nothing,
+    see_paper,
+)
+from marouting.batch.setup import dynamic_state, static_state
+from marouting.batch.state import Static
+from marouting.config import check
+from marouting.game import NOBODY
+from marouting.observations import CHANNELS, PaperObservation, state_space
+from marouting.options import ORDERS, game_options
+from marouting.player import FastPath, StepBuffers
+from marouting.problem.grid import Grid
+from marouting.problem.net import is_whole
+from marouting.problem.problem import Problem
+from marouting.problem.solution import Solution
+from marouting.source import ProblemStream, Source
+from marouting.rewards import prices_of
+from marouting.vector import FIGURES, BatchEnv, Info, fixed_batch
+
+POOL = 1024
+"""Problems that are drawn ahead, unless ``pool`` says otherwise."""
+
+
+class CudaBatchEnv(BatchEnv):
+    """:class:`marouting.vector.BatchEnv` on a CUDA device.
+
+    Observations, masks, rewards and the arrays of the info stay on the device. They have
+    ``__cuda_array_interface__``: ``torch.as_tensor(array, device="cuda")`` and
+    ``cupy.asarray(array)`` show them without a copy. They belong to the environment and are
+    overwritten by the next call. Work is queued on the default stream, as torch's is.
+
+    Args:
+        pool: how many problems are drawn ahead and uploaded, where M games draw theirs; every
+            episode plays one of them, and ``info["problem"]`` has their numbers. None: 1024, or
+            all of a source that has fewer.
+        **arguments: those of :class:`marouting.vector.BatchEnv`; ``threads`` is for the processor.
+
+    Attributes:
+        actions: (M, K) int8 on the device; :meth:`step` takes this array without a copy.
+        pool: the problems that are played, a list.
+        stream: the stream on which work is queued; 0: the default.
+
+    Raises:
+        InputError: no device can be used, it has too little memory, or an option is not supported
+            there: observations and rewards of your own.
+    """
+
+    def __init__(
+        self,
+        problems: Sequence[Problem] | int | None = None,
+        *,
+        problem: Source = None,
+        everyone: bool = True,
+        autoreset: bool = True,
+        threads: int = 1,
+        seed: int = 0,
+        device: str = "cuda",
+        pool: int | None = None,
+        **options: Any,
+    ) -> None:
+        EzPickle.__init__(
+            self, problems, problem=problem, everyone=everyone, autoreset=autoreset,
+            threads=threads, seed=seed, device=device, pool=pool, **options,
+        )  # fmt: skip
+        check("device", device == "cuda", f"cpu or cuda, found {device!r}")
+        check("threads", threads == 1, "1: they are the processor's")
+        self._device = Device()
+        order = ORDERS["multi" if everyone else "single"]
+        checked = game_options({"turn_order": order, **options})
+        check("agents_persist", not checked.agents_persist, "false: all rows stay; see active")
+        observation, reward = checked.observation.make(), checked.reward.make()
+        self.autoreset, self._everyone, self.stream = autoreset, everyone, 0
+        drawn = is_whole(problems)
+        if drawn:
+            episodes = ProblemStream(problem, checked.scenario, checked.split)
+            self.pool, bounds = _drawn(episodes, pool, seed), episodes.bounds
+            static, self._nets = static_state(self.pool, checked, room=episodes.room)
+            self.num_problems = cast(int, problems)
+        else:
+            check("problem", problem is None, "none: problems= is a list, not a number of games")
+            check("pool", pool is None, "none: these problems stay")
+            self.pool = bounds = list(fixed_batch(problems, checked))
+            static, self._nets = static_state(self.pool, checked)
+            self.num_problems = len(self.pool)
+        self.num_envs, self.num_agents = self.num_problems, self._nets.shape[1]
+        overflow = static.overflow_allowed
+        self.single_observation_space = observation.space(bounds, overflow)
+        self.single_state_space = state_space(bounds, overflow)
+        self.single_action_space = Discrete(checked.actions)
+        known = f"a built-in one for device cuda, found {type(reward).__name__}"
+        check("reward", prices_of(reward) is not None, known)
+        with self._device.allocating():
+            self._upload(static, drawn, seed)
+            self._look, *looks = self._looks(observation)
+            shape, zeros = (self.num_problems, len(static.neighbour)), self._device.zeros
+            fast = FastPath.of(shape, observation, reward, everyone=everyone, make=zeros)
+            self._fast = FastPath._make(map(self._device.of, fast))
+        self._launches = launches(*looks)
+        self._recorded: dict[tuple[bool, bool], Recorded] = {}
+        self._begun = False
+
+    def _upload(self, static: Static, drawn: bool, seed: int) -> None:
+        """Makes the arrays on the device."""
+        device, games, grid = self._device, self.num_problems, Grid.of(self.pool[0].grid)
+        rows = self.num_agents if self._everyone else 1
+        parts = ("capacity", "demand", "first", "order")
+        pool = {name: getattr(static, name)[: len(self.pool) * drawn] for name in parts}
+        if drawn:  # every game begins with a problem of the pool
+            arrays = {name: getattr(static, name) for name in parts}
+            own = {name: device.zeros((games, *a.shape[1:]), a.dtype) for name, a in arrays.items()}
+            static = static._replace(**own)
+        turned = {name: np.asfortranarray(getattr(static, name)) for name in parts if not drawn}
+        self._static = Static._make(map(device.of, static._replace(**turned)))
+        self._dynamic = dynamic_state(self._static, grid, self.num_agents, games, device.zeros)
+        shape = cast(tuple[int, ...], self.single_observation_space.shape)
+        actions = int(self.single_action_space.n)
+        self._buffers = StepBuffers.of(games, rows, shape, actions, device.zeros)
+        self.actions = self._buffers.actions
+        if self._everyone and not drawn:
+            there = np.diff(static.first, axis=1) > 0
+            agents = np.where(there, np.arange(rows), NOBODY).astype(np.int32)
+            self._buffers.agents.copy_to_device(agents)
+        self._pool = Pool(
+            **{name: device.of(array) for name, array in pool.items()},
+            key=device.of(_keys(np.full(games, seed, np.uint64))),
+            episode=device.zeros((games,), np.int64),
+            number=device.of(np.arange(games, dtype=np.int32) * (not drawn)),
+        )
+        self._passed = Step(
+            which=device.zeros((games,), np.bool_),
+            begins=device.zeros((games,), np.bool_),
+            asked=device.zeros((games,), np.int32),
+        )
+        self._refused = device.zeros((1,), np.int32)
+        self._states: Any = None
+        b, column = self._buffers, device.column
+        self._told: Info = {
+            "agents": b.agents,
+            "action_mask": b.mask,
+            "active": b.active,
+            "acted": b.acted,
+            "task_ended": b.ending,
+            "final_obs": b.final_obs,
+            "final_mask": b.final_mask,
+            "over": b.over,
+            **{figure: column(self._dynamic.games, figure) for figure in FIGURES},
+            "final_info": {figure: column(b.final, figure) for figure in FIGURES},
+            **({"problem": self._pool.number} if drawn else {}),
+        }
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """(M, N) bool, on the processor: whether there is an agent."""
+        return np.diff(self._static.first.copy_to_host(), axis=1) > 0
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[Any, Info]:
+        """See :meth:`marouting.vector.BatchEnv.reset`; what it returns is on the device."""
+        which, seeds = self._chosen(seed, options)
+        given = np.array([s is not None for s in seeds])
+        if given.any():
+            keys, episode = self._pool.key.copy_to_host(), self._pool.episode.copy_to_host()
+            chosen = given & which
+            fresh = np.array([0 if s is None else s for s in seeds], np.uint64)
+            keys[chosen], episode[chosen] = _keys(fresh)[chosen], 0
+            self._pool.key.copy_to_device(keys)
+            self._pool.episode.copy_to_device(episode)
+        self._passed.which.copy_to_device(which)
+        self._play(steps=False, restarts=True)
+        self._begun = True
+        return self._buffers.obs, dict(self._told)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, Info]:
+        """See :meth:`marouting.vector.BatchEnv.step`; what it returns is on the device.
+
+        Args:
+            actions: (M, K) integers, an array of the device (torch, cupy, numba) or of NumPy. On
+                the device nobody waits for a check: an action out of range is no move, and the next
+                call of :meth:`check` or :meth:`reset` raises ValueError.
+
+        Raises:
+            ResetNeeded: :meth:`reset` has not been called.
+            ValueError: an array has a wrong shape, or an action of NumPy is out of range.
+        """
+        if not self._begun:
+            raise ResetNeeded("step: expected a call of reset() before it")
+        if actions is not self.actions:
+            self._take(actions)
+        self._play(steps=True, restarts=self.autoreset)
+        b = self._buffers
+        return b.obs, b.reward, b.terminated, b.truncated, dict(self._told)
+
+    def _take(self, actions: Any) -> None:
+        """Takes actions from another array."""
+        shape, most = self.actions.shape, int(self.single_action_space.n)
+        if not hasattr(actions, "__cuda_array_interface__"):
+            actions = np.asarray(actions)
+            if not (actions.min() >= NOBODY and actions.max() < most):
+                expected = f"0 to {most - 1}, or {NOBODY}"
+                raise ValueError(f"actions: expected {expected}, found {actions}")
+            actions = self._device.of(actions)
+        if tuple(actions.shape) != shape:
+            raise ValueError(f"actions: expected shape {shape}, found {tuple(actions.shape)}")
+        given = self._device.array(actions)
+        self._run(self._launches.take, self.actions.size, given, self.actions, most, self._refused)
+
+    def _run(self, kernel: Any, threads: int, *arguments: Any) -> None:
+        self._device.launch(kernel, threads, self.stream, *arguments)
+
+    def _looks(self, observation: Any) -> tuple[Any, Any, Any]:
+        """What an observation needs on the device, and its kernels ``see`` and ``prepare``."""
+        if type(observation) is PaperObservation:
+            return Paper(float(observation.via_capacity)), see_paper, prepare_nothing
+        what = f"paper or window for device cuda, found {type(observation).__name__}"
+        check("observation", type(observation) is WindowObservation, what)
+        where = observation.where
+        check("observation.channels", where.demand < 0, "no demand for device cuda")
+        heads = (self.num_problems, len(self._static.neighbour) * (where.heads >= 0))
+        look = Surroundings(self._device.zeros(heads, np.int16, "C"), *where)
+        return look, see_window, prepare_window
+
+    def _play(self, *, steps: bool, restarts: bool) -> None:
+        """A step of all games, or the beginning of some."""
+
+        def launch(stream: Any) -> None:
+            self._launch(stream, steps=steps, restarts=restarts)
+
+        key = steps, restarts
+        if key in self._recorded:
+            self._recorded[key](self.stream)
+            return
+        launch(self.stream)
+        if not self._device.simulated:
+            self._recorded[key] = Recorded(launch)
+
+    def _launch(self, stream: Any, *, steps: bool, restarts: bool) -> None:
+        """The launches of a step."""
+        run, step, games, rows = self._launches, self._passed, self.num_problems, self.actions.size
+        static, dynamic, b, look, fast = (
+            self._static, self._dynamic, self._buffers, self._look, self._fast,
+        )  # fmt: skip
+        call = self._device.launch
+        call(
+            run.move, games, stream, static, dynamic, b, fast, look, self._pool, step, steps,
+            restarts,
+        )  # fmt: skip
+        if steps:
+            call(run.arrive, rows, stream, static, dynamic, b, look, step, self._everyone)
+        call(run.settle, games, stream, static, dynamic, b, fast, look, step, steps)
+        call(run.show, rows, stream, static, dynamic, b, look)
+
+    def check(self) -> None:
+        """Raises ValueError if an action has been out of range since the last call."""
+        if self._refused.copy_to_host()[0]:
+            self._refused.copy_to_device(np.zeros(1, np.int32))
+            most = int(self.single_action_space.n) - 1
+            raise ValueError(f"actions: expected 0 to {most}, or {NOBODY}, found others")
+
+    def state(self) -> Any:
+        """(M, X, Y, 5 Z) float32 on the device; see :meth:`marouting.vector.BatchEnv.state`."""
+        games, shape = self.num_problems, cast(tuple[int, ...], self.single_state_space.shape)
+        if self._states is None:
+            with self._device.allocating():
+                self._states = self._device.zeros((games, *shape), np.float32, "C")
+            self._flat_states = self._states.reshape(games, -1, CHANNELS)
+        self._run(self._launches.state, games, self._dynamic, self._flat_states)
+        return self._states
+
+    def solution(self, m: int = 0) -> Solution:
+        """The routes of game m at this moment."""
+        used = self._dynamic.used[m : m + 1].copy_to_host()
+        number = int(self._pool.number[m])
+        agent, edge = numbers_of(used, 0)
+        return Solution.of_uses(self.pool[number], self._nets[number, agent].astype(np.int64), edge)
+
+    def save(self) -> Any:
+        """A copy of the state of all games, on the processor, for :meth:`restore`."""
+        return [array.copy_to_host() for array in self._arrays()]
+
+    def restore(self, saved: Any) -> None:
+        """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
+        arrays = self._arrays()
+        shapes = [[(a.shape, a.dtype) for a in some] for some in (arrays, saved)]
+        if shapes[0] != shapes[1]:
+            raise ValueError("saved: expected the state of such games, found that of others")
+        for array, kept in zip(arrays, saved, strict=True):
+            if array.size:
+                array.copy_to_device(kept)
+        self._begun = True
+
+    def _arrays(self) -> list[Any]:
+        """What changes while games are played."""
+        drawn = [getattr(self._static, name) for name in ("capacity", "demand", "first", "order")]
+        pool = self._pool
+        return [*self._dynamic, *self._buffers, *drawn, pool.key, pool.episode, pool.number]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The constructor's arguments and the present state, from which a copy continues."""
+        return {**EzPickle.__getstate__(self), "saved": self.save(), "begun": self._begun}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Makes the environment again and restores the state."""
+        EzPickle.__setstate__(self, state)
+        self.restore(state["saved"])
+        self._begun = state["begun"]
+
+    def close(self) -> None:
+        """Waits for the device."""
+        self._device.synchronize()
+
+    def set_order(self, order: NDArray[np.integer]) -> None:
+        """Not on a device: raises InputError."""
+        check("device", False, "cpu, for set_order")
+
+
+def _drawn(episodes: ProblemStream, pool: int | None, seed: int) -> list[Problem]:
+    """The problems that are drawn ahead."""
+    check("pool", pool is None or pool >= 1, f"a number from 1, found {pool}")
+    listed = list(episodes.problems.values())
+    if not episodes.endless and (pool is None or pool >= len(listed)):
+        return listed[:POOL] if pool is None else listed
+    rng = np.random.default_rng(seed)
+    return [episodes.next(rng)[1] for _ in range(pool or POOL)]
+
+
+def _keys(seeds: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """(M,) the keys of games with seeds (M,), different for every place."""
+    place = np.arange(1, len(seeds) + 1, dtype=np.uint64)
+    z = seeds * np.uint64(0xD1342543DE82EF95) + place * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))

@@ -1,0 +1,206 @@
+"""How good a policy is on the fixed problems of a scenario, in one line.
+
+>>> from marouting import evaluate_policy
+>>> result = evaluate_policy(my_policy, "gates-8x7-v0", split="test")
+>>> print(result)
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.config import check
+from marouting.options import game_options
+from marouting.problem.solution import evaluate
+from marouting.scenarios import Split, get
+from marouting.scenarios.score import Figures, score
+from marouting.search.astar import sequential_astar
+from marouting.vector import BatchEnv
+
+Policy = Callable[[NDArray[np.float32], NDArray[np.int8]], Any]
+"""(B, *S) float32 observations and (B, A) int8 masks of agents to (B,) actions."""
+
+
+@dataclass(frozen=True)
+class ProblemResult:
+    """What a policy made of a problem.
+
+    Attributes:
+        problem: the name of the problem.
+        joined: two-pin tasks that it connected.
+        tasks: two-pin tasks of the problem.
+        open: nets that are not connected.
+        overflow: in tracks.
+        wirelength: in edges, a via counts 1.
+        cost: the wirelength, and :attr:`marouting.scenarios.Scenario.open_cost` for every task that
+            is not connected.
+        reference: overflow and wirelength of the best solution known.
+        score: of the leaderboard, see :mod:`marouting.scenarios.score`.
+        gap: wirelength above the reference, in %; None if it has open nets or more overflow.
+    """
+
+    problem: str
+    joined: int
+    tasks: int
+    open: int
+    overflow: int
+    wirelength: int
+    cost: float
+    reference: tuple[int, int]
+    score: float
+    gap: float | None
+
+
+@dataclass(frozen=True)
+class PolicyResult:
+    """What a policy made of the problems of a split.
+
+    Attributes:
+        scenario: the name of the scenario.
+        split: ``validation`` or ``test``.
+        problems: the number of problems.
+        cost: of all problems together, divided by that of the references: 1 is as good as they are.
+        score: of the leaderboard, the interquartile mean over the problems: 0 for A*, 1 for the
+            reference.
+        solved: share of the problems in which everything is connected without overflow.
+        connected: share of the two-pin tasks that are connected.
+        overflow: of all problems together, in tracks.
+        wirelength: of all problems together, in edges.
+        gap: mean wirelength above the reference, in %, of the problems that are connected with its
+            overflow; None if there is none.
+        compared: the number of these problems.
+        agent_steps: the moves that all agents made.
+        rows: the problems one by one.
+    """
+
+    scenario: str
+    split: Split
+    problems: int
+    cost: float
+    score: float
+    solved: float
+    connected: float
+    overflow: int
+    wirelength: int
+    gap: float | None
+    compared: int
+    agent_steps: int
+    rows: tuple[ProblemResult, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """All figures as plain data."""
+        return asdict(self)
+
+    def __str__(self) -> str:
+        gap = "" if self.gap is None else f", {self.gap:.2f} % above the reference"
+        return (
+            f"{self.scenario} {self.split}: cost {self.cost:.4f}, score {self.score:.3f}, "
+            f"{self.solved:.0%} of {self.problems} problems solved, {self.connected:.1%} of tasks "
+            f"connected, overflow {self.overflow}, wirelength {self.wirelength}{gap}"
+        )
+
+
+def evaluate_policy(
+    policy: Policy,
+    scenario: str,
+    split: Split = "test",
+    *,
+    local: bool = False,
+    threads: int = 1,
+    **options: Any,
+) -> PolicyResult:
+    """Plays every problem of a split once, all nets by one policy.
+
+    Args:
+        policy: called with the observations (B, *S) float32 and masks (B, A) int8 of all agents
+            that are to move, of all problems together; returns their actions (B,). Actions are the
+            moves of the grid, also where an observation is mirrored
+            (:mod:`marouting.batch.window`).
+        scenario: the name of a scenario.
+        split: ``validation`` or ``test``.
+        local: whether to refuse observations that show more than a net can see around itself: those
+            without an attribute ``local_radius``.
+        threads: among which the games are divided.
+        **options: of the environment (:class:`marouting.options.GameOptions`), such as the
+            observation and the turn order that the policy is made for. The defaults are what the
+            scenario suggests.
+
+    Returns:
+        The figures of the leaderboard, for the split and for each problem.
+
+    Raises:
+        InputError: there is no such scenario or split, an option cannot be used, or the observation
+            is not local.
+        ValueError: the policy returns something else than one action for each agent.
+    """
+    found = get(scenario)
+    problems = found.problems(split)
+    given: dict[str, Any] = {**options, "scenario": scenario, "split": split}
+    sequential = game_options(given).turn_order == "sequential"
+    env = BatchEnv(everyone=not sequential, play_once=True, threads=threads, **given)
+    if local:
+        radius = getattr(env.observation, "local_radius", None)
+        name = type(env.observation).__name__
+        check("observation", radius is not None, f"a local one (local_radius), found {name}")
+    play(policy, env)
+    steps = env.engine.games["steps"]
+    rows = [_row(env, m, name, scenario) for m, name in enumerate(problems)]
+    env.close()
+    gaps = [row.gap for row in rows if row.gap is not None]
+    best = sum(found.cost(row.reference[1], 0) for row in rows)
+    scores = np.sort([row.score for row in rows])
+    cut = len(scores) // 4
+    return PolicyResult(
+        scenario=scenario,
+        split=split,
+        problems=len(rows),
+        cost=sum(row.cost for row in rows) / best,
+        score=float(scores[cut : len(scores) - cut].mean()),
+        solved=sum(not (row.open or row.overflow) for row in rows) / len(rows),
+        connected=sum(row.joined for row in rows) / sum(row.tasks for row in rows),
+        overflow=sum(row.overflow for row in rows),
+        wirelength=sum(row.wirelength for row in rows),
+        gap=sum(gaps) / len(gaps) if gaps else None,
+        compared=len(gaps),
+        agent_steps=int(steps.sum()),
+        rows=tuple(rows),
+    )
+
+
+def play(policy: Policy, env: BatchEnv) -> Mapping[str, Any]:
+    """Plays the games of an environment with ``play_once`` to their end; returns the last info."""
+    obs, info = env.reset()
+    while (active := info["active"]).any():
+        moves = np.asarray(policy(obs[active].copy(), info["action_mask"][active]))
+        if moves.shape != (active.sum(),) or moves.dtype.kind not in "iu":
+            expected = f"({active.sum()},) integers, one for each observation"
+            raise ValueError(f"policy: expected {expected}, found {moves.dtype} {moves.shape}")
+        actions = np.full(active.shape, -1, np.int64)
+        actions[active] = moves
+        obs, *_, info = env.step(actions)
+    return info
+
+
+def _row(env: BatchEnv, m: int, name: str, scenario: str) -> ProblemResult:
+    """What came of problem m."""
+    found, problem = get(scenario), env.engine.problems[m]
+    metrics, reference = env.engine.metrics(m), found.reference(problem)
+    figures = Figures.of(evaluate(problem, env.engine.solution(m)))
+    astar = Figures.of(evaluate(problem, sequential_astar(problem)))
+    best = Figures(0, reference.overflow, reference.wirelength)
+    good = figures[:2] == best[:2]
+    return ProblemResult(
+        problem=name,
+        joined=metrics.joined,
+        tasks=metrics.tasks,
+        open=figures.open,
+        overflow=figures.overflow,
+        wirelength=figures.wirelength,
+        cost=found.cost(figures.wirelength, metrics.tasks - metrics.joined),
+        reference=(reference.overflow, reference.wirelength),
+        score=score(figures, astar, best),
+        gap=100 * (figures.wirelength / max(best.wirelength, 1) - 1) if good else None,
+    )

@@ -1,0 +1,323 @@
+"""``python -m policies.bench.cuda``: checks the batch on a CUDA device, then measures it.
+
+First, games on the device are compared with the same games on the processor, to the bit. Then it
+measures, one after the other: steps by the number of games with the paper's observation and with
+windows, the time of every launch, Connector of Jumanji on the same card if jumanji and jax are
+installed, and PPO. The whole takes less than 8 minutes.
+"""
+
+import json
+import platform
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+import marouting
+from marouting.batch import cuda as device
+from marouting.batch.cuda_env import CudaBatchEnv
+from marouting.files import check_writable, write_text
+from marouting.kernels import compiled, i64
+from marouting.vector import BatchEnv
+from policies.cli.options import FILE
+
+GAMES = (1024, 4096, 16384, 65536, 262144, 1048576)
+"""Numbers of games."""
+
+WINDOW = {"kind": "window", "radius": 3, "layers": 0, "channels": ["capacity", "own", "heads"]}
+
+
+# --- equality -------------------------------------------------------------------------------------
+
+CASES: Sequence[Mapping[str, Any]] = (
+    {},
+    {"everyone": False},
+    {"everyone": False, "turn_order": "round_robin"},
+    {"turn_order": "sequential"},
+    {"overflow": "allowed", "reward": {"kind": "normalised", "overflow_price": 2.0}},
+    {"target": "tree", "nets": {"decomposition": "steiner"}},
+    {"next_pin": "nearest"},
+    {"mask": {"visited": True}, "release_failed": True, "max_steps": 20},
+    {"rip_up": {"rounds": 2, "choose": "conflicts", "neighbours": 1}},
+    {"rip_up": {"rounds": 1, "choose": "agents"}, "everyone": False},
+    {"rip_up": {"rounds": 2, "choose": "history"}},
+)
+"""Options by which games are compared."""
+
+
+def on_host(value: Any) -> np.ndarray:
+    """A copy of an array of the device; an array of the processor as it is."""
+    return value.copy_to_host() if hasattr(value, "copy_to_host") else np.asarray(value)
+
+
+def difference(host: Mapping[str, Any], found: Mapping[str, Any]) -> str | None:
+    """The name of the first array that differs; None if all are equal to the bit."""
+    for name, value in host.items():
+        if isinstance(value, Mapping):
+            inner = difference(value, found[name])
+            if inner is not None:
+                return f"{name}.{inner}"
+        elif not np.array_equal(on_host(value), on_host(found[name])):
+            return name
+    return None
+
+
+def compare(
+    problems: Sequence[marouting.Problem], steps: int, seed: int = 0, **options: Any
+) -> str | None:
+    """Plays the same random moves on the processor and on the device.
+
+    Args:
+        problems: what is played.
+        steps: how many steps; episodes begin again as they end.
+        seed: of the moves; one in twenty is no move.
+        **options: of the environments.
+
+    Returns:
+        What differs first, with the number of the step; None if nothing does.
+    """
+    host = BatchEnv(problems, **options)
+    other = BatchEnv(problems, device="cuda", **options)
+    rng = np.random.default_rng(seed)
+    obs, info = host.reset()
+    found, told = other.reset()
+    for step in range(steps):
+        differs = difference({"obs": obs, **info}, {"obs": found, **told})
+        if differs is not None:
+            return f"step {step}: {differs}"
+        mask = info["action_mask"]
+        moves = (mask * rng.random(mask.shape)).argmax(-1)
+        moves[rng.random(moves.shape) < 0.05] = -1
+        obs, *flags, info = host.step(moves)
+        found, *others, told = other.step(moves.astype(np.int32))
+        for name, one, two in zip(
+            ("reward", "terminated", "truncated"), flags, others, strict=True
+        ):
+            if not np.array_equal(one, on_host(two)):
+                return f"step {step}: {name}"
+    if not np.array_equal(host.state(), on_host(other.state())):
+        return "state"
+    for m in range(len(problems)):
+        if host.engine.solution(m) != other.solution(m):
+            return f"routes of game {m}"
+    return None
+
+
+# --- speed ----------------------------------------------------------------------------------------
+
+
+@compiled
+def random_move(mask: Any, m: int, row: int, counter: int) -> int:
+    """A random move that the mask allows."""
+    z = np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(
+        (m * mask.shape[1] + row) * 0x2545F4914F6CDD1D
+    )
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    free = i64(0)
+    for move in range(mask.shape[2]):
+        free += mask[m, row, move]
+    left = i64((z >> np.uint64(33)) % np.uint64(free))
+    for move in range(mask.shape[2]):
+        if mask[m, row, move]:
+            if left == 0:
+                return i64(move)
+            left -= 1
+    return i64(0)
+
+
+class Random:
+    """Chooses random moves on the device."""
+
+    def __init__(self, env: CudaBatchEnv) -> None:
+        self.env, self.counter = env, 0
+
+        @env._device.jit
+        def choose(mask: Any, actions: Any, counter: int) -> None:
+            place = i64(device.cuda.grid(1))
+            rows = i64(actions.shape[1])
+            m = place // rows
+            if m < len(actions):
+                row = place - m * rows
+                actions[m, row] = random_move(mask, m, row, counter)
+
+        self.choose = choose
+
+    def __call__(self, info: Mapping[str, Any]) -> Any:
+        """Fills the environment's own array of actions."""
+        self.counter += 1
+        actions = self.env.actions
+        self.env._run(self.choose, actions.size, info["action_mask"], actions, self.counter)
+        return actions
+
+
+def timed(call: Callable[[], Any], seconds: float) -> float:
+    """Seconds of a call, in about so many seconds of calls; the device has then done its work."""
+    call()
+    device.cuda.synchronize()
+    count, begin = 1, time.perf_counter()
+    while True:
+        for _ in range(count):
+            call()
+        device.cuda.synchronize()
+        passed = time.perf_counter() - begin
+        if passed > seconds / 2:
+            return passed / count
+        count, begin = max(2 * count, int(count * seconds / passed)), time.perf_counter()
+
+
+def speed(games: int, seconds: float, **options: Any) -> dict[str, Any]:
+    """Agent-steps per second of so many games with random moves, and the time of every launch."""
+    begin = time.perf_counter()
+    problem = marouting.generate(64, nets=10, reduced_edges=0, seed=1)
+    env: Any = BatchEnv(games, problem=problem, device="cuda", **options)
+    free = device.cuda.current_context().get_memory_info()[0]
+    policy = Random(env)
+    _, info = env.reset()
+    for _ in range(30):  # games are then at different stages
+        env.step(policy(info))
+    device.cuda.synchronize()
+    ready = time.perf_counter() - begin
+    moved = [on_host(env.step(policy(info))[-1]["acted"]).sum() for _ in range(5)]
+    once = timed(lambda: env.step(policy(info)), seconds)
+    acted = float(np.mean(moved))
+    row = {
+        "games": games,
+        "agents": env.num_agents,
+        "us_per_step": once * 1e6,
+        "agent_steps_per_s": acted / once,
+        "rows_per_s": games * env.num_agents / once,
+        "prepared_s": ready,
+        "free_gib": free / 2**30,
+    }
+    run, step = env._launches, env._passed
+    static, dynamic, b, look, fast = (
+        env._static, env._dynamic, env._buffers, env._look, env._fast,
+    )  # fmt: skip
+    calls = {
+        "policy": lambda: policy(info),
+        "move": lambda: env._run(
+            run.move, games, static, dynamic, b, fast, look, env._pool, step, True, True
+        ),
+        "arrive": lambda: env._run(
+            run.arrive, b.actions.size, static, dynamic, b, look, step, True
+        ),
+        "settle": lambda: env._run(run.settle, games, static, dynamic, b, fast, look, step, True),
+        "show": lambda: env._run(run.show, b.actions.size, static, dynamic, b, look),
+    }
+    row["us"] = {name: timed(call, seconds / 4) * 1e6 for name, call in calls.items()}
+    row["registers"] = {
+        name: max(getattr(run, name).get_regs_per_thread().values())
+        for name in ("move", "arrive", "settle", "show")
+    }
+    return row
+
+
+def connector(games: int, seconds: float) -> dict[str, Any]:
+    """Agent-steps per second of Jumanji's Connector-v3 with random legal moves, in JAX."""
+    import jax
+    import jax.numpy as jnp
+    import jumanji
+    from jumanji.wrappers import AutoResetWrapper
+
+    env: Any = AutoResetWrapper(jumanji.make("Connector-v3"))
+    agents, steps = env.unwrapped.num_agents, 16
+
+    def play(state: Any, seen: Any, key: Any) -> Any:
+        def one(carry: Any, _: None) -> Any:
+            state, seen, key = carry
+            mask = seen.action_mask
+            key, now = jax.random.split(key)
+            gumbel = jax.random.gumbel(now, mask.shape)
+            action = jnp.argmax(jnp.where(mask, gumbel, -jnp.inf), axis=-1)
+            state, step = jax.vmap(env.step)(state, action)
+            return (state, step.observation, key), step.reward.sum()
+
+        return jax.lax.scan(one, (state, seen, key), None, steps)
+
+    key = jax.random.PRNGKey(0)
+    state, first = jax.jit(jax.vmap(env.reset))(jax.random.split(key, games))
+    run = jax.jit(play)
+    begin = time.perf_counter()
+    carry, _ = jax.block_until_ready(run(state, first.observation, key))
+    compiling = time.perf_counter() - begin
+    count, begin = 0, time.perf_counter()
+    while time.perf_counter() - begin < seconds:
+        carry, _ = jax.block_until_ready(run(*carry))
+        count += steps
+    once = (time.perf_counter() - begin) / count
+    return {
+        "games": games,
+        "agents": agents,
+        "us_per_step": once * 1e6,
+        "rows_per_s": games * agents / once,
+        "first_call_s": compiling,
+    }
+
+
+def machine() -> dict[str, Any]:
+    """The card, its driver and the versions."""
+    cuda = device.cuda
+    names = ("numba", "numba-cuda", "numpy", "torch", "jax", "jumanji")
+    found: dict[str, Any] = {}
+    for name in names:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = None
+    name = cuda.get_current_device().name
+    return {
+        "card": name.decode() if isinstance(name, bytes) else str(name),
+        "driver": ".".join(map(str, cuda.cudadrv.driver.driver.get_version())),
+        "python": platform.python_version(),
+        **found,
+    }
+
+
+@click.command()
+@click.option("--out", type=FILE, help="JSON file for the results; without it, none is written.")
+@click.option("--seconds", type=float, default=1.0, show_default=True, help="Of a measurement.")
+@click.option("--sections", default="equality,paper,window,connector", show_default=True)
+@click.option("--games", help="Numbers of games, with commas between them.")
+def main(out: Path | None, seconds: float, sections: str, games: str | None) -> None:
+    """Check the batch on a CUDA device, and measure it."""
+    if out is not None:
+        check_writable(out)
+    device.Device()
+    begin = time.perf_counter()
+    report: dict[str, Any] = {"machine": machine()}
+    click.echo(json.dumps(report["machine"]))
+    numbers = GAMES if games is None else tuple(map(int, games.split(",")))
+
+    def done(what: str, row: Any) -> None:
+        report.setdefault(what, []).append(row)
+        click.echo(f"{time.perf_counter() - begin:.0f} s  {what}: {json.dumps(row)}")
+        if out is not None:
+            write_text(out, json.dumps(report, indent=1) + "\n")
+
+    for section in sections.split(","):
+        if section == "equality":
+            problems = marouting.generate(64, nets=8, max_pins=3, grid=(6, 6, 2), capacity=2)
+            for options in CASES:
+                done(
+                    section,
+                    {"options": dict(options), "differs": compare(problems, 150, **options)},
+                )
+        for count in numbers if section != "equality" else ():
+            if section == "paper":
+                done(section, speed(count, seconds))
+            if section == "window":
+                done(section, speed(count, seconds, observation=WINDOW))
+            if section == "connector" and count <= 65536:
+                done(section, connector(count, seconds))
+    wrong = [row for row in report.get("equality", ()) if row["differs"]]
+    sys.exit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main.main(prog_name="python -m policies.bench.cuda", standalone_mode=True)

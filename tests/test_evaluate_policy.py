@@ -1,0 +1,105 @@
+"""Policies scored on a split of a scenario: the figures are those of the routes that they made."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from marouting import InputError, PaperObservation, evaluate, evaluate_policy, scenarios
+from marouting.batch.window import WindowObservation
+from marouting.scenarios.score import Figures, score
+from marouting.search.astar import sequential_astar
+from marouting.vector import BatchEnv
+
+
+def first(obs: NDArray[np.float32], masks: NDArray[np.int8]) -> NDArray[np.int64]:
+    """The first move that crosses an edge."""
+    assert len(obs) == len(masks)
+    return masks.argmax(axis=1)
+
+
+def nearer(obs: NDArray[np.float32], masks: NDArray[np.int8]) -> NDArray[np.int64]:
+    """Towards the target, by the paper's numbers."""
+    away = obs[:, [3, 3, 4, 4, 5, 5]] * [1, -1, 1, -1, 1, -1]
+    return np.where(masks, np.sign(away), -2).argmax(axis=1)
+
+
+@pytest.mark.parametrize("order", ["round_robin", "sequential"])
+def test_figures_are_those_of_the_routes(order: Any) -> None:
+    toy = scenarios.get("toy-4x4-v0")
+    options: dict[str, Any] = {"turn_order": order, "mask": {"visited": True}, "max_steps": 20}
+    result = evaluate_policy(nearer, "toy-4x4-v0", "validation", **options)
+    env = BatchEnv(toy.validation, play_once=True, **options)
+    obs, info = env.reset()
+    moves = 0
+    while info["active"].any():
+        actions = nearer(obs.reshape(-1, 12), info["action_mask"].reshape(-1, 6))
+        obs, *_, info = env.step(actions.reshape(info["agents"].shape))
+        moves += int(info["acted"].sum())
+    assert result.agent_steps == moves
+    assert [row.problem for row in result.rows] == toy.names("validation")
+    costs, best, scores = [], 0, []
+    for m, (problem, row) in enumerate(zip(toy.validation, result.rows, strict=True)):
+        routes = evaluate(problem, env.engine.solution(m))
+        assert (row.wirelength, row.overflow) == (routes.wirelength, routes.overflow)
+        assert row.open == len(routes.disconnected)
+        assert row.joined == info["joined"][m]
+        costs.append(routes.wirelength + toy.open_cost * (row.tasks - row.joined))
+        reference = toy.reference(problem)
+        best += reference.wirelength
+        astar = Figures.of(evaluate(problem, sequential_astar(problem)))
+        scores.append(score(Figures.of(routes), astar, Figures(0, *reference[:2])))
+        solved = not row.open and not row.overflow
+        gap = 100 * (routes.wirelength / reference.wirelength - 1)
+        assert row.gap == (pytest.approx(gap) if solved else None)
+    assert result.cost == pytest.approx(sum(costs) / best)
+    assert result.solved == np.mean([row.open == 0 for row in result.rows])
+    assert 0 < result.solved < 1
+    assert result.connected == sum(info["joined"]) / 5 / len(result.rows)
+    assert result.score == pytest.approx(np.sort(scores)[5:-5].mean())
+    assert result.compared == round(result.solved * 20)
+    assert "toy-4x4-v0 validation: cost" in str(result)
+    assert result.as_dict()["rows"][0]["problem"] == "validation_000"
+
+
+def test_options_are_those_of_the_environment() -> None:
+    seen = set()
+
+    def policy(obs: NDArray[np.float32], masks: NDArray[np.int8]) -> NDArray[np.int64]:
+        seen.add(obs.shape[1:])
+        return first(obs, masks)
+
+    window = WindowObservation(radius=1)
+    evaluate_policy(policy, "toy-4x4-v0", "validation", observation=window, max_steps=3)
+    evaluate_policy(policy, "gates-8x7-v0", "validation", max_steps=2)
+    suggested = scenarios.get("gates-8x7-v0").env["observation"]
+    options = {name: value for name, value in suggested.items() if name != "kind"}
+    assert seen == {
+        one.space(scenarios.get("toy-4x4-v0").validation, overflow=False).shape
+        for one in (window, WindowObservation(**options))
+    }
+
+
+class Local(PaperObservation):
+    """Says how far it looks."""
+
+    local_radius = 1
+
+
+def test_what_is_refused() -> None:
+    toy = "toy-4x4-v0"
+    with pytest.raises(InputError, match="scenario: did you mean toy-4x4-v0"):
+        evaluate_policy(first, "toy-4x4-v1")
+    with pytest.raises(InputError, match="split: expected validation or test, found train"):
+        evaluate_policy(first, toy, "train")
+    with pytest.raises(InputError, match=r"observation: expected a local one.*PaperObservation"):
+        evaluate_policy(first, toy, local=True, observation=PaperObservation())
+    options: dict[str, Any] = {"observation": Local(), "max_steps": 2}
+    assert evaluate_policy(first, toy, "validation", local=True, **options).problems == 20
+    with pytest.raises(ValueError, match=r"policy: expected \(100,\) integers.*found float"):
+        evaluate_policy(lambda obs, _: obs[:, 0], toy, "validation")
+    with pytest.raises(ValueError, match="policy: expected"):
+        evaluate_policy(lambda obs, _: np.zeros(len(obs) - 1, int), toy)
+    with pytest.raises(ValueError, match="moves: expected 0 to 5"):
+        evaluate_policy(lambda obs, _: np.full(len(obs), 6), toy)
