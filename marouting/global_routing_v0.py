@@ -13,7 +13,7 @@ uses capacity on every edge that it crosses, so nets compete for edges.
 | Manual control | No |
 | Agents | `net_0`, `net_1`, …: one per net |
 | Action shape | () |
-| Action values | 0 to 5; 0 to 6 with `rip_up={"choose": "agents"}` |
+| Action values | 0 to 5; more with `rip_up={"choose": "agents"}`, `wait` and `message_bits` |
 | Observation shape | (12,), float32, by default; depends on `observation` |
 | Observation values | see the table below |
 | State shape | (X, Y, 5 Z), float32, on a grid of X×Y×Z Gcells |
@@ -66,6 +66,24 @@ the first step on).
 A move across an edge without enough remaining capacity, or off the grid, is **blocked**: the agent
 stays where it is, and the step counts towards `max_steps`. An edge that the net already uses is
 free to cross again. Vias have unlimited capacity.
+
+With `wait=True` there is one more move, the last one: the agent stays. The step counts and pays
+like that of a blocked move. Waiting is never masked.
+
+With `message_bits=k` every action also writes a message of k bits: with M moves, action
+`move + M * message` makes the move and writes the message, so there are M · 2^k actions. The
+message stands until the agent's next action. The observation `window` shows it to all agents
+around, in its channel `messages`:
+
+```python
+from marouting import global_routing_v0
+
+sees = {"kind": "window", "channels": ["capacity", "heads", "messages"], "message_bits": 2}
+env = global_routing_v0.parallel_env(wait=True, message_bits=2, observation=sees)
+observations, infos = env.reset(seed=42)
+waits, moves = 6, 7
+env.step(dict.fromkeys(env.agents, waits + moves * 3))  # all stay, and set both bits
+```
 
 ## Action mask
 

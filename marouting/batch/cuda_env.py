@@ -63,7 +63,8 @@ class CudaBatchEnv(BatchEnv):
     ``cupy.asarray(array)`` show them without a copy. They belong to the environment and are
     overwritten by the next call. Work is queued on the default stream, as torch's is.
 
-    The rows of a problem are in turn order, unlike on the processor: ``nets`` tells them apart.
+    The rows of a problem are in turn order, unlike on the processor, unless nets are ripped up with
+    their neighbours: ``nets`` tells them apart.
 
     Args:
         pool: how many problems are drawn ahead and uploaded, where M games draw theirs; every
@@ -72,7 +73,7 @@ class CudaBatchEnv(BatchEnv):
         **arguments: those of :class:`marouting.vector.BatchEnv`; ``threads`` is for the processor.
 
     Attributes:
-        actions: (M, K) int8 on the device; :meth:`step` takes this array without a copy.
+        actions: (M, K) int16 on the device; :meth:`step` takes this array without a copy.
         pool: the problems that are played, a list.
         stream: the stream on which work is queued; 0: the default.
 
@@ -122,7 +123,9 @@ class CudaBatchEnv(BatchEnv):
             self.pool = bounds = list(fixed_batch(problems, checked))
             held = static_state(self.pool, checked)
             self.num_problems = len(self.pool)
-        static, self._nets = _in_turn(*held)
+        # Lots of rip-up depend on the numbers of agents.
+        lots = checked.rip_up is not None and checked.rip_up.neighbours > 0
+        static, self._nets = held if lots else _in_turn(*held)
         self.num_envs, self.num_agents = self.num_problems, self._nets.shape[1]
         overflow = static.overflow_allowed
         self.single_observation_space = observation.space(bounds, overflow)
@@ -281,7 +284,7 @@ class CudaBatchEnv(BatchEnv):
         tracks = np.array([track_of(static, m) for m in range(len(self.pool))], np.float32)
         maps = new_maps((1, 1, 1, layers, 1), self._zeros)
         look = Surroundings(
-            heads=device.zeros((games, gcells), np.int16, "C"),
+            heads=device.zeros((games, gcells * (1 + (where.messages >= 0))), np.int16, "C"),
             where=where,
             maps=maps._replace(track=device.zeros((games, layers), np.float32)),
             tracks=device.of(tracks),

@@ -93,6 +93,7 @@ def _change_agent(
     if not near[agent["cell"]] and not near.all():
         agent["cell"] = rng.choice(np.flatnonzero(~near))
         agent["status"] = rng.choice([ACTIVE, Status.TERMINATED, Status.TRUNCATED])
+        agent["message"] = rng.integers(256)
     first, end = static.first[0, other : other + 2].tolist()
     static.tasks[first:end] = rng.integers(0, gcells, (end - first, 2))
     agent["target"], agent["task"] = rng.integers(gcells), rng.integers(first, end)

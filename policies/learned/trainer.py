@@ -424,7 +424,7 @@ class Trainer:
         moves, made, total = player.moves, np.zeros(count, np.int64), np.zeros(count)
         games = (self.places[:, None] * self._copies + np.arange(self._copies)).ravel()
         made[games], total[games] = player.made, player.buffers.total
-        log = np.full((count, int(made.max()), moves.shape[2]), NOBODY, np.int8)
+        log = np.full((count, int(made.max()), moves.shape[2]), NOBODY, np.int16)
         for game, own, steps in zip(games, moves, player.made, strict=True):
             log[game, :steps] = own[:steps]
         arrays = {"moves": log, "made": made, "total": total}
@@ -499,7 +499,7 @@ class Trainer:
                 raise InputError(f"{where}: {min(more)}: expected nothing of that name")
         moves = kept.get("moves")
         steps = moves.shape[1] if isinstance(moves, Tensor) and moves.ndim == 3 else 0
-        shaped["moves"] = np.zeros((len(player.made), steps, player.moves.shape[2]), np.int8)
+        shaped["moves"] = np.zeros((len(player.made), steps, player.moves.shape[2]), np.int16)
         limits = {
             **dict.fromkeys(("score", "policy_score"), ANY),
             **dict.fromkeys(("episodes", "policy_episode", "_evaluated"), (0, then)),
