@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict
 from importlib import metadata
 from multiprocessing import get_context
 from pathlib import Path
@@ -20,22 +19,44 @@ from typing import Any
 
 import click
 import numpy as np
+import torch
 
 import marouting
 from marouting.batch import cuda as device
 from marouting.batch.cuda_env import CudaBatchEnv
+from marouting.config import build
 from marouting.files import check_writable, write_text
 from marouting.kernels import compiled, i64
+from marouting.options import game_options
 from marouting.vector import BatchEnv
 from policies.cli.options import FILE
+from policies.learned.algorithms import ppo
+from policies.learned.on_device import DevicePPO
 
-GAMES = (1024, 4096, 16384, 65536, 262144, 1048576)
+SECTIONS = ("learning", "equality", "paper", "window", "connector")
+"""What is measured, in this order: comparisons compile beside the first trainings."""
+
+TRAININGS = (("ippo", 16384, 25, 32), ("mappo", 16384, 25, 32), ("ippo", 131072, 8, 16))
+"""Learners, numbers of games, how long they train, and the steps of a rollout."""
+
+MOST_CONNECTORS = 65536
+
+GAMES = (4096, 16384, 65536, 262144)
 """Numbers of games."""
 
 WINDOW = {"kind": "window", "radius": 3, "layers": 0, "channels": ["capacity", "own", "heads"]}
 
 
 WINDOW_ALL = {"kind": "window", "channels": ["capacity", "history", "own", "pins", "heads"]}
+
+
+PPO = {
+    "network": {"kind": "mlp", "hidden": [128, 128]},
+    "gamma": 0.99,
+    "gae_lambda": 0.95,
+    "final_failures": True,
+}
+"""The options of the learner: those of trainings on endless problems."""
 
 
 # --- equality -------------------------------------------------------------------------------------
@@ -291,48 +312,38 @@ def connector(games: int, seconds: float) -> dict[str, Any]:
 def learning(
     scenario: str, learner: str, games: int, seconds: float, steps: int = 32
 ) -> Iterator[dict[str, Any]]:
-    """PPO on a scenario: its speed, and what the policy is worth on test after so many seconds."""
-    import torch
+    """PPO on a scenario: its speed, and what the policy is worth on test after so many seconds.
 
-    from marouting import evaluate_policy
-    from marouting.config import build
-    from marouting.options import game_options
-    from policies.learned.algorithms import ppo
-    from policies.learned.on_device import DevicePPO
-
+    Yields:
+        Where the training is after 2, 4, 8, … rollouts; at last its result.
+    """
     torch.set_float32_matmul_precision("high")
     options = {k: v for k, v in marouting.scenarios.get(scenario).env.items() if k != "agents"}
     begin = time.perf_counter()
     env = BatchEnv(games, scenario=scenario, device="cuda", pool=4096, **options)
-    wanted = {
-        "network": {"kind": "mlp", "hidden": [128, 128]},
-        "gamma": 0.99,
-        "gae_lambda": 0.95,
-        "final_failures": True,
-    }
     kind = {"ippo": ppo.IPPOOptions, "mappo": ppo.MAPPOOptions}[learner]
     observation = game_options(options).observation.make()
-    trained = DevicePPO(env, observation, build(kind, wanted), steps=steps, total=10**9)
-    ready = time.perf_counter() - begin
-    told: list[Any] = []
-    for count, progress in enumerate(trained.train(10**9, seconds)):
-        told.append(progress)
-        if count == 1:
-            first = progress
-        if count and count & (count - 1) == 0:  # 1, 2, 4, 8, …
-            yield {"scenario": scenario, "learner": learner, "games": games, **asdict(progress)}
-    last = told[-1]
-    rate = (last.steps - first.steps) / max(last.seconds - first.seconds, 1e-9)
-    result = evaluate_policy(trained, scenario, "test")
+    trained = DevicePPO(env, observation, build(kind, PPO), steps=steps)
+    what = {"scenario": scenario, "learner": learner, "games": games, "agents": env.num_agents}
+    what["prepared_s"] = time.perf_counter() - begin
+    moves, rollouts, begin = 0, 0, time.perf_counter()
+    first = (0, begin)
+    while time.perf_counter() - begin < seconds:
+        told = trained.iterate()
+        moves, rollouts, now = moves + told.steps, rollouts + 1, time.perf_counter()
+        if rollouts == 2:  # all is compiled
+            first = moves, now
+        if rollouts > 1 and rollouts & (rollouts - 1) == 0:
+            yield {**what, "moves": moves, "seconds": now - begin, "joined": told.joined}
+    rate = (moves - first[0]) / max(now - first[1], 1e-9)
+    result = marouting.evaluate_policy(trained, scenario, "test")
     yield {
-        "scenario": scenario,
-        "learner": learner,
-        "games": games,
-        "agents": env.num_agents,
-        "prepared_s": ready,
-        **asdict(last),
-        "trained_steps_per_s": rate,
-        "test": str(result),
+        **what,
+        "moves": moves,
+        "seconds": now - begin,
+        "trained_moves_per_s": rate,
+        "test_cost": result.cost,
+        "test_solved": result.solved,
     }
 
 
@@ -358,9 +369,7 @@ def machine() -> dict[str, Any]:
 @click.command()
 @click.option("--out", type=FILE, help="JSON file for the results; without it, none is written.")
 @click.option("--seconds", type=float, default=1.0, show_default=True, help="Of a measurement.")
-@click.option(
-    "--sections", default="learning,equality,paper,window,connector,large", show_default=True
-)
+@click.option("--sections", default=",".join(SECTIONS), show_default=True)
 @click.option("--games", help="Numbers of games, with commas between them.")
 def main(out: Path | None, seconds: float, sections: str, games: str | None) -> None:
     """Check the batch on a CUDA device, and measure it."""
@@ -371,6 +380,9 @@ def main(out: Path | None, seconds: float, sections: str, games: str | None) -> 
     report: dict[str, Any] = {"machine": machine()}
     click.echo(json.dumps(report["machine"]))
     numbers = GAMES if games is None else tuple(map(int, games.split(",")))
+    for section in sections.split(","):
+        if section not in SECTIONS:
+            raise click.BadParameter(f"expected some of {', '.join(SECTIONS)}, found {section}")
 
     def done(what: str, row: Any) -> None:
         report.setdefault(what, []).append(row)
@@ -383,19 +395,17 @@ def main(out: Path | None, seconds: float, sections: str, games: str | None) -> 
             for options, differs in zip(CASES, found, strict=True):
                 done(section, {"options": dict(options), "differs": differs.result()})
         elif section == "learning":
-            for learner in ("ippo", "mappo"):
-                for row in learning("gates-8x7-v0", learner, 16384, 25 * seconds):
+            for learner, count, share, steps in TRAININGS:
+                for row in learning("gates-8x7-v0", learner, count, share * seconds, steps):
                     done(section, row)
-        elif section == "large":
-            for row in learning("gates-8x7-v0", "ippo", 131072, 8 * seconds, steps=16):
-                done(section, row)
-        for count in numbers if section in ("paper", "window", "connector") else ():
-            if section == "paper":
-                done(section, speed(count, seconds))
-            if section == "window" and count <= 262144:
-                done(section, speed(count, seconds, observation=WINDOW))
-            if section == "connector" and count in (4096, 16384, 65536):
-                done(section, connector(count, seconds))
+        elif section == "connector":
+            for count in numbers:
+                if count <= MOST_CONNECTORS:
+                    done(section, connector(count, seconds))
+        else:
+            options = {"observation": WINDOW} if section == "window" else {}
+            for count in numbers:
+                done(section, speed(count, seconds, **options))
 
     pool = ProcessPoolExecutor(len(CASES), get_context("spawn"))  # each compiles for a minute
     problems = marouting.generate(64, nets=8, max_pins=3, grid=(6, 6, 2), capacity=2)

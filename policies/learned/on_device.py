@@ -9,8 +9,7 @@ Rows of games (M, N) are kept with games fastest, R = N · M in all: as the devi
 (:mod:`marouting.batch.cuda_env`).
 """
 
-import time
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,32 +19,34 @@ from torch import Tensor, nn
 
 from marouting.batch.window import WindowObservation
 from marouting.config import check
+from marouting.errors import InputError
 from marouting.game import Ending
 from marouting.observations import has_move_order
 from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.ppo import PPOOptions
+from policies.learned.checkpoint import checked
 
 _NEVER = -1e9
 
 
 @dataclass(frozen=True)
-class Progress:
-    """Where a training is after an update.
+class Iteration:
+    """A rollout and what was learned from it.
 
     Attributes:
-        steps: moves of agents that have been learned from.
-        seconds: since the training began.
-        reward: mean over the rollout's moves.
-        joined: share of the tasks that ended in the rollout that were connected.
+        steps: moves of agents in it.
+        episodes: episodes that ended in it.
+        joined: share of the tasks that ended in it that were connected.
+        reward: mean over its moves, times ``reward_scale``.
         loss: of the critic.
         entropy: of the policy.
     """
 
     steps: int
-    seconds: float
-    reward: float
+    episodes: int
     joined: float
+    reward: float
     loss: float
     entropy: float
 
@@ -59,9 +60,10 @@ class DevicePPO:
         options: of the learner; ``num_envs`` and ``rollout`` are for the processor.
         steps: steps of all games between updates.
         seed: of the weights and of all that is drawn.
-        total: moves of agents over which the learning rate falls to 0; None: it stays.
 
     Attributes:
+        progress: the share of the training that is done, by which the learning rate falls.
+        updates: gradient steps so far.
         actor: gives the scores of moves.
         critic: gives the value of what an agent sees.
 
@@ -77,9 +79,8 @@ class DevicePPO:
         *,
         steps: int = 32,
         seed: int = 0,
-        total: int | None = None,
     ) -> None:
-        self.env, self.options, self.steps, self.total = env, options, steps, total
+        self.env, self.options, self.steps = env, options, steps
         self.device = torch.device("cuda" if on_cuda(env) else "cpu")
         known = not has_move_order(observation) or type(observation) is WindowObservation
         check("observation", known, "paper or window on a device")
@@ -88,22 +89,21 @@ class DevicePPO:
         self.rows = self.agents * self.games
         features = int(np.prod(env.single_observation_space.shape))
         self.central = options.critic == "central"
-        self.states = int(np.prod(env.single_state_space.shape)) if self.central else 0
+        self.state_size = int(np.prod(env.single_state_space.shape)) if self.central else 0
         self.actions = int(env.single_action_space.n)
         check("message_bits", self.actions <= MOVES + 2, "0 on a device")
         torch.manual_seed(seed)
         make = options.network.make
         self.actor: nn.Module = make((features,), self.actions).to(self.device)
-        self.critic: nn.Module = make((features + self.states,), 1).to(self.device)
-        parameters = [*self.actor.parameters(), *self.critic.parameters()]
+        self.critic: nn.Module = make((features + self.state_size,), 1).to(self.device)
         self.adam = torch.optim.Adam(
-            parameters, options.learning_rate, eps=1e-5, fused=self.device.type == "cuda"
+            self._parameters(), options.learning_rate, eps=1e-5, fused=self.device.type == "cuda"
         )
         self.random = torch.Generator(self.device).manual_seed(seed)
         each = steps, self.rows
         new = {"device": self.device}
         self.obs = torch.zeros((steps, features, self.rows), **new)
-        self.state = torch.zeros((steps, self.states, self.games), **new)
+        self.global_state = torch.zeros((steps, self.state_size, self.games), **new)
         self.mask = torch.zeros((steps, self.actions, self.rows), dtype=torch.bool, **new)
         self.action = torch.zeros(each, dtype=torch.int64, **new)
         self.chance, self.reward = (torch.zeros(each, **new) for _ in range(2))
@@ -112,7 +112,7 @@ class DevicePPO:
         self.acted = torch.zeros(each, dtype=torch.bool, **new)
         self.joined, self.failed = torch.zeros((2, *each), dtype=torch.bool, **new)
         self.over = torch.zeros((steps, self.games), dtype=torch.bool, **new)
-        self.learned = 0
+        self.progress, self.updates = 0.0, 0
         self.now, self.info = env.reset()
 
     # --- what the environment has, as tensors -------------------------------------------------
@@ -139,7 +139,7 @@ class DevicePPO:
             obs.copy_(self._seen(self.now))
             mask.copy_(self._turned(self.flat(self.info["action_mask"]), obs))
             if self.central:
-                self.state[t].copy_(self._state())
+                self.global_state[t].copy_(self._state())
             scores = self.actor(obs.t())
             if self.options.masking:
                 scores = scores.masked_fill(~mask.t(), _NEVER)
@@ -148,7 +148,7 @@ class DevicePPO:
             chosen = (chances - noise.log()).argmax(dim=1)  # Gumbel's way to draw by chances
             self.action[t] = chosen
             self.chance[t] = chances.gather(1, chosen[:, None])[:, 0]
-            self.value[t] = self.critic(self._both(obs, self.state[t]).t())[:, 0]
+            self.value[t] = self.critic(self._both(obs, self.global_state[t]).t())[:, 0]
             moves = self._moves(chosen, obs).to(torch.int16).view(self.agents, self.games).t()
             self._step(moves)
             self.reward[t] = self.flat(self.paid) * self.options.reward_scale
@@ -158,10 +158,10 @@ class DevicePPO:
             self.over[t] = self.tensor(self.info["over"])
             if not self.options.final_failures:
                 seen = self._seen(self.info["final_obs"])
-                state = self._state() if self.central else self.state[t]
+                state = self._state() if self.central else self.global_state[t]
                 self.after[t] = self.critic(self._both(seen, state).t())[:, 0]
         seen = self._seen(self.now)
-        state = self._state() if self.central else self.state[0]
+        state = self._state() if self.central else self.global_state[0]
         self.value[self.steps] = self.critic(self._both(seen, state).t())[:, 0]
 
     def _step(self, moves: Tensor) -> None:
@@ -183,7 +183,7 @@ class DevicePPO:
         """(F + S, R) what the critic sees."""
         if not self.central:
             return obs
-        every = state[:, None].expand(-1, self.agents, -1).reshape(self.states, self.rows)
+        every = state[:, None].expand(-1, self.agents, -1).reshape(self.state_size, self.rows)
         return torch.cat((obs, every))
 
     def _turned(self, mask: Tensor, obs: Tensor) -> Tensor:
@@ -237,10 +237,9 @@ class DevicePPO:
         o = self.options
         advantage = self.advantages()
         returns = advantage + self.value[: self.steps]
-        if o.anneal and self.total:
-            left = max(1 - self.learned / self.total, 0.0)
-            for group in self.adam.param_groups:
-                group["lr"] = o.learning_rate * left
+        left = max(1 - self.progress, 0.0) if o.anneal else 1.0
+        for group in self.adam.param_groups:
+            group["lr"] = o.learning_rate * left
         losses, entropies = torch.zeros(2, device=self.device)
         size = max(1, min(self.steps, round(o.minibatch / self.rows)))
         count = 0
@@ -266,7 +265,7 @@ class DevicePPO:
         obs = of(self.obs)
         both = obs
         if self.central:
-            both = torch.cat([self._both(self.obs[t], self.state[t]) for t in steps], dim=-1)
+            both = torch.cat([self._both(self.obs[t], self.global_state[t]) for t in steps], dim=-1)
         weight = of(self.acted).float()
         weight = weight / weight.sum().clamp(min=1)
         scores = self.actor(obs.t())
@@ -288,28 +287,80 @@ class DevicePPO:
         for network in (self.actor, self.critic):
             nn.utils.clip_grad_norm_(network.parameters(), o.max_gradient, foreach=True)
         self.adam.step()
+        self.updates += 1
         return error.detach(), entropy.detach()
 
-    def train(self, steps: int, seconds: float | None = None) -> Iterator[Progress]:
-        """Learns, and tells of every update, until so many moves or seconds have passed."""
-        begin = time.perf_counter()
-        while self.learned < steps:
-            self.play()
-            loss, entropy = self.learn()
-            acted, joined, failed = (t.sum() for t in (self.acted, self.joined, self.failed))
-            self.learned += int(acted)
-            ended = int(joined + failed)
-            passed = time.perf_counter() - begin
-            yield Progress(
-                steps=self.learned,
-                seconds=passed,
-                reward=float(self.reward.sum() / acted),
-                joined=int(joined) / max(ended, 1),
-                loss=float(loss),
-                entropy=float(entropy),
-            )
-            if seconds is not None and passed > seconds:
-                return
+    def iterate(self) -> Iteration:
+        """Plays a rollout and learns from it."""
+        self.play()
+        loss, entropy = self.learn()
+        acted, joined, failed = (int(t.sum()) for t in (self.acted, self.joined, self.failed))
+        return Iteration(
+            steps=acted,
+            episodes=int(self.over.sum()),
+            joined=joined / max(joined + failed, 1),
+            reward=float(self.reward.sum()) / max(acted, 1),
+            loss=float(loss),
+            entropy=float(entropy),
+        )
+
+    # --- checkpoints --------------------------------------------------------------------------
+
+    def state(self) -> dict[str, Any]:
+        """What it takes to go on: plain data and tensors."""
+        flat = nn.utils.parameters_to_vector
+        moments = [self.adam.state.get(p, {}) for p in self._parameters()]
+        return {
+            "actor": flat(self.actor.parameters()).detach().cpu(),
+            "critic": flat(self.critic.parameters()).detach().cpu(),
+            "moments": [{k: v.detach().cpu() for k, v in m.items()} for m in moments],
+            "random": self.random.get_state().cpu(),
+            "updates": self.updates,
+            "games": [
+                torch.from_numpy(np.frombuffer(part, np.uint8).copy()) for part in self._games()
+            ],
+        }
+
+    def load_state(self, state: Mapping[str, Any], where: str) -> None:
+        """Goes back to what :meth:`state` gave; raises InputError if it does not fit."""
+        for name, network in (("actor", self.actor), ("critic", self.critic)):
+            now = nn.utils.parameters_to_vector(network.parameters()).detach()
+            kept = checked(state[name], now.cpu(), f"{where}: {name}").to(self.device)
+            nn.utils.vector_to_parameters(kept, network.parameters())
+        for parameter, kept in zip(self._parameters(), state["moments"], strict=True):
+            if kept:
+                found = {
+                    k: checked(kept[k], parameter.detach().cpu(), f"{where}: {k}").to(self.device)
+                    for k in ("exp_avg", "exp_avg_sq")
+                }
+                step = checked(kept["step"], torch.zeros(()), f"{where}: step")
+                self.adam.state[parameter] = {"step": step.to(self._adam_steps), **found}
+        self.random.set_state(state["random"])
+        self.updates = int(state["updates"])
+        self._restore([part.numpy().tobytes() for part in state["games"]], where)
+
+    @property
+    def _adam_steps(self) -> torch.device:
+        """Where Adam counts its steps: a fused one does on the device."""
+        return self.device if self.device.type == "cuda" else torch.device("cpu")
+
+    def _parameters(self) -> list[nn.Parameter]:
+        return [*self.actor.parameters(), *self.critic.parameters()]
+
+    def _games(self) -> list[bytes]:
+        env: Any = self.env
+        return [array.tobytes() for array in env.save()]
+
+    def _restore(self, parts: list[bytes], where: str) -> None:
+        env: Any = self.env
+        try:
+            arrays = [
+                np.frombuffer(part, now.dtype).reshape(now.shape)
+                for part, now in zip(parts, env.save(), strict=True)
+            ]
+        except ValueError:
+            raise InputError(f"{where}: games: expected those of such a training") from None
+        env.restore(arrays)
 
     @torch.no_grad()
     def __call__(self, obs: Any, mask: Any) -> Any:
