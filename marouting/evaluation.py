@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.batch.locality import check_local
 from marouting.config import check
+from marouting.observations import local_radius_of
 from marouting.options import game_options
 from marouting.problem.solution import evaluate
 from marouting.scenarios import Split, get
@@ -90,9 +92,12 @@ class PolicyResult:
     agent_steps: int
     rows: tuple[ProblemResult, ...]
 
-    def as_dict(self) -> dict[str, Any]:
-        """All figures as plain data."""
-        return asdict(self)
+    def as_dict(self, rows: bool = True) -> dict[str, Any]:
+        """All figures as plain data, with those of each problem or without."""
+        figures = asdict(self)
+        if not rows:
+            del figures["rows"]
+        return figures
 
     def __str__(self) -> str:
         gap = "" if self.gap is None else f", {self.gap:.2f} % above the reference"
@@ -142,9 +147,10 @@ def evaluate_policy(
     sequential = game_options(given).turn_order == "sequential"
     env = BatchEnv(everyone=not sequential, play_once=True, threads=threads, **given)
     if local:
-        radius = getattr(env.observation, "local_radius", None)
-        name = type(env.observation).__name__
+        radius, name = local_radius_of(env.observation), type(env.observation).__name__
         check("observation", radius is not None, f"a local one (local_radius), found {name}")
+        env.reset()
+        check_local(env.observation, env.engine)
     play(policy, env)
     steps = env.engine.games["steps"]
     rows = [_row(env, m, name, scenario) for m, name in enumerate(problems)]

@@ -25,6 +25,7 @@ from marouting.batch.engine import Engine
 from marouting.batch.observation import paper_reward, see_paper, write_paper
 from marouting.batch.payment import move_and_pay
 from marouting.batch.rules import (
+    clear_problem,
     free_moves,
     may_move,
     move_agent,
@@ -39,6 +40,7 @@ from marouting.batch.rules import (
     settle_turns,
     write_moves,
 )
+from marouting.batch.setup import Make, zeros
 from marouting.batch.state import GAME, MASKS, Dynamic, Option, Static
 from marouting.config import check
 from marouting.game import (
@@ -94,9 +96,9 @@ class StepBuffers(NamedTuple):
         rows: int,
         shape: tuple[int, ...],
         actions: int = MOVES,
-        make: Any = None,
+        make: Make | None = None,
     ) -> "StepBuffers":
-        """New buffers, of zeros that ``make`` (shape, dtype) makes; None: on the processor.
+        """New buffers, made by ``make``; None: on the processor.
 
         Raises:
             InputError: they would take too much memory.
@@ -105,24 +107,24 @@ class StepBuffers(NamedTuple):
             size = math.prod(shape)
             bytes_of_obs = 2 * np.dtype(np.float32).itemsize * problems * rows * size
             check_memory(bytes_of_obs, "{} observations of {} numbers", problems * rows, size)
-            make = np.zeros
+            make = zeros
         each = problems, rows
         buffers = cls(
-            agents=make(each, np.int32),
-            obs=make((*each, *shape), np.float32),
-            mask=make((*each, actions), np.int8),
-            actions=make(each, np.int16),
-            acted=make(each, np.bool_),
-            reward=make(each, np.float32),
-            ending=make(each, np.int8),
-            final_obs=make((*each, *shape), np.float32),
-            final_mask=make((*each, actions), np.int8),
-            terminated=make(each, np.bool_),
-            truncated=make(each, np.bool_),
-            active=make(each, np.bool_),
-            over=make((problems,), np.bool_),
-            total=make((problems,), np.float64),
-            final=make((problems,), GAME),
+            agents=make("agents", each, np.int32),
+            obs=make("obs", (*each, *shape), np.float32),
+            mask=make("mask", (*each, actions), np.int8),
+            actions=make("actions", each, np.int16),
+            acted=make("acted", each, np.bool_),
+            reward=make("reward", each, np.float32),
+            ending=make("ending", each, np.int8),
+            final_obs=make("final_obs", (*each, *shape), np.float32),
+            final_mask=make("final_mask", (*each, actions), np.int8),
+            terminated=make("terminated", each, np.bool_),
+            truncated=make("truncated", each, np.bool_),
+            active=make("active", each, np.bool_),
+            over=make("over", (problems,), np.bool_),
+            total=make("total", (problems,), np.float64),
+            final=make("final", (problems,), GAME),
         )
         buffers.agents[:] = buffers.actions[:] = NOBODY
         buffers.mask[:] = buffers.final_mask[:] = 1
@@ -151,7 +153,7 @@ class FastPath(NamedTuple):
         reward: Reward,
         *,
         everyone: bool,
-        make: Any = np.zeros,
+        make: Make = zeros,
     ) -> "FastPath":
         """What the compiled step of M games on G Gcells (shape) has to know about these pieces."""
         paper = type(observation) is PaperObservation
@@ -167,7 +169,7 @@ class FastPath(NamedTuple):
             table=known.table.astype(np.float32),
             overflow_price=float(known.added_overflow),
             prices=known.shared,
-            cells=make((shape[0], 2, shape[1] * charges), np.int32),
+            cells=make("cells", (shape[0], 2, shape[1] * charges), np.int32),
         )
 
 
@@ -722,7 +724,7 @@ def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int
 
 @inlined
 def start_game(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
-    """Starts an episode of a problem, in which nobody has acted yet."""
+    """Starts an episode of a problem that is cleared, in which nobody has acted yet."""
     reset_problem(static, dynamic, m)
     b.over[m] = False
     b.total[m] = 0
@@ -923,6 +925,7 @@ def _play_everyone(
     """Steps and restarts of all problems, where all agents have a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
+            clear_problem(static, dynamic, m, i64(0), i64(1))
             start_game(static, dynamic, b, m)
             for n in range(b.agents.shape[1]):
                 b.active[m, n] = dynamic.agents[m, n].status == Status.ACTIVE
@@ -939,6 +942,7 @@ def _play_player(
     """:func:`_play_everyone` where only the agent whose turn it is has a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
+            clear_problem(static, dynamic, m, i64(0), i64(1))
             start_game(static, dynamic, b, m)
             _look_at_player(static, dynamic, b, fast, m)
         elif steps:

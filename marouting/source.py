@@ -137,6 +137,8 @@ class ProblemStream:
         scenario: the name of a scenario, instead of a source.
         split: which problems of the scenario.
         held_out: how many of the first numbers of a generator's problems are never drawn.
+        most: how many of a scenario's training problems, or of a generator's, are ever drawn; they
+            are kept, because making a problem takes longer than playing it. None: no limit.
 
     Attributes:
         problems: by name; if every episode has a new one, an example.
@@ -156,8 +158,11 @@ class ProblemStream:
         split: Split = "train",
         *,
         held_out: int = 0,
+        most: int | None = None,
     ) -> None:
         self._held_out = held_out
+        self._numbers = MAX_NUMBER - held_out if most is None else most
+        self._kept: dict[int, tuple[str, Problem]] | None = None if most is None else {}
         self._drawn: GeneratorOptions | Scenario | None = None
         if scenario is not None:
             check("problem", source is None, "none beside a scenario, which has its own")
@@ -213,11 +218,19 @@ class ProblemStream:
     def number(self, rng: np.random.Generator) -> int:
         """Draws the number of a problem."""
         if self._drawn is not None:
-            return self._held_out + int(rng.integers(MAX_NUMBER - self._held_out))
+            return self._held_out + int(rng.integers(self._numbers))
         return int(rng.integers(len(self.problems))) if len(self.problems) > 1 else 0
 
     def problem(self, number: int) -> tuple[str, Problem]:
         """The problem with a number, and its name."""
+        if self._kept is None:
+            return self._made(number)
+        if number not in self._kept:
+            self._kept[number] = self._made(number)
+        return self._kept[number]
+
+    def _made(self, number: int) -> tuple[str, Problem]:
+        """The problem with a number, made anew, and its name."""
         if isinstance(self._drawn, Scenario):
             return f"train_{number}", next(self._drawn.train(number))
         if self._drawn is not None:

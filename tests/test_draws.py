@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from marouting import Engine, InputError, Problem, generate, scenarios
 from marouting.batch.setup import Room
 from marouting.game import NOBODY
-from marouting.source import ProblemStream, load_problem
+from marouting.source import ProblemSampler, ProblemStream, load_problem
 from marouting.vector import BatchEnv
 
 SET = [
@@ -25,10 +25,10 @@ SET = [
 LOOKS: dict[str, dict[str, Any]] = {
     "compiled": {},
     "half": {"observation": {"kind": "window", "radius": 1}},
-    "turn by turn": {"reward": "team"},
+    "turn by turn": {"reward": "test_env:TeamReward"},
     "window, turn by turn": {
         "observation": {"kind": "window", "channels": ["demand", "pins", "heads", "history"]},
-        "reward": {"kind": "difference"},
+        "reward": "test_env:TeamReward",
     },
 }
 TASKS = {"target": "tree", "next_pin": "nearest", "mask": {"visited": True}, "release_failed": True}
@@ -284,3 +284,20 @@ def test_problems_that_do_not_fit_are_refused() -> None:
         Engine(SET[:1], room=Room.of(SET[2:3]))
     assert np.array_equal(engine.static.tasks, before)
     assert engine.problems == tuple(SET[2:3])
+
+
+def test_a_limited_number_of_training_problems_is_made_once() -> None:
+    stream = ProblemStream(None, "toy-4x4-v0", most=3)
+    endless = ProblemStream(None, "toy-4x4-v0")
+    sampler = ProblemSampler(stream, seed=1, games=8)
+    played = {}
+    for _ in range(6):
+        sampler.begin_next(np.ones(8, np.bool_))
+        played |= dict(zip(sampler.names, sampler.problems, strict=True))
+        assert all(played[name] is problem for name, problem in stream._kept.values())
+    assert set(played) == {"train_0", "train_1", "train_2"}
+    for number in range(3):  # the same as those that are drawn without a limit
+        assert played[f"train_{number}"] == endless.problem(number)[1]
+    generated = ProblemStream({"nets": 3, "seed": None}, held_out=5, most=2)
+    rng = np.random.default_rng(0)
+    assert {generated.number(rng) for _ in range(40)} == {5, 6}

@@ -81,10 +81,12 @@ def test_options_are_those_of_the_environment() -> None:
     }
 
 
-class Local(PaperObservation):
-    """Says how far it looks."""
+class Crowd(PaperObservation):
+    """Says that it is local, and tells where all others are going."""
 
-    local_radius = 1
+    def write(self, games: Any, problems: Any, agents: Any, out: Any) -> None:
+        super().write(games, problems, agents, out)
+        out[:, 0] = games.agents["target"].sum(axis=1)[problems]
 
 
 def test_what_is_refused() -> None:
@@ -93,9 +95,13 @@ def test_what_is_refused() -> None:
         evaluate_policy(first, "toy-4x4-v1")
     with pytest.raises(InputError, match="split: expected validation or test, found train"):
         evaluate_policy(first, toy, "train")
-    with pytest.raises(InputError, match=r"observation: expected a local one.*PaperObservation"):
-        evaluate_policy(first, toy, local=True, observation=PaperObservation())
-    options: dict[str, Any] = {"observation": Local(), "max_steps": 2}
+    with pytest.raises(InputError, match=r"observation: expected a local one.*WindowObservation"):
+        evaluate_policy(first, toy, local=True, observation="window")
+    with pytest.raises(
+        InputError, match=r"Crowd\.local_radius: expected that agents see no further"
+    ):
+        evaluate_policy(first, toy, local=True, observation=Crowd())
+    options: dict[str, Any] = {"observation": "paper", "max_steps": 2}
     assert evaluate_policy(first, toy, "validation", local=True, **options).problems == 20
     with pytest.raises(ValueError, match=r"policy: expected \(100,\) integers.*found float"):
         evaluate_policy(lambda obs, _: obs[:, 0], toy, "validation")

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
-from marouting.config import build, plain
+from marouting.config import MOST, build, plain
 from marouting.player import Player
 from marouting.source import load_problems
 from policies.cli.main import status
@@ -173,7 +173,7 @@ def test_a_change_of_kind_or_source_discards_what_belongs_to_the_one_before(tmp_
         "env: {problem: {count: 3}, reward: {kind: paper, reached: 1}}\ntrain: {games: null}\n"
     )
     config = load_config(file, ["learner.kind=ppo", TOY, "env.reward.kind=normalised"])
-    assert config.learner == load_config(None, ["learner.kind=ppo"]).learner
+    assert config.learner == load_config(None, ["learner.kind=ppo", TOY]).learner
     assert config.env.scenario == "toy-4x4-v0"
     assert config.train.games == 32
     # In any order, options on the command line belong to the kind there.
@@ -185,6 +185,54 @@ def test_a_change_of_kind_or_source_discards_what_belongs_to_the_one_before(tmp_
     config = load_config(file, ["learner.clip=0.1", "env.problem={nets: 4}"])
     assert (config.learner.name, config.learner.options.clip) == ("ppo", 0.1)
     assert config.env.scenario is None
+
+
+def test_a_scenario_suggests_how_a_training_runs() -> None:
+    config = load_config(None, ["learner.kind=ppo", "env.scenario=gates-8x7-v0"])
+    train, options = config.train, config.learner.options
+    assert (train.games, train.steps, train.episodes) == (128, 3_000_000, MOST)
+    assert (config.env.agents, config.env.reward.name) == ("multi", "team")
+    assert options.final_failures
+    assert options.network.options["hidden"] == (128, 128)
+    assert build(Config, plain(config)) == config
+    told = load_config(
+        None, ["learner.kind=ppo", "env.scenario=gates-8x7-v0", "train.games=2", "train.steps=9"]
+    )
+    assert (told.train.games, told.train.steps) == (2, 9)
+    with pytest.raises(InputError, match=r"train.steps: expected null without train.games"):
+        load_config(None, ["train.steps=9"])
+
+
+def gates(folder: Path, *more: str) -> Config:
+    """A small training on problems in which agents are done at different times."""
+    small = ["learner.rollout=256", "learner.minibatch=128", "learner.network.hidden=[16]"]
+    small += ["train.games=4", "train.steps=3000", "train.evaluate_every=20", "train.validation=6"]
+    small += ["train.tensorboard=false", "train.figures=false", f"out={folder}"]
+    scenario = ["learner.kind=ppo", "env.scenario=gates-8x7-v0"]
+    return load_config(None, [*scenario, *small, *more])
+
+
+def test_a_training_ends_after_so_many_steps(tmp_path: Path) -> None:
+    run = Run(gates(tmp_path / "a"))
+    done: list[Episode] = []
+    assert run.progress == (0, 3000, "steps")
+    run.execute(done.extend)
+    steps = sum(episode.steps for episode in done)
+    assert 3000 <= steps < 3000 + 4 * 4 * 50
+    assert sum(episode.steps for episode in done[:-4]) < 3000
+    assert run.progress == (3000, 3000, "steps")
+    assert run.trainer.learner.progress[0] == 1  # type: ignore[attr-defined]
+    assert run.finished is not None
+    again = Run(run.config, resume=True)
+    assert again.finished == run.finished
+    policy = TrainedPolicy.load(tmp_path / "a" / "policy.pt")
+    found = policy.evaluate("gates-8x7-v0", "validation")
+    assert again.standing()[0] == found
+    solved = {row["problem"]: row for row in run.finished if row["router"] == "ppo_policy"}
+    for row in found.rows[:6]:  # in a batch of all problems as alone
+        assert (row.wirelength, row.joined) == tuple(
+            solved[row.problem][name] for name in ("wirelength", "joined")
+        )
 
 
 @pytest.mark.parametrize(
@@ -225,7 +273,10 @@ def test_a_training_across_problems_ends_with_means(
     shown = capsys.readouterr().out
     assert "run: means over 20 validation problems" in shown
     assert "validation_000" not in shown
-    assert shown.splitlines()[-1] == "next: marouting benchmark --scenario toy-4x4-v0 --router run"
+    following, validation, test = shown.splitlines()[-3:]
+    assert following == "next: marouting benchmark --scenario toy-4x4-v0 --router run"
+    assert validation.startswith("toy-4x4-v0 validation: cost ")
+    assert test.startswith("toy-4x4-v0 test: cost ")
     rows = [row for row in results(tmp_path / "run") if row["router"] == "mappo_policy"]
     assert len(rows) == 20
     connected = sum(row["joined"] == row["tasks"] for row in rows)
@@ -629,6 +680,17 @@ KINDS: dict[str, dict[str, Any]] = {
         "agents": "multi",
         "problem": DRAWN,
         "critic": "central",
+    },
+    "drawn, paid when done": {
+        "kind": "ppo",
+        "episodes": 40,
+        "steps": 900,
+        "shared": True,
+        "games": 3,
+        "agents": "multi",
+        "problem": DRAWN,
+        "reward": "team",
+        "final_failures": True,
     },
 }
 

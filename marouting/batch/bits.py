@@ -46,10 +46,11 @@ def empty(bits: Any, m: int, row: int) -> None:
 
 
 @compiled
-def clear(bits: Any, m: int) -> None:
-    """Takes all numbers out of all rows of a problem."""
+def clear(bits: Any, m: int, first: int, step: int) -> None:
+    """Takes all numbers out of the rows of a problem; one thread of ``step`` does its share."""
     for row in range(bits.shape[1]):
-        empty(bits, m, i64(row))
+        for byte in range(first, bits.shape[2], step):
+            bits[m, row, byte] = 0
 
 
 @compiled

@@ -18,8 +18,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from marouting import kernels
+from marouting.batch.expected import Maps
 from marouting.batch.observation import write_paper, write_state
+from marouting.batch.rules import clear_problem
 from marouting.batch.state import Dynamic, Static
+from marouting.batch.window import write_window_state
+from marouting.batch.window_rows import Where, count_heads, write_window
 from marouting.errors import InputError
 from marouting.game import NOBODY, Ending
 from marouting.kernels import i64
@@ -34,8 +38,11 @@ from marouting.player import (
     write_mask,
 )
 
-THREADS = 128
+THREADS = 256
 """Threads of a block."""
+
+WARP = 32
+"""Threads that run in step; so many clear a game together."""
 
 cuda: Any = None
 """The module ``numba.cuda``, once there is a :class:`Device`."""
@@ -241,23 +248,16 @@ def drawn(key: Any, episode: int, problems: int) -> int:
 
 
 @kernels.compiled
-def put_problem(static: Static, b: StepBuffers, pool: Pool, m: int) -> None:
-    """At the beginning of an episode: puts the problem that game m draws in its place."""
-    p = drawn(pool.key[m], i64(pool.episode[m]), i64(len(pool.capacity)))
-    pool.episode[m] += 1
-    pool.number[m] = p
-    for edge in range(pool.capacity.shape[1]):
+def put_problem(static: Static, pool: Pool, m: int, p: int, first: int, step: int) -> None:
+    """Puts problem p of the pool in the place of game m; one thread of ``step`` does its share."""
+    for edge in range(first, pool.capacity.shape[1], step):
         static.capacity[m, edge] = pool.capacity[p, edge]
-    for n in range(pool.order.shape[1]):
+    for n in range(first, pool.order.shape[1], step):
         static.order[m, n] = pool.order[p, n]
         for layer in range(pool.demand.shape[2]):
             static.demand[m, n, layer] = pool.demand[p, n, layer]
-    for n in range(pool.first.shape[1]):
+    for n in range(first, pool.first.shape[1], step):
         static.first[m, n] = pool.first[p, n]
-    if b.agents.shape[1] == pool.order.shape[1]:
-        for n in range(pool.order.shape[1]):
-            there = static.first[m, n] < static.first[m, n + 1]
-            b.agents[m, n] = n if there else NOBODY
 
 
 @kernels.inlined
@@ -266,6 +266,45 @@ def see_paper(
 ) -> None:
     """Writes what an agent sees by the paper's observation."""
     write_paper(static, dynamic, look.via_capacity, m, n, out, row)
+
+
+class Surroundings(NamedTuple):
+    """What the observation ``window`` needs."""
+
+    heads: Any  # (M, G) or (M, 2 G), see count_heads
+    where: Where
+    maps: Maps  # of which only track is there, (M, Z)
+    tracks: Any  # (P, Z) track of the problems of the pool
+    number: Any  # (M,) the problem that a game plays
+
+
+@kernels.inlined
+def see_window(
+    static: Static, dynamic: Dynamic, look: Surroundings, m: int, n: int, out: Any, row: int
+) -> None:
+    """Writes what an agent sees by the observation ``window``."""
+    write_window(static, dynamic, look.heads, look.where, m, n, out, row)
+
+
+@kernels.inlined
+def prepare_window(static: Static, dynamic: Dynamic, look: Surroundings, m: int) -> None:
+    """Counts the agents in every Gcell."""
+    if max(look.where.heads, look.where.messages) >= 0:
+        count_heads(dynamic, look.heads, m)
+
+
+@kernels.inlined
+def tell_window(static: Static, dynamic: Dynamic, look: Surroundings, m: int, out: Any) -> None:
+    """Writes the global state that goes with the observation ``window``."""
+    for layer in range(look.tracks.shape[1]):
+        look.maps.track[m, layer] = look.tracks[look.number[m], layer]
+    write_window_state(static, dynamic, look.maps, look.heads, look.where, m, out)
+
+
+@kernels.inlined
+def tell_paper(static: Static, dynamic: Dynamic, look: Paper, m: int, out: Any) -> None:
+    """Writes the global state."""
+    write_state(dynamic, m, out)
 
 
 @kernels.inlined
@@ -277,6 +316,7 @@ class Launches(NamedTuple):
     """The kernels of a step, see :func:`launches`."""
 
     take: Any
+    begin: Any
     move: Any
     arrive: Any
     settle: Any
@@ -285,12 +325,13 @@ class Launches(NamedTuple):
 
 
 @functools.cache
-def launches(see: Any, prepare: Any) -> Launches:
+def launches(see: Any, prepare: Any, tell: Any) -> Launches:
     """The kernels of a step, for an observation.
 
     Args:
         see: writes what an agent sees, with arguments (static, dynamic, look, m, n, out, row).
         prepare: makes what ``see`` needs of game m, with arguments (static, dynamic, look, m).
+        tell: writes the global state, with arguments (static, dynamic, look, m, out).
     """
     jit = Device().jit
 
@@ -308,6 +349,30 @@ def launches(see: Any, prepare: Any) -> Launches:
             refused[0] = 1
 
     @jit
+    def begin(
+        static: Static,
+        dynamic: Dynamic,
+        b: StepBuffers,
+        pool: Pool,
+        step: Step,
+        steps: bool,
+        restarts: bool,
+    ) -> None:
+        place = i64(cuda.grid(1))
+        m = place // WARP
+        if m >= len(b.over):
+            return
+        lane = place - m * WARP
+        begins = b.over[m] and restarts if steps else step.which[m]
+        if lane == 0:
+            step.begins[m] = begins
+        if begins:
+            if len(pool.capacity) > 0:
+                p = drawn(pool.key[m], i64(pool.episode[m]), i64(len(pool.capacity)))
+                put_problem(static, pool, m, p, lane, i64(WARP))
+            clear_problem(static, dynamic, m, lane, i64(WARP))
+
+    @jit
     def move(
         static: Static,
         dynamic: Dynamic,
@@ -317,16 +382,18 @@ def launches(see: Any, prepare: Any) -> Launches:
         pool: Pool,
         step: Step,
         steps: bool,
-        restarts: bool,
     ) -> None:
         m = i64(cuda.grid(1))
         if m >= len(b.over):
             return
-        step.begins[m] = b.over[m] and restarts if steps else step.which[m]
         step.asked[m] = dynamic.games[m].agent
         if step.begins[m]:
             if len(pool.capacity) > 0:
-                put_problem(static, b, pool, m)
+                pool.number[m] = drawn(pool.key[m], i64(pool.episode[m]), i64(len(pool.capacity)))
+                pool.episode[m] += 1
+                for n in range(b.agents.shape[1] * fast.everyone):
+                    there = static.first[m, n] < static.first[m, n + 1]
+                    b.agents[m, n] = n if there else NOBODY
             start_game(static, dynamic, b, m)
         elif steps:
             move_game(static, dynamic, b, fast, m)
@@ -380,9 +447,9 @@ def launches(see: Any, prepare: Any) -> Launches:
         write_mask(static, dynamic, b.mask, m, n, row)
 
     @jit
-    def state(dynamic: Dynamic, out: Any) -> None:
+    def state(static: Static, dynamic: Dynamic, look: Any, out: Any) -> None:
         m = i64(cuda.grid(1))
         if m < len(out):
-            write_state(dynamic, m, out)
+            tell(static, dynamic, look, m, out)
 
-    return Launches(take, move, arrive, settle, show, state)
+    return Launches(take, begin, move, arrive, settle, show, state)

@@ -11,23 +11,31 @@ from numpy.typing import NDArray
 
 from marouting.batch.bits import numbers_of
 from marouting.batch.cuda import (
+    WARP,
     Device,
     Paper,
     Pool,
     Recorded,
     Step,
+    Surroundings,
     launches,
     prepare_nothing,
+    prepare_window,
     see_paper,
+    see_window,
+    tell_paper,
+    tell_window,
 )
+from marouting.batch.expected import new_maps, track_of
 from marouting.batch.setup import dynamic_state, static_state
-from marouting.batch.state import Static
+from marouting.batch.state import AGENT, GAME, Static
+from marouting.batch.window import WindowObservation
 from marouting.config import check
 from marouting.game import NOBODY
-from marouting.observations import CHANNELS, PaperObservation, state_space
+from marouting.observations import PaperObservation, state_space_of
 from marouting.options import ORDERS, game_options
 from marouting.player import FastPath, StepBuffers
-from marouting.problem.grid import Grid
+from marouting.problem.grid import AXES, VIA_AXIS, Grid
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
@@ -39,6 +47,14 @@ POOL = 1024
 """Problems that are drawn ahead, unless ``pool`` says otherwise."""
 
 
+_CHANGING = ("capacity", "demand", "first", "order")
+"""What a problem brings along: arrays of a :class:`Static` with the game as the first axis."""
+
+_TOGETHER = ("capacity", "remaining", "used", "sets", "numbers", "cells")
+"""Arrays in which what belongs to a game is side by side: an agent reads what is near it. In all
+others, what belongs to neighbouring games is: neighbouring threads play them."""
+
+
 class CudaBatchEnv(BatchEnv):
     """:class:`marouting.vector.BatchEnv` on a CUDA device.
 
@@ -46,6 +62,8 @@ class CudaBatchEnv(BatchEnv):
     ``__cuda_array_interface__``: ``torch.as_tensor(array, device="cuda")`` and
     ``cupy.asarray(array)`` show them without a copy. They belong to the environment and are
     overwritten by the next call. Work is queued on the default stream, as torch's is.
+
+    The rows of a problem are in turn order, unlike on the processor: ``nets`` tells them apart.
 
     Args:
         pool: how many problems are drawn ahead and uploaded, where M games draw theirs; every
@@ -72,46 +90,51 @@ class CudaBatchEnv(BatchEnv):
         autoreset: bool = True,
         threads: int = 1,
         seed: int = 0,
+        play_once: bool = False,
         device: str = "cuda",
         pool: int | None = None,
         **options: Any,
     ) -> None:
         EzPickle.__init__(
             self, problems, problem=problem, everyone=everyone, autoreset=autoreset,
-            threads=threads, seed=seed, device=device, pool=pool, **options,
+            threads=threads, seed=seed, play_once=play_once, device=device, pool=pool, **options,
         )  # fmt: skip
         check("device", device == "cuda", f"cpu or cuda, found {device!r}")
         check("threads", threads == 1, "1: they are the processor's")
         self._device = Device()
         order = ORDERS["multi" if everyone else "single"]
         checked = game_options({"turn_order": order, **options})
-        check("agents_persist", not checked.agents_persist, "false: all rows stay; see active")
+        check("agents_persist", not checked.agents_persist, "false for device cuda")
+        once = not play_once or not is_whole(problems)
+        check("play_once", once, "false: these games draw their problems")
         observation, reward = checked.observation.make(), checked.reward.make()
-        self.autoreset, self._everyone, self.stream = autoreset, everyone, 0
+        self.autoreset, self._everyone = autoreset and not play_once, everyone
+        self.stream = 0
         drawn = is_whole(problems)
         if drawn:
             episodes = ProblemStream(problem, checked.scenario, checked.split)
             self.pool, bounds = _drawn(episodes, pool, seed), episodes.bounds
-            static, self._nets = static_state(self.pool, checked, room=episodes.room)
+            held = static_state(self.pool, checked, room=episodes.room)
             self.num_problems = cast(int, problems)
         else:
             check("problem", problem is None, "none: problems= is a list, not a number of games")
             check("pool", pool is None, "none: these problems stay")
             self.pool = bounds = list(fixed_batch(problems, checked))
-            static, self._nets = static_state(self.pool, checked)
+            held = static_state(self.pool, checked)
             self.num_problems = len(self.pool)
+        static, self._nets = _in_turn(*held)
         self.num_envs, self.num_agents = self.num_problems, self._nets.shape[1]
         overflow = static.overflow_allowed
         self.single_observation_space = observation.space(bounds, overflow)
-        self.single_state_space = state_space(bounds, overflow)
+        self.single_state_space = state_space_of(observation, bounds, overflow)
         self.single_action_space = Discrete(checked.actions)
         known = f"a built-in one for device cuda, found {type(reward).__name__}"
         check("reward", prices_of(reward) is not None, known)
         with self._device.allocating():
             self._upload(static, drawn, seed)
-            self._look, *looks = self._looks(observation)
-            shape, zeros = (self.num_problems, len(static.neighbour)), self._device.zeros
-            fast = FastPath.of(shape, observation, reward, everyone=everyone, make=zeros)
+            self._look, *looks = self._looks(observation, static)
+            shape = self.num_problems, len(static.neighbour)
+            fast = FastPath.of(shape, observation, reward, everyone=everyone, make=self._zeros)
             self._fast = FastPath._make(map(self._device.of, fast))
         self._launches = launches(*looks)
         self._recorded: dict[tuple[bool, bool], Recorded] = {}
@@ -121,18 +144,26 @@ class CudaBatchEnv(BatchEnv):
         """Makes the arrays on the device."""
         device, games, grid = self._device, self.num_problems, Grid.of(self.pool[0].grid)
         rows = self.num_agents if self._everyone else 1
-        parts = ("capacity", "demand", "first", "order")
-        pool = {name: getattr(static, name)[: len(self.pool) * drawn] for name in parts}
-        if drawn:  # every game begins with a problem of the pool
-            arrays = {name: getattr(static, name) for name in parts}
-            own = {name: device.zeros((games, *a.shape[1:]), a.dtype) for name, a in arrays.items()}
-            static = static._replace(**own)
-        turned = {name: np.asfortranarray(getattr(static, name)) for name in parts if not drawn}
-        self._static = Static._make(map(device.of, static._replace(**turned)))
-        self._dynamic = dynamic_state(self._static, grid, self.num_agents, games, device.zeros)
+        kinds = _narrow(static)
+
+        def make(name: str, shape: tuple[int, ...], dtype: Any) -> Any:
+            return self._zeros(name, shape, kinds.get(name, dtype))
+
+        arrays = {name: getattr(static, name) for name in _CHANGING}
+        arrays = {name: a.astype(kinds.get(name, a.dtype)) for name, a in arrays.items()}
+        pool = {name: array[: len(self.pool) * drawn] for name, array in arrays.items()}
+        own = {
+            name: make(name, (games, *a.shape[1:]), a.dtype)
+            if drawn
+            else device.of(np.asarray(a, order="C" if name in _TOGETHER else "F"))
+            for name, a in arrays.items()
+        }
+        self._static = Static._make(map(device.of, static._replace(**own)))
+        self._dynamic = dynamic_state(self._static, grid, self.num_agents, games, make)
         shape = cast(tuple[int, ...], self.single_observation_space.shape)
-        actions = int(self.single_action_space.n)
-        self._buffers = StepBuffers.of(games, rows, shape, actions, device.zeros)
+        self._buffers = StepBuffers.of(
+            games, rows, shape, int(self.single_action_space.n), self._zeros
+        )
         self.actions = self._buffers.actions
         if self._everyone and not drawn:
             there = np.diff(static.first, axis=1) > 0
@@ -165,6 +196,14 @@ class CudaBatchEnv(BatchEnv):
             "final_info": {figure: column(b.final, figure) for figure in FIGURES},
             **({"problem": self._pool.number} if drawn else {}),
         }
+
+    def _zeros(self, name: str, shape: tuple[int, ...], dtype: Any) -> Any:
+        return self._device.zeros(shape, dtype, "C" if name in _TOGETHER else "F")
+
+    @property
+    def nets(self) -> NDArray[np.int32]:
+        """(M, N) int32, on the processor: the net of every agent; NOBODY (−1) for none."""
+        return self._nets[self._pool.number.copy_to_host()]
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -229,17 +268,26 @@ class CudaBatchEnv(BatchEnv):
     def _run(self, kernel: Any, threads: int, *arguments: Any) -> None:
         self._device.launch(kernel, threads, self.stream, *arguments)
 
-    def _looks(self, observation: Any) -> tuple[Any, Any, Any]:
-        """What an observation needs on the device, and its kernels ``see`` and ``prepare``."""
+    def _looks(self, observation: Any, static: Static) -> tuple[Any, Any, Any, Any]:
+        """What an observation needs on the device, and its kernels, see :func:`.launches`."""
         if type(observation) is PaperObservation:
-            return Paper(float(observation.via_capacity)), see_paper, prepare_nothing
+            return Paper(float(observation.via_capacity)), see_paper, prepare_nothing, tell_paper
         what = f"paper or window for device cuda, found {type(observation).__name__}"
         check("observation", type(observation) is WindowObservation, what)
         where = observation.where
         check("observation.channels", where.demand < 0, "no demand for device cuda")
-        heads = (self.num_problems, len(self._static.neighbour) * (where.heads >= 0))
-        look = Surroundings(self._device.zeros(heads, np.int16, "C"), *where)
-        return look, see_window, prepare_window
+        games, gcells = self.num_problems, len(self._static.neighbour)
+        layers, device = self.pool[0].grid[2], self._device
+        tracks = np.array([track_of(static, m) for m in range(len(self.pool))], np.float32)
+        maps = new_maps((1, 1, 1, layers, 1), self._zeros)
+        look = Surroundings(
+            heads=device.zeros((games, gcells * (1 + (where.messages >= 0))), np.int16, "C"),
+            where=where,
+            maps=maps._replace(track=device.zeros((games, layers), np.float32)),
+            tracks=device.of(tracks),
+            number=self._pool.number,
+        )
+        return look, see_window, prepare_window, tell_window
 
     def _play(self, *, steps: bool, restarts: bool) -> None:
         """A step of all games, or the beginning of some."""
@@ -262,10 +310,9 @@ class CudaBatchEnv(BatchEnv):
             self._static, self._dynamic, self._buffers, self._look, self._fast,
         )  # fmt: skip
         call = self._device.launch
-        call(
-            run.move, games, stream, static, dynamic, b, fast, look, self._pool, step, steps,
-            restarts,
-        )  # fmt: skip
+        pool = self._pool
+        call(run.begin, WARP * games, stream, static, dynamic, b, pool, step, steps, restarts)
+        call(run.move, games, stream, static, dynamic, b, fast, look, pool, step, steps)
         if steps:
             call(run.arrive, rows, stream, static, dynamic, b, look, step, self._everyone)
         call(run.settle, games, stream, static, dynamic, b, fast, look, step, steps)
@@ -284,8 +331,11 @@ class CudaBatchEnv(BatchEnv):
         if self._states is None:
             with self._device.allocating():
                 self._states = self._device.zeros((games, *shape), np.float32, "C")
-            self._flat_states = self._states.reshape(games, -1, CHANNELS)
-        self._run(self._launches.state, games, self._dynamic, self._flat_states)
+            gcells = len(self._static.neighbour)
+            self._flat_states = self._states.reshape(games, gcells, -1)
+        self._run(
+            self._launches.state, games, self._static, self._dynamic, self._look, self._flat_states
+        )
         return self._states
 
     def solution(self, m: int = 0) -> Solution:
@@ -293,7 +343,9 @@ class CudaBatchEnv(BatchEnv):
         used = self._dynamic.used[m : m + 1].copy_to_host()
         number = int(self._pool.number[m])
         agent, edge = numbers_of(used, 0)
-        return Solution.of_uses(self.pool[number], self._nets[number, agent].astype(np.int64), edge)
+        net = self._nets[number, agent].astype(np.int64)
+        by_net = np.argsort(net, kind="stable")
+        return Solution.of_uses(self.pool[number], net[by_net], edge[by_net])
 
     def save(self) -> Any:
         """A copy of the state of all games, on the processor, for :meth:`restore`."""
@@ -333,6 +385,58 @@ class CudaBatchEnv(BatchEnv):
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Not on a device: raises InputError."""
         check("device", False, "cpu, for set_order")
+
+
+def _in_turn(static: Static, nets: NDArray[np.int32]) -> tuple[Static, NDArray[np.int32]]:
+    """The same problems with their agents numbered in turn order, and the agents' nets."""
+    tasks, first = static.tasks.copy(), static.first.copy()
+    demand, nets = static.demand.copy(), nets.copy()
+    for m, order in enumerate(static.order):
+        turn = order[order != NOBODY]
+        begins, ends = static.first[m, turn], static.first[m, turn + 1]
+        first[m, 1 : len(turn) + 1] = first[m, 0] + np.cumsum(ends - begins)
+        which = [np.arange(*pair) for pair in zip(begins, ends, strict=True)]
+        tasks[first[m, 0] : first[m, len(turn)]] = static.tasks[np.concatenate(which)]
+        demand[m, : len(turn)], nets[m, : len(turn)] = static.demand[m, turn], nets[m, turn]
+    place = np.arange(static.order.shape[1], dtype=np.int32)
+    order = np.where(static.order == NOBODY, np.int32(NOBODY), place)
+    return static._replace(tasks=tasks, first=first, demand=demand, order=order), nets
+
+
+def _narrow(static: Static) -> dict[str, Any]:
+    """The smallest types that hold what games need, by the names of arrays.
+
+    The fewer bytes a game takes, the more games fit into the device's cache.
+    """
+    inside = static.capacity.reshape(len(static.capacity), -1, AXES)
+    inside[..., VIA_AXIS] = 0  # nobody asks what is left of a via
+    demand = int(static.demand.max(axis=2).sum(axis=1, dtype=np.int64).max())
+    least = -demand * static.overflow_allowed
+    edges = _holds(least, int(inside.max()))
+    small = {np.dtype(np.int32): np.dtype(np.int16)}
+    fits = max(len(static.position), static.max_steps, demand) < 2**15
+    agent = {name: AGENT.fields[name][0] for name in AGENT.names or ()}
+    if fits:
+        agent = {n: small.get(k, k) if n != "task" else k for n, k in agent.items()}
+        tasks = int(np.diff(static.first, axis=1).max())
+        agent["joined"] = _holds(0, tasks)
+    game = {name: GAME.fields[name][0] for name in GAME.names or ()}
+    if demand * inside[0].size < 2**31:
+        game["overflow"] = game["wirelength"] = np.dtype(np.int32)
+    return {
+        "capacity": edges,
+        "remaining": edges,
+        "demand": _holds(0, int(static.demand.max())),
+        "agents": np.dtype(list(agent.items()), align=True),
+        "games": np.dtype(list(game.items()), align=True),
+    }
+
+
+def _holds(least: int, most: int) -> Any:
+    """The smallest type that holds whole numbers in a range."""
+    kinds = (np.int8, np.int16, np.int32)
+    fits = (k for k in kinds if np.iinfo(k).min <= least and most <= np.iinfo(k).max)
+    return np.dtype(next(fits, np.int64))
 
 
 def _drawn(episodes: ProblemStream, pool: int | None, seed: int) -> list[Problem]:

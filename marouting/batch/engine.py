@@ -16,6 +16,7 @@ from marouting.batch.bits import numbers_of
 from marouting.batch.observation import write_states
 from marouting.batch.prices import Negotiation
 from marouting.batch.rules import (
+    clear_problem,
     free_moves,
     move_everyone,
     move_player,
@@ -41,6 +42,7 @@ from marouting.rules import Rules
 def _reset(static: Static, dynamic: Dynamic, which: Any) -> None:
     for m in range(len(which)):
         if which[m]:
+            clear_problem(static, dynamic, m, i64(0), i64(1))
             reset_problem(static, dynamic, m)
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
 from marouting.batch.places import grid_of
+from marouting.batch.setup import Make, zeros
 from marouting.batch.state import Dynamic, Static
 from marouting.batch.tasks import is_later
 from marouting.game import NOBODY, Status
@@ -50,6 +51,21 @@ _maps: WeakKeyDictionary[Engine, tuple[Maps, NDArray[np.int64]]] = WeakKeyDictio
 places they are of. They follow from its state, so nobody saves them."""
 
 
+def new_maps(shape: tuple[int, int, int, int, int], make: Make = zeros) -> Maps:
+    """Maps of M problems with N agents, G Gcells, Z layers and T tasks (shape), yet to begin."""
+    m, n, gcells, layers, tasks = shape
+    return Maps(
+        lanes=make("lanes", (m, VIA_AXIS, layers), np.int32),
+        lane_count=make("lane_count", (m, VIA_AXIS), np.int32),
+        track=make("track", (m, layers), np.float32),
+        counted=make("counted", (m, n, 3), np.int32),
+        corner=make("corner", (m, gcells, 2), np.int64),
+        expected=make("expected", (m, gcells, 2), np.int64),
+        later=make("later", (m, tasks), np.uint8),
+        changed=make("changed", (m, 2), np.int32),
+    )
+
+
 def maps_of(engine: Engine) -> Maps:
     """The maps of an engine, new ones if it has none yet."""
     found = _maps.get(engine)
@@ -58,16 +74,7 @@ def maps_of(engine: Engine) -> Maps:
         m, n = engine.nets.shape
         layers = grid.shape[VIA_AXIS]
         check_memory(EXPECTED * m * grid.gcells, "expected demand of {} grids of {}", m, grid)
-        maps = Maps(
-            lanes=np.zeros((m, VIA_AXIS, layers), np.int32),
-            lane_count=np.zeros((m, VIA_AXIS), np.int32),
-            track=np.zeros((m, layers), np.float32),
-            counted=np.zeros((m, n, 3), np.int32),
-            corner=np.zeros((m, grid.gcells, 2), np.int64),
-            expected=np.zeros((m, grid.gcells, 2), np.int64),
-            later=np.zeros((m, engine.most_tasks), np.uint8),
-            changed=np.tile(np.array([_NO_COLUMN, NOBODY], np.int32), (m, 1)),
-        )
+        maps = new_maps((m, n, grid.gcells, layers, engine.most_tasks))
         found = _maps[engine] = maps, np.full(m, NOBODY, np.int64)
     maps, of = found
     if (of != engine.replaced).any():
@@ -84,12 +91,18 @@ def _begin_maps(static: Static, maps: Maps, m: int) -> None:
     lanes = (capacity > 0).any(axis=0).T
     lanes[~lanes.any(axis=1)] = True
     maps.lanes[m], maps.lane_count[m] = lanes, lanes.sum(axis=1)
-    playing = np.count_nonzero(np.diff(static.first[m]))
-    tracks = static.demand[m].sum(axis=0)
-    maps.track[m] = np.where(tracks > 0, tracks / playing, 1)
+    maps.track[m] = track_of(static, m)
     maps.counted[m] = NOBODY
+    maps.changed[m] = _NO_COLUMN, NOBODY
     for array in (maps.corner, maps.expected, maps.later):
         array[m] = 0
+
+
+def track_of(static: Static, m: int) -> NDArray[np.float64]:
+    """(Z,) the mean demand of a problem's agents on an edge of each layer, 1 where it is 0."""
+    playing = np.count_nonzero(np.diff(static.first[m]))
+    tracks = static.demand[m].sum(axis=0)
+    return np.where(tracks > 0, tracks / playing, 1)
 
 
 @compiled

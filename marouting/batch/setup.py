@@ -1,7 +1,7 @@
 """Setting up the game: the constant arrays of a batch of problems."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +16,16 @@ from marouting.problem.grid import MOVES, Grid
 from marouting.problem.problem import UNLIMITED, Problem
 from marouting.rules import RipUp, Rules, net_ranks
 from marouting.trees.decomposition import two_pin_tasks
+
+
+Make = Callable[[str, tuple[int, ...], Any], Any]
+"""Makes an array of zeros, of a name, a shape and a dtype, where the games are to be."""
+
+
+def zeros(name: str, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """An array of zeros on the processor."""
+    del name
+    return np.zeros(shape, dtype)
 
 
 class Room(NamedTuple):
@@ -41,6 +51,7 @@ def static_state(
     rules: Rules,
     room: Room | None = None,
     negotiation: Negotiation | None = None,
+    options: NDArray[np.int64] | None = None,
 ) -> tuple[Static, NDArray[np.int32]]:
     """The constant arrays of M problems with one grid shape.
 
@@ -49,6 +60,7 @@ def static_state(
         rules: the options of the rules.
         room: the size of the arrays; None: what these problems need.
         negotiation: how nets negotiate; None: they do not.
+        options: :attr:`.Static.options`, if they are known already.
 
     Returns:
         The arrays, and (M, N) int32, the net of every agent, NOBODY where there is no agent.
@@ -97,6 +109,8 @@ def static_state(
             raise InputError(f"problem {m}: expected demands that add up to at most {UNLIMITED}")
         ranks = net_ranks(problem, rules.nets.order)[nets]
         order[m, : len(nets)] = np.argsort(ranks, kind="stable")
+    if options is None and extended:
+        options = _options(rules, (int(shape[1]), grid.gcells, grid.edges), negotiation)
     static = Static(
         neighbour=grid.neighbour,
         edge=grid.edge,
@@ -111,9 +125,7 @@ def static_state(
         overflow_allowed=overflow,
         max_steps=rules.steps_per_task(problems[0].grid),
         extended=True if extended else None,
-        options=_options(rules, (int(shape[1]), grid.gcells, grid.edges), negotiation)
-        if extended
-        else _PLAIN,
+        options=_PLAIN if options is None else options,
     )
     return static, agent_net
 
@@ -135,7 +147,7 @@ def replace_problem(
     Raises:
         InputError: the problem is too large, on another grid, or has nothing to route.
     """
-    own, own_nets = static_state([problem], rules)
+    own, own_nets = static_state([problem], rules, options=static.options)
     shapes = [tuple(state.position[-1].tolist()) for state in (static, own)]
     if shapes[0] != shapes[1]:
         raise InputError(f"problem: expected one grid shape, found another, {problem.grid}")
@@ -204,7 +216,7 @@ _PLAIN = _options(Rules(), (0, 0, 0))  # the options of the paper's game: all ar
 
 
 def dynamic_state(
-    static: Static, grid: Grid, agents: int, games: int | None = None, make: Any = None
+    static: Static, grid: Grid, agents: int, games: int | None = None, make: Make | None = None
 ) -> Dynamic:
     """The arrays that change during an episode, of zeros.
 
@@ -213,7 +225,7 @@ def dynamic_state(
         grid: the grid.
         agents: N.
         games: M; None: as many as the problems of ``static``.
-        make: makes them (shape, dtype); None: on the processor.
+        make: makes them; None: on the processor.
 
     Raises:
         InputError: they take too much memory.
@@ -229,12 +241,12 @@ def dynamic_state(
             m * agents,
             grid,
         )
-        make = np.zeros
+        make = zeros
     return Dynamic(
-        remaining=make((m, edges), np.int32),
-        used=make((m, agents, ways), np.uint8),
-        agents=make((m, agents), AGENT),
-        games=make((m,), GAME),
-        sets=make((m, rows, ways), np.uint8),
-        numbers=make((m, columns), np.int64),
+        remaining=make("remaining", (m, edges), np.int32),
+        used=make("used", (m, agents, ways), np.uint8),
+        agents=make("agents", (m, agents), AGENT),
+        games=make("games", (m,), GAME),
+        sets=make("sets", (m, rows, ways), np.uint8),
+        numbers=make("numbers", (m, columns), np.int64),
     )

@@ -421,60 +421,68 @@ def _state(
     static: Static, dynamic: Dynamic, maps: Maps, heads: Any, where: Where, out: Any
 ) -> None:
     """Fills ``out`` (M, G, C)."""
-    layers = maps.track.shape[1]
     for m in range(out.shape[0]):
+        write_window_state(static, dynamic, maps, heads, where, m, out)
+
+
+@compiled
+def write_window_state(
+    static: Static, dynamic: Dynamic, maps: Maps, heads: Any, where: Where, m: int, out: Any
+) -> None:
+    """Fills ``out[m]`` (G, C)."""
+    layers = maps.track.shape[1]
+    if where.demand >= 0:
+        refresh(static, dynamic, maps, m, i64(NOBODY))
+    if max(where.heads, where.messages) >= 0:
+        count_heads(dynamic, heads, m)
+    begin = i64(0)
+    for cell in range(out.shape[1]):
+        track = maps.track[m, cell % layers]
+        begin = 0
+        if where.capacity >= 0:
+            for axis in range(VIA_AXIS):
+                remaining = np.float32(dynamic.remaining[m, AXES * cell + axis])
+                out[m, cell, begin + axis] = squashed(remaining / track)
+            begin += VIA_AXIS
         if where.demand >= 0:
-            refresh(static, dynamic, maps, m, i64(NOBODY))
-        if max(where.heads, where.messages) >= 0:
-            count_heads(dynamic, heads, m)
-        begin = i64(0)
-        for cell in range(out.shape[1]):
-            track = maps.track[m, cell % layers]
-            begin = 0
-            if where.capacity >= 0:
-                for axis in range(VIA_AXIS):
-                    remaining = np.float32(dynamic.remaining[m, AXES * cell + axis])
-                    out[m, cell, begin + axis] = squashed(remaining / track)
-                begin += VIA_AXIS
-            if where.demand >= 0:
-                for axis in range(VIA_AXIS):
-                    remaining = dynamic.remaining[m, AXES * cell + axis]
-                    slack = slack_of(maps, m, cell, axis, remaining, track)
-                    out[m, cell, begin + axis] = squashed(slack)
-                begin += VIA_AXIS
-            if where.history >= 0:
-                for axis in range(VIA_AXIS):
-                    out[m, cell, begin + axis] = 0
-                    if static.options[Option.HISTORY] >= 0:
-                        at = as_index(static.options[Option.HISTORY] + AXES * cell + axis)
-                        history = np.float32(dynamic.numbers[m, at])
-                        out[m, cell, begin + axis] = squashed(history)
-                begin += VIA_AXIS
-            for channel in range(begin, out.shape[2]):
-                out[m, cell, channel] = 0
-        pins = begin + AXES * i64(where.own >= 0)
-        for n in range(dynamic.agents.shape[1]):
-            if where.own >= 0:
-                for byte in range(dynamic.used.shape[2]):
-                    bits = byte_of(dynamic.used, m, n, byte)
-                    edge = 8 * byte
-                    while bits != 0:
-                        if bits & 1:
-                            out[m, edge // AXES, begin + edge % AXES] += 1
-                        edge, bits = edge + 1, bits >> 1
-            agent = dynamic.agents[m, n]
-            if where.pins >= 0 and agent.status == Status.ACTIVE:
-                out[m, as_index(agent.target), pins] += 1
-                for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
-                    if not is_later(static, dynamic, m, n, i64(task)):
-                        continue
-                    out[m, as_index(static.tasks[task, 1]), pins] += 1
-        for cell in range(out.shape[1]):
-            bits = i64(where.bits) if where.messages >= 0 else i64(0)
-            end = out.shape[2] - bits
-            if where.heads >= 0:
-                out[m, cell, end - 1] = heads[m, cell]
-            for channel in range(begin, end):
-                out[m, cell, channel] = squashed(out[m, cell, channel])
-            for bit in range(bits):
-                out[m, cell, end + bit] = heads[m, out.shape[1] + cell] >> bit & 1
+            for axis in range(VIA_AXIS):
+                remaining = dynamic.remaining[m, AXES * cell + axis]
+                slack = slack_of(maps, m, cell, axis, remaining, track)
+                out[m, cell, begin + axis] = squashed(slack)
+            begin += VIA_AXIS
+        if where.history >= 0:
+            for axis in range(VIA_AXIS):
+                out[m, cell, begin + axis] = 0
+                if static.options[Option.HISTORY] >= 0:
+                    at = as_index(static.options[Option.HISTORY] + AXES * cell + axis)
+                    history = np.float32(dynamic.numbers[m, at])
+                    out[m, cell, begin + axis] = squashed(history)
+            begin += VIA_AXIS
+        for channel in range(begin, out.shape[2]):
+            out[m, cell, channel] = 0
+    pins = begin + AXES * i64(where.own >= 0)
+    for n in range(dynamic.agents.shape[1]):
+        if where.own >= 0:
+            for byte in range(dynamic.used.shape[2]):
+                bits = byte_of(dynamic.used, m, n, byte)
+                edge = 8 * byte
+                while bits != 0:
+                    if bits & 1:
+                        out[m, edge // AXES, begin + edge % AXES] += 1
+                    edge, bits = edge + 1, bits >> 1
+        agent = dynamic.agents[m, n]
+        if where.pins >= 0 and agent.status == Status.ACTIVE:
+            out[m, as_index(agent.target), pins] += 1
+            for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
+                if not is_later(static, dynamic, m, n, i64(task)):
+                    continue
+                out[m, as_index(static.tasks[task, 1]), pins] += 1
+    bits = i64(where.bits) if where.messages >= 0 else i64(0)
+    end = out.shape[2] - bits
+    for cell in range(out.shape[1]):
+        if where.heads >= 0:
+            out[m, cell, end - 1] = heads[m, cell]
+        for channel in range(begin, end):
+            out[m, cell, channel] = squashed(out[m, cell, channel])
+        for bit in range(bits):
+            out[m, cell, end + bit] = heads[m, out.shape[1] + cell] >> bit & 1

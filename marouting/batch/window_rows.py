@@ -63,7 +63,7 @@ def _tracks(remaining: int, track: int) -> Any:
     """float32, s(how often a track fits into the remaining capacity, rounded down)."""
     if track == 1:
         return squashed_whole(remaining)
-    return squashed(np.floor(np.float32(remaining) / np.float32(track)))
+    return squashed(np.float32(math.floor(np.float32(remaining) / np.float32(track))))
 
 
 # --- where the window lies on the grid ------------------------------------------------------------

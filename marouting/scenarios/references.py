@@ -4,8 +4,7 @@
 """
 
 import functools
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -78,9 +77,12 @@ class References:
 
     Attributes:
         references: by the digest of the problem.
+        heuristic: the cost of the best local rule on each split, for the scenarios of policies;
+            ``python -m policies.experiment.anarchy`` writes it.
     """
 
     references: dict[str, Record]
+    heuristic: dict[str, float] = field(default_factory=dict)
 
 
 def path_of(scenario: str) -> Path:
@@ -88,14 +90,14 @@ def path_of(scenario: str) -> Path:
     return FOLDER / f"{scenario}.json"
 
 
-def read_references(path: Path) -> dict[str, Record]:
-    """The references in a file by their problems' digests, if there is one; raises InputError."""
+def read_references(path: Path) -> References:
+    """The references in a file, if there is one; raises InputError."""
     if not path.exists():
-        return {}
-    return build_json(References, read_text(path, MOST_BYTES), str(path)).references
+        return References(references={})
+    return build_json(References, read_text(path, MOST_BYTES), str(path))
 
 
 @functools.cache
-def references_in(path: Path) -> Mapping[str, Record]:
+def references_in(path: Path) -> References:
     """:func:`read_references`, once for each file."""
     return read_references(path)

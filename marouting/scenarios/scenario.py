@@ -54,6 +54,8 @@ class Scenario:
         accept: draws that it refuses are thrown away; None: it takes all.
         env: options of the environment (:class:`marouting.options.EnvOptions`) that are the
             defaults where the scenario is played.
+        training: how a training on the scenario's problems runs
+            (:class:`policies.learned.config.TrainOptions`), unless it is told otherwise.
         open_cost: what an open task costs, in edges of wire; see :meth:`cost`.
         mirrors: whether mirror images of a held-out problem are held out as well.
         largest: makes a problem with at least as many nets and pins and as much capacity as any
@@ -63,7 +65,7 @@ class Scenario:
             :func:`policies.experiment.references.solve_scenario` writes; None: that of the package.
 
     Attributes:
-        name, generator, description, env, open_cost: as given.
+        name, generator, description, env, training, open_cost: as given.
         references: the file with the references, which need not be there.
     """
 
@@ -77,13 +79,15 @@ class Scenario:
         test: int = 40,
         accept: Callable[[Problem], bool] | None = None,
         env: Mapping[str, Any] | None = None,
+        training: Mapping[str, Any] | None = None,
         open_cost: int = 20,
         mirrors: bool = True,
         largest: Callable[[], Problem] | None = None,
         references: Path | None = None,
     ) -> None:
         self.name, self.generator, self.description = name, generator, description
-        self.env, self.open_cost = dict(env or {}), open_cost
+        self.env, self.training = dict(env or {}), dict(training or {})
+        self.open_cost = open_cost
         self._counts: dict[Split, int] = {"validation": validation, "test": test}
         self._accept, self._largest = accept, largest
         self._digest = mirror_digest if mirrors else digest
@@ -155,9 +159,10 @@ class Scenario:
             InputError: it is no validation or test problem of this scenario, or the scenario has no
                 references.
         """
-        found = references_in(self.references).get(digest(problem))
+        known = references_in(self.references).references
+        found = known.get(digest(problem))
         if found is None:
-            check(f"{self.name}: references", references_in(self.references), "a file with them")
+            check(f"{self.name}: references", known, "a file with them")
             raise InputError(
                 f"problem: expected a validation or test problem of {self.name}, found another"
             )
@@ -169,6 +174,22 @@ class Scenario:
         The cost of a policy is the sum over the problems, divided by that of the references.
         """
         return wirelength + self.open_cost * open_tasks
+
+    def score(self, cost: float, split: Split = "test") -> float:
+        """The score of a policy: 0 for the best local rule, 1 for the optimum, the more the better.
+
+        Args:
+            cost: the policy's :meth:`cost` on all problems of the split, divided by that of the
+                references.
+            split: ``validation`` or ``test``.
+
+        Raises:
+            InputError: the best local rule is not known for this scenario and split.
+        """
+        rule = references_in(self.references).heuristic.get(split)
+        if rule is None:
+            raise InputError(f"{self.name}: expected a scenario with a known best local rule")
+        return (rule - cost) / (rule - 1)
 
     @property
     def grid(self) -> tuple[int, int, int]:

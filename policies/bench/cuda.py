@@ -11,7 +11,9 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from importlib import metadata
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,9 @@ GAMES = (1024, 4096, 16384, 65536, 262144, 1048576)
 WINDOW = {"kind": "window", "radius": 3, "layers": 0, "channels": ["capacity", "own", "heads"]}
 
 
+WINDOW_ALL = {"kind": "window", "channels": ["capacity", "history", "own", "pins", "heads"]}
+
+
 # --- equality -------------------------------------------------------------------------------------
 
 CASES: Sequence[Mapping[str, Any]] = (
@@ -46,6 +51,8 @@ CASES: Sequence[Mapping[str, Any]] = (
     {"rip_up": {"rounds": 2, "choose": "conflicts", "neighbours": 1}},
     {"rip_up": {"rounds": 1, "choose": "agents"}, "everyone": False},
     {"rip_up": {"rounds": 2, "choose": "history"}},
+    {"observation": WINDOW, "reward": "team"},
+    {"observation": WINDOW_ALL, "reward": "counterfactual", "everyone": False},
 )
 """Options by which games are compared."""
 
@@ -82,24 +89,39 @@ def compare(
         What differs first, with the number of the step; None if nothing does.
     """
     host = BatchEnv(problems, **options)
-    other = BatchEnv(problems, device="cuda", **options)
+    other: Any = BatchEnv(problems, device="cuda", **options)
     rng = np.random.default_rng(seed)
+    order, number = host.engine.order, np.arange(len(problems))[:, None]
+    place = np.arange(order.shape[1])
+    turned = np.where(order < 0, place, order)  # the agent on the processor of a row of the device
+
+    def by_row(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {name: by_row(part) for name, part in value.items()}
+        rows = options.get("everyone", True) and np.ndim(value) > 1
+        return value[number, turned] if rows else value
+
     obs, info = host.reset()
     found, told = other.reset()
     for step in range(steps):
-        differs = difference({"obs": obs, **info}, {"obs": found, **told})
+        agents, known = on_host(told["agents"]), by_row(info["agents"])
+        if not np.array_equal(known, np.where(agents < 0, agents, order[number, agents])):
+            return f"step {step}: agents"
+        seen = {**by_row({"obs": obs, **info}), "agents": agents}
+        differs = difference(seen, {"obs": found, **told})
         if differs is not None:
             return f"step {step}: {differs}"
         mask = info["action_mask"]
         moves = (mask * rng.random(mask.shape)).argmax(-1)
         moves[rng.random(moves.shape) < 0.05] = -1
         obs, *flags, info = host.step(moves)
-        found, *others, told = other.step(moves.astype(np.int32))
-        for name, one, two in zip(
-            ("reward", "terminated", "truncated"), flags, others, strict=True
-        ):
-            if not np.array_equal(one, on_host(two)):
-                return f"step {step}: {name}"
+        found, *others, told = other.step(by_row(moves).astype(np.int32))
+        names = "reward", "terminated", "truncated"
+        differs = difference(
+            by_row(dict(zip(names, flags, strict=True))), dict(zip(names, others, strict=True))
+        )
+        if differs is not None:
+            return f"step {step}: {differs}"
     if not np.array_equal(host.state(), on_host(other.state())):
         return "state"
     for m in range(len(problems)):
@@ -201,8 +223,11 @@ def speed(games: int, seconds: float, **options: Any) -> dict[str, Any]:
     )  # fmt: skip
     calls = {
         "policy": lambda: policy(info),
+        "begin": lambda: env._run(
+            run.begin, 32 * games, static, dynamic, b, env._pool, step, True, False
+        ),
         "move": lambda: env._run(
-            run.move, games, static, dynamic, b, fast, look, env._pool, step, True, True
+            run.move, games, static, dynamic, b, fast, look, env._pool, step, True
         ),
         "arrive": lambda: env._run(
             run.arrive, b.actions.size, static, dynamic, b, look, step, True
@@ -213,7 +238,7 @@ def speed(games: int, seconds: float, **options: Any) -> dict[str, Any]:
     row["us"] = {name: timed(call, seconds / 4) * 1e6 for name, call in calls.items()}
     row["registers"] = {
         name: max(getattr(run, name).get_regs_per_thread().values())
-        for name in ("move", "arrive", "settle", "show")
+        for name in ("begin", "move", "arrive", "settle", "show")
     }
     return row
 

@@ -455,12 +455,18 @@ def train(
     run = Run(settings, resume=resume is not None)
 
     def tell_rows(rows: Sequence[Mapping[str, Any]]) -> None:
+        standing = run.standing()
         if as_json:
-            click.echo(as_text({"out": run.folder, "episodes": run.episodes[1], "rows": rows}))
-        elif len(run.problems) > FEW:
+            told = {"out": run.folder, "episodes": run.episodes[0], "rows": rows}
+            splits = {result.split: result.as_dict(rows=False) for result in standing}
+            click.echo(as_text({**told, **splits}))
+            return
+        if len(run.problems) > FEW:
             show_training(run, rows)
         else:
             show(rows, str(run.folder))
+        for result in standing:
+            click.echo(result)
 
     if run.finished is not None:
         click.echo(f"{resume}: already finished; train.episodes=N adds episodes", err=True)
@@ -480,7 +486,7 @@ def train(
                 err=True,
             )
     click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
-    with training_bar(*run.episodes, run.best, run.reference) as watch:
+    with training_bar(*run.progress, run.best, run.reference) as watch:
         rows = run.execute(lambda episodes: watch(episodes, run.trainer.walks))
     tell_rows(rows)
 

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 def training_bar(
     done: int,
     total: int,
+    unit: str = "episodes",
     best: "Sequence[Episode]" = (),
     reference: Mapping[str, tuple[int, int]] = MappingProxyType({}),
 ) -> "Iterator[Callable[..., None]]":
@@ -42,8 +43,9 @@ def training_bar(
     standard error is no terminal, that is a line of its own, every ten seconds at most.
 
     Args:
-        done: episodes that have finished.
+        done: episodes that have finished, or the steps of agents in them.
         total: how many there will be.
+        unit: ``episodes`` or ``steps``, what they are.
         best: the best episode of each problem so far.
         reference: overflow and wirelength of the best known solutions, by the problem's name.
 
@@ -53,14 +55,17 @@ def training_bar(
     from policies.results.validation import Validation
 
     told = time.monotonic()
-    with _bar("episodes") as (bar, task):
+    with _bar(unit) as (bar, task):
         kept = {episode.problem: episode for episode in best}
         shown = _best(kept) if kept else ""
         bar.update(task, description=shown or "burn-in", total=total, completed=done)
 
         def watch(episodes: "Sequence[Episode]", walks: "Sequence[GreedyEvaluation]" = ()) -> None:
             nonlocal done, told, shown
-            done += len(episodes)
+            more = len(episodes)
+            if unit == "steps":
+                more = sum(episode.steps for episode in episodes)
+            done += more
             kept.update((episode.problem, episode) for episode in episodes if episode.best)
             if kept:
                 shown = _best(kept)
@@ -68,10 +73,10 @@ def training_bar(
                 shown = str(Validation.of(map(asdict, walks), reference))
                 if not bar.console.is_terminal and time.monotonic() - told >= _OFTEN:
                     told = time.monotonic()
-                    click.echo(f"{done}/{total} episodes: {shown}", err=True)
+                    click.echo(f"{min(done, total)}/{total} {unit}: {shown}", err=True)
             last = f"last reward {episodes[-1].reward:.0f}"
             brief = f"{shown}; {last}" if shown else last
-            bar.update(task, advance=len(episodes), description=brief)
+            bar.update(task, advance=more, description=brief)
 
         yield watch
         if shown:

@@ -89,7 +89,8 @@ def solve_scenario(name: str, effort: Effort, *, again: bool = False) -> Iterato
     """
     scenario = scenarios.get(name)
     path = scenario.references
-    known = read_references(path)
+    kept = read_references(path)
+    known = kept.references
     problems = {**scenario.problems("validation"), **scenario.problems("test")}
     places = {scenarios.digest(problem): (of, problem) for of, problem in problems.items()}
     known = {digest: known[digest] for digest in places if digest in known}
@@ -99,7 +100,8 @@ def solve_scenario(name: str, effort: Effort, *, again: bool = False) -> Iterato
             continue
         known[digest] = solve(problem, of, effort, before)
         in_order = {d: asdict(known[d]) for d in places if d in known}
-        write_text(path, json.dumps({"references": in_order}, indent=1) + "\n")
+        whole = {"references": in_order, "heuristic": kept.heuristic}
+        write_text(path, json.dumps(whole, indent=1) + "\n")
         references_in.cache_clear()
         yield known[digest]
 

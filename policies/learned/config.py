@@ -22,6 +22,7 @@ from marouting.config import (
 )
 from marouting.options import EnvOptions, with_suggestions
 from marouting.registry import allowing_code, lookup, names
+from marouting.scenarios import get
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +31,9 @@ class TrainOptions:
 
     Attributes:
         episodes: episodes per problem; in one, all nets route all their two-pin tasks.
+        steps: moves of all agents, counted when an episode is over, after which a training ends
+            whose games draw problems; ``episodes`` is then the most episodes. None: it ends after
+            ``episodes``.
         shared: whether one network learns all problems; otherwise each problem has its own. None:
             true if games draw problems.
         games: number of games played in parallel, each of which draws a problem for every episode:
@@ -38,6 +42,9 @@ class TrainOptions:
             the network is evaluated on the scenario's split ``validation``, on problems of the
             generator that are never drawn, or on the set. None: 32 if the problems are endless (a
             scenario's split ``train``, ``seed: null``); otherwise every problem has its own games.
+        problems: number of training problems of the scenario, or of the generator, that games draw
+            from. They are kept in memory: to make a problem can take longer than to play it. None:
+            every episode has a new one.
         validation: number of problems that the network is evaluated on, the first ones of the
             validation split or new ones of the generator; None: all of the split, 10 of the
             generator.
@@ -63,8 +70,10 @@ class TrainOptions:
     """
 
     episodes: int = 1000
+    steps: int | None = None
     shared: bool | None = None
     games: int | None = None
+    problems: int | None = None
     validation: int | None = None
     best: Literal["routes", "reward"] = "routes"
     evaluate_every: int = 10
@@ -81,9 +90,14 @@ class TrainOptions:
     def __post_init__(self) -> None:
         check("episodes", 1 <= self.episodes <= MOST, f"a number from 1 to {MOST}")
         check("evaluate_every", 1 <= self.evaluate_every <= MOST, f"a number from 1 to {MOST}")
-        games, shown = self.games, self.validation
+        games, shown, steps = self.games, self.validation, self.steps
+        check("steps", steps is None or 1 <= steps <= MOST, f"a number from 1 to {MOST}")
+        check("steps", steps is None or games is not None, "null without train.games")
         check("games", games is None or 1 <= games <= 10_000, "a number from 1 to 10000")
         check("shared", games is None or self.shared, "true: games draw problems for one network")
+        kept = self.problems
+        check("problems", kept is None or 1 <= kept <= 100_000, "a number from 1 to 100000")
+        check("problems", kept is None or games is not None, "null without train.games")
         check("validation", shown is None or 1 <= shown <= 10_000, "a number from 1 to 10000")
         check("validation", shown is None or games is not None, "null without train.games")
         check("threads", 1 <= self.threads <= 1024, "a number from 1 to 1024")
@@ -150,9 +164,9 @@ def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
     """The configuration in plain data.
 
     Some defaults depend on other keys: ``env.agents`` on the learner; the game on what its scenario
-    suggests (:attr:`marouting.scenarios.Scenario.env`); what agents see, how a
-    training runs, and options of learners (:attr:`.Learner.endless`) on whether its problems never
-    end.
+    suggests (:attr:`marouting.scenarios.Scenario.env`); what agents see, how a training runs, and
+    options of learners (:attr:`.Learner.endless`) on whether its problems never end; how long it
+    runs on the scenario as well (:attr:`marouting.scenarios.Scenario.training`).
 
     Args:
         raw: the configuration.
@@ -173,7 +187,12 @@ def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
         env = {"observation": "window", **env}
         learner = {"kind": kind, **getattr(cls, "endless", {}), **learner}
     if train.get("games") is not None or _endless(env):
-        train = {**DRAWN, **{key: value for key, value in train.items() if value is not None}}
+        scenario = env.get("scenario")
+        suggested = {} if scenario is None else get(scenario).training
+        given = {key: value for key, value in train.items() if value is not None}
+        train = {**DRAWN, **suggested, **given}
+        if train.get("steps") is not None and "episodes" not in given:
+            train["episodes"] = MOST
     return build(Config, {**raw, "env": env, "learner": learner, "train": train}, where)
 
 

@@ -13,14 +13,15 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from marouting import EnvOptions, InputError, Problem, Solution
+from marouting import EnvOptions, InputError, PolicyResult, Problem, Solution, evaluate_policy
 from marouting.batch.engine import Engine
 from marouting.batch.prices import Negotiation
-from marouting.config import MOST, build, piece
+from marouting.config import MOST, build, code_named, piece, plain
 from marouting.observations import has_move_order, move_order_of
-from marouting.options import ORDERS
+from marouting.options import ORDERS, PLAYED
 from marouting.player import Player
 from marouting.registry import allowing_code
+from marouting.scenarios import Split
 from marouting.source import ProblemSampler
 from policies.learned import greedy
 from policies.learned.checkpoint import checked, read_checkpoint
@@ -184,6 +185,19 @@ class TrainedPolicy:
         turned = np.take_along_axis(masks, order, -1)
         best = best_moves(ratings, turned if self.masking else None)
         return np.take_along_axis(order, best[:, None].astype(np.int64), -1)[:, 0].astype(np.int16)
+
+    def evaluate(self, scenario: str, split: Split = "test") -> PolicyResult:
+        """Its figures on a split of a scenario, in the game that it was trained in.
+
+        Raises:
+            InputError: see :func:`marouting.evaluate_policy`.
+        """
+        options = plain(self.env)
+        for name in (*PLAYED, "agents"):
+            del options[name]
+        options["turn_order"] = self.env.turn_order or ORDERS[self.env.agents]
+        with allowing_code(code for _, code in code_named(self.env)):
+            return evaluate_policy(self.moves, scenario, split, **options)
 
     def check(self, problem: Problem) -> Player:
         """A player of a problem, with the options that the policy was trained with.

@@ -18,7 +18,7 @@ from typing import Any
 
 import torch
 
-from marouting import InputError, Problem, Solution
+from marouting import InputError, PolicyResult, Problem, Solution
 from marouting.config import check, check_same, code_named, plain, read_yaml, yaml_text
 from marouting.files import FILE_NAME, exists, is_file_name, naming, write_text, writing
 from marouting.generator import GeneratorOptions
@@ -111,13 +111,14 @@ def problems_of(
         what = f"at most {len(found)}, those of the split, found {shown}"
         check("train.validation", shown <= len(found), what)
         found = dict(list(found.items())[:shown])
-        episodes = ProblemStream(None, env.scenario)
+        episodes = ProblemStream(None, env.scenario, most=train.problems)
     elif env.scenario is None and generated:
         shown = _GENERATED if train.validation is None else train.validation
-        episodes = ProblemStream(env.problem, held_out=shown)
+        episodes = ProblemStream(env.problem, held_out=shown, most=train.problems)
         found = dict(map(episodes.problem, range(shown)))
     else:
         check("train.validation", train.validation is None, "null: a set is evaluated whole")
+        check("train.problems", train.problems is None, "null: a set is played whole")
         found = fixed_problems(env) if kept is None else kept
         episodes = ProblemStream.of(dict(sorted(found.items())))
     draws = None if episodes is None else ProblemSampler(episodes, config.seed, train.games or 1)
@@ -246,11 +247,28 @@ class Run:
         total = self.config.train.episodes * len(self.trainer.episodes)
         return int(self.trainer.episodes.sum()), total
 
+    def standing(self) -> list[PolicyResult]:
+        """What the saved network makes of a scenario's fixed problems, if it learned from others.
+
+        That is without rip-up by prices (``train.negotiation``), which only routers have.
+        """
+        env, names = self.config.env, self.trainer.names
+        if env.scenario is None or not env.endless or self.config.train.negotiation is not None:
+            return []
+        policy = self.trainer.policy_of(names[0])
+        return [policy.evaluate(env.scenario, split) for split in ("validation", "test")]
+
+    @property
+    def progress(self) -> tuple[int, int, str]:
+        """What has been done so far, and what there is to do, in episodes or steps of agents."""
+        if (steps := self.config.train.steps) is None:
+            return *self.episodes, "episodes"
+        return min(int(self.trainer.steps.sum()), steps), steps, "steps"
+
     @property
     def finished(self) -> list[Row] | None:
         """The rows of ``result.json`` if the run is finished, else None; raises InputError."""
-        played, total = self.episodes
-        if played < total or not exists(self.folder / RESULT):
+        if self.trainer.running.any() or not exists(self.folder / RESULT):
             return None
         _ = self.best  # a folder whose files do not belong together is not taken for finished
         return read_result(self.folder)

@@ -68,6 +68,7 @@ class Trainer:
         learner: what learns.
         player: the games: of each problem that still trains, its copies one after another.
         episodes: (M,) int64, episodes finished; where games draw their problems (1,), of all games.
+        steps: likewise, the moves that agents made in them.
         walks: the evaluations made since :meth:`run` last yielded.
         places: which problems the networks and games belong to that still train.
 
@@ -131,7 +132,7 @@ class Trainer:
         guide_ = self.learner.burn_in
         alone = not drawn or self.learner.learning_starts == 0 or guide_ in GUIDES
         check("burn_in", alone, f"{' or '.join(GUIDES)} with train.games, found {guide_}")
-        self.episodes = np.zeros(count, np.int64)
+        self.episodes, self.steps = np.zeros((2, count), np.int64)
         # What stays of each problem, unless each is played once, and of each network.
         best = 0 if drawn else count
         self.score = np.full((best, 3), np.inf)  # of the best episode: less is better
@@ -174,7 +175,14 @@ class Trainer:
     @property
     def running(self) -> NDArray[np.bool_]:
         """(M',) which problems in play still have episodes to train."""
-        return self.episodes[self.places] < self.config.train.episodes
+        return self._trains[self.places]
+
+    @property
+    def _trains(self) -> NDArray[np.bool_]:
+        """(M,) which problems still have episodes to train."""
+        train = self.config.train
+        most = np.inf if train.steps is None else train.steps
+        return (self.episodes < train.episodes) & (self.steps < most)
 
     @property
     def updates(self) -> NDArray[np.int64]:
@@ -248,7 +256,11 @@ class Trainer:
         player.reset()
 
     def _tell_episodes(self) -> None:
-        self.learner.set_episodes(self.episodes[self.games])
+        train, played = self.config.train, self.episodes
+        if train.steps is not None:  # as many episodes of all as steps have been made of all
+            share = np.minimum(self.steps / train.steps, 1)
+            played = np.maximum(played, (share * train.episodes).astype(np.int64))
+        self.learner.set_episodes(played[self.games])
 
     def run(self) -> Iterator[list[Episode]]:
         """Trains to the end; after some steps of all games, yields the episodes that ended.
@@ -272,7 +284,7 @@ class Trainer:
         losses = np.repeat(self.learner.loss.cpu().numpy(), len(games) // len(self.learner.loss))
         for g in np.flatnonzero(over).tolist():
             problem = int(games[g])
-            if self.episodes[problem] >= self.config.train.episodes:
+            if not self._trains[problem]:
                 continue  # another copy has played the last one
             metrics = player.engine.metrics(g)
             reward = float(player.buffers.total[g])
@@ -301,6 +313,7 @@ class Trainer:
                 )
             )
             self.episodes[problem] += 1
+            self.steps[problem] += metrics.steps
         self._before[over, 0], self._before[over, 1] = losses[over], updates[over]
         self._evaluate(np.unique(games[over]))
         running = self.running
@@ -321,7 +334,9 @@ class Trainer:
         networks = np.unique(of[problems])
         episodes = np.array([played[of == network].min() for network in networks], np.int64)
         before = self._evaluated[networks]
-        due = (episodes >= before + train.evaluate_every) | (episodes >= train.episodes)
+        trains = np.broadcast_to(self._trains, len(self.names))
+        ended = np.array([not trains[of == network].any() for network in networks])
+        due = (episodes >= before + train.evaluate_every) | ended
         due &= episodes != before
         networks, episodes = networks[due], episodes[due]
         if not len(networks):
@@ -491,6 +506,7 @@ class Trainer:
             "total": (-LARGEST, LARGEST),
             "best_episode": (NOBODY, then - 1),
             "draws": COUNT,
+            "steps": COUNT,
             "made": (0, steps),
             "moves": (NOBODY, player.engine.actions - 1),
         }
@@ -520,7 +536,7 @@ class Trainer:
             own[name][...] = arrays[name]
         self._before[...] = arrays["before"]
         over = player.buffers.over.reshape(-1, self._copies)
-        if ((self.episodes < then)[:, None] & over).any():
+        if ((self._trains & (self.episodes < then))[:, None] & over).any():
             raise InputError(f"{where}: expected games of all problems with episodes to train")
         running = self.running
         if running.any() and not running.all() and not self.config.train.shared:
@@ -531,7 +547,9 @@ class Trainer:
         self._tell_episodes()
 
 
-_OWN = "episodes", "score", "best_episode", "policy_score", "policy_episode", "_evaluated"
+_OWN = (
+    "episodes", "steps", "score", "best_episode", "policy_score", "policy_episode", "_evaluated",
+)  # fmt: skip
 """Attributes of a trainer that a checkpoint holds, beside the learner, the games and the routes."""
 
 

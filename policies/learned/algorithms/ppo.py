@@ -15,6 +15,7 @@ Deviations from the papers and from CleanRL's implementation:
   of the learning rate.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -99,6 +100,12 @@ class PPO(Learner):
     """PPO in torch, on any device, for any network, observation and reward."""
 
     Options: ClassVar[type[PPOOptions]] = PPOOptions
+    endless: ClassVar[Mapping[str, Any]] = {
+        "network": {"kind": "mlp", "hidden": [128, 128]},
+        "gamma": 0.99,
+        "gae_lambda": 0.95,
+        "final_failures": True,
+    }
     rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "keys", "progress")
     parts: ClassVar[tuple[str, ...]] = (
         "networks", "critic", "adam", "critic_adam", "rollout", "explore",

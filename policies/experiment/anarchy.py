@@ -1,0 +1,266 @@
+"""What selfishness costs in the scenarios for policies: the price of anarchy of local rules.
+
+Usage, from a checkout::
+
+    python -m policies.experiment.anarchy                 # all of them: a minute or two on one core
+    python -m policies.experiment.anarchy braess-v0
+    python -m policies.experiment.anarchy --table         # the table of docs/cooperation.md
+
+Every rule of :data:`RULES` (:mod:`policies.routers.local`) plays the validation and the test
+problems once, by the options that the scenario suggests. Its **cost** is the wirelength plus the
+scenario's cost of every open task, summed over the problems and divided by the wirelength of the
+references. Two rules stand out:
+
+* **selfish**: shortest paths with sight of the whole grid, planned anew at every move;
+* **best local**: of the rules that see no further than a radius of 3, the one with the least cost
+  on the validation problems. Scores are measured from it
+  (:meth:`marouting.scenarios.Scenario.score`).
+
+A scenario is worth playing if the selfish rule costs :data:`LEAST_SELFISH` or more and no rule,
+even with full sight, costs less than :data:`LEAST_FIXED`.
+"""
+
+import csv
+import io
+import json
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from marouting import InputError, Problem, scenarios
+from marouting.config import check
+from marouting.files import read_text, write_text
+from marouting.options import game_options
+from marouting.rules import Rules
+from marouting.scenarios import Scenario
+from marouting.scenarios.cooperation import COOPERATION, Braess
+from policies.routers.local import LocalRouter
+
+FOLDER = Path("docs/results/cooperation")
+"""Where the figures are, SCENARIO.csv."""
+
+LEAST_SELFISH, LEAST_FIXED = 1.15, 1.03
+
+RADIUS = 3
+"""How far local rules may see, as policies do in these scenarios."""
+
+PRICES = (0.5, 1, 2, 4, 8, 16, 100)
+
+SELFISH = LocalRouter(radius=None)
+DETOUR = LocalRouter(radius=None, price=PRICES[-1])
+"""Takes any way around edges with few tracks left."""
+
+RULES = (
+    LocalRouter(rule="random", radius=None),
+    LocalRouter(rule="greedy", radius=None),
+    *(LocalRouter(radius=near) for near in (1, 2, RADIUS, None)),
+    *(LocalRouter(radius=near, price=p) for near in (1, 2, RADIUS, None) for p in PRICES),
+    *(
+        LocalRouter(radius=radius, price=p, seen=True)
+        for radius in (2, RADIUS, None)
+        for p in PRICES
+    ),
+)
+
+NO_SHORT_CUT = "braess-v0 without its short-cut"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """What a rule costs on a split; the columns of a file.
+
+    Attributes:
+        scenario: its name.
+        split: ``validation`` or ``test``.
+        rule, radius, price, seen: the rule; the radius is None for the whole grid.
+        problems: number of problems.
+        solved: how many have no open task.
+        open: open tasks.
+        wirelength: of all routes.
+        reference: wirelength of the references.
+        cost: see the module.
+        seconds: of processor time.
+    """
+
+    scenario: str
+    split: str
+    rule: str
+    radius: int | None
+    price: float
+    seen: bool
+    problems: int
+    solved: int
+    open: int
+    wirelength: int
+    reference: int
+    cost: float
+    seconds: float
+
+    @property
+    def local(self) -> bool:
+        """Whether the rule sees no further than policies do."""
+        return self.rule != "shortest" or (self.radius is not None and self.radius <= RADIUS)
+
+    def of(self, rule: LocalRouter) -> bool:
+        """Whether the row is that of a rule."""
+        own = (self.rule, self.radius, self.price, self.seen)
+        return own == (rule.rule, rule.radius, rule.price, rule.seen)
+
+
+def rules_of(scenario: str) -> Rules:
+    """The rules of the game that a scenario suggests."""
+    options = game_options({"scenario": scenario, "split": "test"})
+    return Rules(**{field.name: getattr(options, field.name) for field in fields(Rules)})
+
+
+def measure(
+    scenario: Scenario,
+    split: scenarios.Split,
+    rule: LocalRouter,
+    of: Sequence[Problem] | None = None,
+) -> Row:
+    """What a rule costs on a split of a scenario, or on ``of`` in place of its problems."""
+    problems = list(scenario.problems(split).values())
+    reference = sum(scenario.reference(problem).wirelength for problem in problems)
+    began = time.process_time()
+    engine = rule.play(problems if of is None else of, rules_of(scenario.name))
+    seconds = time.process_time() - began
+    found = [engine.metrics(m) for m in range(len(problems))]
+    open_tasks = [metrics.tasks - metrics.joined for metrics in found]
+    wirelength = sum(metrics.wirelength for metrics in found)
+    return Row(
+        scenario=scenario.name,
+        split=split,
+        rule=rule.rule,
+        radius=rule.radius,
+        price=rule.price,
+        seen=rule.seen,
+        problems=len(problems),
+        solved=open_tasks.count(0),
+        open=sum(open_tasks),
+        wirelength=wirelength,
+        reference=reference,
+        cost=round(scenario.cost(wirelength, sum(open_tasks)) / reference, 4),
+        seconds=round(seconds, 3),
+    )
+
+
+def measure_all(scenario: Scenario) -> Iterator[Row]:
+    """The rows of a scenario."""
+    _ = SELFISH.play(scenario.test[:1], rules_of(scenario.name))  # compiles
+    for split in scenarios.SPLITS[1:]:
+        for rule in RULES:
+            yield measure(scenario, split, rule)
+    if scenario.name == "braess-v0":
+        closed = Scenario("braess-v0", Braess(short_cut=False), validation=50, test=100)
+        row = measure(scenario, "test", SELFISH, closed.test)
+        yield replace(row, scenario=NO_SHORT_CUT)
+
+
+def best_local(rows: Iterable[Row]) -> dict[str, Row]:
+    """By split, the local rule that is the best one on the validation problems."""
+    local = [row for row in rows if row.local]
+    best = min((row for row in local if row.split == "validation"), key=lambda row: row.cost)
+    rule = (best.rule, best.radius, best.price, best.seen)
+    return {row.split: row for row in local if (row.rule, row.radius, row.price, row.seen) == rule}
+
+
+def write_rows(scenario: Scenario, rows: Sequence[Row]) -> None:
+    """Writes the file of a scenario, and the cost of the best local rule to its references."""
+    text = io.StringIO()
+    names = [field.name for field in fields(Row)]
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for row in rows:
+        values = (getattr(row, name) for name in names)
+        writer.writerow([of if isinstance(of, str) else json.dumps(of) for of in values])
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    write_text(FOLDER / f"{scenario.name}.csv", text.getvalue())
+    kept = json.loads(read_text(scenario.references, 2**24))
+    kept["heuristic"] = {split: row.cost for split, row in best_local(rows).items()}
+    write_text(scenario.references, json.dumps(kept, indent=1) + "\n")
+
+
+def read_rows(path: Path) -> list[Row]:
+    """The rows of a file that :func:`write_rows` wrote."""
+    rows = []
+    for line in csv.DictReader(io.StringIO(read_text(path, 2**24))):
+        values: dict[str, Any] = {
+            field.name: line[field.name] if field.type is str else json.loads(line[field.name])
+            for field in fields(Row)
+        }
+        rows.append(Row(**values))
+    return rows
+
+
+def refused(rows: Sequence[Row]) -> str:
+    """Why a scenario is not worth playing; empty if it is."""
+    test = [row for row in rows if row.split == "test" and row.scenario != NO_SHORT_CUT]
+    selfish = next(row for row in test if row.of(SELFISH))
+    least = min(test, key=lambda row: row.cost)
+    if selfish.cost < LEAST_SELFISH:
+        return f"selfish nets cost {selfish.cost:.3f}, less than {LEAST_SELFISH}"
+    if least.cost < LEAST_FIXED:
+        return f"a fixed rule costs {least.cost:.3f}, less than {LEAST_FIXED}: {rule_text(least)}"
+    return ""
+
+
+def rule_text(row: Row) -> str:
+    """A rule in a table's words."""
+    if row.rule != "shortest":
+        return row.rule
+    sight = "full sight" if row.radius is None else f"radius {row.radius}"
+    price = f", price {row.price:g}" if row.price else ""
+    return f"{sight}{price}" + (" if others are seen" if row.seen else "")
+
+
+def table(files: Iterable[Path]) -> Iterator[str]:
+    """The lines of the table of docs/cooperation.md."""
+    columns = "random", "greedy", "best local rule", "always detour", "selfish", "best of all rules"
+    yield f"| scenario | {' | '.join(columns)} |"
+    yield "|---|---:|---:|---|---:|---:|---|"
+    for path in files:
+        rows = read_rows(path)
+        test = [row for row in rows if row.split == "test" and row.scenario != NO_SHORT_CUT]
+        random, greedy, detour, selfish = (
+            f"{next(row.cost for row in test if row.of(rule)):.3f}"
+            for rule in (*RULES[:2], DETOUR, SELFISH)
+        )
+        local, least = best_local(rows)["test"], min(test, key=lambda row: row.cost)
+        best, all_best = (f"{row.cost:.3f}: {rule_text(row)}" for row in (local, least))
+        cells = (f"`{path.stem}`", random, greedy, best, detour, selfish, all_best)
+        yield f"| {' | '.join(cells)} |"
+
+
+@click.command()
+@click.argument("names", nargs=-1)
+@click.option("--table", "shown", is_flag=True, help="Only print the table of what is known.")
+def main(names: Sequence[str], shown: bool) -> None:
+    """Measures what selfishness costs in scenarios for policies (all, unless NAMES are given)."""
+    known = [scenario.name for scenario in COOPERATION]
+    try:
+        for name in names:
+            check("scenario", name in known, f"one of {', '.join(known)}, found {name!r}")
+        if shown:
+            for line in table(FOLDER / f"{name}.csv" for name in names or known):
+                click.echo(line)
+            return
+        for name in names or known:
+            rows = list(measure_all(scenarios.get(name)))
+            write_rows(scenarios.get(name), rows)
+            best = best_local(rows)["test"]
+            why = refused(rows)
+            text = f"not worth playing: {why}" if why else "worth playing"
+            click.echo(f"{name}: {best.cost:.3f} by {rule_text(best)}; {text}", err=True)
+    except InputError as error:
+        click.echo(f"Error: {error}", err=True)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()
