@@ -54,7 +54,7 @@ def check_local(
         who, first = np.array([n], np.int32), np.zeros(1, np.int32)
         observation.write(engine, first + np.int32(m), who, rows[0])
         observation.write(_changed(engine, m, n, radius, rng), first, who, rows[1])
-        if not np.array_equal(*rows, equal_nan=True):
+        if not np.array_equal(rows[0], rows[1], equal_nan=True):
             expected = f"expected that agents see no further than {radius} Gcells"
             found = f"found that agent {n} of problem {m} does"
             raise InputError(f"{name}.local_radius: {expected}, {found}")
