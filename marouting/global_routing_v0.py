@@ -47,9 +47,9 @@ move one after another, in turn order, so two nets never claim the last track of
 
 Every net is an agent, except those with all pins in one Gcell: they have nothing to route and are
 listed in `idle_nets`. An agent leaves `agents` when all its tasks have ended. With
-`agents_persist=True` it stays until the last agent is done. Until then its rewards are 0, its mask
-allows a single action, which has no effect, and `info["active"]` is false (infos have `active` from
-the first step on).
+`agents_persist=True` it stays until the last agent is done. Until then it is paid if the reward
+pays it, its mask allows a single action, which has no effect, and `info["active"]` is false (infos
+have `active` from the first step on).
 
 ## Actions
 
@@ -141,13 +141,17 @@ whole grid.
 |---|---|---|
 | `paper` (default) | the agent that moves | +100 if it reaches its target, −1 for any other move |
 | `normalised` | the agent that moves | the same with +1 and −0.01, as most libraries expect |
-| `team` | every agent that is not done | the decrease in the cost of the whole solution |
+| `team` | every agent, also those that are done | the decrease in the cost of the whole solution |
 | `difference` | the agent that moves | the same decrease |
+| `counterfactual` | every agent | the decrease in the cost that is there because of its net |
 | `potential` | the agent that moves | the decrease in its distance to the target |
 | `mixed` | as its parts say | the weighted sum of several rewards |
 
 The cost is wirelength + 10 × overflow + 100 × unconnected tasks; the factors are options
-(:mod:`marouting.rewards`).
+(:mod:`marouting.rewards`). Because of a net there are its wirelength and unconnected tasks, the
+overflow that it adds, and tasks of other nets that failed because it alone was in their way. An
+agent that is done has left `agents` and cannot be paid any more; with `agents_persist=True`, and in
+`BatchEnv`, it is paid until the episode is over.
 
 ```python
 from marouting import global_routing_v0
@@ -229,6 +233,22 @@ ended = info["task_ended"] != 0
 next_obs = np.where(ended[..., None], info["final_obs"], obs)
 bootstrap = info["task_ended"] != 1  # a failed task only ran out of steps
 # Where info["acted"], a transition is (before, actions, reward, next_obs, bootstrap).
+```
+
+The rows of agents that are done stay, and are paid, until the problem's episode is over. With
+`agents_persist=True` they are also terminated or truncated only then, as in PettingZoo's
+interfaces. A problem whose episode is over starts the next one with the next step; with
+`play_once=True` each of a list of problems, or of the problems of a split, is played once:
+
+```python
+import numpy as np
+from marouting.vector import BatchEnv
+
+env = BatchEnv(scenario="toy-4x4-v0", split="validation", play_once=True)
+obs, info = env.reset()
+while info["active"].any():
+    obs, reward, terminated, truncated, info = env.step(info["action_mask"].argmax(axis=-1))
+print(info["final_info"]["wirelength"].sum())
 ```
 
 `BatchEnv(64, scenario="mixed-v0")` plays 64 games, each with a new problem in every episode; the

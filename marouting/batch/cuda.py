@@ -273,7 +273,7 @@ def see_paper(
 class Surroundings(NamedTuple):
     """What the observation ``window`` needs."""
 
-    heads: Any  # (M, G) active agents by Gcell
+    heads: Any  # (M, G) or (M, 2 G), see count_heads
     where: Where
     maps: Maps  # of which only track is there, (M, Z)
     tracks: Any  # (P, Z) track of the problems of the pool

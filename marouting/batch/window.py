@@ -83,7 +83,7 @@ from marouting.batch.window_rows import (
     place,
     write_window,
 )
-from marouting.columns import Games, check_rows
+from marouting.columns import Games, check_shapes
 from marouting.config import check
 from marouting.game import NOBODY, Status
 from marouting.kernels import as_index, compiled, i64
@@ -219,11 +219,12 @@ class WindowObservation:
         Raises:
             ValueError: there are no such agents.
         """
-        check_rows(games, problems, agents, out, self.size)
+        check_shapes(problems, agents, out, self.size)
         engine = engine_of(games)
         known = engine.static, engine.dynamic
         rows = self.where, problems, agents, out
-        _write_rows(*known, _heads_of(engine), *rows)
+        if not _write_rows(*known, _heads_of(engine), *rows):
+            raise ValueError(f"expected agents of the games, found {problems}, {agents}")
         if "demand" in self.channels:
             _write_demands(*known, maps_of(engine), *rows)
 
@@ -320,15 +321,23 @@ def mirrored(moves: NDArray[np.integer], obs: NDArray[np.float32]) -> NDArray[np
 @compiled
 def _write_rows(
     static: Static, dynamic: Dynamic, heads: Any, where: Where, problems: Any, agents: Any, out: Any
-) -> None:
-    """Fills ``out`` (K, size) with all channels but ``demand``, which stays 0."""
+) -> bool:
+    """Fills ``out`` (K, size) with all channels but ``demand``, which stays 0.
+
+    Returns:
+        Whether there are such agents.
+    """
     counted = i64(NOBODY)
     for i in range(len(problems)):
-        m, n = as_index(problems[i]), i64(agents[i])
+        m, n = i64(problems[i]), i64(agents[i])
+        if not (0 <= m < len(dynamic.games) and NOBODY <= n < dynamic.agents.shape[1]):
+            return False
+        m = as_index(m)
         if max(where.heads, where.messages) >= 0 and m != counted:
             count_heads(dynamic, heads, m)
             counted = m
         write_window(static, dynamic, heads, where, m, n, out, i)
+    return True
 
 
 @compiled
@@ -477,6 +486,8 @@ def write_window_state(
                 if not is_later(static, dynamic, m, n, i64(task)):
                     continue
                 out[m, as_index(static.tasks[task, 1]), pins] += 1
+    bits = i64(where.bits) if where.messages >= 0 else i64(0)
+    end = out.shape[2] - bits
     for cell in range(out.shape[1]):
         bits = i64(where.bits) if where.messages >= 0 else i64(0)
         end = out.shape[2] - bits

@@ -178,11 +178,11 @@ def _write_own(
             edge = 8 * byte
             while bits != 0:
                 if bits & 1 and first <= edge <= last:
-                    cell, axis = edge // AXES, edge % AXES
+                    cell, axis = as_index(edge // AXES), edge % AXES
                     along_x, along_y, along_z = i64(axis == 0), i64(axis == 1), i64(axis == 2)
                     i = place(i64(gx), x, reach, along_x, right)
-                    j = place(cell // layers - gx * rows, y, reach, along_y, up)
-                    k = cell % layers - z + deep + along_z
+                    j = place(i64(static.position[cell, 1]), y, reach, along_y, up)
+                    k = i64(static.position[cell, VIA_AXIS]) - z + deep + along_z
                     inside = 0 <= i < side + along_x and 0 <= j < side + along_y
                     if inside and 0 <= k < depth + along_z:
                         p = (i * (side + along_y) + j) * (depth + along_z) + k
