@@ -998,8 +998,8 @@ def test_a_generator_without_seed_holds_problems_out(tmp_path: Path) -> None:
     source = {"grid": [4, 4, 2], "nets": 3, "seed": None}
     config = training(tmp_path / "run", problem=source)
     train = replace(config.train, shared=True, games=2, validation=3)
-    problems, draws = problems_of(replace(config, train=train))
-    assert draws is not None
+    problems, episodes = problems_of(replace(config, train=train))
+    assert episodes is not None
     assert list(problems) == ["seed_0", "seed_1", "seed_2"]
     for seed, problem in enumerate(problems.values()):
         assert problem == load_problem({**source, "seed": seed})
@@ -1011,7 +1011,7 @@ def test_a_generator_without_seed_holds_problems_out(tmp_path: Path) -> None:
             assert most == 10**9 - 3
             return 0
 
-    assert draws.episodes.number(Least()) == 3  # type: ignore[arg-type]
+    assert episodes.number(Least()) == 3  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
