@@ -859,7 +859,7 @@ def settle_game(
     asked: int,
     what: int,
 ) -> None:
-    """The end of a step of one problem, whose turn was ``asked``'s; writes what became of agents."""
+    """The end of a step of one problem, whose turn was that of ``asked``."""
     game = dynamic.games[m]
     if what != NOT:
         if fast.everyone:

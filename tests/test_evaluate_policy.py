@@ -72,7 +72,8 @@ def test_options_are_those_of_the_environment() -> None:
 
     window = WindowObservation(radius=1)
     evaluate_policy(policy, "toy-4x4-v0", "validation", observation=window, max_steps=3)
-    evaluate_policy(policy, "gates-8x7-v0", "validation", max_steps=2)
+    gates = evaluate_policy(policy, "gates-8x7-v0", "validation", local=3, max_steps=2)
+    assert gates.score == scenarios.get("gates-8x7-v0").score(gates.cost, "validation")
     suggested = scenarios.get("gates-8x7-v0").env["observation"]
     options = {name: value for name, value in suggested.items() if name != "kind"}
     assert seen == {
@@ -81,12 +82,10 @@ def test_options_are_those_of_the_environment() -> None:
     }
 
 
-class Crowd(PaperObservation):
-    """Says that it is local, and tells where all others are going."""
+class Liar(WindowObservation):
+    """Says that it shows nothing but where an agent is."""
 
-    def write(self, games: Any, problems: Any, agents: Any, out: Any) -> None:
-        super().write(games, problems, agents, out)
-        out[:, 0] = games.agents["target"].sum(axis=1)[problems]
+    local_radius = 0
 
 
 def test_what_is_refused() -> None:
@@ -95,14 +94,16 @@ def test_what_is_refused() -> None:
         evaluate_policy(first, "toy-4x4-v1")
     with pytest.raises(InputError, match="split: expected validation or test, found train"):
         evaluate_policy(first, toy, "train")
-    with pytest.raises(InputError, match=r"observation: expected a local one.*WindowObservation"):
-        evaluate_policy(first, toy, local=True, observation="window")
-    with pytest.raises(
-        InputError, match=r"Crowd\.local_radius: expected that agents see no further"
-    ):
-        evaluate_policy(first, toy, local=True, observation=Crowd())
-    options: dict[str, Any] = {"observation": "paper", "max_steps": 2}
-    assert evaluate_policy(first, toy, "validation", local=True, **options).problems == 20
+    far = WindowObservation(radius=2)
+    with pytest.raises(InputError, match=r"WindowObservation.local_radius: expected a whole numb"):
+        evaluate_policy(first, toy, local=True, observation=far)
+    options: dict[str, Any] = {"observation": PaperObservation(), "max_steps": 2}
+    assert evaluate_policy(first, toy, "validation", local=0, **options).problems == 20
+    with pytest.raises(InputError, match=r"local_radius: expected at most 2, found 3"):
+        evaluate_policy(first, "gates-8x7-v0", "validation", local=2)
+    options["observation"] = Liar()
+    with pytest.raises(InputError, match=r"Liar.local_radius: expected that agents see no furth"):
+        evaluate_policy(first, toy, "validation", local=True, **options)
     with pytest.raises(ValueError, match=r"policy: expected \(100,\) integers.*found float"):
         evaluate_policy(lambda obs, _: obs[:, 0], toy, "validation")
     with pytest.raises(ValueError, match="policy: expected"):

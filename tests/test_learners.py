@@ -503,6 +503,45 @@ def test_a_sum_tree_finds_what_a_cumulated_sum_finds(capacity: int, seed: int) -
         np.testing.assert_allclose(chance[row].numpy(), numbers[row][expected] / total, rtol=1e-5)
 
 
+@pytest.mark.parametrize("n_step", [1, 3])
+@pytest.mark.parametrize("kind", [Replay, Prioritised])
+def test_late_pay_is_added_to_the_transitions_that_ended_a_task(kind: Any, n_step: int) -> None:
+    gamma, rng = 0.5, np.random.default_rng(7)
+    more = {"alpha": 0.7, "beta": 0.4} if kind is Prioritised else {}
+    replay = kind(
+        keys(1, ["a"], "s"), 6, (FEATURES,), False, CPU, n_step=n_step, gamma=gamma, agents=(2, 2),
+        final_failures=True, late=True, **more,
+    )  # fmt: skip
+
+    def add(acted: Any, paid: Any, ending: Any, over: Any = (False, False)) -> None:
+        before, after = step_of(2, 2, rng)
+        after.acted[:], after.reward[:] = acted, paid
+        after.ending[:], after.over[:] = ending, over
+        replay.add(before, after)
+
+    on, off, joined, failed = True, False, Ending.JOINED, Ending.FAILED
+    add([[on, off], [off, off]], [[1, 0], [0, 0]], [[0, 0], [0, 0]])
+    add([[on, off], [off, off]], [[2, 5], [0, 0]], [[failed, 0], [0, 0]])  # 5 is for nobody
+    found = everything(replay)
+    rewards = [1.0, 2.0] if n_step == 1 else [1 + gamma * 2, 2.0]
+    assert found.reward[0, :2, 0].tolist() == rewards
+    assert found.goes_on[0, :2, 0].tolist() == ([1, 0] if n_step == 1 else [0, 0])
+    add([[off, on], [on, off]], [[8, 3], [4, 0]], [[0, 0], [joined, 0]])
+    rewards = [1.0, 10.0] if n_step == 1 else [1 + gamma * 10, 10.0]
+    add([[off, on], [off, off]], [[0, 1], [16, 0]], [[0, 0], [0, 0]], [False, True])
+    add([[off, off], [off, off]], [[0, 0], [32, 0]], [[0, 0], [0, 0]])  # of the next episode
+    found = everything(replay)
+    assert found.reward[0, :2, 0].tolist() == rewards
+    fourth = 3 if n_step == 1 else 2
+    assert found.reward[0, fourth, 0] == 20
+    # What has left the memory is not paid.
+    for _ in range(8):
+        add([[off, off], [on, off]], [[0, 0], [1, 0]], [[0, 0], [joined, 0]])
+    add([[off, off], [off, off]], [[100, 0], [7, 0]], [[0, 0], [0, 0]])
+    rewards = sorted(everything(replay).reward[0, :, 0].tolist())
+    assert rewards == [1, 1, 1, 1, 1, 8]
+
+
 def test_transitions_of_large_errors_are_drawn_more_often() -> None:
     alpha, beta, count = 0.7, 0.4, 20
     replay = replay_of("ab", 32, kind=Prioritised, alpha=alpha, beta=beta)

@@ -175,6 +175,7 @@ class Recorded:
         self._graph = self._checked(driver.cuGraphInstantiate(graph, 0))
 
     def __call__(self, stream: int) -> None:
+        """Repeats the launches on a stream."""
         self._checked(self._driver.cuGraphLaunch(self._graph, stream))
 
     @staticmethod
@@ -207,7 +208,8 @@ def _make_known() -> None:
     from numba.core.registry import cpu_target
     from numba.cuda.typing.typeof import typeof_impl
 
-    # Arrays are indexed by members of an IntEnum, which numba-cuda takes from numba once it is there.
+    # Arrays are indexed by members of an IntEnum, which numba-cuda takes from numba once that is
+    # there.
     cpu_target.typing_context.refresh()
     made: dict[kernels.Kernel, Any] = {}
 
@@ -287,7 +289,7 @@ def see_window(
 
 
 @kernels.inlined
-def prepare_window(static: Static, dynamic: Dynamic, look: Surroundings, m: int) -> None:
+def prepare_window(dynamic: Dynamic, look: Surroundings, m: int) -> None:
     """Counts the agents in every Gcell."""
     if max(look.where.heads, look.where.messages) >= 0:
         count_heads(dynamic, look.heads, m)
@@ -304,12 +306,14 @@ def tell_window(static: Static, dynamic: Dynamic, look: Surroundings, m: int, ou
 @kernels.inlined
 def tell_paper(static: Static, dynamic: Dynamic, look: Paper, m: int, out: Any) -> None:
     """Writes the global state."""
+    del static, look
     write_state(dynamic, m, out)
 
 
 @kernels.inlined
-def prepare_nothing(static: Static, dynamic: Dynamic, look: Paper, m: int) -> None:
+def prepare_nothing(dynamic: Dynamic, look: Paper, m: int) -> None:
     """The paper's observation needs nothing but the state."""
+    del dynamic, look, m
 
 
 class Launches(NamedTuple):
@@ -321,6 +325,7 @@ class Launches(NamedTuple):
     arrive: Any
     settle: Any
     show: Any
+    look: Any
     state: Any
 
 
@@ -330,7 +335,7 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
 
     Args:
         see: writes what an agent sees, with arguments (static, dynamic, look, m, n, out, row).
-        prepare: makes what ``see`` needs of game m, with arguments (static, dynamic, look, m).
+        prepare: makes what ``see`` needs of game m, with arguments (dynamic, look, m).
         tell: writes the global state, with arguments (static, dynamic, look, m, out).
     """
     jit = Device().jit
@@ -397,7 +402,7 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
             start_game(static, dynamic, b, m)
         elif steps:
             move_game(static, dynamic, b, fast, m)
-        prepare(static, dynamic, look, m)
+        prepare(dynamic, look, m)
 
     @jit
     def arrive(
@@ -433,7 +438,7 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
             return
         what = i64(ALL) if steps and not step.begins[m] else i64(NOT)
         settle_game(static, dynamic, b, fast, m, i64(step.asked[m]), what)
-        prepare(static, dynamic, look, m)
+        prepare(dynamic, look, m)
 
     @jit
     def show(static: Static, dynamic: Dynamic, b: StepBuffers, look: Any) -> None:
@@ -447,9 +452,15 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
         write_mask(static, dynamic, b.mask, m, n, row)
 
     @jit
+    def look(dynamic: Dynamic, look: Any) -> None:
+        m = i64(cuda.grid(1))
+        if m < len(dynamic.games):
+            prepare(dynamic, look, m)
+
+    @jit
     def state(static: Static, dynamic: Dynamic, look: Any, out: Any) -> None:
         m = i64(cuda.grid(1))
         if m < len(out):
             tell(static, dynamic, look, m, out)
 
-    return Launches(take, begin, move, arrive, settle, show, state)
+    return Launches(take, begin, move, arrive, settle, show, look, state)

@@ -17,7 +17,6 @@ from marouting.problem.problem import UNLIMITED, Problem
 from marouting.rules import RipUp, Rules, net_ranks
 from marouting.trees.decomposition import two_pin_tasks
 
-
 Make = Callable[[str, tuple[int, ...], Any], Any]
 """Makes an array of zeros, of a name, a shape and a dtype, where the games are to be."""
 

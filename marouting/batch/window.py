@@ -503,6 +503,8 @@ def write_window_state(
     bits = i64(where.bits) if where.messages >= 0 else i64(0)
     end = out.shape[2] - bits
     for cell in range(out.shape[1]):
+        bits = i64(where.bits) if where.messages >= 0 else i64(0)
+        end = out.shape[2] - bits
         if where.heads >= 0:
             out[m, cell, end - 1] = heads[m, cell]
         for channel in range(begin, end):

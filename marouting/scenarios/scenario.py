@@ -16,6 +16,7 @@ Attempts are thrown away until a problem keeps three promises:
 import functools
 import hashlib
 import itertools
+import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -83,7 +84,7 @@ class Scenario:
         open_cost: int = 20,
         mirrors: bool = True,
         largest: Callable[[], Problem] | None = None,
-        references: Path | None = None,
+        references: str | os.PathLike[str] | None = None,
     ) -> None:
         self.name, self.generator, self.description = name, generator, description
         self.env, self.training = dict(env or {}), dict(training or {})
@@ -91,7 +92,7 @@ class Scenario:
         self._counts: dict[Split, int] = {"validation": validation, "test": test}
         self._accept, self._largest = accept, largest
         self._digest = mirror_digest if mirrors else digest
-        self.references = path_of(name) if references is None else references
+        self.references = path_of(name) if references is None else Path(references)
 
     def __repr__(self) -> str:
         return f"Scenario({self.name})"
@@ -187,9 +188,13 @@ class Scenario:
             InputError: the best local rule is not known for this scenario and split.
         """
         rule = references_in(self.references).heuristic.get(split)
-        if rule is None:
+        if rule is None:  # see has_local_rule
             raise InputError(f"{self.name}: expected a scenario with a known best local rule")
         return (rule - cost) / (rule - 1)
+
+    def has_local_rule(self, split: Split) -> bool:
+        """Whether the cost of the best local rule is known, from which :meth:`score` counts."""
+        return split in references_in(self.references).heuristic
 
     @property
     def grid(self) -> tuple[int, int, int]:

@@ -485,7 +485,7 @@ def train(
                 f"a new training of {settings.train.episodes} episodes",
                 err=True,
             )
-    click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
+    click.echo(f"learner {settings.learner.name}: {run.trainer.path}", err=True)
     with training_bar(*run.progress, run.best, run.reference) as watch:
         rows = run.execute(lambda episodes: watch(episodes, run.trainer.walks))
     tell_rows(rows)

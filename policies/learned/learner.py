@@ -64,6 +64,12 @@ class Setup:
         """A, how many actions an agent has."""
         return self.player.engine.actions
 
+    @property
+    def pays_late(self) -> bool:
+        """Whether agents may be paid when they are done: others than the mover, by the reward."""
+        fast = self.player.fast
+        return self.player.everyone and (fast.shares is not None or not fast.reward)
+
     def network_keys(self, purpose: str) -> NDArray[np.uint64]:
         """(L,) keys of random numbers, one per network."""
         return keys(self.seed, self.names, purpose)

@@ -172,7 +172,7 @@ class TrainedPolicy:
     def moves(
         self, observations: NDArray[np.float32], masks: NDArray[np.int8]
     ) -> NDArray[np.int16]:
-        """(K,) int16 best moves for observations (K, *S) and masks (K, A) as environments show them.
+        """(K,) int16 best moves for observations (K, *S) and masks (K, A) of environments.
 
         Masks and moves are those of the grid, also where the network chooses among an observation's
         own moves.

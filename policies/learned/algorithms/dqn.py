@@ -59,6 +59,8 @@ class DQNOptions:
         prioritised: whether transitions are drawn by the sizes of their errors.
         priority_exponent: α of Schaul et al.; 0 would be uniform.
         importance_exponent: their β at the start; it rises to 1 with the last episode.
+        final_failures: whether a failed task is not bootstrapped from, as a joined one: for games
+            in which the limit of steps is part of what is to be learned (Pardo et al., 2018).
         fused: whether the compiled learner does it, see
             :func:`policies.learned.algorithms.fused_dqn.obstacle`; None: where it applies.
     """
@@ -81,6 +83,7 @@ class DQNOptions:
     prioritised: bool = False
     priority_exponent: float = 0.6
     importance_exponent: float = 0.4
+    final_failures: bool = False
     fused: bool | None = None
 
     def __post_init__(self) -> None:
@@ -112,7 +115,7 @@ class DQN(Learner):
     # The paper's options are for a training of hours on one problem.
     endless: ClassVar[Mapping[str, Any]] = {
         "masking": True, "steps_per_update": 8, "batch_size": 128, "learning_rate": 1e-3,
-        "target_period": 200,
+        "target_period": 200, "final_failures": True,
     }  # fmt: skip
     rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "target", "pending_updates")
     parts: ClassVar[tuple[str, ...]] = ("networks", "adam", "memory", "explore")
@@ -152,11 +155,13 @@ class DQN(Learner):
         if o.prioritised:
             priority = {"alpha": o.priority_exponent, "beta": o.importance_exponent}
         each = setup.games // len(setup.names)
-        agents = (each, setup.player.engine.nets.shape[1]) if o.n_step > 1 else (0, 0)
+        late = setup.pays_late
+        agents = (each, setup.player.engine.nets.shape[1]) if o.n_step > 1 or late else (0, 0)
         kind: Any = Prioritised if o.prioritised else Replay
         return kind(
             setup.network_keys("sample"), o.buffer_size, setup.obs_shape, o.masking, self.device,
-            n_step=o.n_step, gamma=o.gamma, agents=agents, actions=setup.actions, **priority,
+            n_step=o.n_step, gamma=o.gamma, agents=agents, actions=setup.actions,
+            final_failures=o.final_failures, late=late, **priority,
         )  # fmt: skip
 
     def bind(self) -> None:

@@ -49,6 +49,7 @@ def obstacle(setup: Setup, options: DQNOptions) -> str | None:
         "double": options.double,
         "n_step": options.n_step > 1,
         "prioritised": options.prioritised,
+        "final_failures": options.final_failures,
     }
     return next((f"the fused DQN does not do {r}" for r, holds in reasons.items() if holds), None)
 

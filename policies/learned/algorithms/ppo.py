@@ -104,6 +104,9 @@ class PPO(Learner):
         "network": {"kind": "mlp", "hidden": [128, 128]},
         "gamma": 0.99,
         "gae_lambda": 0.95,
+        "rollout": 8192,
+        "minibatch": 1024,
+        "epochs": 4,
         "final_failures": True,
     }
     rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "keys", "progress")
@@ -132,7 +135,7 @@ class PPO(Learner):
             count, o.rollout, setup.games // count, setup.rows, player.engine.nets.shape[1],
             setup.actions, setup.obs_shape, setup.state_shape if self.central else (),
             o.reward_scale,
-            late=player.everyone and (player.fast.shares is not None or not player.fast.reward),
+            late=setup.pays_late,
         )  # fmt: skip
         self.explore = Exploration(setup.game_keys("explore"))
         self.keys = setup.network_keys("sample")

@@ -10,9 +10,12 @@ F … 2F − 1            next_obs, in the same task
 2F + REWARD           its reward; the discounted sum of n rewards for returns of n steps
 2F + GOES_ON          weight of the value of next_obs, before one factor γ: 0 where the task was
                       joined, 1 after one step, γ after two and so on. A task that failed only ran
-                      out of steps, so its end is bootstrapped like any other step.
+                      out of steps, so its end is bootstrapped like any other step, unless failures
+                      are final.
 2F + MASK …           six numbers, the action mask of next_obs; with masking only
 ====================  ==============================================================================
+
+What an agent is paid after its last move, when it is done, is added to that move's reward.
 """
 
 from collections.abc import Mapping
@@ -81,15 +84,17 @@ class Replay(PerNetworkState):
         device: where the store is.
         n_step: rewards that are summed before the rest is bootstrapped.
         gamma: discount factor inside that sum.
-        agents: (games per network, agents) whose returns may be unfinished; with n_step only.
+        agents: (games per network, agents) whose returns may be unfinished.
         actions: A.
+        final_failures: whether a failed task is not bootstrapped from.
+        late: whether agents that are done may be paid.
 
     Attributes:
         store: (L, capacity, width) float32.
         stored: (L,) int64, transitions ever stored for each network.
     """
 
-    rows: ClassVar[tuple[str, ...]] = ("store", "stored", "keys", "waiting", "unfinished")
+    rows: ClassVar[tuple[str, ...]] = ("store", "stored", "keys", "waiting", "unfinished", "last")
 
     def __init__(
         self,
@@ -102,7 +107,11 @@ class Replay(PerNetworkState):
         gamma: float = 1.0,
         agents: tuple[int, int] = (0, 0),
         actions: int = MOVES,
+        *,
+        final_failures: bool = False,
+        late: bool = False,
     ) -> None:
+        self.final_failures, self.late = final_failures, late
         self.obs_shape, self.masks, self.device = obs_shape, masks, device
         self.actions = actions
         self.features = int(np.prod(obs_shape))
@@ -118,13 +127,15 @@ class Replay(PerNetworkState):
         shape = (networks, *agents) if n_step > 1 else (networks, 0, 0)
         self.waiting = np.zeros(shape, np.int64)
         self.unfinished = np.zeros((*shape, n_step, width), np.float32)
+        # The numbers, from 1, of the transitions that ended each agent's last task, by their age.
+        self.last = np.zeros((networks, *agents, n_step) if late else (networks, 0, 0, 0), np.int64)
         self._place = np.zeros(0, np.int64)
         self.bind()
 
     def limits(self) -> dict[str, tuple[float, float]]:
         """See :meth:`.PerNetworkState.limits`."""
         waiting = (0.0, max(self.n_step - 1.0, 0.0))
-        return {**super().limits(), "stored": COUNT, "waiting": waiting}
+        return {**super().limits(), "stored": COUNT, "waiting": waiting, "last": COUNT}
 
     def check(self, state: Mapping[str, Tensor]) -> None:
         """Raises InputError for moves or masks that are none in a checkpoint."""
@@ -153,6 +164,8 @@ class Replay(PerNetworkState):
         if self._place.size < most:
             self._place = np.empty(most, np.int64)
         here = self.device.type == "cpu"
+        if self.late:
+            self._pay_late(before, after)
         rows = (
             self.store.numpy().reshape(-1, width) if here else np.zeros((most, width), np.float32)
         )
@@ -163,8 +176,11 @@ class Replay(PerNetworkState):
             after.actions, after.acted, after.reward, after.ending,
             after.final_obs.reshape(games, -1, self.features), after.final_mask,
             self.masks, self.n_step, self.gamma, self.waiting, self.unfinished,
+            self.final_failures, self.late, self.last,
             capacity, self.stored, self._place, here, rows,
         )  # fmt: skip
+        if self.late:  # nothing that is paid in the next episode is for this one
+            self.last[after.over.reshape(len(self.last), -1)] = 0
         place = torch.from_numpy(self._place[:count])
         if not here:
             place = place.to(self.device)
@@ -172,9 +188,25 @@ class Replay(PerNetworkState):
             self._stored.copy_(torch.from_numpy(self.stored))
         self._added(place)
 
+    def _pay_late(self, before: PreStep, after: StepBuffers) -> None:
+        """Adds what agents are paid that did not move to the reward of their last moves."""
+        networks, capacity, width = self.store.shape
+        m, k = np.nonzero(~after.acted & (after.reward != 0))
+        games = len(after.acted) // networks
+        network, paid = m // games, after.reward[m, k]
+        numbers = self.last[network, m % games, before.agents[m, k]]
+        kept = (numbers > 0) & (self.stored[network, None] - numbers < capacity)
+        row, age = np.nonzero(kept)
+        place = network[row] * capacity + (numbers[row, age] - 1) % capacity
+        added = paid[row] * np.float32(self.gamma) ** age
+        where = torch.from_numpy(place).to(self.device)
+        reward = self.store.view(-1, width)[:, 2 * self.features + REWARD]
+        reward.index_add_(0, where, torch.from_numpy(added.astype(np.float32)).to(self.device))
+
     def cut(self) -> None:
         """Forgets unfinished returns: the games have been started anew."""
         self.waiting[:] = 0
+        self.last[:] = 0
 
     def _added(self, place: Tensor) -> None:
         """Takes note of rows of the store, counted through all networks, that are new."""
@@ -217,8 +249,8 @@ class Replay(PerNetworkState):
 def _add(
     agents: Any, obs: Any, next_agents: Any, next_obs: Any, next_mask: Any, actions: Any,
     acted: Any, reward: Any, ending: Any, final_obs: Any, final_mask: Any, masks: bool,
-    n_step: int, gamma: float, waiting: Any, unfinished: Any, capacity: int, stored: Any,
-    place: Any, here: bool, rows: Any,
+    n_step: int, gamma: float, waiting: Any, unfinished: Any, final_failures: bool, late: bool,
+    last: Any, capacity: int, stored: Any, place: Any, here: bool, rows: Any,
 ) -> int:  # fmt: skip
     """Makes rows of what a step finished; returns how many."""
     games, features = len(acted) // len(stored), obs.shape[2]
@@ -235,6 +267,10 @@ def _add(
                 older = waiting[network, game, n]
             ended = ending[m, k] != Ending.NONE
             over = ended or next_agents[m, k] != n
+            final = ended and (final_failures or ending[m, k] == Ending.JOINED)
+            if late:
+                for age in range(n_step):
+                    last[network, game, n, age] = 0
             for i in range(older + 1):
                 age = older - i
                 if first:
@@ -257,13 +293,15 @@ def _add(
                     row[features + f] = final_obs[m, k, f] if over else next_obs[m, k, f]
                 row[rest + MOVE] = actions[m, k] if first else kept[rest + MOVE]
                 row[rest + REWARD] = reward[m, k] if first else kept[rest + REWARD]
-                row[rest + GOES_ON] = 0 if ending[m, k] == Ending.JOINED else gamma**age
+                row[rest + GOES_ON] = 0 if final else gamma**age
                 if masks:
                     for move in range(final_mask.shape[2]):
                         mask = final_mask[m, k, move] if over else next_mask[m, k, move]
                         row[rest + MASK + move] = mask
                 stored[network] += 1
                 count += 1
+                if late and ended:
+                    last[network, game, n, age] = stored[network]
             if first:
                 continue
             # The oldest has left after n steps, all of them at the end of a task.
