@@ -157,6 +157,7 @@ class FastPath(NamedTuple):
     ) -> "FastPath":
         """What the compiled step of M games on G Gcells (shape) has to know about these pieces."""
         paper = type(observation) is PaperObservation
+        looks: Any = observation if paper else PaperObservation()
         prices = prices_of(reward)
         known = Prices.of() if prices is None else prices
         charges = known.shared[Share.OTHERS, 1] != 0
@@ -165,7 +166,7 @@ class FastPath(NamedTuple):
             observation=paper,
             reward=prices is not None,
             shares=True if known.shared.any() else None,
-            via_capacity=observation.via_capacity if paper else PaperObservation().via_capacity,
+            via_capacity=looks.via_capacity,
             table=known.table.astype(np.float32),
             overflow_price=float(known.added_overflow),
             prices=known.shared,

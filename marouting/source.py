@@ -183,8 +183,8 @@ class ProblemStream:
         source = checked_source(source)
         if isinstance(source, GeneratorOptions):
             if source.count > (1 if source.seed is None else MOST_PROBLEMS):
-                most = "1 without a seed" if source.seed is None else f"at most {MOST_PROBLEMS}"
-                raise InputError(f"problem.count: expected {most}, found {source.count}")
+                what = "1 without a seed" if source.seed is None else f"at most {MOST_PROBLEMS}"
+                raise InputError(f"problem.count: expected {what}, found {source.count}")
             if source.seed is None:
                 self._drawn = source
                 source = replace(source, seed=0, least=None)  # as large as any of them

@@ -102,12 +102,13 @@ class Device:
     def zeros(self, shape: tuple[int, ...], dtype: Any, order: str = "F") -> Any:
         """A new array of zeros; with ``F`` what belongs to neighbouring games is side by side."""
         if self.simulated:
-            return self.of(np.zeros(shape, dtype, order))
-        array = cuda.device_array(shape, dtype, order=order)
+            return self.of(np.zeros(shape, dtype, "F" if order == "F" else "C"))
+        array: Any = cuda.device_array(shape, dtype, order=order)
         if array.size:
-            from numba.cuda.cudadrv.driver import device_memset
+            from numba.cuda.cudadrv import driver
 
-            device_memset(array, 0, array.size * array.dtype.itemsize)
+            memset: Any = driver.device_memset
+            memset(array, 0, array.size * array.dtype.itemsize)
         return array
 
     def of(self, value: Any) -> Any:
@@ -193,7 +194,8 @@ def _load() -> Any:
             from numba import cuda as found
         except ImportError:
             raise InputError("device: expected numba-cuda (extra cuda), found none") from None
-    if not found.is_available():
+    available: Any = found.is_available
+    if not available():
         error = getattr(found, "cuda_error", lambda: None)() or "none"
         reason = " ".join(str(error).split())
         raise InputError(f"device: expected a CUDA device and its driver, found {reason}")

@@ -114,13 +114,12 @@ class CudaBatchEnv(BatchEnv):
         self.stream = 0
         drawn = is_whole(problems)
         if drawn:
-            known = isinstance(problem, ProblemStream)  # as trainings have it
             episodes: Any = problem
-            if not known:
+            if not isinstance(problem, ProblemStream):  # trainings have one already
                 episodes = ProblemStream(problem, checked.scenario, checked.split)
             check("pool", pool is None or pool >= 1, f"a number from 1, found {pool}")
-            found, bounds = episodes.ahead(pool, seed), episodes.bounds
-            self.names, self.pool = (list(each) for each in zip(*found, strict=True))
+            ahead, bounds = episodes.ahead(pool, seed), episodes.bounds
+            self.names, self.pool = (list(each) for each in zip(*ahead, strict=True))
             held = static_state(self.pool, checked, room=episodes.room)
             self.num_problems = cast(int, problems)
         else:
@@ -168,17 +167,18 @@ class CudaBatchEnv(BatchEnv):
             else device.of(np.asarray(a, order="C" if name in _TOGETHER else "F"))
             for name, a in arrays.items()
         }
-        self._static = Static._make(map(device.of, static._replace(**own)))
-        self._dynamic = dynamic_state(self._static, grid, self.num_agents, games, make)
+        self._static: Any = Static._make(map(device.of, static._replace(**own)))
+        self._dynamic: Any = dynamic_state(self._static, grid, self.num_agents, games, make)
         shape = cast(tuple[int, ...], self.single_observation_space.shape)
-        self._buffers = StepBuffers.of(
+        self._buffers: Any = StepBuffers.of(
             games, rows, shape, int(self.single_action_space.n), self._zeros
         )
         self.actions = self._buffers.actions
         if self._everyone and not drawn:
             there = np.diff(static.first, axis=1) > 0
             agents = np.where(there, np.arange(rows), NOBODY).astype(np.int32)
-            self._buffers.agents.copy_to_device(agents)
+            b: Any = self._buffers
+            b.agents.copy_to_device(agents)
         self._pool = Pool(
             **{name: device.of(array) for name, array in pool.items()},
             key=device.of(_keys(np.full(games, seed, np.uint64))),
@@ -337,7 +337,7 @@ class CudaBatchEnv(BatchEnv):
 
     def state(self) -> Any:
         """(M, X, Y, 5 Z) float32 on the device; see :meth:`marouting.vector.BatchEnv.state`."""
-        games, shape = self.num_problems, cast(tuple[int, ...], self.single_state_space.shape)
+        games, shape = self.num_problems, self.single_state_space.shape
         if self._states is None:
             with self._device.allocating():
                 self._states = self._device.zeros((games, *shape), np.float32, "C")
@@ -441,12 +441,12 @@ def _narrow(static: Static) -> dict[str, Any]:
     edges = _holds(least, int(inside.max()))
     small = {np.dtype(np.int32): np.dtype(np.int16)}
     fits = max(len(static.position), static.max_steps, demand) < 2**15
-    agent = {name: AGENT.fields[name][0] for name in AGENT.names or ()}
+    agent = _fields(AGENT)
     if fits:
         agent = {n: small.get(k, k) if n != "task" else k for n, k in agent.items()}
         tasks = int(np.diff(static.first, axis=1).max())
         agent["joined"] = _holds(0, tasks)
-    game = {name: GAME.fields[name][0] for name in GAME.names or ()}
+    game = _fields(GAME)
     if demand * inside[0].size < 2**31:
         game["overflow"] = game["wirelength"] = np.dtype(np.int32)
     return {
@@ -456,6 +456,12 @@ def _narrow(static: Static) -> dict[str, Any]:
         "agents": np.dtype(list(agent.items()), align=True),
         "games": np.dtype(list(game.items()), align=True),
     }
+
+
+def _fields(record: np.dtype[Any]) -> dict[str, np.dtype[Any]]:
+    """The types of the fields of a record."""
+    fields: Any = record.fields
+    return {name: fields[name][0] for name in fields}
 
 
 def _holds(least: int, most: int) -> Any:

@@ -6,6 +6,7 @@ windows, the time of every launch, Connector of Jumanji on the same card if juma
 installed, and PPO. The whole takes less than 8 minutes.
 """
 
+import importlib
 import json
 import platform
 import sys
@@ -271,10 +272,10 @@ def connector(games: int, seconds: float) -> dict[str, Any]:
     """Agent-steps per second of Jumanji's Connector-v3 with random legal moves, in JAX."""
     import jax
     import jax.numpy as jnp
-    import jumanji
-    from jumanji.wrappers import AutoResetWrapper
 
-    env: Any = AutoResetWrapper(jumanji.make("Connector-v3"))
+    jumanji, wrappers = map(importlib.import_module, ("jumanji", "jumanji.wrappers"))
+
+    env: Any = wrappers.AutoResetWrapper(jumanji.make("Connector-v3"))
     agents, steps = env.unwrapped.num_agents, 16
 
     def play(state: Any, seen: Any, key: Any) -> Any:

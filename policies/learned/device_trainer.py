@@ -87,18 +87,18 @@ class DeviceTrainer:
         assert isinstance(self.env, CudaBatchEnv)
         self.path = f"torch and games on {train.device}"
         rows = self.env.num_problems * self.env.num_agents
-        self.ppo = DevicePPO(
-            self.env,
-            config.env.observation.make(),
-            options,
-            steps=max(STEPS, round(options.rollout / rows)),
-            seed=config.seed,
-        )
+        observation = config.env.observation.make()
+        steps = max(STEPS, round(options.rollout / rows))
+        try:
+            self.ppo = DevicePPO(self.env, observation, options, steps=steps, seed=config.seed)
+        except torch.OutOfMemoryError as error:
+            reason = str(error).splitlines()[0]
+            raise InputError(f"device: expected more memory for these games: {reason}") from None
         self.episodes, self.steps, self._evaluated = np.zeros((3, 1), np.int64)
         self.best_episode = np.zeros(0, np.int64)
         self.walks: list[GreedyEvaluation] = []
         self._best = self._weights()
-        self._best_score = (np.inf, np.inf, np.inf)
+        self._best_score: tuple[float, ...] = (np.inf, np.inf, np.inf)
         self._best_after = 0
 
     # --- what is to be done -------------------------------------------------------------------
@@ -147,7 +147,8 @@ class DeviceTrainer:
         if not len(over):
             return []
         m = int(over[0])
-        name, metrics, reward = self.env.ended(m)
+        env: Any = self.env
+        name, metrics, reward = env.ended(m)
         return [
             Episode(
                 problem=name, episode=max(int(self.episodes[0]) - 1, 0), reward=reward, epsilon=0.0,
@@ -211,6 +212,10 @@ class DeviceTrainer:
         return shape
 
     # --- results ------------------------------------------------------------------------------
+
+    def origin(self, problem: str) -> str:
+        """Which episode a problem's solution is from: there are no solutions."""
+        raise KeyError(problem)
 
     def solutions(self) -> dict[str, Solution]:
         """None: every episode plays another problem."""

@@ -92,16 +92,18 @@ class DevicePPO:
         self.state_size = int(np.prod(env.single_state_space.shape)) if self.central else 0
         self.actions = int(env.single_action_space.n)
         check("message_bits", self.actions <= MOVES + 2, "0 on a device")
-        torch.manual_seed(seed)
         make = options.network.make
-        self.actor: nn.Module = make((features,), self.actions).to(self.device)
-        self.critic: nn.Module = make((features + self.state_size,), 1).to(self.device)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            actor, critic = make((features,), self.actions), make((features + self.state_size,), 1)
+        self.actor: nn.Module = actor.to(self.device)
+        self.critic: nn.Module = critic.to(self.device)
         self.adam = torch.optim.Adam(
             self._parameters(), options.learning_rate, eps=1e-5, fused=self.device.type == "cuda"
         )
         self.random = torch.Generator(self.device).manual_seed(seed)
         each = steps, self.rows
-        new = {"device": self.device}
+        new: dict[str, Any] = {"device": self.device}
         self.obs = torch.zeros((steps, features, self.rows), **new)
         self.global_state = torch.zeros((steps, self.state_size, self.games), **new)
         self.mask = torch.zeros((steps, self.actions, self.rows), dtype=torch.bool, **new)
@@ -245,7 +247,7 @@ class DevicePPO:
         count = 0
         for _ in range(o.epochs):
             order = torch.randperm(self.steps, generator=self.random, device=self.device)
-            for part in order.cpu().split(size):
+            for part in torch.split(order.cpu(), size):
                 count += 1
                 loss, entropy = self._update(part.tolist(), advantage, returns)
                 losses, entropies = losses + loss, entropies + entropy
