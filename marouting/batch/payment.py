@@ -12,8 +12,9 @@ import numpy as np
 from marouting.batch.bits import byte_of
 from marouting.batch.edges import demand_of, has_room, uses
 from marouting.batch.observation import paper_reward
-from marouting.batch.rules import may_move, move_agent, move_of, wait
+from marouting.batch.rules import may_move, move_agent, move_of
 from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.tasks import wait
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import as_index, compiled, i64, inlined
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
