@@ -186,12 +186,19 @@ def check_rows(
     width: int,
 ) -> None:
     """Raises ValueError unless there are K such agents, and ``out`` has a row for each of them."""
+    check_shapes(problems, agents, out, width)
+    m, n = games.nets.shape
+    there = (problems >= 0) & (problems < m) & (agents >= NOBODY) & (agents < n)
+    if not there.all():
+        raise ValueError(f"expected agents of the games, found {problems}, {agents}")
+
+
+def check_shapes(
+    problems: NDArray[np.integer], agents: NDArray[np.integer], out: NDArray[Any], width: int
+) -> None:
+    """:func:`check_rows` for kernels that look at every agent's number themselves."""
     whole = problems.dtype.kind in "iu" and agents.dtype.kind in "iu"
     if not whole or len(problems) != len(agents) or out.shape != (len(agents), width):
         raise ValueError(
             f"expected integers for {len(out)} rows of {width}, found {problems}, {agents}"
         )
-    m, n = games.nets.shape
-    there = (problems >= 0) & (problems < m) & (agents >= NOBODY) & (agents < n)
-    if not there.all():
-        raise ValueError(f"expected agents of the games, found {problems}, {agents}")

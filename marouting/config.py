@@ -212,7 +212,8 @@ class _File:
 def code_named(data: Any, above: Keys = ()) -> Iterator[tuple[Keys, str]]:
     """Every ``module:Class`` in the data, with the keys that lead to it.
 
-    Names of pieces are under the key ``kind``, or under that of their kind, such as ``reward``.
+    Names of pieces are under the key ``kind``, or under that of their kind, such as ``reward``;
+    those of scenarios under ``scenario``.
     """
     if isinstance(data, Component):
         if ":" in data.name:
@@ -228,7 +229,7 @@ def code_named(data: Any, above: Keys = ()) -> Iterator[tuple[Keys, str]]:
     for key, value in inner:
         keys = (*above, str(key))
         if isinstance(value, str):
-            if ":" in value and key in ("kind", *KINDS):
+            if ":" in value and key in ("kind", "scenario", *KINDS):
                 yield keys, value
         else:
             yield from code_named(value, keys)

@@ -101,6 +101,7 @@ class Game:
             of its tasks that is, and the steps made in it.
         joined, status: columns: how many of the agent's tasks are joined; its :class:`Status`.
         crossing, ending, added_overflow: columns: what the agent's last move did.
+        message: column: what the agent wrote with its last move, with ``message_bits``.
         joined_tasks, overflow, wirelength, moves: figures of the whole problem.
         round: of rip-up and reroute, from 1; 0 while nets are routed for the first time.
         asked: whether the agent to move decides about rip-up: action 6 rips up its net.
@@ -111,7 +112,7 @@ class Game:
 
     COLUMNS = (
         "cell", "target", "task", "steps", "joined",
-        "status", "crossing", "ending", "added_overflow",
+        "status", "crossing", "ending", "added_overflow", "message",
     )  # fmt: skip
 
     def __init__(self, problem: Problem, rules: Rules | None = None) -> None:
@@ -140,9 +141,10 @@ class Game:
         self.rip_up = self.rules.rip_up or RipUp(rounds=0)
         self.to_tree = self.rules.target == "tree"
         self.keeps_tree = self.to_tree or self.rules.next_pin == "nearest"
+        self.waits = self.rules.wait << self.rules.moves - 1  # the bit of the move that stays
         columns = [array("i", bytes(4 * len(self.nets))) for _ in self.COLUMNS]
         self.cell, self.target, self.task, self.steps, self.joined = columns[:5]
-        self.status, self.crossing, self.ending, self.added_overflow = columns[5:]
+        self.status, self.crossing, self.ending, self.added_overflow, self.message = columns[5:]
         self.reset()
 
     def reset(self) -> None:
@@ -184,15 +186,17 @@ class Game:
         return [self.turn] if alone and self.active else list(self.active)
 
     def move(self, n: int, action: int) -> None:
-        """An active agent crosses an edge or is blocked, and its task may end."""
+        """An active agent crosses an edge, is blocked or waits, and its task may end."""
         self.moves += 1
+        if self.rules.message_bits:
+            self.message[n], action = divmod(action, self.rules.moves)
         self.added_overflow[n], self.ending[n] = 0, GOES_ON
         if self.asked:
             self._answer(n, rip_up=action == RIP_UP)
             return
         cell = self.cell[n]
-        # Nobody is asked here, so RIP_UP is a move that is blocked.
-        edge, ahead = (0, OFF_GRID) if action == RIP_UP else self.grid.ways[cell][action]
+        # To wait is to be blocked by nothing, and so is RIP_UP, since nobody is asked here.
+        edge, ahead = (0, OFF_GRID) if action >= MOVES else self.grid.ways[cell][action]
         if ahead == OFF_GRID:
             self.crossing[n] = BLOCKED
         elif edge in self.used[n]:
@@ -247,7 +251,7 @@ class Game:
             self._rip_up_next()
 
     def free_moves(self, n: int) -> int:
-        """The moves of an agent that cross an edge, one bit per move; see :func:`mask_table`."""
+        """The moves of an agent that are not blocked, one bit each; see :func:`mask_table`."""
         if self.asked and n == self.turn:
             return 1 | 1 << RIP_UP  # any of the six moves keeps the route: one is enough
         cell, used, remaining = self.cell[n], self.used[n], self.remaining
@@ -258,7 +262,7 @@ class Game:
         if self.rules.mask.visited:
             new = sum(bit for bit, _, ahead in exits if ahead not in self.visited[n])
             free = free & new or free
-        return free
+        return free | self.waits
 
     # --- Edges ------------------------------------------------------------------------------------
 
@@ -507,14 +511,15 @@ class Game:
 
 
 @functools.cache
-def mask_table(actions: int) -> NDArray[np.int8]:
-    """(2^A, A) int8, the action mask of every set of :meth:`Game.free_moves`, one bit per action.
+def mask_table(moves: int, messages: int = 1) -> NDArray[np.int8]:
+    """(2^moves, A) int8, the action mask of every set of :meth:`Game.free_moves`.
 
-    Without a free move all six are 1, so a mask is never all zero.
+    Without a free move the six that cross edges are 1, so a mask is never all zero. Every message
+    goes with every move.
     """
-    free = np.arange(1 << actions)
-    free[free % (1 << MOVES) == 0] += (1 << MOVES) - 1
-    return (free[:, None] >> np.arange(actions) & 1).astype(np.int8)
+    free = np.arange(1 << moves)
+    free[0] = (1 << MOVES) - 1
+    return np.tile((free[:, None] >> np.arange(moves) & 1).astype(np.int8), messages)
 
 
 def lot(number: int, n: int, other: int) -> int:

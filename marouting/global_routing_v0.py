@@ -13,7 +13,7 @@ uses capacity on every edge that it crosses, so nets compete for edges.
 | Manual control | No |
 | Agents | `net_0`, `net_1`, …: one per net |
 | Action shape | () |
-| Action values | 0 to 5; 0 to 6 with `rip_up={"choose": "agents"}` |
+| Action values | 0 to 5; more with `rip_up={"choose": "agents"}`, `wait` and `message_bits` |
 | Observation shape | (12,), float32, by default; depends on `observation` |
 | Observation values | see the table below |
 | State shape | (X, Y, 5 Z), float32, on a grid of X×Y×Z Gcells |
@@ -47,9 +47,9 @@ move one after another, in turn order, so two nets never claim the last track of
 
 Every net is an agent, except those with all pins in one Gcell: they have nothing to route and are
 listed in `idle_nets`. An agent leaves `agents` when all its tasks have ended. With
-`agents_persist=True` it stays until the last agent is done. Until then its rewards are 0, its mask
-allows a single action, which has no effect, and `info["active"]` is false (infos have `active` from
-the first step on).
+`agents_persist=True` it stays until the last agent is done. Until then it is paid if the reward
+pays it, its mask allows a single action, which has no effect, and `info["active"]` is false (infos
+have `active` from the first step on).
 
 ## Actions
 
@@ -66,6 +66,24 @@ the first step on).
 A move across an edge without enough remaining capacity, or off the grid, is **blocked**: the agent
 stays where it is, and the step counts towards `max_steps`. An edge that the net already uses is
 free to cross again. Vias have unlimited capacity.
+
+With `wait=True` there is one more move, the last one: the agent stays. The step counts and pays
+like that of a blocked move. Waiting is never masked.
+
+With `message_bits=k` every action also writes a message of k bits: with M moves, action
+`move + M * message` makes the move and writes the message, so there are M · 2^k actions. The
+message stands until the agent's next action. The observation `window` shows it to all agents
+around, in its channel `messages`:
+
+```python
+from marouting import global_routing_v0
+
+sees = {"kind": "window", "channels": ["capacity", "heads", "messages"], "message_bits": 2}
+env = global_routing_v0.parallel_env(wait=True, message_bits=2, observation=sees)
+observations, infos = env.reset(seed=42)
+waits, moves = 6, 7
+env.step(dict.fromkeys(env.agents, waits + moves * 3))  # all stay, and set both bits
+```
 
 ## Action mask
 
@@ -123,13 +141,17 @@ whole grid.
 |---|---|---|
 | `paper` (default) | the agent that moves | +100 if it reaches its target, −1 for any other move |
 | `normalised` | the agent that moves | the same with +1 and −0.01, as most libraries expect |
-| `team` | every agent that is not done | the decrease in the cost of the whole solution |
+| `team` | every agent, also those that are done | the decrease in the cost of the whole solution |
 | `difference` | the agent that moves | the same decrease |
+| `counterfactual` | every agent | the decrease in the cost that is there because of its net |
 | `potential` | the agent that moves | the decrease in its distance to the target |
 | `mixed` | as its parts say | the weighted sum of several rewards |
 
 The cost is wirelength + 10 × overflow + 100 × unconnected tasks; the factors are options
-(:mod:`marouting.rewards`).
+(:mod:`marouting.rewards`). Because of a net there are its wirelength and unconnected tasks, the
+overflow that it adds, and tasks of other nets that failed because it alone was in their way. An
+agent that is done has left `agents` and cannot be paid any more; with `agents_persist=True`, and in
+`BatchEnv`, it is paid until the episode is over.
 
 ```python
 from marouting import global_routing_v0
@@ -211,6 +233,22 @@ ended = info["task_ended"] != 0
 next_obs = np.where(ended[..., None], info["final_obs"], obs)
 bootstrap = info["task_ended"] != 1  # a failed task only ran out of steps
 # Where info["acted"], a transition is (before, actions, reward, next_obs, bootstrap).
+```
+
+The rows of agents that are done stay, and are paid, until the problem's episode is over. With
+`agents_persist=True` they are also terminated or truncated only then, as in PettingZoo's
+interfaces. A problem whose episode is over starts the next one with the next step; with
+`play_once=True` each of a list of problems, or of the problems of a split, is played once:
+
+```python
+import numpy as np
+from marouting.vector import BatchEnv
+
+env = BatchEnv(scenario="toy-4x4-v0", split="validation", play_once=True)
+obs, info = env.reset()
+while info["active"].any():
+    obs, reward, terminated, truncated, info = env.step(info["action_mask"].argmax(axis=-1))
+print(info["final_info"]["wirelength"].sum())
 ```
 
 `BatchEnv(64, scenario="mixed-v0")` plays 64 games, each with a new problem in every episode; the

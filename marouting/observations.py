@@ -250,14 +250,15 @@ def has_move_order(observation: Observation) -> bool:
 
 
 def move_order_of(
-    observation: Observation, obs: NDArray[np.float32], actions: int
+    observation: Observation, obs: NDArray[np.float32], actions: int, messages: int = 1
 ) -> NDArray[np.int64]:
     """The actions on the grid that the actions of an observation are.
 
     Args:
         observation: with a method ``move_order``.
         obs: (K, *S) float32, what agents saw.
-        actions: A; an action that is no move, such as ripping up, stays what it is.
+        actions: A; what crosses no edge, such as ripping up, stays what it is.
+        messages: how many messages there are to choose from; see :class:`marouting.rules.Rules`.
 
     Returns:
         (K, A) int64, each row the numbers from 0 to A − 1 in some order.
@@ -275,8 +276,10 @@ def move_order_of(
         raise InputError(
             f"{found}: expected the moves 0 to 5, each once, for {len(obs)} agents, found {order}"
         )
-    rest = np.broadcast_to(np.arange(MOVES, actions), (len(obs), actions - MOVES))
-    return np.concatenate((order.astype(np.int64), rest), axis=1)
+    moves = actions // messages
+    rest = np.broadcast_to(np.arange(MOVES, moves), (len(obs), moves - MOVES))
+    one = np.concatenate((order.astype(np.int64), rest), axis=1)
+    return np.concatenate([one + moves * message for message in range(messages)], axis=1)
 
 
 _MOVES = np.arange(MOVES)

@@ -8,7 +8,7 @@ from marouting.config import Named, build, check, merged, piece_field, take_piec
 from marouting.errors import UnknownOption
 from marouting.generator import GeneratorOptions
 from marouting.rules import Rules, TurnOrder
-from marouting.scenarios import Split, get, names
+from marouting.scenarios import Split, load, names
 
 Agents = Literal["single", "multi"]
 RenderMode = Literal["ansi", "rgb_array", "human"]
@@ -37,8 +37,8 @@ class GameOptions(Rules):
             (:class:`marouting.generator.GeneratorOptions`). With several problems, every reset
             draws one; with ``seed: null`` the generator makes a new one. None: a small problem,
             or those of the scenario.
-        scenario: the name of a scenario (:mod:`marouting.scenarios`), instead of ``problem``. It
-            may have defaults of its own for the other options.
+        scenario: the name of a scenario (:mod:`marouting.scenarios`), or ``module:NAME`` for one of
+            your own, instead of ``problem``. It may have defaults of its own for the other options.
         split: which of the scenario's problems: ``train``, a new one at every reset;
             ``validation`` or ``test``, a random one of this fixed set at every reset.
         observation: what agents see: the name of a registered observation, ``module:Class``, a
@@ -79,7 +79,7 @@ class GameOptions(Rules):
             check("split", self.split == "train", "a scenario beside it")
             object.__setattr__(self, "problem", SMALL if self.problem is None else self.problem)
         else:
-            get(self.scenario)
+            load(self.scenario)
             check("problem", self.problem is None, "none beside a scenario, which has its own")
         for name, (columns, plain, *methods) in FORMS.items():
             given = getattr(self, name)
@@ -119,8 +119,8 @@ class EnvOptions(GameOptions):
 def with_suggestions(options: Mapping[str, Any]) -> dict[str, Any]:
     """Options in plain data, with those of their scenario where they say nothing themselves."""
     scenario = options.get("scenario")
-    if isinstance(scenario, str) and scenario in names():
-        return merged(get(scenario).env, options)
+    if isinstance(scenario, str) and (scenario in names() or ":" in scenario):
+        return merged(load(scenario).env, options)
     return dict(options)
 
 

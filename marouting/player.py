@@ -30,6 +30,7 @@ from marouting.batch.rules import (
     may_move,
     move_agent,
     move_everyone,
+    move_of,
     move_player,
     pass_turn,
     reset_problem,
@@ -75,7 +76,7 @@ class StepBuffers(NamedTuple):
     agents: NDArray[np.int32]  # (M, K) the agent of each row, or NOBODY
     obs: NDArray[np.float32]  # (M, K, *S) what it sees now; zeros for NOBODY
     mask: NDArray[np.int8]  # (M, K, A) its moves that cross an edge now; never all zero
-    actions: NDArray[np.int8]  # (M, K) input: the moves to make; NOBODY: no move
+    actions: NDArray[np.int16]  # (M, K) input: the moves to make; NOBODY: no move
     acted: NDArray[np.bool_]  # (M, K) whether the row's agent moved in the step
     reward: NDArray[np.float32]  # (M, K) what the step paid it; if K = 1, all agents together
     ending: NDArray[np.int8]  # (M, K) Ending of the agent's task in the step
@@ -112,7 +113,7 @@ class StepBuffers(NamedTuple):
             agents=make("agents", each, np.int32),
             obs=make("obs", (*each, *shape), np.float32),
             mask=make("mask", (*each, actions), np.int8),
-            actions=make("actions", each, np.int8),
+            actions=make("actions", each, np.int16),
             acted=make("acted", each, np.bool_),
             reward=make("reward", each, np.float32),
             ending=make("ending", each, np.int8),
@@ -156,6 +157,7 @@ class FastPath(NamedTuple):
     ) -> "FastPath":
         """What the compiled step of M games on G Gcells (shape) has to know about these pieces."""
         paper = type(observation) is PaperObservation
+        looks: Any = observation if paper else PaperObservation()
         prices = prices_of(reward)
         known = Prices.of() if prices is None else prices
         charges = known.shared[Share.OTHERS, 1] != 0
@@ -164,7 +166,7 @@ class FastPath(NamedTuple):
             observation=paper,
             reward=prices is not None,
             shares=True if known.shared.any() else None,
-            via_capacity=observation.via_capacity if paper else PaperObservation().via_capacity,
+            via_capacity=looks.via_capacity,
             table=known.table.astype(np.float32),
             overflow_price=float(known.added_overflow),
             prices=known.shared,
@@ -354,17 +356,22 @@ class Player:
 
     # --- moves of the observation -------------------------------------------------------------
 
-    def actions_of(self, moves: NDArray[np.integer]) -> NDArray[np.int8]:
+    def actions_of(self, moves: NDArray[np.integer]) -> NDArray[np.int16]:
         """The actions for ``buffers.actions`` that stand for moves on the grid, both (M, K)."""
         if not self.turned:
-            return moves.astype(np.int8)
+            return moves.astype(np.int16)
         return _picked(np.argsort(self._order(), axis=-1), moves)  # the other way round
 
     def _order(self) -> NDArray[np.int64]:
         """(M, K, A), see :func:`marouting.observations.move_order_of`."""
         b = self.buffers
         obs = b.obs.reshape(-1, *b.obs.shape[2:])
-        return move_order_of(self.observation, obs, self.engine.actions).reshape(b.mask.shape)
+        return self._order_of(obs).reshape(b.mask.shape)
+
+    def _order_of(self, obs: NDArray[np.float32]) -> NDArray[np.int64]:
+        """(K, A), of K observations."""
+        rules = self.engine.rules
+        return move_order_of(self.observation, obs, rules.actions, rules.messages)
 
     def _turn_masks(self) -> None:
         """Puts masks that have just been written for all rows in the order of the observation."""
@@ -473,7 +480,7 @@ class Player:
         engine, actions = self.engine, self.buffers.actions
         alone = (engine.games["asked"] != 0) | engine.static.sequential
         for k in range(engine.nets.shape[1] if self.everyone else 1):
-            movers, moves = np.empty(len(begins), np.int32), np.empty(len(begins), np.int8)
+            movers, moves = np.empty(len(begins), np.int32), np.empty(len(begins), np.int16)
             if _movers(
                 engine.static,
                 engine.dynamic,
@@ -505,8 +512,7 @@ class Player:
         masks = b.final_mask.reshape(-1, engine.actions)
         self._mask(engine.static, engine.dynamic, problems, agents, rows, masks)
         if self.turned:
-            order = move_order_of(self.observation, out, engine.actions)
-            masks[rows] = np.take_along_axis(masks[rows], order, -1)
+            masks[rows] = np.take_along_axis(masks[rows], self._order_of(out), -1)
         if self._before is not None:
             self._swap_arrived(problems, agents)
             engine.games["active"] = active
@@ -553,10 +559,10 @@ class Player:
         obs[rows] = out
 
 
-def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.int8]:
+def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.int16]:
     """(M, K) the entries of orders (M, K, A) at moves (M, K); no move stays none."""
     found = np.take_along_axis(order, np.maximum(moves, 0)[..., None].astype(np.int64), -1)
-    return np.where(moves == NOBODY, NOBODY, found[..., 0]).astype(np.int8)
+    return np.where(moves == NOBODY, NOBODY, found[..., 0]).astype(np.int16)
 
 
 @compiled
@@ -590,7 +596,7 @@ def _mask_rows(
     """Fills rows (K,) of ``out`` with the masks of agents (K,)."""
     for i in range(len(rows)):
         free = free_moves(static, dynamic, as_index(problems[i]), as_index(agents[i]))
-        write_moves(free, out, as_index(rows[i]))
+        write_moves(static, free, out, as_index(rows[i]))
 
 
 @compiled
@@ -636,7 +642,8 @@ def _settle_movers(
         if movers[m] == NOBODY:
             continue
         n = as_index(movers[m])
-        edge = as_index(static.edge[as_index(before.agents[m, n].cell), as_index(moves[m] % MOVES)])
+        move = min(move_of(static, i64(moves[m])), MOVES - 1)
+        edge = as_index(static.edge[as_index(before.agents[m, n].cell), as_index(move)])
         arrived.agents[m, n] = dynamic.agents[m, n]
         for option in range(Option.VISITED, Option.TRIED + 1):
             if static.options[option] >= 0 and option != Option.KEPT:
@@ -664,10 +671,10 @@ def _free(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
 
 
 @inlined
-def _write_mask(mask: Any, m: int, row: int, free: int) -> None:
+def _write_mask(static: Static, mask: Any, m: int, row: int, free: int) -> None:
     """Writes a mask, in bytes or in pairs of bytes."""
     if mask.shape[2] >= MOVES:
-        write_moves(free, mask[m], row)
+        write_moves(static, free, mask[m], row)
         return
     for pair in range(_MASKS.shape[1]):
         mask[m, row, pair] = _MASKS[free, pair]
@@ -680,7 +687,7 @@ def _look(
     """Writes what an agent sees; zeros and a mask of ones for NOBODY."""
     free = _free(static, dynamic, m, n)
     write_paper(static, dynamic, fast.via_capacity, m, n, obs[m], row)
-    _write_mask(mask, m, row, free)
+    _write_mask(static, mask, m, row, free)
 
 
 @inlined
@@ -853,7 +860,7 @@ def settle_game(
     asked: int,
     what: int,
 ) -> None:
-    """The end of a step of one problem, whose turn was ``asked``'s; writes what became of agents."""
+    """The end of a step of one problem, whose turn was that of ``asked``."""
     game = dynamic.games[m]
     if what != NOT:
         if fast.everyone:
@@ -885,7 +892,7 @@ def settle_game(
 @inlined
 def write_mask(static: Static, dynamic: Dynamic, mask: Any, m: int, n: int, row: int) -> None:
     """Writes the moves of an agent that cross an edge; ones for NOBODY."""
-    _write_mask(mask, m, row, _free(static, dynamic, m, n))
+    _write_mask(static, mask, m, row, _free(static, dynamic, m, n))
 
 
 @compiled

@@ -83,10 +83,15 @@ def lookup(kind: str, name: str, where: str = "") -> type[Any]:
                 f"{prefix}unknown {kind} {name!r}; {nearest(name, names(kind))}"
                 f"expected module:Class or one of {', '.join(names(kind))}"
             )
-        found = name
-        if (folder := _folder.get()) is not None and folder not in sys.path:
-            sys.path.append(folder)
-    return _imported(found, prefix) if isinstance(found, str) else found
+        found, cls = name, imported(name, prefix)
+    elif not isinstance(found, str):
+        return found
+    else:
+        cls = _imported(found, prefix)
+    if not isinstance(cls, type):
+        module, _, qualified = found.partition(":")
+        raise InputError(f"{prefix}{found}: there is no class {qualified} in {module}")
+    return cls
 
 
 @contextlib.contextmanager
@@ -142,8 +147,15 @@ def _entry_points(kind: str) -> dict[str, str]:
     return {point.name: point.value for point in metadata.entry_points(group=f"marouting.{kind}")}
 
 
-def _imported(path: str, prefix: str) -> type[Any]:
-    """The class at ``module:Class``."""
+def imported(path: str, prefix: str = "") -> Any:
+    """What a user has at ``module:Name``, or None; raises InputError if there is no such module."""
+    if (folder := _folder.get()) is not None and folder not in sys.path:
+        sys.path.append(folder)
+    return _imported(path, prefix)
+
+
+def _imported(path: str, prefix: str) -> Any:
+    """The object at ``module:Name``, or None; raises InputError if there is no such module."""
     module, _, qualified = path.partition(":")
     try:
         found: Any = importlib.import_module(module)
@@ -155,6 +167,4 @@ def _imported(path: str, prefix: str) -> type[Any]:
         raise InputError(f"{prefix}{path}: expected module:Class") from None
     for part in qualified.split("."):
         found = getattr(found, part, None)
-    if not isinstance(found, type):
-        raise InputError(f"{prefix}{path}: there is no class {qualified} in {module}")
     return found

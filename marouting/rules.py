@@ -12,8 +12,8 @@ from marouting.problem.grid import MOVES, VIA_AXIS
 from marouting.problem.problem import Problem
 from marouting.trees.decomposition import Decomposition
 
-MOST_STEPS, MOST_ROUNDS, MOST_NEIGHBOURS = 1_000_000, 100_000, 100
-"""The largest ``max_steps``, ``rip_up.rounds`` and ``rip_up.neighbours``."""
+MOST_STEPS, MOST_ROUNDS, MOST_NEIGHBOURS, MOST_BITS = 1_000_000, 100_000, 100, 8
+"""The largest ``max_steps``, ``rip_up.rounds``, ``rip_up.neighbours`` and ``message_bits``."""
 
 TurnOrder = Literal["sequential", "round_robin"]
 NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
@@ -103,6 +103,10 @@ class Rules:
         nets: the nets' order and decomposition, a :class:`Nets` or a mapping of its fields.
         mask: the action mask, a :class:`Mask` or a mapping of its fields.
         rip_up: rip-up and reroute, a :class:`RipUp` or a mapping of its fields; None: off.
+        wait: whether there is one more move, the last one: the agent stays where it is. It counts
+            as a step.
+        message_bits: bits of the message that an agent writes with every action, 0 to 8. An action
+            is then ``move + moves * message``, for so many ``moves`` without messages.
     """
 
     turn_order: TurnOrder | None = None
@@ -114,16 +118,28 @@ class Rules:
     nets: Nets = Nets()
     mask: Mask = Mask()
     rip_up: RipUp | None = None
+    wait: bool = False
+    message_bits: int = 0
 
     def __post_init__(self) -> None:
-        check_fields(self, max_steps=(1, MOST_STEPS))
+        check_fields(self, max_steps=(1, MOST_STEPS), message_bits=(0, MOST_BITS))
         if self.next_pin == "nearest" and self.nets.decomposition != "mst":
             raise InputError("next_pin: expected listed, for a nets.decomposition other than mst")
 
     @property
+    def moves(self) -> int:
+        """How many moves an agent has: six, ripping up when asked, and waiting."""
+        return MOVES + self.asks + self.wait
+
+    @property
+    def messages(self) -> int:
+        """How many messages there are to choose from; 1 without messages."""
+        return 1 << self.message_bits
+
+    @property
     def actions(self) -> int:
-        """How many actions an agent has: six moves and, when asked, ripping up."""
-        return MOVES + self.asks
+        """How many actions an agent has: every move with every message."""
+        return self.moves * self.messages
 
     @property
     def asks(self) -> bool:

@@ -33,6 +33,7 @@ Source = (
 """A problem or several, options of the generator, a file, a folder, a list of both; None: a small
 problem."""
 
+AHEAD = 1024  # problems of a stream without end that are drawn ahead
 MOST_PROBLEMS = 10_000  # the most problems that an environment keeps
 
 
@@ -145,6 +146,8 @@ class ProblemStream:
         bounds: problems with at least as many nets, and as much capacity, as any to be played.
         room: the array sizes that fit all of them.
         many: whether there are several problems.
+        held_out: how many of the first numbers are never drawn.
+        most: how many numbers may be drawn; None: all.
         nets: the numbers of the nets that have something to route in at least one of them.
 
     Raises:
@@ -160,7 +163,7 @@ class ProblemStream:
         held_out: int = 0,
         most: int | None = None,
     ) -> None:
-        self._held_out = held_out
+        self.held_out, self.most = held_out, most
         self._numbers = MAX_NUMBER - held_out if most is None else most
         self._kept: dict[int, tuple[str, Problem]] | None = None if most is None else {}
         self._drawn: GeneratorOptions | Scenario | None = None
@@ -180,8 +183,8 @@ class ProblemStream:
         source = checked_source(source)
         if isinstance(source, GeneratorOptions):
             if source.count > (1 if source.seed is None else MOST_PROBLEMS):
-                most = "1 without a seed" if source.seed is None else f"at most {MOST_PROBLEMS}"
-                raise InputError(f"problem.count: expected {most}, found {source.count}")
+                what = "1 without a seed" if source.seed is None else f"at most {MOST_PROBLEMS}"
+                raise InputError(f"problem.count: expected {what}, found {source.count}")
             if source.seed is None:
                 self._drawn = source
                 source = replace(source, seed=0, least=None)  # as large as any of them
@@ -218,7 +221,7 @@ class ProblemStream:
     def number(self, rng: np.random.Generator) -> int:
         """Draws the number of a problem."""
         if self._drawn is not None:
-            return self._held_out + int(rng.integers(self._numbers))
+            return self.held_out + int(rng.integers(self._numbers))
         return int(rng.integers(len(self.problems))) if len(self.problems) > 1 else 0
 
     def problem(self, number: int) -> tuple[str, Problem]:
@@ -236,6 +239,21 @@ class ProblemStream:
         if self._drawn is not None:
             return f"seed_{number}", load_problem(replace(self._drawn, seed=number))
         return list(self.problems.items())[number]
+
+    def ahead(self, count: int | None, seed: int) -> list[tuple[str, Problem]]:
+        """Problems to draw ahead of all episodes, with their names.
+
+        Args:
+            count: how many; None: all that there are, or 1024 of a stream without end.
+            seed: decides which, where there are more.
+        """
+        numbers = range(self.held_out, self.held_out + (self.most or 0))
+        if not self.endless:
+            numbers = range(len(self.problems))
+        if len(numbers) and (count is None or count >= len(numbers)):
+            return list(map(self.problem, numbers))
+        rng = np.random.default_rng(seed)
+        return [self.next(rng) for _ in range(count or AHEAD)]
 
     def next(self, rng: np.random.Generator) -> tuple[str, Problem]:
         """The problem of the next episode and its name."""

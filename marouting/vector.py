@@ -249,8 +249,8 @@ class BatchEnv(EzPickle):
         """Moves the agents of all rows, those of each problem in turn order.
 
         Args:
-            actions: (M, K) integers, 0 to 5 (6 where ``rip_up`` has ``choose: agents``), or −1 for
-                no move. Those of agents that are done or absent are ignored.
+            actions: (M, K) integers, 0 to A − 1 (see :class:`marouting.rules.Rules`), or −1 for no
+                move. Those of agents that are done or absent are ignored.
 
         Returns:
             * (M, K, *S) float32 observations,

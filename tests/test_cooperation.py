@@ -1,5 +1,6 @@
 """The scenarios for policies: what they promise, and what local rules cost in them."""
 
+import heapq
 from collections import deque
 from dataclasses import replace
 from typing import Any
@@ -19,9 +20,9 @@ from marouting import (
     scenarios,
     sequential_astar,
 )
-from marouting.game import Status
+from marouting.game import Game, Status
 from marouting.problem.grid import OFF_GRID
-from marouting.rules import Mask, Rules
+from marouting.rules import Mask, Nets, Rules
 from marouting.scenarios import COOPERATION
 from marouting.scenarios.cooperation import Braess, Gates
 from policies.experiment.anarchy import (
@@ -137,7 +138,7 @@ def test_captives_need_the_narrow_gate_and_others_do_not(name: str) -> None:
         for gcells in problem.pin_gcells
     ]
     plain = [
-        path_length(problem, *gcells.tolist()) or 0  # type: ignore[misc]
+        path_length(problem, *gcells.tolist()) or 0
         for problem in scenario.test
         for gcells in problem.pin_gcells
     ]
@@ -165,8 +166,8 @@ def test_the_short_cut_makes_all_worse_off() -> None:
         closed = np.flatnonzero(problem.capacity != other.capacity)
         assert len(closed) == 1
         longer += [
-            (path_length(other, *gcells.tolist()) or 0)  # type: ignore[misc]
-            - (path_length(problem, *gcells.tolist()) or 0)  # type: ignore[misc]
+            (path_length(other, *gcells.tolist()) or 0)
+            - (path_length(problem, *gcells.tolist()) or 0)
             for gcells in problem.pin_gcells
         ]
     assert min(longer) >= 0
@@ -192,6 +193,109 @@ def test_nets_that_arrive_later_are_not_seen() -> None:
         for env, (_, _, _, _, info) in zip(envs, seen, strict=True):
             env.step(int(np.flatnonzero(info["action_mask"])[-1]))
     assert envs[0].agent_selection in ("net_0", "net_1")
+
+
+# The rules in plain Python -----------------------------------------------------------------------
+
+
+def plain_way(game: Game, n: int, rule: LocalRouter) -> int | None:
+    """The first move of a cheapest path, as policies.routers.local says."""
+    grid, start, target = game.grid, game.cell[n], game.target[n]
+    radius = 10**6 if rule.radius is None else rule.radius
+    here = grid.position_of[start]
+
+    def away(cell: int) -> int:
+        at = grid.position_of[cell]
+        return max(abs(at[0] - here[0]), abs(at[1] - here[1]))
+
+    others = [game.cell[k] for k in game.active if k != n]
+    met = not game.sequential and any(away(cell) <= radius for cell in others)
+    price = int(rule.price * 1024) if met or not rule.seen else 0
+    free, best, move = game.free_moves(n), 10**15, None
+    costs, first, waiting = {start: 0}, {start: 0}, [(0, start)]
+    while waiting:
+        cost, cell = heapq.heappop(waiting)
+        if cost > costs[cell] or cost >= best:
+            continue
+        if cell == target:
+            best, move = cost, first[cell]
+            continue
+        for step, (edge, ahead) in enumerate(grid.ways[cell]):
+            if ahead == OFF_GRID:
+                continue
+            if away(ahead) > radius:
+                left = cost + 1024 * (
+                    grid.distance(cell, target) + plain_detour(game, cell, target)
+                )
+                if cell != start and left < best:
+                    best, move = left, first[cell]
+                continue
+            layer = grid.position_of[cell][2]
+            open_ = edge in game.used[n] or game.remaining[edge] >= game.needed[n][layer]
+            if not (free >> step & 1 if cell == start else open_ and ahead not in game.visited[n]):
+                continue
+            length = 1024
+            if edge in game.used[n]:
+                length = 1
+            elif step < 4:
+                length += price // max(game.remaining[edge], 1)
+            if cost + length < costs.get(ahead, 10**15):
+                costs[ahead] = cost + length
+                first[ahead] = step if cell == start else first[cell]
+                heapq.heappush(waiting, (cost + length, ahead))
+    return move
+
+
+def plain_detour(game: Game, cell: int, target: int) -> int:
+    """Vias beyond the difference in layers, where layer 1 leads along x and layer 2 along y."""
+    if game.layers == 1:
+        return 0
+    (x, y, z), (u, v, w) = game.grid.position_of[cell], game.grid.position_of[target]
+    needed = ({0} if x != u else set()) | ({1} if y != v else set())
+    return 0 if z != w or needed <= {z} else 2
+
+
+def plain_greedy(game: Game, n: int) -> int:
+    """The move nearest to the target, then with the most tracks left."""
+    free, (u, v, w) = game.free_moves(n), game.grid.position_of[game.target[n]]
+
+    def rank(step: int) -> tuple[int, int, int]:
+        edge, ahead = game.grid.ways[game.cell[n]][step]
+        x, y, z = game.grid.position_of[ahead]
+        across = abs(x - u) + abs(y - v)
+        room = 10**6 if edge in game.used[n] else game.remaining[edge] if step < 4 else 0
+        return across, abs(z - w) if across == 0 else 0, -room
+
+    return min((step for step in range(6) if free >> step & 1), key=rank, default=0)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != LARGE])
+@pytest.mark.parametrize(
+    "rule",
+    [
+        LocalRouter(rule="greedy"),
+        LocalRouter(radius=2, price=0.5),
+        LocalRouter(radius=3, price=4, seen=True),
+        SELFISH,
+    ],
+    ids=str,
+)
+def test_rules_move_as_in_plain_python(name: str, rule: LocalRouter) -> None:
+    problems = scenarios.get(name).test[: 12 if "8x8" not in name else 2]
+    engine = rule.play(problems, rules_of(name))
+    for m, problem in enumerate(problems):
+        game = Game(problem, rules_of(name))
+        while game.active:
+            n = game.turn
+            move = None if rule.rule == "greedy" else plain_way(game, n, rule)
+            game.step(plain_greedy(game, n) if move is None else move)
+        metrics = engine.metrics(m)
+        assert (game.wirelength, game.moves) == (metrics.wirelength, metrics.steps)
+        assert game.joined_tasks == metrics.joined
+        plain = [np.sort(list(used)).tolist() for used in game.used]
+        agents = range(len(game.nets))
+        edges = engine.solution(m).edges
+        assert plain == [edges[game.nets[n]].tolist() for n in agents]
 
 
 # The rules ---------------------------------------------------------------------------------------
@@ -228,8 +332,8 @@ def test_local_rules_do_not_see_beyond_their_radius(rule: LocalRouter) -> None:
         problems = []
         for tracks in (2, 0, 1):  # of all that is far away
             other = Field(11, 11, capacity=tracks).net(start, target).net(far, (5, 5))
-            low = [max(at - rule.radius, 0) for at in start]  # type: ignore[operator]
-            high = [min(at + rule.radius, 10) for at in start]  # type: ignore[operator]
+            low = [max(at - rule.radius, 0) for at in start]
+            high = [min(at + rule.radius, 10) for at in start]
             other.area((low[0] + 1, high[0] - 1), (low[1] + 1, high[1] - 1), tracks=2)
             for x in range(low[0], high[0]):
                 for y in (low[1], high[1]):
@@ -238,11 +342,11 @@ def test_local_rules_do_not_see_beyond_their_radius(rule: LocalRouter) -> None:
                 for x in (low[0], high[0]):
                     other.gate(above=y, column=x, tracks=2)
             problems.append(other.problem())
-        engine = rule.play(problems, replace(rules, nets={"order": "file"}))
+        engine = rule.play(problems, replace(rules, nets=Nets(order="file")))
         cells = engine.agents["cell"][:, 0]
         assert len(set(cells.tolist())) == 1
         moved += int(cells[0] != problems[0].pin_gcells[0][0])
-        whole = SELFISH.play(problems, replace(rules, nets={"order": "file"}))
+        whole = SELFISH.play(problems, replace(rules, nets=Nets(order="file")))
         changed += len(set(whole.agents["cell"][:, 0].tolist())) > 1
     assert moved == 60
     assert changed or rule.price  # full sight does tell the problems apart

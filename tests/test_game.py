@@ -97,6 +97,8 @@ def random_rules(rng: np.random.Generator) -> dict[str, Any]:
         rounds = int(rng.integers(1, 4))
         choose = one_of("all", "conflicts", "history", "agents")
         rules["rip_up"] = RipUp(rounds=rounds, choose=choose, neighbours=int(rng.integers(4)))
+    if rng.random() < 0.4:
+        rules |= {"wait": one_of(False, True), "message_bits": one_of(0, 1, 3, 8)}
     return rules
 
 
@@ -116,10 +118,9 @@ def state_of_game(game: Game) -> dict[str, Any]:
 
 
 def mask_of(game: Game, n: int) -> list[int]:
-    """An agent's action mask; all ones if it cannot move."""
-    bits = game.free_moves(n)
-    bits |= 0 if bits & 63 else 63
-    return [bits >> action & 1 for action in range(game.rules.actions)]
+    """An agent's action mask; ones for the six moves if it can do nothing."""
+    bits, rules = game.free_moves(n) or 63, game.rules
+    return [bits >> action & 1 for action in range(rules.moves)] * 2**rules.message_bits
 
 
 def state_of_engine(engine: Engine, m: int = 0) -> dict[str, Any]:
@@ -212,6 +213,9 @@ PLANTED = {
         "self.steps[n] += self.crossing[n] != BLOCKED",
     ),
     "steps of a task": ("self.steps[n] >= self.max_steps", "self.steps[n] > self.max_steps"),
+    "waiting": ("return free | self.waits", "return free"),
+    "waiting across an edge": ("if action >= MOVES else", "if action == RIP_UP else"),
+    "messages": ("divmod(action, self.rules.moves)", "divmod(action, MOVES)"),
     "visited": ("free = free & new or free", "free = free & new"),
     "turn order": ("self._at += 1", "self._at += 2"),
     "end of a turn": ("del self.active[self._at]  #", "self.active.remove(n); self._at = 0  #"),

@@ -17,7 +17,7 @@ from policies.generalist.imitation import imitation_loss
 from policies.generalist.router import GeneralistOptions, GeneralistRouter
 from policies.learned.config import Config
 from policies.learned.policy import TrainedPolicy
-from policies.learned.run import Run, problems_of
+from policies.learned.run import Run, problems_of, trainer_of
 from policies.learned.trainer import Trainer
 from policies.results.run_folder import POLICY
 from policies.routers.pathfinder import PathfinderRouter
@@ -61,8 +61,9 @@ def config(**changed: Any) -> Config:
 
 
 def trainer(given: Config) -> Trainer:
-    problems, draws = problems_of(given)
-    return Trainer(problems, given, draws)
+    training = trainer_of(*problems_of(given), given)
+    assert isinstance(training, Trainer)
+    return training
 
 
 def finish(training: Trainer) -> list[Any]:

@@ -38,6 +38,7 @@ rules = st.fixed_dictionaries(
         "release_failed": st.booleans(),
         "rip_up": st.sampled_from([None, {"rounds": 2, "choose": "history"}]),
         "mask": st.fixed_dictionaries({"visited": st.booleans()}),
+        "message_bits": st.just(1),
     }
 )
 
@@ -47,7 +48,7 @@ def played(problems: list[Problem], moves: int, seed: int, **options: Any) -> En
     engine = Engine(problems, turn_order="round_robin", max_steps=9, **options)
     rng = np.random.default_rng(seed)
     for _ in range(moves):
-        engine.step(rng.integers(0, 6, engine.nets.shape))
+        engine.step(rng.integers(0, engine.actions, engine.nets.shape))
     return engine
 
 
@@ -120,10 +121,10 @@ def test_what_everybody_does_is_not_seen_from_one_place(seen: str) -> None:
         check_local(Crowd(seen), engine)
 
 
-@pytest.mark.parametrize("channel", ["capacity", "heads", "history"])
+@pytest.mark.parametrize("channel", ["capacity", "heads", "history", "messages"])
 def test_a_window_cannot_be_larger_than_it_says(channel: Any) -> None:
     rip_up = {"rounds": 1, "choose": "history"}
-    engine = played(generate(1, nets=8, seed=1), 3, 0, rip_up=rip_up)
+    engine = played(generate(1, nets=8, seed=1), 3, 0, rip_up=rip_up, message_bits=1)
     with pytest.raises(InputError, match=r"^Boasting\.local_radius: expected that agents see"):
         check_local(Boasting(2, 0, (channel,)), engine)
 

@@ -78,6 +78,8 @@ def rules(draw: st.DrawFn) -> dict[str, Any]:
     }
     if options["nets"]["decomposition"] == "mst":
         options["next_pin"] = draw(st.sampled_from(["listed", "nearest"]))
+    if draw(st.booleans()):
+        options |= {"wait": draw(st.booleans()), "message_bits": draw(st.sampled_from([0, 1, 8]))}
     if draw(st.integers(0, 3)):
         options["rip_up"] = {
             "rounds": draw(st.integers(1, 4)),
@@ -85,6 +87,12 @@ def rules(draw: st.DrawFn) -> dict[str, Any]:
             "neighbours": draw(st.integers(0, 3)),
         }
     return options
+
+
+def moves_of(options: dict[str, Any]) -> int:
+    """How many moves an agent has by these options, whatever its message."""
+    asks = (options.get("rip_up") or {}).get("choose") == "agents"
+    return 6 + asks + options.get("wait", False)
 
 
 def same(found: Any, expected: Any) -> None:
@@ -118,6 +126,7 @@ class Player:
     """
 
     seed: int
+    kinds: int
     moves: dict[str, list[Any]] = field(default_factory=dict)
     endings: dict[str, list[Any]] = field(default_factory=dict)
     paid: dict[str, float] = field(default_factory=dict)
@@ -130,12 +139,13 @@ class Player:
         rng = np.random.default_rng([self.seed, int(agent.removeprefix("net_")), len(own)])
         away = seen[3:6]
         wanted = np.flatnonzero(np.stack((away > 0, away < 0), axis=1).reshape(-1))
-        if len(mask) > RIP_UP and mask[RIP_UP]:
+        if self.kinds > RIP_UP and mask[RIP_UP]:
             move = int(rng.choice([*Move, *[RIP_UP] * 6]))
         elif len(wanted) and rng.random() < 0.8:
             move = int(rng.choice(wanted))
         else:
-            move = int(rng.integers(len(mask)))
+            move = int(rng.integers(self.kinds))
+        move += self.kinds * int(rng.integers(len(mask) // self.kinds))
         own.append((seen[:6].tolist(), move))
         return move
 
@@ -150,7 +160,7 @@ class Player:
 
 
 def play_aec(problem: Problem, options: dict[str, Any], seed: int) -> tuple[Player, Any]:
-    env, player = global_routing_v0.env(problem, **options), Player(seed)
+    env, player = global_routing_v0.env(problem, **options), Player(seed, moves_of(options))
     env.reset()
     for agent in env.agent_iter():
         seen, reward, terminated, truncated, info = env.last()
@@ -167,7 +177,10 @@ def play_aec(problem: Problem, options: dict[str, Any], seed: int) -> tuple[Play
 
 
 def play_parallel(problem: Problem, options: dict[str, Any], seed: int) -> tuple[Player, Any]:
-    env, player = global_routing_v0.parallel_env(problem, **options), Player(seed)
+    env, player = (
+        global_routing_v0.parallel_env(problem, **options),
+        Player(seed, moves_of(options)),
+    )
     seen, infos = env.reset()
     while env.agents:
         actions = dict.fromkeys(env.agents, 0)
@@ -197,7 +210,7 @@ def movers(engine: Engine) -> list[str]:
 
 
 def play_single(problem: Problem, options: dict[str, Any], seed: int) -> tuple[Player, Any]:
-    env, player = GlobalRoutingSingle(problem, **options), Player(seed)
+    env, player = GlobalRoutingSingle(problem, **options), Player(seed, moves_of(options))
     seen, info = env.reset()
     over = False
     while not over:
@@ -215,7 +228,7 @@ def play_batch(
     problem: Problem, options: dict[str, Any], seed: int, *, everyone: bool
 ) -> tuple[Player, Any]:
     env = BatchEnv([problem], everyone=everyone, autoreset=False, **options)
-    player = Player(seed)
+    player = Player(seed, moves_of(options))
     seen, info = env.reset()
     names = [f"net_{net}" for net in env.engine.nets[0]]
     while info["active"].any():

@@ -5,6 +5,7 @@ import hashlib
 import itertools
 import json
 import pickle
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +34,8 @@ from marouting import (
     scenarios,
     sequential_astar,
 )
-from marouting.config import build
+from marouting.config import build, parse_yaml
+from marouting.registry import importing_from
 from marouting.scenarios import (
     COOPERATION,
     PLANNING,
@@ -46,6 +48,7 @@ from marouting.scenarios import (
 from marouting.scenarios.references import Best, path_of, read_references, references_in
 from marouting.source import load_problem
 from marouting.vector import BatchEnv
+from policies.cli.main import status
 from policies.experiment.references import (
     Effort,
     main,
@@ -138,6 +141,7 @@ DIGESTS = {
     "crossing-v0": ("cc1bdd72dd9ee458", "62870b966a4c0a8f", "d43adb3aca4f89ba"),
     "two-pin-once-8x8-v0": ("146dde958ef6ee39", "a04be8ec48fb8500", "b5851dcb6920c394"),
     "multi-pin-once-8x8-v0": ("29e8daf123933638", "42872b592d913c86", "c0ea9970c140554b"),
+    "two-pin-once-32x32-v0": ("1294461af5910ae7", "fe720a5828d018f5", "3a3bddecbe8f7447"),
     "online-8x8-v0": ("c00816a1602e21f3", "0665eae5311238f7", "9f3a3d201547b658"),
 }
 """SHA-256 of the exact problems of each scenario: validation, test, the first three of seed 0."""
@@ -848,6 +852,77 @@ def test_own_references(own: Scenario, tmp_path: Path, monkeypatch: pytest.Monke
         assert own.cost(wirelength - 5, 1) == wirelength + 15
 
 
+OWN = """
+from marouting import Field, scenarios
+
+
+def draw(rng):
+    field = Field(5, 5)
+    for start, end in rng.integers(5, size=(2, 2)).tolist():
+        field.net((0, start), (4, end))
+    return field.problem()
+
+
+LANES = scenarios.Scenario(
+    "lanes-v0", draw, validation=2, test=3, references="lanes.json", env={"mask": {"visited": True}}
+)
+"""
+"""A module with a scenario."""
+
+
+@pytest.fixture
+def lanes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """``module:NAME`` of a scenario in a module in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    name = f"own_scenarios_{tmp_path.name.replace('-', '_')}"
+    (tmp_path / f"{name}.py").write_text(OWN, encoding="utf-8")
+    yield f"{name}:LANES"
+    scenarios._known.pop("lanes-v0", None)
+    scenarios._imported.clear()
+
+
+def test_commands_take_scenarios_of_modules(lanes: str) -> None:
+    with importing_from(Path.cwd()):
+        list(solve_scenario(scenarios.load(lanes).name, Effort(seconds=5)))
+    scenarios._known.pop("lanes-v0")
+    scenarios._imported.clear()
+    arguments = ["benchmark", "--scenario", lanes, "--router", "local", "--json", "jobs=1"]
+    assert status(arguments) == 0
+    assert Path("runs/benchmark/lanes-v0.local.json").exists()
+    arguments = [
+        "train", f"env.scenario={lanes}", "learner.kind=ippo", "train.steps=200", "train.games=2",
+        "train.figures=false", "train.tensorboard=false", "out=run",
+    ]  # fmt: skip
+    assert status(arguments) == 0
+    config = parse_yaml(Path("run/config.yaml").read_text(encoding="utf-8"), "config.yaml")
+    assert config["env"]["scenario"] == lanes
+    assert config["env"]["mask"]["visited"] is True
+
+
+def test_scenarios_of_modules_in_python(lanes: str) -> None:
+    with importing_from(Path.cwd()):
+        env = global_routing_v0.parallel_env(scenario=lanes)
+    env.reset(seed=0)
+    assert env.unwrapped.game.rules.mask.visited
+    assert scenarios.get("lanes-v0") is scenarios.get(lanes) is scenarios.load(lanes)
+    assert BatchEnv(scenario="lanes-v0", split="test").num_problems == 3
+    with pytest.raises(InputError, match=r"^scenario: os:getcwd: there is no scenario getcwd"):
+        scenarios.load("os:getcwd")
+    with pytest.raises(InputError, match=r"^scenario: no_such:THING: there is no module no_such"):
+        scenarios.load("no_such:THING")
+    with pytest.raises(InputError, match=r"^scenario: .*found 'os:getcwd'$"):
+        scenarios.get("os:getcwd")  # which imports nothing
+
+
+def test_files_name_no_module_unless_the_command_says_so(lanes: str) -> None:
+    Path("own.yaml").write_text(f"env: {{scenario: '{lanes}'}}", encoding="utf-8")
+    with pytest.raises(InputError, match=r"own\.yaml:1: env\.scenario: found code, .* --allow"):
+        marouting.make("own.yaml")
+    with importing_from(Path.cwd()):
+        assert marouting.make("own.yaml", allow_code=True) is not None
+
+
 # Trainings ---------------------------------------------------------------------------------------
 
 
@@ -923,8 +998,8 @@ def test_a_generator_without_seed_holds_problems_out(tmp_path: Path) -> None:
     source = {"grid": [4, 4, 2], "nets": 3, "seed": None}
     config = training(tmp_path / "run", problem=source)
     train = replace(config.train, shared=True, games=2, validation=3)
-    problems, draws = problems_of(replace(config, train=train))
-    assert draws is not None
+    problems, episodes = problems_of(replace(config, train=train))
+    assert episodes is not None
     assert list(problems) == ["seed_0", "seed_1", "seed_2"]
     for seed, problem in enumerate(problems.values()):
         assert problem == load_problem({**source, "seed": seed})
@@ -936,7 +1011,7 @@ def test_a_generator_without_seed_holds_problems_out(tmp_path: Path) -> None:
             assert most == 10**9 - 3
             return 0
 
-    assert draws.episodes.number(Least()) == 3  # type: ignore[arg-type]
+    assert episodes.number(Least()) == 3  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

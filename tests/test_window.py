@@ -129,6 +129,17 @@ def blocks(engine: Engine, window: WindowObservation, m: int, n: int) -> dict[st
                 if near is not None and beyond is not None:
                     block[index] = seen(channel, between(near, beyond))
             found[f"{channel}_{name}"] = block
+    written = [
+        (gcell(engine, other["cell"]), int(other["message"]))
+        for other in engine.agents[m]
+        if other["status"] == Status.ACTIVE
+    ]
+    for bit in range(window.message_bits):
+        block = np.zeros((2 * r + 1, 2 * r + 1, 2 * deep + 1))
+        for index in np.ndindex(*block.shape):
+            place = at(index[0] - r, index[1] - r, index[2] - deep)
+            block[index] = any(where == place and message >> bit & 1 for where, message in written)
+        found[f"messages_{bit}"] = block
     for channel in ("pins", "heads"):
         block = np.zeros((2 * r + 1, 2 * r + 1, 2 * deep + 1))
         for index in np.ndindex(*block.shape):
@@ -154,6 +165,7 @@ windows = st.builds(
     st.integers(0, 3),
     st.integers(0, 2),
     st.lists(st.sampled_from(CHANNELS), unique=True, min_size=1).map(tuple),
+    st.integers(1, 3),
 )
 
 
@@ -164,6 +176,8 @@ rules = st.fixed_dictionaries(
         "next_pin": st.sampled_from(["listed", "nearest"]),
         "rip_up": st.sampled_from([None, {"rounds": 2}, {"rounds": 2, "choose": "agents"}]),
         "mask": st.fixed_dictionaries({"visited": st.booleans()}),
+        "wait": st.booleans(),
+        "message_bits": st.integers(0, 2),
     }
 )
 
@@ -195,7 +209,7 @@ def test_every_number_is_as_the_oracle_says(
                 mine = row[where].reshape(shape)
                 np.testing.assert_allclose(mine, answer[name], atol=3e-5, err_msg=name)
         for _ in range(rng.choice([1, 2, 5, 30])):
-            engine.step(rng.integers(-1, 6, engine.nets.shape))
+            engine.step(rng.integers(-1, engine.actions, engine.nets.shape))
 
 
 def test_long_columns_are_as_the_oracle_says() -> None:
@@ -462,7 +476,7 @@ def test_the_state_is_as_the_oracle_says(
     engine = Engine([problem], turn_order="round_robin", max_steps=7, **rules)
     rng = np.random.default_rng(seed)
     for _ in range(rng.integers(0, 12)):
-        engine.step(rng.integers(-1, 6, engine.nets.shape))
+        engine.step(rng.integers(-1, engine.actions, engine.nets.shape))
     columns, rows, layers = problem.grid
     state = window.state(engine)[0]
     assert window.state_space([problem], overflow=True).contains(state)
@@ -472,6 +486,7 @@ def test_the_state_is_as_the_oracle_says(
     tasks = [open_tasks(engine, 0, n) for n in everyone]
     targets = [end for of in tasks for _, end in of]
     heads = [of[0][0] for of in tasks if of]
+    messages = engine.agents["message"][0, [n for n in everyone if tasks[n]]].tolist()
     used = np.unpackbits(engine.dynamic.used[0], axis=1, bitorder="little").sum(axis=0)
     edges, past = set(all_edges(problem)), option_state(engine, Option.HISTORY)[0]
     for here in np.ndindex(columns, rows, layers):
@@ -488,6 +503,10 @@ def test_the_state_is_as_the_oracle_says(
                 answer.append(squash(targets.count(here)))
             elif channel == "heads":
                 answer.append(squash(heads.count(here)))
+            elif channel == "messages":
+                there = [m for head, m in zip(heads, messages, strict=True) if head == here]
+                for bit in range(window.message_bits):
+                    answer.append(any(message >> bit & 1 for message in there))
             else:
                 for edge in beyond[: 3 if channel == "own" else 2]:
                     if edge not in edges:
@@ -510,7 +529,7 @@ def test_the_state_is_as_the_oracle_says(
 
 def test_states_of_every_face() -> None:
     problem = generate(1, grid=(5, 4, 2), nets=6, seed=3)[0]
-    expected_shape = (5, 4, 2 * 11)
+    expected_shape = (5, 4, 2 * 12)
     for make in (global_routing_v0.env, global_routing_v0.parallel_env):
         env = make(problem, observation=ALL)
         env.reset()
@@ -708,6 +727,7 @@ def test_trainings_take_it(learner: dict[str, Any], agents: str, tmp_path: Path)
         ({"radius": 33}, "radius: expected 0 to 32, found 33"),
         ({"radius": 1.5}, "radius: expected"),
         ({"layers": 17}, "layers: expected 0 to 16, found 17"),
+        ({"message_bits": 0}, "message_bits: expected 1 to 8, found 0"),
         ({"channels": ["capacity", "capacity"]}, "channels: expected some of capacity, demand"),
         ({"channels": []}, "channels: expected some of capacity, demand"),
         ({"channels": ["wind"]}, "channels.0: expected"),

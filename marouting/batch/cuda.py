@@ -102,12 +102,13 @@ class Device:
     def zeros(self, shape: tuple[int, ...], dtype: Any, order: str = "F") -> Any:
         """A new array of zeros; with ``F`` what belongs to neighbouring games is side by side."""
         if self.simulated:
-            return self.of(np.zeros(shape, dtype, order))
-        array = cuda.device_array(shape, dtype, order=order)
+            return self.of(np.zeros(shape, dtype, "F" if order == "F" else "C"))
+        array: Any = cuda.device_array(shape, dtype, order=order)
         if array.size:
-            from numba.cuda.cudadrv.driver import device_memset
+            from numba.cuda.cudadrv import driver
 
-            device_memset(array, 0, array.size * array.dtype.itemsize)
+            memset: Any = driver.device_memset
+            memset(array, 0, array.size * array.dtype.itemsize)
         return array
 
     def of(self, value: Any) -> Any:
@@ -175,6 +176,7 @@ class Recorded:
         self._graph = self._checked(driver.cuGraphInstantiate(graph, 0))
 
     def __call__(self, stream: int) -> None:
+        """Repeats the launches on a stream."""
         self._checked(self._driver.cuGraphLaunch(self._graph, stream))
 
     @staticmethod
@@ -192,7 +194,8 @@ def _load() -> Any:
             from numba import cuda as found
         except ImportError:
             raise InputError("device: expected numba-cuda (extra cuda), found none") from None
-    if not found.is_available():
+    available: Any = found.is_available
+    if not available():
         error = getattr(found, "cuda_error", lambda: None)() or "none"
         reason = " ".join(str(error).split())
         raise InputError(f"device: expected a CUDA device and its driver, found {reason}")
@@ -207,7 +210,8 @@ def _make_known() -> None:
     from numba.core.registry import cpu_target
     from numba.cuda.typing.typeof import typeof_impl
 
-    # Arrays are indexed by members of an IntEnum, which numba-cuda takes from numba once it is there.
+    # Arrays are indexed by members of an IntEnum, which numba-cuda takes from numba once that is
+    # there.
     cpu_target.typing_context.refresh()
     made: dict[kernels.Kernel, Any] = {}
 
@@ -271,7 +275,7 @@ def see_paper(
 class Surroundings(NamedTuple):
     """What the observation ``window`` needs."""
 
-    heads: Any  # (M, G) active agents by Gcell
+    heads: Any  # (M, G) or (M, 2 G), see count_heads
     where: Where
     maps: Maps  # of which only track is there, (M, Z)
     tracks: Any  # (P, Z) track of the problems of the pool
@@ -287,9 +291,9 @@ def see_window(
 
 
 @kernels.inlined
-def prepare_window(static: Static, dynamic: Dynamic, look: Surroundings, m: int) -> None:
+def prepare_window(dynamic: Dynamic, look: Surroundings, m: int) -> None:
     """Counts the agents in every Gcell."""
-    if look.where.heads >= 0:
+    if max(look.where.heads, look.where.messages) >= 0:
         count_heads(dynamic, look.heads, m)
 
 
@@ -304,12 +308,14 @@ def tell_window(static: Static, dynamic: Dynamic, look: Surroundings, m: int, ou
 @kernels.inlined
 def tell_paper(static: Static, dynamic: Dynamic, look: Paper, m: int, out: Any) -> None:
     """Writes the global state."""
+    del static, look
     write_state(dynamic, m, out)
 
 
 @kernels.inlined
-def prepare_nothing(static: Static, dynamic: Dynamic, look: Paper, m: int) -> None:
+def prepare_nothing(dynamic: Dynamic, look: Paper, m: int) -> None:
     """The paper's observation needs nothing but the state."""
+    del dynamic, look, m
 
 
 class Launches(NamedTuple):
@@ -321,6 +327,7 @@ class Launches(NamedTuple):
     arrive: Any
     settle: Any
     show: Any
+    look: Any
     state: Any
 
 
@@ -330,7 +337,7 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
 
     Args:
         see: writes what an agent sees, with arguments (static, dynamic, look, m, n, out, row).
-        prepare: makes what ``see`` needs of game m, with arguments (static, dynamic, look, m).
+        prepare: makes what ``see`` needs of game m, with arguments (dynamic, look, m).
         tell: writes the global state, with arguments (static, dynamic, look, m, out).
     """
     jit = Device().jit
@@ -397,7 +404,7 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
             start_game(static, dynamic, b, m)
         elif steps:
             move_game(static, dynamic, b, fast, m)
-        prepare(static, dynamic, look, m)
+        prepare(dynamic, look, m)
 
     @jit
     def arrive(
@@ -433,7 +440,7 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
             return
         what = i64(ALL) if steps and not step.begins[m] else i64(NOT)
         settle_game(static, dynamic, b, fast, m, i64(step.asked[m]), what)
-        prepare(static, dynamic, look, m)
+        prepare(dynamic, look, m)
 
     @jit
     def show(static: Static, dynamic: Dynamic, b: StepBuffers, look: Any) -> None:
@@ -447,9 +454,15 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
         write_mask(static, dynamic, b.mask, m, n, row)
 
     @jit
+    def look(dynamic: Dynamic, look: Any) -> None:
+        m = i64(cuda.grid(1))
+        if m < len(dynamic.games):
+            prepare(dynamic, look, m)
+
+    @jit
     def state(static: Static, dynamic: Dynamic, look: Any, out: Any) -> None:
         m = i64(cuda.grid(1))
         if m < len(out):
             tell(static, dynamic, look, m, out)
 
-    return Launches(take, begin, move, arrive, settle, show, state)
+    return Launches(take, begin, move, arrive, settle, show, look, state)

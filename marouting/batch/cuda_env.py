@@ -26,6 +26,7 @@ from marouting.batch.cuda import (
     tell_paper,
     tell_window,
 )
+from marouting.batch.engine import Metrics
 from marouting.batch.expected import new_maps, track_of
 from marouting.batch.setup import dynamic_state, static_state
 from marouting.batch.state import AGENT, GAME, Static
@@ -39,16 +40,15 @@ from marouting.problem.grid import AXES, VIA_AXIS, Grid
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
-from marouting.source import ProblemStream, Source
 from marouting.rewards import prices_of
+from marouting.source import ProblemStream, Source, generated_name
 from marouting.vector import FIGURES, BatchEnv, Info, fixed_batch
-
-POOL = 1024
-"""Problems that are drawn ahead, unless ``pool`` says otherwise."""
-
 
 _CHANGING = ("capacity", "demand", "first", "order")
 """What a problem brings along: arrays of a :class:`Static` with the game as the first axis."""
+
+_SEEN = ("obs", "mask", "final_obs", "final_mask")
+"""What agents see, which follows from the state."""
 
 _TOGETHER = ("capacity", "remaining", "used", "sets", "numbers", "cells")
 """Arrays in which what belongs to a game is side by side: an agent reads what is near it. In all
@@ -63,17 +63,19 @@ class CudaBatchEnv(BatchEnv):
     ``cupy.asarray(array)`` show them without a copy. They belong to the environment and are
     overwritten by the next call. Work is queued on the default stream, as torch's is.
 
-    The rows of a problem are in turn order, unlike on the processor: ``nets`` tells them apart.
+    The rows of a problem are in turn order, unlike on the processor, unless nets are ripped up with
+    their neighbours: ``nets`` tells them apart.
 
     Args:
         pool: how many problems are drawn ahead and uploaded, where M games draw theirs; every
-            episode plays one of them, and ``info["problem"]`` has their numbers. None: 1024, or
-            all of a source that has fewer.
+            episode plays one of them, and ``info["problem"]`` has their numbers. None: all that a
+            source lists, 1024 of one without end.
         **arguments: those of :class:`marouting.vector.BatchEnv`; ``threads`` is for the processor.
 
     Attributes:
-        actions: (M, K) int8 on the device; :meth:`step` takes this array without a copy.
+        actions: (M, K) int16 on the device; :meth:`step` takes this array without a copy.
         pool: the problems that are played, a list.
+        names: their names, a list.
         stream: the stream on which work is queued; 0: the default.
 
     Raises:
@@ -112,17 +114,24 @@ class CudaBatchEnv(BatchEnv):
         self.stream = 0
         drawn = is_whole(problems)
         if drawn:
-            episodes = ProblemStream(problem, checked.scenario, checked.split)
-            self.pool, bounds = _drawn(episodes, pool, seed), episodes.bounds
+            episodes: Any = problem
+            if not isinstance(problem, ProblemStream):  # trainings have one already
+                episodes = ProblemStream(problem, checked.scenario, checked.split)
+            check("pool", pool is None or pool >= 1, f"a number from 1, found {pool}")
+            ahead, bounds = episodes.ahead(pool, seed), episodes.bounds
+            self.names, self.pool = (list(each) for each in zip(*ahead, strict=True))
             held = static_state(self.pool, checked, room=episodes.room)
             self.num_problems = cast(int, problems)
         else:
             check("problem", problem is None, "none: problems= is a list, not a number of games")
             check("pool", pool is None, "none: these problems stay")
             self.pool = bounds = list(fixed_batch(problems, checked))
+            self.names = [generated_name(m) for m in range(len(self.pool))]
             held = static_state(self.pool, checked)
             self.num_problems = len(self.pool)
-        static, self._nets = _in_turn(*held)
+        # Lots of rip-up depend on the numbers of agents.
+        lots = checked.rip_up is not None and checked.rip_up.neighbours > 0
+        static, self._nets = held if lots else _in_turn(*held)
         self.num_envs, self.num_agents = self.num_problems, self._nets.shape[1]
         overflow = static.overflow_allowed
         self.single_observation_space = observation.space(bounds, overflow)
@@ -158,17 +167,18 @@ class CudaBatchEnv(BatchEnv):
             else device.of(np.asarray(a, order="C" if name in _TOGETHER else "F"))
             for name, a in arrays.items()
         }
-        self._static = Static._make(map(device.of, static._replace(**own)))
-        self._dynamic = dynamic_state(self._static, grid, self.num_agents, games, make)
+        self._static: Any = Static._make(map(device.of, static._replace(**own)))
+        self._dynamic: Any = dynamic_state(self._static, grid, self.num_agents, games, make)
         shape = cast(tuple[int, ...], self.single_observation_space.shape)
-        self._buffers = StepBuffers.of(
+        self._buffers: Any = StepBuffers.of(
             games, rows, shape, int(self.single_action_space.n), self._zeros
         )
         self.actions = self._buffers.actions
         if self._everyone and not drawn:
             there = np.diff(static.first, axis=1) > 0
             agents = np.where(there, np.arange(rows), NOBODY).astype(np.int32)
-            self._buffers.agents.copy_to_device(agents)
+            b: Any = self._buffers
+            b.agents.copy_to_device(agents)
         self._pool = Pool(
             **{name: device.of(array) for name, array in pool.items()},
             key=device.of(_keys(np.full(games, seed, np.uint64))),
@@ -281,7 +291,7 @@ class CudaBatchEnv(BatchEnv):
         tracks = np.array([track_of(static, m) for m in range(len(self.pool))], np.float32)
         maps = new_maps((1, 1, 1, layers, 1), self._zeros)
         look = Surroundings(
-            heads=device.zeros((games, gcells), np.int16, "C"),
+            heads=device.zeros((games, gcells * (1 + (where.messages >= 0))), np.int16, "C"),
             where=where,
             maps=maps._replace(track=device.zeros((games, layers), np.float32)),
             tracks=device.of(tracks),
@@ -327,7 +337,7 @@ class CudaBatchEnv(BatchEnv):
 
     def state(self) -> Any:
         """(M, X, Y, 5 Z) float32 on the device; see :meth:`marouting.vector.BatchEnv.state`."""
-        games, shape = self.num_problems, cast(tuple[int, ...], self.single_state_space.shape)
+        games, shape = self.num_problems, self.single_state_space.shape
         if self._states is None:
             with self._device.allocating():
                 self._states = self._device.zeros((games, *shape), np.float32, "C")
@@ -347,8 +357,19 @@ class CudaBatchEnv(BatchEnv):
         by_net = np.argsort(net, kind="stable")
         return Solution.of_uses(self.pool[number], net[by_net], edge[by_net])
 
+    def ended(self, m: int) -> tuple[str, Metrics, float]:
+        """Name of the problem, metrics and reward of game m, whose episode has just ended."""
+        number, total = int(self._pool.number[m]), float(self._buffers.total[m])
+        games, first = self._buffers.final[m : m + 1].copy_to_host()[0], self._static.first[m]
+        figures = {figure: int(games[figure]) for figure in FIGURES}
+        tasks = first.copy_to_host()
+        return self.names[number], Metrics(**figures, tasks=int(tasks[-1] - tasks[0])), total
+
     def save(self) -> Any:
-        """A copy of the state of all games, on the processor, for :meth:`restore`."""
+        """A copy of the state of all games, on the processor, for :meth:`restore`.
+
+        ``final_obs`` and ``final_mask`` of the last step are not in it.
+        """
         return [array.copy_to_host() for array in self._arrays()]
 
     def restore(self, saved: Any) -> None:
@@ -360,13 +381,17 @@ class CudaBatchEnv(BatchEnv):
         for array, kept in zip(arrays, saved, strict=True):
             if array.size:
                 array.copy_to_device(kept)
+        arguments = self._static, self._dynamic, self._buffers, self._look
+        self._run(self._launches.look, self.num_problems, self._dynamic, self._look)
+        self._run(self._launches.show, self.actions.size, *arguments)
         self._begun = True
 
     def _arrays(self) -> list[Any]:
-        """What changes while games are played."""
-        drawn = [getattr(self._static, name) for name in ("capacity", "demand", "first", "order")]
+        """What changes while games are played, and does not follow from the rest."""
+        drawn = [getattr(self._static, name) for name in _CHANGING]
+        buffers = [array for name, array in self._buffers._asdict().items() if name not in _SEEN]
         pool = self._pool
-        return [*self._dynamic, *self._buffers, *drawn, pool.key, pool.episode, pool.number]
+        return [*self._dynamic, *buffers, *drawn, pool.key, pool.episode, pool.number]
 
     def __getstate__(self) -> dict[str, Any]:
         """The constructor's arguments and the present state, from which a copy continues."""
@@ -384,6 +409,7 @@ class CudaBatchEnv(BatchEnv):
 
     def set_order(self, order: NDArray[np.integer]) -> None:
         """Not on a device: raises InputError."""
+        del order
         check("device", False, "cpu, for set_order")
 
 
@@ -415,12 +441,12 @@ def _narrow(static: Static) -> dict[str, Any]:
     edges = _holds(least, int(inside.max()))
     small = {np.dtype(np.int32): np.dtype(np.int16)}
     fits = max(len(static.position), static.max_steps, demand) < 2**15
-    agent = {name: AGENT.fields[name][0] for name in AGENT.names or ()}
+    agent = _fields(AGENT)
     if fits:
         agent = {n: small.get(k, k) if n != "task" else k for n, k in agent.items()}
         tasks = int(np.diff(static.first, axis=1).max())
         agent["joined"] = _holds(0, tasks)
-    game = {name: GAME.fields[name][0] for name in GAME.names or ()}
+    game = _fields(GAME)
     if demand * inside[0].size < 2**31:
         game["overflow"] = game["wirelength"] = np.dtype(np.int32)
     return {
@@ -432,21 +458,17 @@ def _narrow(static: Static) -> dict[str, Any]:
     }
 
 
+def _fields(record: np.dtype[Any]) -> dict[str, np.dtype[Any]]:
+    """The types of the fields of a record."""
+    fields: Any = record.fields
+    return {name: fields[name][0] for name in fields}
+
+
 def _holds(least: int, most: int) -> Any:
     """The smallest type that holds whole numbers in a range."""
     kinds = (np.int8, np.int16, np.int32)
     fits = (k for k in kinds if np.iinfo(k).min <= least and most <= np.iinfo(k).max)
     return np.dtype(next(fits, np.int64))
-
-
-def _drawn(episodes: ProblemStream, pool: int | None, seed: int) -> list[Problem]:
-    """The problems that are drawn ahead."""
-    check("pool", pool is None or pool >= 1, f"a number from 1, found {pool}")
-    listed = list(episodes.problems.values())
-    if not episodes.endless and (pool is None or pool >= len(listed)):
-        return listed[:POOL] if pool is None else listed
-    rng = np.random.default_rng(seed)
-    return [episodes.next(rng)[1] for _ in range(pool or POOL)]
 
 
 def _keys(seeds: NDArray[np.uint64]) -> NDArray[np.uint64]:

@@ -81,7 +81,7 @@ def _masks(static: Static, dynamic: Dynamic, problems: Any, agents: Any, out: An
         m, n, free = as_index(problems[i]), i64(agents[i]), i64(0)
         if n != NOBODY:
             free = free_moves(static, dynamic, m, as_index(n))
-        write_moves(free, out, i)
+        write_moves(static, free, out, i)
 
 
 def _rows_of(nets: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -23,15 +23,21 @@ _FIGURES = ("active", "joined", "steps", "overflow", "wirelength")
 
 
 def check_local(
-    observation: Observation, engine: Engine, most: int | None = None, *, seed: int = 0
+    observation: Observation,
+    engine: Engine,
+    most: int | None = None,
+    *,
+    agents: int = 100,
+    seed: int = 0,
 ) -> None:
-    """Checks in the present state of games that all active agents see only their surroundings.
+    """Checks in the present state of games that active agents see only their surroundings.
 
     Args:
         observation: what agents see, with a method ``write``.
         engine: the games, which are not changed.
         most: the largest ``local_radius`` that is allowed; None: any.
-        seed: decides what is changed beyond it.
+        agents: how many active agents are checked, if there are so many.
+        seed: decides which ones, and what is changed beyond what they see.
 
     Raises:
         InputError: the observation has no ``local_radius`` or a larger one than ``most``, or agents
@@ -43,16 +49,15 @@ def check_local(
         raise InputError(f"{name}.local_radius: expected {expected}, found {radius}")
     rng = np.random.default_rng(seed)
     shape = observation.space(engine.problems, engine.static.overflow_allowed).shape
-    for m, n in np.argwhere(engine.agents["status"] == ACTIVE).tolist():
+    for m, n in rng.permutation(np.argwhere(engine.agents["status"] == ACTIVE))[:agents].tolist():
         rows = np.zeros((2, 1, *shape), np.float32)
         who, first = np.array([n], np.int32), np.zeros(1, np.int32)
         observation.write(engine, first + np.int32(m), who, rows[0])
         observation.write(_changed(engine, m, n, radius, rng), first, who, rows[1])
-        if not np.array_equal(*rows, equal_nan=True):
-            raise InputError(
-                f"{name}.local_radius: expected that agents see no further than {radius} Gcells, "
-                f"found that agent {n} of problem {m} does"
-            )
+        if not np.array_equal(rows[0], rows[1], equal_nan=True):
+            expected = f"expected that agents see no further than {radius} Gcells"
+            found = f"found that agent {n} of problem {m} does"
+            raise InputError(f"{name}.local_radius: {expected}, {found}")
 
 
 def _changed(engine: Engine, m: int, n: int, radius: int, rng: np.random.Generator) -> Engine:
@@ -93,6 +98,7 @@ def _change_agent(
     if not near[agent["cell"]] and not near.all():
         agent["cell"] = rng.choice(np.flatnonzero(~near))
         agent["status"] = rng.choice([ACTIVE, Status.TERMINATED, Status.TRUNCATED])
+        agent["message"] = rng.integers(256)
     first, end = static.first[0, other : other + 2].tolist()
     static.tasks[first:end] = rng.integers(0, gcells, (end - first, 2))
     agent["target"], agent["task"] = rng.integers(gcells), rng.integers(first, end)

@@ -12,8 +12,9 @@ import numpy as np
 from marouting.batch.bits import byte_of
 from marouting.batch.edges import demand_of, has_room, uses
 from marouting.batch.observation import paper_reward
-from marouting.batch.rules import may_move, move_agent, wait
+from marouting.batch.rules import may_move, move_agent, move_of
 from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.tasks import wait
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import as_index, compiled, i64, inlined
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
@@ -83,8 +84,9 @@ def _move_one(
         if releases:
             _pay_overflow(static, dynamic, fast, m, n, -prices[Share.OTHERS, 0], reward)
         elif agent.added_overflow > 0 and prices[Share.OTHERS, 0] != 0:
-            edge = as_index(static.edge[cell, move])
-            demand = demand_of(static, m, n, cell, move)
+            step = as_index(move_of(static, move))
+            edge = as_index(static.edge[cell, step])
+            demand = demand_of(static, m, n, cell, step)
             _share_overflow(static, dynamic, fast, m, n, edge, demand, reward)
         if agent.ending == Ending.FAILED and prices[Share.OTHERS, 1] != 0:
             _charge_for_failure(static, dynamic, fast, m, n, reward)

@@ -81,17 +81,25 @@ def move_agent(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> N
     end_task(static, dynamic, m, n, agent.cell == agent.target)
 
 
+@inlined
+def move_of(static: Static, action: int) -> int:
+    """The move of an action, without its message."""
+    return action % i64(static.options[Option.MOVES])
+
+
 @compiled
 def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -> None:
     """:func:`move_agent` by the options."""
     agent, game = dynamic.agents[m, n], dynamic.games[m]
+    agent.message = move // static.options[Option.MOVES]
+    move = move_of(static, move)
     if game.asked:
         answer(static, dynamic, m, n, move == RIP_UP)
         return
     game.ripped = 0
     step = min(move, MOVES - 1)
     edge = as_index(static.edge[as_index(agent.cell), step])
-    new = cross_edge(static, dynamic, m, n, step, i64(move != RIP_UP))
+    new = cross_edge(static, dynamic, m, n, step, i64(move < MOVES))
     if is_on(static, Option.RELEASE_FAILED) and new:
         insert(static, dynamic, m, Option.TAKEN, n, edge)
     if is_on(static, Option.MASK_VISITED):
@@ -202,6 +210,7 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
             agent.status = Status.ACTIVE
             game.active += 1
             if static.extended is not None:
+                agent.message = 0
                 begin_net(static, dynamic, m, n)
             else:
                 begin_task(static, dynamic, m, n, i64(static.first[m, n]))
@@ -304,20 +313,27 @@ def _free_extended(static: Static, dynamic: Dynamic, m: int, n: int, free: int) 
     game, cell = dynamic.games[m], as_index(dynamic.agents[m, n].cell)
     if game.asked and game.agent == n:
         return i64(1 | 1 << RIP_UP)
+    waits = i64(is_on(static, Option.WAIT)) << (i64(static.options[Option.MOVES]) - 1)
     if not is_on(static, Option.MASK_VISITED):
-        return free
+        return free | waits
     unvisited = free
     for move in range(MOVES):
         ahead = i64(static.neighbour[cell, move])
         if free >> move & 1 and holds(static, dynamic, m, Option.VISITED, n, ahead):
             unvisited ^= i64(1) << move
-    return unvisited if unvisited else free
+    return (unvisited if unvisited else free) | waits
 
 
 @inlined
-def write_moves(free: int, out: Any, row: int) -> None:
-    """Fills a row of ``out`` (K, 6 or 7) with a mask: all ones if none of the six moves is free."""
-    for move in range(MOVES):
-        out[row, move] = MASKS[free & _SIX, move]
-    if out.shape[1] > MOVES:
-        out[row, RIP_UP] = free >> RIP_UP & 1
+def write_moves(static: Static, free: int, out: Any, row: int) -> None:
+    """Fills a row of ``out`` (K, A) with a mask: ones for the six moves if none is free."""
+    if out.shape[1] == MOVES:
+        for move in range(MOVES):
+            out[row, move] = MASKS[free, move]
+        return
+    if free == 0:
+        free = i64(_SIX)
+    moves = i64(static.options[Option.MOVES])
+    for first in range(0, out.shape[1], moves):  # every message goes with every move
+        for move in range(moves):
+            out[row, first + move] = free >> move & 1

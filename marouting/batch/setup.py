@@ -12,11 +12,10 @@ from marouting.batch.state import AGENT, GAME, Choice, Dynamic, Option, Static
 from marouting.errors import InputError
 from marouting.game import NOBODY
 from marouting.memory import PLAYED, TABLES, check_memory
-from marouting.problem.grid import Grid
+from marouting.problem.grid import MOVES, Grid
 from marouting.problem.problem import UNLIMITED, Problem
 from marouting.rules import RipUp, Rules, net_ranks
 from marouting.trees.decomposition import two_pin_tasks
-
 
 Make = Callable[[str, tuple[int, ...], Any], Any]
 """Makes an array of zeros, of a name, a shape and a dtype, where the games are to be."""
@@ -94,6 +93,7 @@ def static_state(
     demand = np.zeros((*shape, grid.shape[2]), np.int32)
     extended = rules.target == "tree" or rules.next_pin == "nearest" or rules.mask.visited
     extended |= rules.release_failed or bool(rules.rip_up and rules.rip_up.rounds)
+    extended |= rules.actions > MOVES
     tasks = [two_pin_tasks(problem, rules.nets.decomposition) for problem in problems]
     begins = np.cumsum([0, *map(len, tasks)]) if room is None else room.tasks * np.arange(shape[0])
     table = np.zeros((int(begins[-1]) + (room.tasks if room else 0), 2), np.int32)
@@ -183,6 +183,8 @@ def _options(
     options[Option.PATIENCE] = negotiation.patience
     options[Option.PRESENT] = round(negotiation.present * WHOLE)
     options[Option.CALM] = round(negotiation.calm * 100)
+    options[Option.MOVES] = rules.moves
+    options[Option.WAIT] = rules.wait
     rows = {
         Option.TREE: agents * tree,
         Option.VISITED: agents * rules.mask.visited,

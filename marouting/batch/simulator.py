@@ -28,4 +28,5 @@ def _inside(value: Any) -> Any:
 
 def arguments(values: Any) -> Any:
     """A tuple of arrays as simulated kernels see it, which know no such tuples."""
-    return type(values)._make(map(_inside, values)) if isinstance(values, tuple) else values
+    made: Any = type(values)
+    return made._make(map(_inside, values)) if isinstance(values, tuple) else values

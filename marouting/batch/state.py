@@ -37,6 +37,7 @@ AGENT = np.dtype(
         ("status", np.int8),  # Status
         ("crossing", np.int8),  # Crossing of the last move
         ("ending", np.int8),  # Ending of the last move
+        ("message", np.uint8),  # what the agent wrote with its last move
     ],
     align=True,
 )
@@ -113,6 +114,8 @@ class Option(enum.IntEnum):
     QUEUE = 22  #: G, or at least P, numbers to work with
     ROWS = 23  #: R, all rows
     COLUMNS = 24  #: C, all columns
+    MOVES = 25  #: moves of an agent, whatever its message; see ``Rules.moves``
+    WAIT = 26  #: whether the last of them is to stay
 
 
 class Static(NamedTuple):

@@ -32,12 +32,14 @@ class Where(NamedTuple):
 
     radius: int
     layers: int
+    bits: int  # of messages
     capacity: int  # where the channel begins in a row; -1: it is not there
     demand: int
     history: int
     own: int
     pins: int
     heads: int
+    messages: int
 
 
 @inlined
@@ -176,11 +178,11 @@ def _write_own(
             edge = 8 * byte
             while bits != 0:
                 if bits & 1 and first <= edge <= last:
-                    cell, axis = edge // AXES, edge % AXES
+                    cell, axis = as_index(edge // AXES), edge % AXES
                     along_x, along_y, along_z = i64(axis == 0), i64(axis == 1), i64(axis == 2)
                     i = place(i64(gx), x, reach, along_x, right)
-                    j = place(cell // layers - gx * rows, y, reach, along_y, up)
-                    k = cell % layers - z + deep + along_z
+                    j = place(i64(static.position[cell, 1]), y, reach, along_y, up)
+                    k = i64(static.position[cell, VIA_AXIS]) - z + deep + along_z
                     inside = 0 <= i < side + along_x and 0 <= j < side + along_y
                     if inside and 0 <= k < depth + along_z:
                         p = (i * (side + along_y) + j) * (depth + along_z) + k
@@ -223,6 +225,36 @@ def _write_heads(
     here = as_index((x * rows + y) * layers + z)
     middle = where.heads + (reach * side + reach) * depth + deep
     out[row, as_index(middle)] = squashed_whole(heads[m, here] - active)
+
+
+@inlined
+def _write_messages(
+    static: Static,
+    heads: Any,
+    where: Where,
+    m: int,
+    x: int,
+    y: int,
+    z: int,
+    right: int,
+    up: int,
+    out: Any,
+    row: int,
+) -> None:
+    """Writes ``messages``."""
+    columns, rows, layers = grid_of(static)
+    reach, deep = i64(where.radius), i64(where.layers)
+    side, depth = 2 * reach + 1, 2 * deep + 1
+    for gx in range(low(x, reach, i64(0)), high(x, reach, i64(0), columns)):
+        i = place(i64(gx), x, reach, i64(0), right)
+        for gy in range(low(y, reach, i64(0)), high(y, reach, i64(0), rows)):
+            j = place(i64(gy), y, reach, i64(0), up)
+            for gz in range(low(z, deep, i64(0)), high(z, deep, i64(0), layers)):
+                cell = (gx * rows + gy) * layers + gz
+                p = where.messages + (i * side + j) * depth + gz - z + deep
+                message = i64(heads[m, as_index(columns * rows * layers + cell)])
+                for bit in range(where.bits):
+                    out[row, as_index(p + bit * side * side * depth)] = message >> bit & 1
 
 
 @inlined
@@ -292,7 +324,7 @@ def write_window(
 
     The channel ``demand`` stays 0.
 
-    ``heads`` (M, G) is as :func:`count_heads` leaves it; it is read only for that channel.
+    ``heads`` is as :func:`count_heads` leaves it, and read only for its channel and ``messages``.
     """
     for f in range(out.shape[1]):
         out[row, f] = 0
@@ -324,14 +356,23 @@ def write_window(
         _write_pins(static, dynamic, where, m, n, x, y, z, right, up, out, row)
     if where.heads >= 0:
         _write_heads(static, heads, where, m, x, y, z, right, up, active, out, row)
+    if where.messages >= 0:
+        _write_messages(static, heads, where, m, x, y, z, right, up, out, row)
 
 
 @compiled
 def count_heads(dynamic: Dynamic, heads: Any, m: int) -> None:
-    """Counts the active agents of a problem in each Gcell, into ``heads`` (M, G)."""
+    """Counts the active agents of a problem in each Gcell, and joins the bits of their messages.
+
+    ``heads`` (M, 2 G) holds the numbers of agents of all Gcells, then their messages. Without
+    messages (M, G) are enough.
+    """
+    gcells = dynamic.remaining.shape[1] // AXES
     for cell in range(heads.shape[1]):
         heads[m, cell] = 0
     for n in range(dynamic.agents.shape[1]):
         agent = dynamic.agents[m, n]
         if agent.status == Status.ACTIVE:
             heads[m, as_index(agent.cell)] += 1
+            if heads.shape[1] > gcells:
+                heads[m, as_index(gcells + agent.cell)] |= agent.message

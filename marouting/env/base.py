@@ -78,7 +78,7 @@ class BaseGame:
         self.persists = checked.persists
         self.actions = checked.actions
         self.no_op = np.eye(1, self.actions, dtype=np.int8)[0]
-        self._table = mask_table(self.actions)
+        self._table = mask_table(checked.moves, checked.messages)
         self._masks = list(self._table)  # a list's rows are found faster
         self.begun = False
         self._window = Window()

@@ -5,6 +5,7 @@ turn order, so the same moves give the same game as in AEC.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -173,13 +174,13 @@ def _stand(game: Game, agents: dict[int, tuple[list[int], list[set[int]]]]) -> N
         game.begun[n], game.visited[n], game.taken[n] = sets
 
 
-def _moves(actions: list[Any], agents: list[str], count: int) -> bytes:
+def _moves(actions: list[Any], agents: list[str], count: int) -> Sequence[int]:
     """Actions as integers; raises ValueError, naming the agent, for all but 0 to count - 1."""
     try:
         moves = bytes(actions)  # integers from 0 to 255 of any type
     except (TypeError, ValueError):
-        moves = bytes([count])
-    if moves and max(moves) >= count:
+        moves = None
+    if moves is None or max(moves, default=0) >= count:
         named = zip(actions, agents, strict=True)
-        moves = bytes([checked_move(a, count, f"action of {agent}") for a, agent in named])
+        return [checked_move(a, count, f"action of {agent}") for a, agent in named]
     return moves

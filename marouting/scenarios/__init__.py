@@ -22,11 +22,14 @@ Your own generator becomes a scenario by :func:`register`::
 
     scenarios.register("corridor-v0", corridor, env={"turn_order": "round_robin"})
     env = marouting.global_routing_v0.parallel_env(scenario="corridor-v0")
+
+Where options or commands name a scenario, ``module:NAME`` stands for one in a module of yours.
 """
 
 from typing import Any
 
 from marouting.errors import InputError, nearest
+from marouting.registry import imported
 from marouting.scenarios.cooperation import COOPERATION
 from marouting.scenarios.digests import digest, mirror_digest
 from marouting.scenarios.planning import PLANNING, RandomNets
@@ -35,11 +38,12 @@ from marouting.scenarios.scenario import SPLITS, Generator, Scenario, Split, rou
 
 __all__ = [
     "COOPERATION", "PLANNING", "SPLITS", "Best", "Generator", "RandomNets", "Reference", "Scenario",
-    "Split", "digest", "get", "mirror_digest", "names", "register", "routable",
+    "Split", "digest", "get", "load", "mirror_digest", "names", "register", "routable",
 ]  # fmt: skip
 
 _shipped = {scenario.name: scenario for scenario in (*PLANNING, *COOPERATION)}
 _known = dict(_shipped)
+_imported: dict[str, Scenario] = {}  # by module:NAME
 
 
 def names() -> list[str]:
@@ -53,11 +57,28 @@ def get(name: str) -> Scenario:
     Raises:
         InputError: there is no such scenario.
     """
-    found = _known.get(name) if isinstance(name, str) else None
+    found = {**_known, **_imported}.get(name) if isinstance(name, str) else None
     if found is None:
         hint = nearest(str(name), names(), cutoff=0.4)
         raise InputError(f"scenario: {hint}expected one of {', '.join(names())}, found {name!r}")
     return found
+
+
+def load(name: str) -> Scenario:
+    """:func:`get`, which also takes ``module:NAME`` and imports the module, which is code.
+
+    From then on the scenario is known by its own name as well.
+
+    Raises:
+        InputError: there is no such scenario.
+    """
+    if isinstance(name, str) and ":" in name and name not in _imported:
+        found = imported(name, "scenario: ")
+        if not isinstance(found, Scenario):
+            module, _, own = name.partition(":")
+            raise InputError(f"scenario: {name}: there is no scenario {own} in {module}")
+        _imported[name] = _known.setdefault(found.name, found)
+    return get(name)
 
 
 def register(name: str, generator: Generator, **options: Any) -> Scenario:

@@ -208,7 +208,8 @@ def _once(
     )
 
 
-SIZES = {"validation": 50, "test": 100}
+SIZES: dict[str, Any] = {"validation": 50, "test": 100}
+DRAWN: dict[str, Any] = {**SIZES, "training": TRAINING}  # of problems that are quick to draw
 
 COOPERATION = (
     Scenario(
@@ -216,32 +217,28 @@ COOPERATION = (
         Gates(),
         description="A narrow gate that saves a detour, and a net that may have no other way.",
         env=one_shot(),
-        training=TRAINING,
-        **SIZES,
+        **DRAWN,
     ),
     Scenario(
         "gates-2x-v0",
         Gates(motifs=(2, 2), rows=14),
         description="Two narrow gates, one above the other, each with nets of its own.",
         env=one_shot(),
-        training=TRAINING,
-        **SIZES,
+        **DRAWN,
     ),
     Scenario(
         "gates-mixed-v0",
         Gates(columns=(7, 10), wall=(2, 6), motifs=(1, 2), rows=14, tracks=(1, 2), flexible=(1, 4)),
         description="One or two gates of one or two tracks; position, size and nets vary.",
         env=one_shot(),
-        training=TRAINING,
-        **SIZES,
+        **DRAWN,
     ),
     Scenario(
         "braess-v0",
         Braess(),
         description="A short-cut that makes all worse off when all take it.",
         env=one_shot(),
-        training=TRAINING,
-        **SIZES,
+        **DRAWN,
     ),
     Scenario(
         "crossing-v0",
@@ -249,8 +246,7 @@ COOPERATION = (
         description="Ten to twelve nets through one square: congestion without a culprit.",
         accept=routable,
         env=one_shot(),
-        training=TRAINING,
-        **SIZES,
+        **DRAWN,
     ),
     _once(
         "two-pin-once-8x8-v0",
@@ -263,6 +259,15 @@ COOPERATION = (
         "Thirty nets of up to five pins that just fit, routed once, each to its own tree.",
         RandomNets(grid=(8, 8, 2), nets=(30, 30), max_pins=(5, 5), capacity=(4, 4)),
         one_shot(("capacity", "own", "pins", "heads"), layers=2, target="tree", next_pin="nearest"),
+    ),
+    _once(
+        "two-pin-once-32x32-v0",
+        "Five hundred two-pin nets, routed once.",
+        RandomNets(grid=(32, 32, 2), nets=(500, 500), max_pins=(2, 2), capacity=(9, 9)),
+        one_shot(layers=2, reward={"kind": "team", "overflow": 80.0, "open": 80.0}),
+        validation=10,
+        test=20,
+        open_cost=80,
     ),
     _once(
         "online-8x8-v0",

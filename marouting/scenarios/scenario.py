@@ -16,6 +16,7 @@ Attempts are thrown away until a problem keeps three promises:
 import functools
 import hashlib
 import itertools
+import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -83,7 +84,7 @@ class Scenario:
         open_cost: int = 20,
         mirrors: bool = True,
         largest: Callable[[], Problem] | None = None,
-        references: Path | None = None,
+        references: str | os.PathLike[str] | None = None,
     ) -> None:
         self.name, self.generator, self.description = name, generator, description
         self.env, self.training = dict(env or {}), dict(training or {})
@@ -91,7 +92,7 @@ class Scenario:
         self._counts: dict[Split, int] = {"validation": validation, "test": test}
         self._accept, self._largest = accept, largest
         self._digest = mirror_digest if mirrors else digest
-        self.references = path_of(name) if references is None else references
+        self.references = path_of(name) if references is None else Path(references)
 
     def __repr__(self) -> str:
         return f"Scenario({self.name})"

@@ -6,11 +6,12 @@ windows, the time of every launch, Connector of Jumanji on the same card if juma
 installed, and PPO. The whole takes less than 8 minutes.
 """
 
+import importlib
 import json
 import platform
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from importlib import metadata
 from multiprocessing import get_context
@@ -19,22 +20,44 @@ from typing import Any
 
 import click
 import numpy as np
+import torch
 
 import marouting
 from marouting.batch import cuda as device
 from marouting.batch.cuda_env import CudaBatchEnv
+from marouting.config import build
 from marouting.files import check_writable, write_text
 from marouting.kernels import compiled, i64
+from marouting.options import game_options
 from marouting.vector import BatchEnv
 from policies.cli.options import FILE
+from policies.learned.algorithms import ppo
+from policies.learned.on_device import DevicePPO
 
-GAMES = (1024, 4096, 16384, 65536, 262144, 1048576)
+SECTIONS = ("learning", "equality", "paper", "window", "connector")
+"""What is measured, in this order: comparisons compile beside the first trainings."""
+
+TRAININGS = (("ippo", 16384, 25, 32), ("mappo", 16384, 25, 32), ("ippo", 131072, 8, 16))
+"""Learners, numbers of games, how long they train, and the steps of a rollout."""
+
+MOST_CONNECTORS = 65536
+
+GAMES = (4096, 16384, 65536, 262144)
 """Numbers of games."""
 
 WINDOW = {"kind": "window", "radius": 3, "layers": 0, "channels": ["capacity", "own", "heads"]}
 
 
 WINDOW_ALL = {"kind": "window", "channels": ["capacity", "history", "own", "pins", "heads"]}
+
+
+PPO = {
+    "network": {"kind": "mlp", "hidden": [128, 128]},
+    "gamma": 0.99,
+    "gae_lambda": 0.95,
+    "final_failures": True,
+}
+"""The options of the learner: those of trainings on endless problems."""
 
 
 # --- equality -------------------------------------------------------------------------------------
@@ -94,6 +117,8 @@ def compare(
     order, number = host.engine.order, np.arange(len(problems))[:, None]
     place = np.arange(order.shape[1])
     turned = np.where(order < 0, place, order)  # the agent on the processor of a row of the device
+    if np.array_equal(other.nets, host.engine.nets):
+        order = turned = np.broadcast_to(place, order.shape)
 
     def by_row(value: Any) -> Any:
         if isinstance(value, Mapping):
@@ -247,10 +272,10 @@ def connector(games: int, seconds: float) -> dict[str, Any]:
     """Agent-steps per second of Jumanji's Connector-v3 with random legal moves, in JAX."""
     import jax
     import jax.numpy as jnp
-    import jumanji
-    from jumanji.wrappers import AutoResetWrapper
 
-    env: Any = AutoResetWrapper(jumanji.make("Connector-v3"))
+    jumanji, wrappers = map(importlib.import_module, ("jumanji", "jumanji.wrappers"))
+
+    env: Any = wrappers.AutoResetWrapper(jumanji.make("Connector-v3"))
     agents, steps = env.unwrapped.num_agents, 16
 
     def play(state: Any, seen: Any, key: Any) -> Any:
@@ -285,6 +310,44 @@ def connector(games: int, seconds: float) -> dict[str, Any]:
     }
 
 
+def learning(
+    scenario: str, learner: str, games: int, seconds: float, steps: int = 32
+) -> Iterator[dict[str, Any]]:
+    """PPO on a scenario: its speed, and what the policy is worth on test after so many seconds.
+
+    Yields:
+        Where the training is after 2, 4, 8, … rollouts; at last its result.
+    """
+    torch.set_float32_matmul_precision("high")
+    options = {k: v for k, v in marouting.scenarios.get(scenario).env.items() if k != "agents"}
+    begin = time.perf_counter()
+    env = BatchEnv(games, scenario=scenario, device="cuda", pool=4096, **options)
+    kind = {"ippo": ppo.IPPOOptions, "mappo": ppo.MAPPOOptions}[learner]
+    observation = game_options(options).observation.make()
+    trained = DevicePPO(env, observation, build(kind, PPO), steps=steps)
+    what = {"scenario": scenario, "learner": learner, "games": games, "agents": env.num_agents}
+    what["prepared_s"] = time.perf_counter() - begin
+    moves, rollouts, begin = 0, 0, time.perf_counter()
+    first = (0, begin)
+    while time.perf_counter() - begin < seconds:
+        told = trained.iterate()
+        moves, rollouts, now = moves + told.steps, rollouts + 1, time.perf_counter()
+        if rollouts == 2:  # all is compiled
+            first = moves, now
+        if rollouts > 1 and rollouts & (rollouts - 1) == 0:
+            yield {**what, "moves": moves, "seconds": now - begin, "joined": told.joined}
+    rate = (moves - first[0]) / max(now - first[1], 1e-9)
+    result = marouting.evaluate_policy(trained, scenario, "test")
+    yield {
+        **what,
+        "moves": moves,
+        "seconds": now - begin,
+        "trained_moves_per_s": rate,
+        "test_cost": result.cost,
+        "test_solved": result.solved,
+    }
+
+
 def machine() -> dict[str, Any]:
     """The card, its driver and the versions."""
     cuda = device.cuda
@@ -307,7 +370,7 @@ def machine() -> dict[str, Any]:
 @click.command()
 @click.option("--out", type=FILE, help="JSON file for the results; without it, none is written.")
 @click.option("--seconds", type=float, default=1.0, show_default=True, help="Of a measurement.")
-@click.option("--sections", default="equality,paper,window,connector", show_default=True)
+@click.option("--sections", default=",".join(SECTIONS), show_default=True)
 @click.option("--games", help="Numbers of games, with commas between them.")
 def main(out: Path | None, seconds: float, sections: str, games: str | None) -> None:
     """Check the batch on a CUDA device, and measure it."""
@@ -318,6 +381,9 @@ def main(out: Path | None, seconds: float, sections: str, games: str | None) -> 
     report: dict[str, Any] = {"machine": machine()}
     click.echo(json.dumps(report["machine"]))
     numbers = GAMES if games is None else tuple(map(int, games.split(",")))
+    for section in sections.split(","):
+        if section not in SECTIONS:
+            raise click.BadParameter(f"expected some of {', '.join(SECTIONS)}, found {section}")
 
     def done(what: str, row: Any) -> None:
         report.setdefault(what, []).append(row)
@@ -325,23 +391,34 @@ def main(out: Path | None, seconds: float, sections: str, games: str | None) -> 
         if out is not None:
             write_text(out, json.dumps(report, indent=1) + "\n")
 
-    for section in sections.split(","):
+    def measure(section: str) -> None:
         if section == "equality":
-            problems = marouting.generate(64, nets=8, max_pins=3, grid=(6, 6, 2), capacity=2)
-            for options in CASES:
-                done(
-                    section,
-                    {"options": dict(options), "differs": compare(problems, 150, **options)},
-                )
-        for count in numbers if section != "equality" else ():
-            if section == "paper":
-                done(section, speed(count, seconds))
-            if section == "window":
-                done(section, speed(count, seconds, observation=WINDOW))
-            if section == "connector" and count <= 65536:
-                done(section, connector(count, seconds))
+            for options, differs in zip(CASES, found, strict=True):
+                done(section, {"options": dict(options), "differs": differs.result()})
+        elif section == "learning":
+            for learner, count, share, steps in TRAININGS:
+                for row in learning("gates-8x7-v0", learner, count, share * seconds, steps):
+                    done(section, row)
+        elif section == "connector":
+            for count in numbers:
+                if count <= MOST_CONNECTORS:
+                    done(section, connector(count, seconds))
+        else:
+            options = {"observation": WINDOW} if section == "window" else {}
+            for count in numbers:
+                done(section, speed(count, seconds, **options))
+
+    pool = ProcessPoolExecutor(len(CASES), get_context("spawn"))  # each compiles for a minute
+    problems = marouting.generate(64, nets=8, max_pins=3, grid=(6, 6, 2), capacity=2)
+    wanted = CASES if "equality" in sections else ()
+    found = [pool.submit(compare, problems, 100, **options) for options in wanted]
+    for section in sections.split(","):
+        try:
+            measure(section)
+        except Exception as error:  # the next sections are worth as much
+            done("failed", f"{section}: {type(error).__name__}: {str(error)[-600:]}")
     wrong = [row for row in report.get("equality", ()) if row["differs"]]
-    sys.exit(1 if wrong else 0)
+    sys.exit(1 if wrong or "failed" in report else 0)
 
 
 if __name__ == "__main__":

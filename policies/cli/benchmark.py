@@ -23,8 +23,8 @@ BASELINES = Path("configs/benchmark/baselines.yaml")
     multiple=True,
     metavar="NAME",
     shell_complete=scenario_names,
-    help="Scenario whose problems are routed, or `all`; may be given several times. Without "
-    "it, --leaderboard is required.",
+    help="Scenario whose problems are routed, module:NAME for one of your own, or `all`; may be "
+    "given several times. Without it, --leaderboard is required.",
 )
 @click.option(
     "--router",
@@ -138,6 +138,7 @@ def benchmark(
     for text in routers:
         more = "" if config is not None else f" {shlex.join(overrides)}" if overrides else ""
         entries.append(from_text(f"{text}{more}", name, given))
+    names = tuple(scenarios.load(name).name if ":" in name else name for name in names)
     for scenario in names:
         if scenario not in (*scenarios.names(), "all"):
             raise unknown("--scenario", scenario, (*scenarios.names(), "all"))

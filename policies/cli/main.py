@@ -458,7 +458,7 @@ def train(
         standing = run.standing()
         if as_json:
             told = {"out": run.folder, "episodes": run.episodes[0], "rows": rows}
-            splits = {result.split: result.as_dict(rows=False) for result in standing}
+            splits: dict[str, Any] = {r.split: r.as_dict(rows=False) for r in standing}
             click.echo(as_text({**told, **splits}))
             return
         if len(run.problems) > FEW:
@@ -485,7 +485,7 @@ def train(
                 f"a new training of {settings.train.episodes} episodes",
                 err=True,
             )
-    click.echo(f"learner {settings.learner.name}: {run.trainer.learner.path}", err=True)
+    click.echo(f"learner {settings.learner.name}: {run.trainer.path}", err=True)
     with training_bar(*run.progress, run.best, run.reference) as watch:
         rows = run.execute(lambda episodes: watch(episodes, run.trainer.walks))
     tell_rows(rows)

@@ -135,7 +135,9 @@ class Imitation(Learner):
         o, player, games = options, setup.player, setup.games
         check("train.shared", len(setup.names) == 1, "true, for imitation")
         check("agents", not player.everyone, "single, for imitation")
-        check("rip_up.choose", setup.actions == MOVES, "all, conflicts or history, for imitation")
+        rules = player.engine.rules
+        check("rip_up.choose", not rules.asks, "all, conflicts or history, for imitation")
+        check("wait", setup.actions == MOVES, "false, and message_bits 0, for imitation")
         self.path = f"torch, batched on {setup.device}"
         self.networks = self._stack("weights", setup.obs_shape, setup.actions)
         self.adam = Adam(self.networks.flat)

@@ -60,7 +60,8 @@ class TrainOptions:
             (:class:`marouting.batch.prices.Negotiation`); None: none.
         policy: which network is saved: ``best``, that of the best evaluation, or ``last``, for a
             learner whose steps get smaller to the end.
-        device: ``cpu``, or ``cuda`` for the networks.
+        device: ``cpu`` or ``cuda``. With ``cuda`` the networks are on the device; for ppo, ippo and
+            mappo with ``games``, so are all games (:mod:`policies.learned.device_trainer`).
         threads: threads that share the networks of a training.
         checkpoint_seconds: seconds between checkpoints.
         tensorboard: whether to write TensorBoard's event files beside ``metrics.jsonl``.
@@ -93,7 +94,7 @@ class TrainOptions:
         games, shown, steps = self.games, self.validation, self.steps
         check("steps", steps is None or 1 <= steps <= MOST, f"a number from 1 to {MOST}")
         check("steps", steps is None or games is not None, "null without train.games")
-        check("games", games is None or 1 <= games <= 10_000, "a number from 1 to 10000")
+        check("games", games is None or 1 <= games <= 1_000_000, "a number from 1 to 1000000")
         check("shared", games is None or self.shared, "true: games draw problems for one network")
         kept = self.problems
         check("problems", kept is None or 1 <= kept <= 100_000, "a number from 1 to 100000")

@@ -247,9 +247,9 @@ def play_steps(
         yield
 
 
-def best_moves(outputs: Tensor, mask: NDArray[np.int8] | None) -> NDArray[np.int8]:
+def best_moves(outputs: Tensor, mask: NDArray[np.int8] | None) -> NDArray[np.int16]:
     """(B,) the moves of the highest outputs (B, A), within a mask (B, A) if there is one."""
     values = outputs.detach().cpu().numpy()
     if mask is not None:
         values = np.where(mask == 0, -np.inf, values)
-    return values.argmax(axis=1).astype(np.int8)
+    return values.argmax(axis=1).astype(np.int16)

@@ -18,14 +18,14 @@ class LoggedPlayer(Player):
     """Games of which every move since their last reset is known.
 
     Attributes:
-        moves: (M, S, K) int8, the moves on the grid, as far as they have been made.
+        moves: (M, S, K) int16, the moves on the grid, as far as they have been made.
         made: (M,) int64, the steps of each game since its last reset.
     """
 
     def __init__(self, *given: Any, **named: Any) -> None:
         super().__init__(*given, **named)
         games, rows = self.buffers.actions.shape
-        self.moves = np.empty((games, 0, rows), np.int8)
+        self.moves = np.empty((games, 0, rows), np.int16)
         self.made = np.zeros(games, np.int64)
 
     def make_log(self, steps: int) -> None:
@@ -33,7 +33,7 @@ class LoggedPlayer(Player):
         games, size, rows = self.moves.shape
         needed = int(self.made.max()) + steps
         if needed > size:
-            more = np.empty((games, max(needed, 2 * size) - size, rows), np.int8)
+            more = np.empty((games, max(needed, 2 * size) - size, rows), np.int16)
             self.moves = np.concatenate([self.moves, more], axis=1)
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
@@ -60,7 +60,7 @@ class LoggedPlayer(Player):
 
     def replay(
         self,
-        moves: NDArray[np.int8],
+        moves: NDArray[np.int16],
         made: NDArray[np.int64],
         begun: Callable[[NDArray[np.bool_]], None],
     ) -> None:

@@ -169,8 +169,10 @@ class TrainedPolicy:
         """The best move; see :class:`policies.routers.base.Policy`."""
         return int(self.moves(observation[None], mask[None])[0])
 
-    def moves(self, observations: NDArray[np.float32], masks: NDArray[np.int8]) -> NDArray[np.int8]:
-        """(K,) int8 best moves for observations (K, *S) and masks (K, A) as environments show them.
+    def moves(
+        self, observations: NDArray[np.float32], masks: NDArray[np.int8]
+    ) -> NDArray[np.int16]:
+        """(K,) int16 best moves for observations (K, *S) and masks (K, A) of environments.
 
         Masks and moves are those of the grid, also where the network chooses among an observation's
         own moves.
@@ -179,10 +181,10 @@ class TrainedPolicy:
             ratings = self.module(torch.from_numpy(observations))
         if not has_move_order(self._observation):
             return best_moves(ratings, masks if self.masking else None)
-        order = move_order_of(self._observation, observations, masks.shape[1])
+        order = move_order_of(self._observation, observations, self.env.actions, self.env.messages)
         turned = np.take_along_axis(masks, order, -1)
         best = best_moves(ratings, turned if self.masking else None)
-        return np.take_along_axis(order, best[:, None].astype(np.int64), -1)[:, 0].astype(np.int8)
+        return np.take_along_axis(order, best[:, None].astype(np.int64), -1)[:, 0].astype(np.int16)
 
     def evaluate(self, scenario: str, split: Split = "test") -> PolicyResult:
         """Its figures on a split of a scenario, in the game that it was trained in.

@@ -28,6 +28,7 @@ from marouting.source import ProblemSampler, ProblemStream, fixed_problems, load
 from policies.interrupts import interrupt
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
+from policies.learned.device_trainer import DeviceTrainer, on_device
 from policies.learned.logs import Logs
 from policies.learned.trainer import Trainer
 from policies.results.folder import check_own, working_in
@@ -86,7 +87,7 @@ def _save(state: Mapping[str, Any], path: Path) -> None:
 
 def problems_of(
     config: Config, kept: Mapping[str, Problem] | None = None
-) -> tuple[dict[str, Problem], ProblemSampler | None]:
+) -> tuple[dict[str, Problem], ProblemStream | None]:
     """The problems of a training by name, and what its games draw theirs from.
 
     Args:
@@ -121,8 +122,25 @@ def problems_of(
         check("train.problems", train.problems is None, "null: a set is played whole")
         found = fixed_problems(env) if kept is None else kept
         episodes = ProblemStream.of(dict(sorted(found.items())))
-    draws = None if episodes is None else ProblemSampler(episodes, config.seed, train.games or 1)
-    return dict(sorted((found if kept is None else kept).items())), draws
+    return dict(sorted((found if kept is None else kept).items())), episodes
+
+
+def trainer_of(
+    problems: Mapping[str, Problem], episodes: ProblemStream | None, config: Config
+) -> Trainer | DeviceTrainer:
+    """What trains: on the processor, or with all games on a CUDA device.
+
+    Args:
+        problems: as :func:`problems_of` gives them.
+        episodes: likewise.
+        config: what to do.
+    """
+    if episodes is None:
+        return Trainer(problems, config)
+    if on_device(config):
+        return DeviceTrainer(problems, config, episodes)
+    draws = ProblemSampler(episodes, config.seed, config.train.games or 1)
+    return Trainer(problems, config, draws)
 
 
 _GENERATED = 10
@@ -166,7 +184,7 @@ class Run:
         else:
             self._check_new()
         kept = load_problems(str(self.folder / "problems")) if resume else None
-        self.problems, draws = problems_of(config, kept)
+        self.problems, episodes = problems_of(config, kept)
         if reference is None and config.env.scenario is not None:
             best = get(config.env.scenario).reference
             reference = {name: best(problem)[:2] for name, problem in self.problems.items()}
@@ -174,7 +192,7 @@ class Run:
         for name in self.problems:
             fits = is_file_name(name, f".{config.learner.name}_policy.solution")
             check(f"problem {name[:80]!r}", fits, FILE_NAME)
-        self.trainer = Trainer(self.problems, config, draws)
+        self.trainer = trainer_of(self.problems, episodes, config)
         self._seconds = 0.0
         self._logged = self._evaluated = 0
         if resume:
@@ -310,7 +328,7 @@ class Run:
                 config.train.tensorboard,
                 tuple(self.problems),
                 self.reference,
-                drawn=trainer.player.draws is not None,
+                drawn=trainer.drawn,
             ) as logs,
             _holding_interrupts() as interrupts,
         ):
@@ -327,10 +345,10 @@ class Run:
 
             for episodes in trainer.run():
                 interrupts.begun = True
-                if episodes:
+                if episodes or trainer.walks:
                     logs.write(episodes, trainer.walks)
-                    if watch is not None:
-                        watch(episodes)
+                if episodes and watch is not None:
+                    watch(episodes)
                 if interrupts.held or time.monotonic() - saved >= config.train.checkpoint_seconds:
                     keep()
                     saved = time.monotonic()
@@ -341,7 +359,7 @@ class Run:
             # matplotlib: only if it is wanted
             from policies.figures.plot import reward_figures, run_figures
 
-            if trainer.player.draws is None:
+            if not trainer.drawn:
                 run_figures(self.folder, rows=rows)
             else:  # `marouting plot` draws the validation problems
                 reward_figures(self.folder / METRICS, self.folder / "figures")

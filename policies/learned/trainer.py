@@ -69,6 +69,8 @@ class Trainer:
         player: the games: of each problem that still trains, its copies one after another.
         episodes: (M,) int64, episodes finished; where games draw their problems (1,), of all games.
         steps: likewise, the moves that agents made in them.
+        drawn: whether games draw their problems.
+        path: how the learner is computed, in words.
         walks: the evaluations made since :meth:`run` last yielded.
         places: which problems the networks and games belong to that still train.
 
@@ -90,7 +92,7 @@ class Trainer:
                 f"learner: expected a class derived from {Learner.__module__}.Learner, "
                 f"found {learner.name}"
             )
-        drawn = draws is not None
+        self.drawn = drawn = draws is not None
         check("train.games", drawn or train.games is None, "null: its problems are fixed")
         self._whole = player_of(config.env, list(problems.values()), config.train.negotiation)
         engine, count = self._whole.engine, 1 if drawn else len(self.names)
@@ -147,6 +149,7 @@ class Trainer:
         self.places = np.arange(count)
         self._before = np.zeros((len(b.over), 2))  # of the network before the episode: loss, steps
         self._left: list[tuple[NDArray[np.int64], dict[str, dict[str, Tensor]]]] = []
+        self.path = self.learner.path
         self._tell_episodes()
 
     @property
@@ -273,6 +276,7 @@ class Trainer:
             self.player.reset()
             self.burn_in()
         while self.running.any():
+            self.walks = []
             self.learner.play(self.player, _STEPS)
             over = self.player.buffers.over.copy()
             yield self._finish(over) if over.any() else []
@@ -424,7 +428,7 @@ class Trainer:
         moves, made, total = player.moves, np.zeros(count, np.int64), np.zeros(count)
         games = (self.places[:, None] * self._copies + np.arange(self._copies)).ravel()
         made[games], total[games] = player.made, player.buffers.total
-        log = np.full((count, int(made.max()), moves.shape[2]), NOBODY, np.int8)
+        log = np.full((count, int(made.max()), moves.shape[2]), NOBODY, np.int16)
         for game, own, steps in zip(games, moves, player.made, strict=True):
             log[game, :steps] = own[:steps]
         arrays = {"moves": log, "made": made, "total": total}
@@ -499,7 +503,7 @@ class Trainer:
                 raise InputError(f"{where}: {min(more)}: expected nothing of that name")
         moves = kept.get("moves")
         steps = moves.shape[1] if isinstance(moves, Tensor) and moves.ndim == 3 else 0
-        shaped["moves"] = np.zeros((len(player.made), steps, player.moves.shape[2]), np.int8)
+        shaped["moves"] = np.zeros((len(player.made), steps, player.moves.shape[2]), np.int16)
         limits = {
             **dict.fromkeys(("score", "policy_score"), ANY),
             **dict.fromkeys(("episodes", "policy_episode", "_evaluated"), (0, then)),

@@ -106,7 +106,7 @@ class LocalRouter:
         price, seen = int(self.price * _EDGE), i64(self.seen)
         view = _View(i64(_NUMBERS[self.rule]), i64(radius), i64(price), seen)
         rng = np.random.default_rng(self.seed)
-        buffers = _buffers(engine.problems[0], rng.integers(1, 2**62))
+        buffers = _buffers(engine.problems[0], int(rng.integers(1, 2**62)))
         _play(engine.static, engine.dynamic, buffers, view)
         return engine
 

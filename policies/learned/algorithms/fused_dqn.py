@@ -45,7 +45,7 @@ def obstacle(setup: Setup, options: DQNOptions) -> str | None:
         f"network {network.name}": network.cls is not MLP or network.given,
         "a dueling network": network.cls is MLP and given["dueling"],
         "an activation other than relu": network.cls is MLP and given["activation"] != "relu",
-        "rip_up agents": setup.player.engine.actions > MOVES,
+        "actions beyond the six moves": setup.player.engine.actions > MOVES,
         "double": options.double,
         "n_step": options.n_step > 1,
         "prioritised": options.prioritised,
@@ -63,7 +63,7 @@ class Play(NamedTuple):
     counters: NDArray[np.int64]  # (M,)
     epsilon: NDArray[np.float64]  # (M,)
     pending: NDArray[np.int64]  # (L,) moves not yet answered by a gradient step
-    moves: NDArray[np.int8]  # (M, S, K) see LoggedPlayer; without room where nothing is logged
+    moves: NDArray[np.int16]  # (M, S, K) see LoggedPlayer; without room where nothing is logged
     made: NDArray[np.int64]  # (M,) likewise
 
 
@@ -208,7 +208,7 @@ class FusedDQN(DQN):
     def play(self, player: Player, steps: int) -> None:
         """See :meth:`policies.learned.learner.Learner.play`; one network after the other."""
         b, explore, engine = player.buffers, self.explore, player.engine
-        moves, made = np.empty((1, 0, 1), np.int8), np.zeros(len(b.over), np.int64)
+        moves, made = np.empty((1, 0, 1), np.int16), np.zeros(len(b.over), np.int64)
         if isinstance(player, LoggedPlayer):
             player.make_log(steps)
             moves, made = player.moves, player.made

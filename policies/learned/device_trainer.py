@@ -1,0 +1,282 @@
+"""A training whose games, rollouts, networks and updates are all on a CUDA device.
+
+It stands in for :class:`policies.learned.trainer.Trainer` where ``train.device`` is ``cuda`` and
+games draw their problems for a learner of the PPO family. The configuration is the same; rollouts
+are at least :data:`STEPS` steps of all games (:mod:`policies.learned.on_device`). Of every rollout
+one episode is logged, since there may be thousands.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from marouting import InputError, Problem, Solution
+from marouting.batch.cuda_env import CudaBatchEnv
+from marouting.config import check, code_named, plain
+from marouting.options import ORDERS, PLAYED
+from marouting.registry import allowing_code
+from marouting.source import ProblemStream
+from marouting.vector import BatchEnv
+from policies.learned.algorithms.ppo import PPO
+from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT, checked
+from policies.learned.config import Config
+from policies.learned.learner import play_steps
+from policies.learned.on_device import DevicePPO
+from policies.learned.policy import TrainedPolicy, check_weights, player_of, policy_origin
+from policies.results.run_folder import Episode, GreedyEvaluation
+
+STEPS = 32
+"""The fewest steps of all games between updates."""
+
+_NAME = "all"
+
+
+def on_device(config: Config) -> bool:
+    """Whether the whole training is on the device, and not just the networks."""
+    train = config.train
+    return train.device.startswith("cuda") and train.games is not None and _fits(config)
+
+
+def _fits(config: Config) -> bool:
+    return issubclass(config.learner.cls, PPO) and config.env.agents == "multi"
+
+
+class DeviceTrainer:
+    """Trains one network on problems that games draw; see :class:`.trainer.Trainer`.
+
+    Args:
+        problems: those that the network is evaluated on, by name.
+        config: what to do.
+        episodes: what the games draw theirs from.
+
+    Attributes:
+        names: the names of ``problems``.
+        episodes: (1,) int64, episodes finished.
+        steps: (1,) int64, moves of agents that have been learned from.
+        walks: the evaluations made since :meth:`run` last yielded.
+        path: where it all happens, in words.
+
+    Raises:
+        InputError: there is no device, or an option is not supported on it.
+    """
+
+    drawn = True
+    replayed: tuple[()] = ()
+
+    def __init__(
+        self, problems: Mapping[str, Problem], config: Config, episodes: ProblemStream
+    ) -> None:
+        self.config, self.problems, self.names = config, dict(problems), tuple(problems)
+        train, options = config.train, config.learner.options
+        check("train.negotiation", train.negotiation is None, "null on a device")
+        check("train.start", train.start != "generalist", "null or a file on a device")
+        env = plain(config.env)
+        for name in (*PLAYED, "agents", "agents_persist", "render_mode"):
+            del env[name]
+        env["turn_order"] = config.env.turn_order or ORDERS["multi"]
+        source: Any = episodes
+        with allowing_code(code for _, code in code_named(config)):
+            self.env = BatchEnv(
+                train.games or 1, problem=source, device="cuda", seed=config.seed, **env
+            )
+        assert isinstance(self.env, CudaBatchEnv)
+        self.path = f"torch and games on {train.device}"
+        rows = self.env.num_problems * self.env.num_agents
+        observation = config.env.observation.make()
+        steps = max(STEPS, round(options.rollout / rows))
+        try:
+            self.ppo = DevicePPO(self.env, observation, options, steps=steps, seed=config.seed)
+        except torch.OutOfMemoryError as error:
+            reason = str(error).splitlines()[0]
+            raise InputError(f"device: expected more memory for these games: {reason}") from None
+        self.episodes, self.steps, self._evaluated = np.zeros((3, 1), np.int64)
+        self.best_episode = np.zeros(0, np.int64)
+        self.walks: list[GreedyEvaluation] = []
+        self._best = self._weights()
+        self._best_score: tuple[float, ...] = (np.inf, np.inf, np.inf)
+        self._best_after = 0
+
+    # --- what is to be done -------------------------------------------------------------------
+
+    @property
+    def running(self) -> NDArray[np.bool_]:
+        """(1,) whether there is more to train."""
+        return np.array([self._share() < 1])
+
+    def _share(self) -> float:
+        """The share of the training that is done."""
+        train = self.config.train
+        share = int(self.episodes[0]) / train.episodes
+        return max(share, int(self.steps[0]) / train.steps) if train.steps else share
+
+    @property
+    def start(self) -> list[Mapping[str, Tensor]]:
+        """The weights that the actor begins with; none if they are random."""
+        path = self.config.train.start
+        if path is None:
+            return []
+        weights = TrainedPolicy.load(path, _NAME).module.state_dict()
+        try:
+            check_weights(weights, self.ppo.actor)
+        except InputError as error:
+            raise InputError(f"train.start: {path}: {error}") from None
+        return [weights]
+
+    def run(self) -> Iterator[list[Episode]]:
+        """Trains to the end; after every rollout, yields one of the episodes that ended."""
+        if not self.steps[0]:
+            for weights in self.start:
+                self.ppo.actor.load_state_dict(weights)
+        while self.running[0]:
+            self.ppo.progress = self._share()
+            told = self.ppo.iterate()
+            self.steps += told.steps
+            self.episodes += told.episodes
+            episode = self._sample(told.loss)
+            self._evaluate()
+            yield episode
+
+    def _sample(self, loss: float) -> list[Episode]:
+        """An episode that has ended in the last step; none if none has."""
+        over = np.flatnonzero(self.ppo.over[-1].cpu().numpy())
+        if not len(over):
+            return []
+        m = int(over[0])
+        env: Any = self.env
+        name, metrics, reward = env.ended(m)
+        return [
+            Episode(
+                problem=name, episode=max(int(self.episodes[0]) - 1, 0), reward=reward, epsilon=0.0,
+                loss=loss, updates=self.ppo.updates, best=False, **asdict(metrics),
+            )
+        ]  # fmt: skip
+
+    # --- evaluation ---------------------------------------------------------------------------
+
+    def _evaluate(self) -> None:
+        """Has the network play the validation problems, if that is due, and keeps the best."""
+        self.walks = []
+        due = self.episodes[0] >= self._evaluated[0] + self._every or not self.running[0]
+        if not due:
+            return
+        self._evaluated[:] = self.episodes
+        weights = self._weights()
+        module = self._module(weights)
+        player = player_of(self.config.env, list(self.problems.values()))
+        player.reset()
+        for _ in play_steps(player, module, masking=self.config.learner.options.masking):
+            pass
+        found = [player.engine.metrics(m) for m in range(len(self.names))]
+        score = tuple(
+            np.sum([(m.tasks - m.joined, m.overflow, m.wirelength) for m in found], axis=0).tolist()
+        )
+        best = score < self._best_score
+        self.walks = [
+            GreedyEvaluation(name, int(self.episodes[0]), best=best, **asdict(metrics))
+            for name, metrics in zip(self.names, found, strict=True)
+        ]
+        if best:
+            self._best_score = score
+        if best or self.config.train.policy == "last":
+            self._best, self._best_after = weights, int(self.episodes[0])
+
+    @property
+    def _every(self) -> int:
+        """Episodes between evaluations; there are about 50 at most, since they take a while."""
+        train, done = self.config.train, self._share()
+        whole = int(self.episodes[0]) / done if done else 0
+        return max(train.evaluate_every, round(whole / 50))
+
+    def _weights(self) -> Tensor:
+        """The actor's weights, a copy on the processor."""
+        flat = nn.utils.parameters_to_vector(self.ppo.actor.parameters())
+        return flat.detach().cpu().clone()
+
+    def _module(self, flat: Tensor) -> nn.Module:
+        learner = self.config.learner
+        module: nn.Module = learner.cls.network(
+            learner.options, self._obs_shape, self.env.single_action_space.n
+        )
+        nn.utils.vector_to_parameters(flat, module.parameters())
+        return module
+
+    @property
+    def _obs_shape(self) -> tuple[int, ...]:
+        shape = self.env.single_observation_space.shape
+        assert shape is not None
+        return shape
+
+    # --- results ------------------------------------------------------------------------------
+
+    def origin(self, problem: str) -> str:
+        """Which episode a problem's solution is from: there are no solutions."""
+        raise KeyError(problem)
+
+    def solutions(self) -> dict[str, Solution]:
+        """None: every episode plays another problem."""
+        return {}
+
+    def policy_of(self, problem: str) -> TrainedPolicy:
+        """The saved network: that of the best evaluation, or of the last."""
+        del problem
+        config = self.config
+        return TrainedPolicy(
+            self._module(self._best.clone()),
+            config.learner.options.masking,
+            self._obs_shape,
+            config.env,
+            policy_origin(self._best_after),
+        )
+
+    def policy(self) -> dict[str, Any]:
+        """What it takes to play with the best network; see :meth:`.trainer.Trainer.policy`."""
+        env = plain(self.config.env)
+        for name in PLAYED:
+            del env[name]
+        weights = self._module(self._best.clone()).state_dict()
+        return {
+            "format": POLICY_FORMAT,
+            "names": [_NAME],
+            "episodes": [self._best_after],
+            "learner": plain(self.config.learner),
+            "obs_shape": list(self._obs_shape),
+            "env": env,
+            "negotiation": None,
+            "weights": [{name: tensor.detach() for name, tensor in weights.items()}],
+        }
+
+    def state(self) -> dict[str, Any]:
+        """Everything that it takes to go on."""
+        own = {name: torch.from_numpy(getattr(self, name).copy()) for name in _OWN}
+        return {
+            **self.policy(),
+            "format": TRAINING_FORMAT,
+            "problems": list(self.names),
+            "in_all": self.config.train.episodes,
+            "trainer": {**own, "best": self._best},
+            "score": [float(part) for part in self._best_score],
+            "training": self.ppo.state(),
+            "device": True,
+        }
+
+    def load_state(self, state: Mapping[str, Any], where: str) -> None:
+        """Goes back to what :meth:`state` gave; raises InputError if it is of another training."""
+        fits = state.get("device") is True and state["problems"] == list(self.names)
+        if not fits:
+            raise InputError(f"{where}: expected a training on a device, of these problems")
+        kept = state["trainer"]
+        for name in _OWN:
+            own = getattr(self, name)
+            own[:] = checked(kept[name], torch.from_numpy(own), f"{where}: {name}").numpy()
+        self._best = checked(kept["best"], self._best, f"{where}: best").clone()
+        self._best_score = tuple(map(float, state["score"]))
+        self._best_after = int(state["episodes"][0])
+        self.ppo.load_state(state["training"], where)
+
+
+_OWN = ("episodes", "steps", "_evaluated")

@@ -1,0 +1,196 @@
+"""Games, and trainings, on a CUDA device.
+
+Without a device, numba's simulator runs the same code as Python; ``-m gpu`` runs it on a device.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import marouting
+from marouting.config import build
+from marouting.options import game_options
+from marouting.vector import BatchEnv
+from policies.learned.algorithms.ppo import PPOOptions
+from policies.learned.on_device import DevicePPO
+
+SIMULATED = Path(__file__).with_name("simulated.py")
+CASES = 13
+
+
+def simulate(*arguments: str) -> list[str]:
+    """The lines that tests/simulated.py prints in the simulator."""
+    settings = {**os.environ, "NUMBA_ENABLE_CUDASIM": "1", "PYTHONWARNINGS": "ignore"}
+    run = subprocess.run(
+        [sys.executable, str(SIMULATED), *arguments],
+        env=settings, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr[-2000:]
+    return run.stdout.split("\n")[:-1]
+
+
+@pytest.mark.parametrize("first", range(0, CASES, 7))
+def test_a_device_plays_the_same_games_as_the_processor(first: int) -> None:
+    last = min(first + 7, CASES)
+    assert simulate("play", str(first), str(last)) == ["None"] * (last - first)
+
+
+def test_a_training_on_a_device_goes_on_from_its_checkpoint() -> None:
+    *same, steps = simulate("resume")
+    assert same == ["True"] * 3
+    assert len(set(steps.split())) == 1
+    assert int(steps.split()[0]) > 0
+
+
+@pytest.mark.gpu
+def test_a_real_device_plays_the_same_games() -> None:
+    from policies.bench.cuda import CASES as cases
+    from policies.bench.cuda import compare
+
+    problems = marouting.generate(64, nets=8, max_pins=3, grid=(6, 6, 2), capacity=2)
+    assert [compare(problems, 100, **options) for options in cases] == [None] * len(cases)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("capability", [(8, 0), (9, 0)])
+def test_all_kernels_compile_for_a_device(
+    capability: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("numba_cuda")
+    pytest.importorskip("nvidia.cu13")  # NVVM, which compiles
+    import numba.cuda.dispatcher
+    from numba import cuda, types
+    from numba.cuda.typing.typeof import typeof
+
+    import marouting.batch.cuda as device
+    from policies.bench.cuda import CASES as cases
+
+    class Array(np.ndarray):
+        def copy_to_device(self, other: Any) -> None:
+            self[...] = other
+
+    def type_of(value: Any) -> Any:
+        if isinstance(value, tuple) and hasattr(value, "_fields"):
+            return types.NamedTuple([type_of(part) for part in value], type(value))
+        plain = {bool: types.boolean, int: types.int64, float: types.float64}
+        return plain.get(type(value)) or typeof(
+            np.asarray(value) if isinstance(value, Array) else value
+        )
+
+    compiled = []
+
+    def launch(_: Any, kernel: Any, *arguments: Any) -> None:
+        kinds = tuple(map(type_of, arguments[2:]))  # without threads and stream
+        code, _ = cuda.compile(kernel.py_func, kinds, cc=capability, device=False, abi="numba")
+        compiled.append(code)
+
+    def begin(self: Any) -> None:
+        device.cuda, self.simulated = cuda, False
+        device._make_known()
+
+    given = SimpleNamespace(compute_capability=capability)
+    monkeypatch.setattr(numba.cuda.dispatcher, "get_current_device", lambda: given)
+    for name, method in {
+        "__init__": begin,
+        "launch": launch,
+        "zeros": lambda _, shape, dtype, order="F": np.zeros(shape, dtype, order).view(Array),
+        "of": lambda _, value: value.view(Array) if isinstance(value, np.ndarray) else value,
+        "column": lambda _, records, name: records[name],
+    }.items():
+        monkeypatch.setattr(device.Device, name, method)
+    problems = marouting.generate(3, nets=4, reduced_edges=0)
+    for options in (cases[0], cases[10], cases[11]):
+        env: Any = BatchEnv(3, problem=problems, device="cuda", **options)
+        env._launch(0, steps=True, restarts=True)
+        env.state()
+    assert len(compiled) == 3 * 6
+    assert all(f".target sm_{capability[0]}{capability[1]}" in code for code in compiled)
+
+
+def test_what_a_device_cannot_do_is_refused_in_one_line() -> None:
+    problems = marouting.generate(1, nets=3, reduced_edges=0)
+    with pytest.raises(marouting.InputError, match="device: expected cpu or cuda, found 'tpu'"):
+        BatchEnv(problems, device="tpu")
+    with pytest.raises(marouting.InputError, match="threads: expected 1"):
+        BatchEnv(problems, device="cuda", threads=2)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a device")
+def test_without_a_device_a_command_says_so(tmp_path: Path) -> None:
+    with pytest.raises(marouting.InputError, match=r"^device: expected .*found "):
+        BatchEnv(marouting.generate(1, nets=3, reduced_edges=0), device="cuda")
+    changes = ["learner.kind=ippo", "env.scenario=gates-8x7-v0", "train.device=cuda"]
+    run = subprocess.run(
+        [sys.executable, "-m", "marouting", "train", *changes, f"out={tmp_path / 'run'}"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 2
+    assert "device: expected" in run.stderr
+    assert "Traceback" not in run.stderr
+    assert not (tmp_path / "run").exists()
+
+
+# --- PPO on arrays of the processor ---------------------------------------------------------------
+
+
+def learner(steps: int, games: int = 4, **options: Any) -> DevicePPO:
+    scenario = marouting.scenarios.get("gates-8x7-v0")
+    env = {name: value for name, value in scenario.env.items() if name != "agents"}
+    problems = [problem for problem, _ in zip(scenario.train(0), range(64), strict=False)]
+    batch = BatchEnv(games, problem=problems, **env)
+    wanted = {"network": {"kind": "mlp", "hidden": [64, 64]}, "final_failures": True, **options}
+    observation = game_options(env).observation.make()
+    return DevicePPO(batch, observation, build(PPOOptions, wanted), steps=steps)
+
+
+def test_advantages_are_those_of_a_loop_over_moves() -> None:
+    ppo = learner(40, gamma=0.9, gae_lambda=0.8)
+    ppo.play()
+    found = ppo.advantages()
+    games = ppo.games
+    for row in range(ppo.rows):
+        ahead, gain, late = float(ppo.value[-1, row]), 0.0, 0.0
+        for t in reversed(range(ppo.steps)):
+            if ppo.over[t, row % games]:
+                ahead = gain = late = 0.0
+            late += float(ppo.reward[t, row])
+            if not ppo.acted[t, row]:
+                continue
+            if ppo.joined[t, row] or ppo.failed[t, row]:
+                ahead = gain = 0.0  # failures are final here
+            value = float(ppo.value[t, row])
+            gain = late + 0.9 * ahead - value + 0.9 * 0.8 * gain
+            ahead, late = value, 0.0
+            assert float(found[t, row]) == pytest.approx(gain, abs=1e-4)
+    assert ppo.over.any()
+    assert ppo.acted.any()
+    assert not ppo.acted.all()
+
+
+def test_moves_of_the_window_are_turned_into_those_of_the_grid() -> None:
+    ppo = learner(4)
+    ppo.play()
+    info, obs = ppo.info, ppo.now
+    flat, mask = ppo.flat(obs), ppo.flat(info["action_mask"])
+    turned = ppo._turned(mask, flat)
+    for move in range(6):
+        chosen = torch.full((ppo.rows,), move)
+        grid = ppo._moves(chosen, flat)
+        assert torch.equal(turned[move], mask.gather(0, grid[None])[0].bool())
+
+
+@pytest.mark.slow
+def test_it_learns_to_give_way() -> None:
+    ppo = learner(32, 128, learning_rate=1e-3)
+    first = marouting.evaluate_policy(ppo, "gates-8x7-v0", "validation")
+    for _ in range(60):
+        ppo.iterate()
+    last = marouting.evaluate_policy(ppo, "gates-8x7-v0", "validation")
+    assert last.cost < 1.25 < first.cost
