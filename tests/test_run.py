@@ -190,7 +190,7 @@ def test_a_change_of_kind_or_source_discards_what_belongs_to_the_one_before(tmp_
 def test_a_scenario_suggests_how_a_training_runs() -> None:
     config = load_config(None, ["learner.kind=ppo", "env.scenario=gates-8x7-v0"])
     train, options = config.train, config.learner.options
-    assert (train.games, train.steps, train.episodes) == (128, 2_000_000, MOST)
+    assert (train.games, train.steps, train.episodes) == (128, 1_500_000, MOST)
     assert (config.env.agents, config.env.reward.name) == ("multi", "team")
     assert options.final_failures
     assert options.network.options["hidden"] == (128, 128)

@@ -44,9 +44,9 @@ def one_shot(
 
 
 TRAINING = {
-    "games": 128, "problems": 4096, "steps": 2_000_000, "evaluate_every": 1000, "policy": "last",
+    "games": 128, "problems": 4096, "steps": 1_500_000, "evaluate_every": 1000, "policy": "last",
 }  # fmt: skip
-"""How a training runs: about five minutes of one core.
+"""How a training runs: about three minutes of one core.
 
 The last network is saved: a good one solves all validation problems, so they cannot tell it from a
 better one."""

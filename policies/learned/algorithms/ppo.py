@@ -107,6 +107,7 @@ class PPO(Learner):
         "rollout": 8192,
         "minibatch": 1024,
         "epochs": 4,
+        "entropy": 0.03,
         "final_failures": True,
     }
     rows: ClassVar[tuple[str, ...]] = (*Learner.rows, "keys", "progress")
