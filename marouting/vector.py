@@ -5,6 +5,7 @@ of Gymnasium's own vectors to the latter, use ``gymnasium.make_vec`` (:mod:`maro
 """
 
 import os
+import pkgutil
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -30,6 +31,9 @@ from marouting.source import ProblemSampler, ProblemStream, Source
 FIGURES = ("overflow", "wirelength", "joined", "steps")
 
 Info = dict[str, Any]
+
+_ON_CUDA = "marouting.cuda.env:CudaBatchEnv"
+"""By name, because that class derives from :class:`BatchEnv`."""
 
 
 class BatchEnv(EzPickle):
@@ -74,7 +78,7 @@ class BatchEnv(EzPickle):
             for its own problems.
         seed: a whole number from 0 that decides which problems are drawn. What a game plays in an
             episode depends on the seed, on the game's place and on the number of the episode alone.
-        device: ``cpu``, or ``cuda`` for a CUDA device (:mod:`marouting.batch.cuda_env`), which
+        device: ``cpu``, or ``cuda`` for a CUDA device (:mod:`marouting.cuda.env`), which
             takes another option, ``pool``.
         **options: the fields of :class:`marouting.options.GameOptions` about the rules, the
             observation, the reward and the scenario; unless given, ``turn_order`` is
@@ -96,11 +100,10 @@ class BatchEnv(EzPickle):
     _draws_of: ClassVar[type[ProblemSampler]] = ProblemSampler
 
     def __new__(cls, *_: Any, device: str = "cpu", **__: Any) -> "BatchEnv":
-        """On another device it is a :class:`marouting.batch.cuda_env.CudaBatchEnv`."""
+        """On another device it is a :class:`marouting.cuda.env.CudaBatchEnv`."""
         if cls is BatchEnv and device != "cpu":
-            from marouting.batch.cuda_env import CudaBatchEnv
-
-            return super().__new__(CudaBatchEnv)
+            kind = pkgutil.resolve_name(_ON_CUDA)
+            return cast(BatchEnv, super().__new__(kind))
         return super().__new__(cls)
 
     def __init__(

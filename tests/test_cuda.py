@@ -69,7 +69,7 @@ def test_all_kernels_compile_for_a_device(
     from numba import cuda, types
     from numba.cuda.typing.typeof import typeof
 
-    import marouting.batch.cuda as device
+    import marouting.cuda.games as device
     from policies.bench.cuda import CASES as cases
 
     class Array(np.ndarray):

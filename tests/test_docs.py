@@ -240,7 +240,9 @@ def run_python(block: Block, _: pytest.MonkeyPatch) -> None:
     code = block.code
     if not hasattr(pettingzoo, "make"):  # before 1.27, as the block says
         code = re.sub(r"^pettingzoo\.make\(.*$", "", code, flags=re.MULTILINE)
-    exec(compile(code, block.where, "exec"), {"__name__": "__main__"})
+    program = compile(code, block.where, "exec")
+    if not any(what == "parsed only" for what, *_ in block.marks):
+        exec(program, {"__name__": "__main__"})
 
 
 def check_yaml(block: Block, _: pytest.MonkeyPatch) -> None:

@@ -21,8 +21,8 @@ DOOR = "__main__"
 
 FILES = sorted(file for file in ROOT.rglob("*.py") if file.stem != DOOR)
 UPSTAIRS = {"policies", "torch"}
-OPTIONAL = {"klayout", "matplotlib"}
-"""What a design that is read, or a window that opens, may import, and nothing before."""
+OPTIONAL = {"cuda", "klayout", "matplotlib"}
+"""What games on a device, a design that is read or a window that opens may import."""
 
 ROOMS = {
     "marouting": (
@@ -53,7 +53,7 @@ ROOMS = {
         ("render",),
         ("env",),
         ("vector", "gym_vector", "global_routing_v0", "make"),
-        ("evaluation",),
+        ("cuda", "evaluation"),
         ("",),  # the package's own __init__.py
         (DOOR,),
     ),
@@ -73,7 +73,8 @@ ROOMS = {
         ("learned.algorithms", "generalist.imitation"),
         ("learned.burn_in", "learned.config", "learned.policy"),
         ("generalist",),
-        ("learned.trainer",),
+        ("learned.on_device",),
+        ("learned.trainer", "learned.device_trainer"),
         ("learned.logs", "learned.router", "learned.run"),
         ("learned",),
         ("experiment",),

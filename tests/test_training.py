@@ -185,18 +185,19 @@ class Replayed:
         return env, total
 
     def _multi(self) -> tuple[Any, float]:
-        env = global_routing_v0.parallel_env(self.problem, **self.options)
+        env = global_routing_v0.parallel_env(self.problem, agents_persist=True, **self.options)
         seen, infos = env.reset()
         total, steps = 0.0, dict.fromkeys(env.possible_agents, 0)
         while env.agents:
+            playing = [agent for agent in env.agents if infos[agent].get("active", True)]
             moves = {  # all look before anyone moves
                 agent: self._take(self.at + i, seen[agent], infos[agent]["action_mask"])
-                for i, agent in enumerate(env.agents)
+                for i, agent in enumerate(playing)
             }
-            seen, rewards, _, _, infos = env.step(moves)
+            seen, rewards, _, _, infos = env.step(dict.fromkeys(env.agents, 0) | moves)
             for agent in moves:
                 steps[agent] = self._gave(rewards[agent], seen[agent], steps[agent] + 1)
-                total += rewards[agent]
+            total += sum(rewards.values())
         return env, total
 
     def _take(self, row: int, seen: NDArray[np.float32], mask: NDArray[np.int8]) -> int:

@@ -23,9 +23,9 @@ import numpy as np
 import torch
 
 import marouting
-from marouting.batch import cuda as device
-from marouting.batch.cuda_env import CudaBatchEnv
 from marouting.config import build
+from marouting.cuda import games as device
+from marouting.cuda.env import CudaBatchEnv
 from marouting.files import check_writable, write_text
 from marouting.kernels import compiled, i64
 from marouting.options import game_options

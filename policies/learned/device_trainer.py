@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
-from marouting.batch.cuda_env import CudaBatchEnv
 from marouting.config import check, code_named, plain
+from marouting.cuda.env import CudaBatchEnv
 from marouting.options import ORDERS, PLAYED
 from marouting.registry import allowing_code
 from marouting.source import ProblemStream

@@ -6,7 +6,7 @@ first axis. A minibatch is some of these steps, drawn at random: games have long
 what they do in a step is as good as drawn from everywhere, and nothing has to be gathered.
 
 Rows of games (M, N) are kept with games fastest, R = N · M in all: as the device has them
-(:mod:`marouting.batch.cuda_env`).
+(:mod:`marouting.cuda.env`).
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What :mod:`marouting.batch.cuda` needs of numba's CUDA simulator, in which tests run it."""
+"""What :mod:`marouting.cuda.games` needs of numba's CUDA simulator, in which tests run it."""
 
 from typing import Any
 

@@ -10,7 +10,13 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from marouting.batch.bits import numbers_of
-from marouting.batch.cuda import (
+from marouting.batch.engine import Metrics
+from marouting.batch.expected import new_maps, track_of
+from marouting.batch.setup import dynamic_state, static_state
+from marouting.batch.state import AGENT, GAME, Static
+from marouting.batch.window import WindowObservation
+from marouting.config import check
+from marouting.cuda.games import (
     WARP,
     Device,
     Paper,
@@ -26,12 +32,6 @@ from marouting.batch.cuda import (
     tell_paper,
     tell_window,
 )
-from marouting.batch.engine import Metrics
-from marouting.batch.expected import new_maps, track_of
-from marouting.batch.setup import dynamic_state, static_state
-from marouting.batch.state import AGENT, GAME, Static
-from marouting.batch.window import WindowObservation
-from marouting.config import check
 from marouting.game import NOBODY
 from marouting.observations import PaperObservation, state_space_of
 from marouting.options import ORDERS, game_options

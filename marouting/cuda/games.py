@@ -2,12 +2,12 @@
 
 The rules are those of the processor: the kernels of :mod:`marouting.batch` and
 :mod:`marouting.player`, compiled for the device. One thread plays one game, and one thread writes
-what one agent sees; a warp clears a game whose episode begins. A step is five launches: games begin,
-games move, agents whose tasks have ended see where they arrived, games settle, agents see.
+what one agent sees; a warp clears a game whose episode begins. A step is five launches: games
+begin, games move, agents whose tasks have ended see where they arrived, games settle, agents see.
 
 Bytes set the pace. So agents are numbered in turn order: threads that play neighbouring games then
 read neighbouring addresses. What an agent reads around itself lies together, in the smallest types
-that hold it (:mod:`marouting.batch.cuda_env`).
+that hold it (:mod:`marouting.cuda.env`).
 
 Without a device, numba's simulator runs the same code as Python (``NUMBA_ENABLE_CUDASIM=1``), which
 is slow and meant for tests.
@@ -234,7 +234,7 @@ class _Arguments:
     @staticmethod
     def prepare_args(kind: Any, value: Any, **_: Any) -> tuple[Any, Any]:
         if kind is None:  # in the simulator
-            from marouting.batch.simulator import arguments
+            from marouting.cuda.simulator import arguments
 
             return kind, arguments(value)
         from numba import types

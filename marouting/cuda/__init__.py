@@ -1,0 +1,1 @@
+"""Games on a CUDA device, for ``BatchEnv(…, device="cuda")``."""
