@@ -22,7 +22,7 @@ from policies.learned.algorithms.ppo import PPOOptions
 from policies.learned.on_device import DevicePPO
 
 SIMULATED = Path(__file__).with_name("simulated.py")
-CASES = 13
+CASES = 14
 
 
 def simulate(*arguments: str) -> list[str]:

@@ -2,8 +2,12 @@
 
 The rules are those of the processor: the kernels of :mod:`marouting.batch` and
 :mod:`marouting.player`, compiled for the device. One thread plays one game, and one thread writes
-what one agent sees. A step is four launches: games move, agents whose tasks have ended see where
-they arrived, games settle, agents see.
+what one agent sees; a warp clears a game whose episode begins. A step is five launches: games begin,
+games move, agents whose tasks have ended see where they arrived, games settle, agents see.
+
+Bytes set the pace. So agents are numbered in turn order: threads that play neighbouring games then
+read neighbouring addresses. What an agent reads around itself lies together, in the smallest types
+that hold it (:mod:`marouting.batch.cuda_env`).
 
 Without a device, numba's simulator runs the same code as Python (``NUMBA_ENABLE_CUDASIM=1``), which
 is slow and meant for tests.
@@ -11,6 +15,7 @@ is slow and meant for tests.
 
 import contextlib
 import functools
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -340,7 +345,11 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
         prepare: makes what ``see`` needs of game m, with arguments (dynamic, look, m).
         tell: writes the global state, with arguments (static, dynamic, look, m, out).
     """
-    jit = Device().jit
+    device = Device()
+    if not device.simulated:
+        text = "compiling the games for the device, in every process: about 20 s"
+        print(text, file=sys.stderr, flush=True)
+    jit = device.jit
 
     @jit
     def take(given: Any, actions: Any, most: int, refused: Any) -> None:

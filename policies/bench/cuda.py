@@ -76,6 +76,7 @@ CASES: Sequence[Mapping[str, Any]] = (
     {"rip_up": {"rounds": 2, "choose": "history"}},
     {"observation": WINDOW, "reward": "team"},
     {"observation": WINDOW_ALL, "reward": "counterfactual", "everyone": False},
+    {"observation": {**WINDOW, "channels": ["messages"]}, "wait": True, "message_bits": 3},
 )
 """Options by which games are compared."""
 
