@@ -276,7 +276,11 @@ def test_potentials_pay_the_way_from_start_to_target(game: Any, scale: float) ->
 
 @given(games)
 def test_a_mixture_is_the_weighted_sum(game: Any) -> None:
-    parts = [{"kind": "paper"}, {"kind": "team", "open": 3.0}, {"kind": "potential", "gamma": 0.5}]
+    parts: list[dict[str, Any]] = [
+        {"kind": "paper"},
+        {"kind": "team", "open": 3.0},
+        {"kind": "potential", "gamma": 0.5},
+    ]
     weights = [1, -0.5, 2.0]
     mixed = [{**part, "weight": w} for part, w in zip(parts, weights, strict=True)]
     _, paid, _ = play(game, {"kind": "mixed", "parts": mixed})
