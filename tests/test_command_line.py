@@ -297,7 +297,7 @@ SAID: dict[str, tuple[list[str], str]] = {
         "env.problem.grid: expected 3 values, found 2",
     ),
     "a mapping": (["train", "configs/multi.yaml", "train=3"], "train: expected a mapping, found 3"),
-    "a scenario": (["benchmark", "--scenario", "x"], "online-8x8-v0, all"),
+    "a scenario": (["benchmark", "--scenario", "x"], "online-8x8-v0, "),
     "a command": (["rout"], "unknown name 'rout'; did you mean route? expected one of bench"),
     "an old command": (["animate"], "marouting animate: it is now marouting view … --out FILE.svg"),
     "an old option": (

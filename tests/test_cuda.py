@@ -118,6 +118,8 @@ def test_what_a_device_cannot_do_is_refused_in_one_line() -> None:
     problems = marouting.generate(1, nets=3, reduced_edges=0)
     with pytest.raises(marouting.InputError, match="device: expected cpu or cuda, found 'tpu'"):
         BatchEnv(problems, device="tpu")
+    with pytest.raises(marouting.InputError, match="seed: expected a whole number from 0"):
+        BatchEnv(problems, device="cuda", seed=-1)
     with pytest.raises(marouting.InputError, match="threads: expected 1"):
         BatchEnv(problems, device="cuda", threads=2)
 

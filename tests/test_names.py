@@ -128,7 +128,7 @@ def test_the_bar_of_a_training_says_the_best_and_not_the_last(
     assert "40" not in last
     # A resumed training knows what was best; of several problems it shows the sum.
     other = replace(first, problem="q", joined=1, overflow=3)
-    with training_bar(1, 2, [first]) as see:
+    with training_bar(1, 2, best=[first]) as see:
         see([other])
     assert "best of 2 problems: joined 3/4, OF 3, WL 42" in capsys.readouterr().err
 

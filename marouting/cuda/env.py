@@ -103,6 +103,8 @@ class CudaBatchEnv(BatchEnv):
         )  # fmt: skip
         check("device", device == "cuda", f"cpu or cuda, found {device!r}")
         check("threads", threads == 1, "1: they are the processor's")
+        whole = is_whole(seed) and 0 <= seed < 2**64
+        check("seed", whole, f"a whole number from 0, found {seed!r}")
         self._device = Device()
         order = ORDERS["multi" if everyone else "single"]
         checked = game_options({"turn_order": order, **options})
@@ -122,6 +124,7 @@ class CudaBatchEnv(BatchEnv):
             self.names, self.pool = (list(each) for each in zip(*ahead, strict=True))
             held = static_state(self.pool, checked, room=episodes.room)
             self.num_problems = cast(int, problems)
+            check("games", self.num_problems >= 1, f"a number from 1, found {problems}")
         else:
             check("problem", problem is None, "none: problems= is a list, not a number of games")
             check("pool", pool is None, "none: these problems stay")

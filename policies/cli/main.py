@@ -487,7 +487,7 @@ def train(
             )
     click.echo(f"learner {settings.learner.name}: {run.trainer.path}", err=True)
     with training_bar(*run.progress, run.best, run.reference) as watch:
-        rows = run.execute(lambda episodes: watch(episodes, run.trainer.walks))
+        rows = run.execute(lambda some: watch(some, run.trainer.walks, run.progress[0]))
     tell_rows(rows)
 
 

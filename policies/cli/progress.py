@@ -60,12 +60,13 @@ def training_bar(
         shown = _best(kept) if kept else ""
         bar.update(task, description=shown or "burn-in", total=total, completed=done)
 
-        def watch(episodes: "Sequence[Episode]", walks: "Sequence[GreedyEvaluation]" = ()) -> None:
+        def watch(
+            episodes: "Sequence[Episode]",
+            walks: "Sequence[GreedyEvaluation]" = (),
+            now: int | None = None,
+        ) -> None:
             nonlocal done, told, shown
-            more = len(episodes)
-            if unit == "steps":
-                more = sum(episode.steps for episode in episodes)
-            done += more
+            done = done + len(episodes) if now is None else now
             kept.update((episode.problem, episode) for episode in episodes if episode.best)
             if kept:
                 shown = _best(kept)
@@ -76,7 +77,7 @@ def training_bar(
                     click.echo(f"{min(done, total)}/{total} {unit}: {shown}", err=True)
             last = f"last reward {episodes[-1].reward:.0f}"
             brief = f"{shown}; {last}" if shown else last
-            bar.update(task, advance=more, description=brief)
+            bar.update(task, completed=done, description=brief)
 
         yield watch
         if shown:
