@@ -50,6 +50,7 @@ sum. The batch and trainings pay all of these in compiled code. Mixtures::
 
 import functools
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import IntEnum
@@ -129,13 +130,13 @@ class Prices(NamedTuple):
         return Prices(table, added, self.shared + weight * other.shared)
 
 
-class PricedReward:
+class PricedReward(ABC):
     """A reward that is nothing but prices."""
 
     @property
+    @abstractmethod
     def prices(self) -> Prices:
         """What a move pays."""
-        raise NotImplementedError
 
     def __call__(
         self, games: Games, before: Before, movers: NDArray[np.int32]

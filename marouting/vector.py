@@ -6,7 +6,7 @@ of Gymnasium's own vectors to the latter, use ``gymnasium.make_vec`` (:mod:`maro
 
 import os
 import pkgutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, ClassVar, cast
@@ -369,19 +369,23 @@ class BatchEnv(EzPickle):
         drawn = {}
         if self._draws is not None and self._draws.episodes.many:
             drawn["problem"] = self._draws.names
-        return {
-            **drawn,
-            "agents": b.agents,
-            "action_mask": b.mask,
-            "active": b.active,
-            "acted": b.acted,
-            "task_ended": b.ending,
-            "final_obs": b.final_obs,
-            "final_mask": b.final_mask,
-            "over": b.over,
-            **{figure: games[figure] for figure in FIGURES},
-            "final_info": {figure: b.final[figure] for figure in FIGURES},
-        }
+        return {**drawn, **info_of(b, games.__getitem__, b.final.__getitem__)}
+
+
+def info_of(b: StepBuffers, now: Callable[[str], Any], final: Callable[[str], Any]) -> Info:
+    """The info of a step; ``now`` and ``final`` give a figure (M,) of the games by its name."""
+    return {
+        "agents": b.agents,
+        "action_mask": b.mask,
+        "active": b.active,
+        "acted": b.acted,
+        "task_ended": b.ending,
+        "final_obs": b.final_obs,
+        "final_mask": b.final_mask,
+        "over": b.over,
+        **{figure: now(figure) for figure in FIGURES},
+        "final_info": {figure: final(figure) for figure in FIGURES},
+    }
 
 
 def _draws(

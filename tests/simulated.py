@@ -3,9 +3,11 @@
 import sys
 from typing import Any
 
+import numpy as np
 import torch
 
 import marouting
+from marouting.vector import BatchEnv
 from policies.bench.cuda import CASES, compare, difference
 from policies.learned.config import load_config
 from policies.learned.device_trainer import DeviceTrainer
@@ -17,6 +19,17 @@ def play(first: int, last: int) -> None:
     problems = marouting.generate(2, nets=4, max_pins=3, grid=(4, 4, 2), capacity=1, seed=1)
     for options in CASES[first:last]:
         print(compare(problems, 16, **options))
+
+
+def check() -> None:
+    """Prints what the environment says of an action that is out of range."""
+    env: Any = BatchEnv(marouting.generate(1, nets=3, grid=(4, 4, 2), capacity=1), device="cuda")
+    env.reset()
+    env.step(env._device.of(np.full((1, env.num_agents), 9, np.int32)))
+    try:
+        env.reset()
+    except ValueError as error:
+        print(error)
 
 
 def trainer() -> DeviceTrainer:
@@ -58,5 +71,7 @@ if __name__ == "__main__":
     torch.set_num_threads(1)
     if sys.argv[1] == "play":
         play(*map(int, sys.argv[2:]))
+    elif sys.argv[1] == "check":
+        check()
     else:
         resume()

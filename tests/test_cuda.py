@@ -19,6 +19,8 @@ from marouting.config import build
 from marouting.options import game_options
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.ppo import PPOOptions
+from policies.learned.config import load_config
+from policies.learned.device_trainer import on_device
 from policies.learned.on_device import DevicePPO
 
 SIMULATED = Path(__file__).with_name("simulated.py")
@@ -47,6 +49,17 @@ def test_a_training_on_a_device_goes_on_from_its_checkpoint() -> None:
     assert same == ["True"] * 3
     assert len(set(steps.split())) == 1
     assert int(steps.split()[0]) > 0
+
+
+def test_an_action_out_of_range_is_told_at_the_next_reset() -> None:
+    assert simulate("check") == ["actions: expected 0 to 5, or -1, found others"]
+
+
+def test_what_the_device_does_not_know_trains_with_the_networks_alone_on_it() -> None:
+    changes = ["learner.kind=ippo", "env.scenario=gates-8x7-v0", "train.device=cuda"]
+    assert on_device(load_config(None, changes))
+    for other in ("env.observation.channels=[demand]", "learner.kind=dqn", "train.device=cpu"):
+        assert not on_device(load_config(None, [*changes, other]))
 
 
 @pytest.mark.gpu

@@ -1,6 +1,7 @@
 """Many problems at once on a CUDA device; made by ``BatchEnv(…, device="cuda")``."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -25,6 +26,7 @@ from marouting.cuda.games import (
     Step,
     Surroundings,
     launches,
+    mixed,
     prepare_nothing,
     prepare_window,
     see_paper,
@@ -42,7 +44,7 @@ from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.rewards import prices_of
 from marouting.source import ProblemStream, Source, generated_name
-from marouting.vector import FIGURES, BatchEnv, Info, fixed_batch
+from marouting.vector import FIGURES, BatchEnv, Info, fixed_batch, info_of
 
 _CHANGING = ("capacity", "demand", "first", "order")
 """What a problem brings along: arrays of a :class:`Static` with the game as the first axis."""
@@ -140,8 +142,8 @@ class CudaBatchEnv(BatchEnv):
         self.single_observation_space = observation.space(bounds, overflow)
         self.single_state_space = state_space_of(observation, bounds, overflow)
         self.single_action_space = Discrete(checked.actions)
-        known = f"a built-in one for device cuda, found {type(reward).__name__}"
-        check("reward", prices_of(reward) is not None, known)
+        for name, what in unsupported(observation, reward):
+            check(name, False, what)
         with self._device.allocating():
             self._upload(static, drawn, seed)
             self._look, *looks = self._looks(observation, static)
@@ -197,16 +199,7 @@ class CudaBatchEnv(BatchEnv):
         self._states: Any = None
         b, column = self._buffers, device.column
         self._told: Info = {
-            "agents": b.agents,
-            "action_mask": b.mask,
-            "active": b.active,
-            "acted": b.acted,
-            "task_ended": b.ending,
-            "final_obs": b.final_obs,
-            "final_mask": b.final_mask,
-            "over": b.over,
-            **{figure: column(self._dynamic.games, figure) for figure in FIGURES},
-            "final_info": {figure: column(b.final, figure) for figure in FIGURES},
+            **info_of(b, partial(column, self._dynamic.games), partial(column, b.final)),
             **({"problem": self._pool.number} if drawn else {}),
         }
 
@@ -230,6 +223,7 @@ class CudaBatchEnv(BatchEnv):
         options: Mapping[str, Any] | None = None,
     ) -> tuple[Any, Info]:
         """See :meth:`marouting.vector.BatchEnv.reset`; what it returns is on the device."""
+        self.check()
         which, seeds = self._chosen(seed, options)
         given = np.array([s is not None for s in seeds])
         if given.any():
@@ -267,7 +261,8 @@ class CudaBatchEnv(BatchEnv):
     def _take(self, actions: Any) -> None:
         """Takes actions from another array."""
         shape, most = self.actions.shape, int(self.single_action_space.n)
-        if not hasattr(actions, "__cuda_array_interface__"):
+        there = ("__cuda_array_interface__", "copy_to_host")  # numba's simulator has the second
+        if not any(hasattr(actions, name) for name in there):
             actions = np.asarray(actions)
             if not (actions.min() >= NOBODY and actions.max() < most):
                 expected = f"0 to {most - 1}, or {NOBODY}"
@@ -285,10 +280,7 @@ class CudaBatchEnv(BatchEnv):
         """What an observation needs on the device, and its kernels, see :func:`.launches`."""
         if type(observation) is PaperObservation:
             return Paper(float(observation.via_capacity)), see_paper, prepare_nothing, tell_paper
-        what = f"paper or window for device cuda, found {type(observation).__name__}"
-        check("observation", type(observation) is WindowObservation, what)
         where = observation.where
-        check("observation.channels", where.demand < 0, "no demand for device cuda")
         games, gcells = self.num_problems, len(self._static.neighbour)
         layers, device = self.pool[0].grid[2], self._device
         tracks = np.array([track_of(static, m) for m in range(len(self.pool))], np.float32)
@@ -339,7 +331,7 @@ class CudaBatchEnv(BatchEnv):
             raise ValueError(f"actions: expected 0 to {most}, or {NOBODY}, found others")
 
     def state(self) -> Any:
-        """(M, X, Y, 5 Z) float32 on the device; see :meth:`marouting.vector.BatchEnv.state`."""
+        """(M, *single_state_space.shape) float32 on the device: the global states."""
         games, shape = self.num_problems, self.single_state_space.shape
         if self._states is None:
             with self._device.allocating():
@@ -416,6 +408,17 @@ class CudaBatchEnv(BatchEnv):
         check("device", False, "cpu, for set_order")
 
 
+def unsupported(observation: Any, reward: Any) -> Iterator[tuple[str, str]]:
+    """The names of the pieces that cannot be used on a device, and what was expected."""
+    seen, paid = type(observation), type(reward).__name__
+    if seen not in (PaperObservation, WindowObservation):
+        yield "observation", f"paper or window for device cuda, found {seen.__name__}"
+    elif seen is WindowObservation and observation.where.demand >= 0:
+        yield "observation.channels", "no demand for device cuda"
+    if prices_of(reward) is None:
+        yield "reward", f"a built-in one for device cuda, found {paid}"
+
+
 def _in_turn(static: Static, nets: NDArray[np.int32]) -> tuple[Static, NDArray[np.int32]]:
     """The same problems with their agents numbered in turn order, and the agents' nets."""
     tasks, first = static.tasks.copy(), static.first.copy()
@@ -478,6 +481,5 @@ def _keys(seeds: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """(M,) the keys of games with seeds (M,), different for every place."""
     place = np.arange(1, len(seeds) + 1, dtype=np.uint64)
     z = seeds * np.uint64(0xD1342543DE82EF95) + place * np.uint64(0x9E3779B97F4A7C15)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return z ^ (z >> np.uint64(31))
+    keys: NDArray[np.uint64] = mixed.py_func(z)
+    return keys

@@ -247,12 +247,17 @@ class _Arguments:
 
 
 @kernels.compiled
-def drawn(key: Any, episode: int, problems: int) -> int:
-    """The number of the problem that a game plays in an episode (SplitMix64 of the two)."""
-    z = key + np.uint64(episode) * np.uint64(0x9E3779B97F4A7C15)
+def mixed(z: Any) -> Any:
+    """uint64, the finisher of SplitMix64 (Steele, Lea, Flood, 2014)."""
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
+    return z ^ (z >> np.uint64(31))
+
+
+@kernels.compiled
+def drawn(key: Any, episode: int, problems: int) -> int:
+    """The number of the problem that a game plays in an episode."""
+    z = mixed(key + np.uint64(episode) * np.uint64(0x9E3779B97F4A7C15))
     return i64((z >> np.uint64(11)) % np.uint64(problems))
 
 

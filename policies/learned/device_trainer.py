@@ -17,12 +17,12 @@ from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
 from marouting.config import check, code_named, plain
-from marouting.cuda.env import CudaBatchEnv
+from marouting.cuda.env import CudaBatchEnv, unsupported
 from marouting.options import ORDERS, PLAYED
 from marouting.registry import allowing_code
 from marouting.source import ProblemStream
 from marouting.vector import BatchEnv
-from policies.learned.algorithms.ppo import PPO
+from policies.learned.algorithms.ppo import IPPO, MAPPO, PPO
 from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT, checked
 from policies.learned.config import Config
 from policies.learned.learner import play_steps
@@ -38,12 +38,12 @@ _NAME = "all"
 
 def on_device(config: Config) -> bool:
     """Whether the whole training is on the device, and not just the networks."""
-    train = config.train
-    return train.device.startswith("cuda") and train.games is not None and _fits(config)
-
-
-def _fits(config: Config) -> bool:
-    return issubclass(config.learner.cls, PPO) and config.env.agents == "multi"
+    train, env = config.train, config.env
+    # A learner derived from these may do anything.
+    known = config.learner.cls in (PPO, IPPO, MAPPO) and env.agents == "multi"
+    if not (train.device.startswith("cuda") and train.games is not None and known):
+        return False
+    return not any(unsupported(env.observation.make(), env.reward.make()))
 
 
 class DeviceTrainer:
