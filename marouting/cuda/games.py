@@ -316,16 +316,20 @@ def tell_window(static: Static, dynamic: Dynamic, look: Surroundings, m: int, ou
 
 
 @kernels.inlined
-def tell_paper(static: Static, dynamic: Dynamic, look: Paper, m: int, out: Any) -> None:
+def tell_paper(
+    static: Static,  # noqa: ARG001
+    dynamic: Dynamic,
+    look: Paper,  # noqa: ARG001
+    m: int,
+    out: Any,
+) -> None:
     """Writes the global state."""
-    del static, look
     write_state(dynamic, m, out)
 
 
 @kernels.inlined
 def prepare_nothing(dynamic: Dynamic, look: Paper, m: int) -> None:
     """The paper's observation needs nothing but the state."""
-    del dynamic, look, m
 
 
 class Launches(NamedTuple):
