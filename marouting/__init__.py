@@ -19,6 +19,7 @@ from marouting.generator import generate
 from marouting.make import make
 from marouting.observations import Observation, PaperObservation
 from marouting.options import EnvOptions
+from marouting.problem.controls import Area, Controls, ProblemFile, adjusted
 from marouting.problem.field import Field
 from marouting.problem.grid import Move
 from marouting.problem.net import Adjustment, Net, Pin
@@ -30,6 +31,8 @@ from marouting.search.astar import sequential_astar
 
 __all__ = [
     "Adjustment",
+    "Area",
+    "Controls",
     "Engine",
     "EnvOptions",
     "Evaluation",
@@ -43,10 +46,12 @@ __all__ = [
     "Pin",
     "PolicyResult",
     "Problem",
+    "ProblemFile",
     "Reward",
     "Solution",
     "WindowObservation",
     "__version__",
+    "adjusted",
     "evaluate",
     "evaluate_policy",
     "generate",

@@ -198,12 +198,18 @@ class Solution:
         Args:
             path: the file.
             problem: what it solves; its origin and tile map points to Gcells, its chip boxes.
+                Routes of nets that it keeps (:attr:`Problem.kept`) are passed over.
 
         Raises:
             InputError: the file cannot be read, is of none of these formats, or does not fit the
                 problem; the message names the file, the line, and what was expected.
         """
         check_problem(problem)
+        if problem.kept is not None:
+            whole, free = Solution.read(path, problem.kept.whole), problem.kept.free
+            net, edge = whole.uses
+            routed = np.isin(net, free)
+            return Solution.of_uses(problem, np.searchsorted(free, net[routed]), edge[routed])
         layers = problem.chip_or_default.layers
         record = ispd.read_solution(path, ((net.name, net.id) for net in problem.nets), layers)
         try:
@@ -244,6 +250,8 @@ class Solution:
           as its longest straight segments between the centres of Gcells, ordered by their lower
           end.
 
+        Nets that the problem keeps (:attr:`Problem.kept`) are written with their routes.
+
         Args:
             path: the file.
             format: one of these; None: as the file's suffix says.
@@ -251,6 +259,13 @@ class Solution:
         Raises:
             InputError: the format cannot hold the routes, or the file cannot be written.
         """
+        if (kept := self.problem.kept) is not None:
+            (net, edge), (kept_net, kept_edge) = self.uses, kept.uses
+            nets = np.concatenate((kept.free[net], kept_net))
+            edges = np.concatenate((edge, kept_edge))
+            order = np.lexsort((edges, nets))
+            Solution.of_uses(kept.whole, nets[order], edges[order]).write(path, format)
+            return
         format = format or _BY_SUFFIX.get(suffix_of(path), "ispd2008")
         nets = self.problem.nets
         if format == "guide":

@@ -25,7 +25,7 @@ try:
 except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
-from marouting import InputError, Solution, __version__, evaluate, sequential_astar
+from marouting import InputError, ProblemFile, Solution, __version__, evaluate, sequential_astar
 from marouting.config import override, read_yaml
 from marouting.files import check_writable, exists, naming
 from marouting.generator import GeneratorOptions
@@ -44,7 +44,7 @@ from policies.cli.options import (
     overrides_argument,
     tell,
 )
-from policies.cli.source import ProblemFile, problem_argument
+from policies.cli.source import problem_argument
 from policies.cli.view import view
 from policies.interrupts import interruptible
 from policies.routers.base import LEFT_ALONE, small_problem, solve, warm_up
