@@ -151,7 +151,7 @@ def adjusted(problem: Problem, controls: Controls) -> Problem:
     free = np.setdiff1d(np.arange(len(problem.nets)), kept)
     check("keep", len(free), f"at least one net that does not stay, found all in {controls.keep}")
     allowed = _allowed_layers(problem, controls)
-    edge, capacity, by_layer = _reduced(problem, controls, allowed[free].any(axis=0))
+    edge, capacity, by_layer = _reduced(problem, controls, np.any(allowed[free], axis=0))
     if stays is not None:
         used, tracks = stays.used_edges
         inside = used % AXES != VIA_AXIS

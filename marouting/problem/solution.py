@@ -261,10 +261,10 @@ class Solution:
         """
         if (kept := self.problem.kept) is not None:
             (net, edge), (kept_net, kept_edge) = self.uses, kept.uses
-            nets = np.concatenate((kept.free[net], kept_net))
+            owner = np.concatenate((kept.free[net], kept_net))
             edges = np.concatenate((edge, kept_edge))
-            order = np.lexsort((edges, nets))
-            Solution.of_uses(kept.whole, nets[order], edges[order]).write(path, format)
+            order = np.lexsort((edges, owner))
+            Solution.of_uses(kept.whole, owner[order], edges[order]).write(path, format)
             return
         format = format or _BY_SUFFIX.get(suffix_of(path), "ispd2008")
         nets = self.problem.nets
