@@ -224,7 +224,7 @@ def test_commands_take_controls(tmp_path: Path, capsys: Any, monkeypatch: Any) -
     assert Problem.read("p.gr") == adjusted_one
     assert "open nets" not in capsys.readouterr().out
     assert status(["route", "chip.def", "--control", "layer=2"]) == 2
-    assert "--control layer: unknown key; did you mean layers?" in capsys.readouterr().err
+    assert "--control: layer: unknown key; did you mean layers?" in capsys.readouterr().err
 
 
 def test_problems_with_ranges_by_net_are_written_as_text(tmp_path: Path) -> None:

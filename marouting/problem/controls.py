@@ -88,7 +88,8 @@ class Controls:
     keep_nets: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        check_fields(self, long_nets=(1, 2**31 - 1))
+        # Not those of a subclass: paths need not be UTF-8, as the text of a configuration is.
+        check_fields(self, Controls, long_nets=(1, 2**31 - 1))
         for layers, factor in self.derate.items():
             check(f"derate.{layers}", 0 <= factor <= 1, f"a number from 0 to 1, found {factor}")
         both = (self.long_layers is None) == (self.long_nets is None)

@@ -27,7 +27,7 @@ except ImportError:  # pragma: no cover - the command line needs the extra
 
 from marouting import InputError, ProblemFile, Solution, __version__, evaluate, sequential_astar
 from marouting.config import override, read_yaml
-from marouting.files import check_writable, exists, naming
+from marouting.files import check_writable, exists, naming, suffix_of
 from marouting.generator import GeneratorOptions
 from marouting.problem.contest import contest_cost, with_pins_covered
 from marouting.problem.guides import check_guide
@@ -349,9 +349,10 @@ def evaluate_command(
     """Evaluate a solution file by the rules of the ISPD 2008 contest's evaluator.
 
     Overflow and wirelength are given with and without (pruned) dead ends and loops. A routing guide
-    is evaluated by the shortest routes inside it, and checked: boxes off the grid of Gcells, pins
-    that it does not cover, nets whose boxes are in several parts. Problems of the ISPD 2024 contest
-    also get the contest's cost. A pin with shapes in several Gcells may be reached in any of them.
+    is evaluated by the shortest routes inside it. A file .guide is checked too: boxes off the grid
+    of Gcells, pins that it does not cover, nets whose boxes are in several parts. Problems of the
+    ISPD 2024 contest also get the contest's cost. A pin with shapes in several Gcells may be
+    reached in any of them.
 
     A report has wires and vias by layer, the edges with the most overflow and the nets on them,
     each net's detour over the shortest tree, a histogram of edge use, and the open nets.
@@ -375,7 +376,7 @@ def evaluate_command(
     started = time.perf_counter()
     evaluate(routes.problem, routes)
     seconds = time.perf_counter() - started
-    checked = check_guide(solution, loaded)
+    checked = check_guide(solution, loaded) if suffix_of(solution) == ".guide" else None
     of_guide = {} if checked is None else {f"guide_{k}": v for k, v in asdict(checked).items()}
     _report(None, routes, seconds, as_json, of_guide)
 

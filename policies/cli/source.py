@@ -1,6 +1,7 @@
 """The argument PROBLEM of commands, and the options that tell where the rest of a problem is."""
 
 import functools
+import os
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -9,8 +10,7 @@ from typing import Any
 import click
 
 from marouting import Controls, ProblemFile
-from marouting.config import build, override, unknown_key
-from marouting.errors import InputError
+from marouting.config import build, override
 from policies.cli.options import FILE, WHOLE
 
 
@@ -53,12 +53,9 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
         controls: tuple[str, ...],
         **rest: Any,
     ) -> None:
-        raw = override({}, controls)
-        known = [own.name for own in fields(Controls)]
-        for key in raw:
-            if key not in known:
-                raise InputError(f"--control {unknown_key(key, known)}")
-        file = {"path": problem, "lef": lef, "tile": tile, "net": net}
-        command(problem=build(ProblemFile, {**file, **raw}, "--control"), **rest)
+        adjusting = build(Controls, override({}, controls), "--control")
+        file = {"path": os.fspath(problem), "lef": lef, "tile": tile}
+        file["net"] = None if net is None else os.fspath(net)
+        command(problem=ProblemFile(**file, **vars(adjusting)), **rest)
 
     return with_file
