@@ -111,6 +111,9 @@ def test_maps_of_designs_show_the_tracks_that_are_free() -> None:
     assert coarse.shape == (2, 3, 3)
     assert (coarse[0, 0, 1], coarse[1, 1, 0], np.count_nonzero(coarse < 100)) == (25, 0, 2)
 
+    flat = generate(1, (1, 5, 1), nets=2, capacity=4, reduced_edges=0, seed=1)[0]
+    assert utilisation.free_tracks(flat).tolist() == [[[100.0] * 5]]
+
     def titles(problem: Problem) -> list[str]:
         figure = congestion.congestion_map(problem, sequential_astar(problem), "p")
         return [axes.get_title() for axes in figure.axes if axes.get_title()]

@@ -89,8 +89,9 @@ def free_tracks(problem: Problem, most: int = MOST_FIELDS) -> NDArray[np.float64
         found[place] = share
     else:
         np.fmin.at(found, place, share)
-    # The last edges of a row lead off the grid and have no capacity of their own.
-    found[:, 0, -1], found[:, 1, :, -1] = found[:, 0, -2:-1].max(1), found[:, 1, :, -2:-1].max(2)
+    if side == 1:  # the last edges of a row lead off the grid: their fields look as those before
+        found[:, 0, -1] = found[:, 0, max(0, columns - 2)]
+        found[:, 1, :, -1] = found[:, 1, :, max(0, rows - 2)]
     shown: NDArray[np.float64] = np.fmin.reduce(found, axis=1)
     return shown
 
