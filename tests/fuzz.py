@@ -39,7 +39,7 @@ from test_experiment import everything
 from test_ispd import CONTEST
 from test_ispd98 import FLAT, LAYERED, said
 from test_ispd2024 import CAP, NET, ROUTES
-from test_lefdef import BLOCKED, DEF, LEF, SPECIAL
+from test_lefdef import BLOCKED, DEF, LEF, RULES, SPECIAL
 from test_openroad_segments import FILES as ISPD2025
 from test_openroad_segments import as_segments
 from test_rows import DRAWN, READ
@@ -131,7 +131,13 @@ def sane_problem(problem: Problem, file: Path) -> None:
 
 def designs(rng: Random, folder: Path) -> None:
     """A LEF/DEF design that is accepted is a problem."""
-    text = {"chip.lef": LEF, "chip.def": DEF.replace("NETS 2", f"{SPECIAL}{BLOCKED}NETS 2")}
+    sections = f"{SPECIAL}{BLOCKED}{RULES['def']}"
+    text = {
+        "chip.lef": LEF.replace("END LIBRARY", f"{RULES['lef']}END LIBRARY"),
+        "chip.def": DEF.replace("NETS 2", f"{sections}NETS 2").replace(
+            "( u1 Z )", "( u1 Z ) + NONDEFAULTRULE wide + USE CLOCK"
+        ),
+    }
     spoiled = rng.choice(("chip.lef", "chip.def", "chip.def"))
     for name, content in text.items():
         own = content.encode()
