@@ -248,6 +248,7 @@ def test_problems_with_ranges_by_net_are_written_as_text(tmp_path: Path) -> None
     problem = adjusted(FOUR, controls)
     problem.write(tmp_path / "p.gr")
     assert Problem.read(tmp_path / "p.gr") == problem
+    assert adjusted(FOUR, Controls(clock_layers="3..4", clock_nets="A1")) == problem
 
 
 @pytest.mark.parametrize(

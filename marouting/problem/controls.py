@@ -56,7 +56,8 @@ class Controls:
     """How a problem is adjusted.
 
     Layers are given as a number from 1, a name, or a range of them, both ends included: ``3``,
-    ``met3``, ``2..6``, ``met1..met5``, ``2..``. Names of nets may hold ``*`` and ``?``.
+    ``met3``, ``2..6``, ``met1..met5``, ``2..``. Nets are given as a name or a list of names, which
+    may hold ``*`` and ``?``.
 
     Attributes:
         layers: the layers of wires; None: all, but for the layer that holds only pins of a LEF/DEF
@@ -79,13 +80,13 @@ class Controls:
 
     layers: str | int | None = None
     clock_layers: str | int | None = None
-    clock_nets: tuple[str, ...] = ()
+    clock_nets: tuple[str, ...] | str = ()
     long_layers: str | int | None = None
     long_nets: int | None = None
     derate: dict[str, float] = field(default_factory=dict)
     areas: tuple[Area, ...] = ()
     keep: str | None = None
-    keep_nets: tuple[str, ...] = ()
+    keep_nets: tuple[str, ...] | str = ()
 
     def __post_init__(self) -> None:
         # Not those of a subclass: paths need not be UTF-8, as the text of a configuration is.
@@ -324,8 +325,9 @@ def _with_capacities(
 # --- Nets that stay -------------------------------------------------------------------------------
 
 
-def _named(problem: Problem, name: str, patterns: Collection[str]) -> NDArray[np.bool_]:
-    """(nets,) whether a net's name fits one of the patterns; each must fit one."""
+def _named(problem: Problem, name: str, given: Collection[str]) -> NDArray[np.bool_]:
+    """(nets,) whether a net's name fits a pattern, or one of several; each must fit a name."""
+    patterns = [given] if isinstance(given, str) else given
     named = np.zeros(len(problem.nets), np.bool_)
     for pattern in patterns:
         plain = pattern.replace("[", "[[]")  # buses have brackets in their names
