@@ -192,12 +192,21 @@ class TrainedPolicy:
         Raises:
             InputError: see :func:`marouting.evaluate_policy`.
         """
-        options = plain(self.env)
+        with allowing_code(code for _, code in code_named(self.env)):
+            return evaluate_policy(self.moves, scenario, split, **self.options)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The options of the environment in which it was trained."""
+        options: dict[str, Any] = plain(self.env)
         for name in (*PLAYED, "agents"):
             del options[name]
-        options["turn_order"] = self.env.turn_order or ORDERS[self.env.agents]
-        with allowing_code(code for _, code in code_named(self.env)):
-            return evaluate_policy(self.moves, scenario, split, **options)
+        return {**options, "turn_order": self.env.turn_order or ORDERS[self.env.agents]}
+
+    @property
+    def parameters(self) -> int:
+        """The number of its network's parameters."""
+        return sum(one.numel() for one in self.module.parameters())
 
     def check(self, problem: Problem) -> Player:
         """A player of a problem, with the options that the policy was trained with.
