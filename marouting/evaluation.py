@@ -40,7 +40,7 @@ class ProblemResult:
         overflow: in tracks.
         wirelength: in edges, a via counts 1.
         cost: the wirelength, and :attr:`marouting.scenarios.Scenario.open_cost` for every task that
-            is not connected.
+            is not connected and every track of overflow.
         reference: overflow and wirelength of the best solution known.
         score: of the leaderboard, see :mod:`marouting.scenarios.score`.
         gap: wirelength above the reference, in %; None if it has open nets or more overflow.
@@ -233,7 +233,7 @@ def _row(engine: Engine, m: int, name: str, scenario: str) -> ProblemResult:
         open=figures.open,
         overflow=figures.overflow,
         wirelength=figures.wirelength,
-        cost=found.cost(figures.wirelength, metrics.tasks - metrics.joined),
+        cost=found.cost(figures.wirelength, metrics.tasks - metrics.joined, figures.overflow),
         reference=(reference.overflow, reference.wirelength),
         score=score(figures, astar, best),
         gap=100 * (figures.wirelength / max(best.wirelength, 1) - 1) if good else None,
