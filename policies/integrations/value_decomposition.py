@@ -31,6 +31,7 @@ the last network is kept.
 
 import contextlib
 import json
+import logging
 import pkgutil
 import sys
 import time
@@ -108,6 +109,7 @@ def train(
     """
     check("steps", steps >= 1, "a number from 1")
     torch.set_num_threads(1)
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # its messages go to the standard output
     began = time.process_time()
     found = scenarios.get(scenario)
     options = {"scenario": scenario, "reward": REWARD, "shared": True}

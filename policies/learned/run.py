@@ -282,6 +282,11 @@ class Run:
             teacher=told or self.config.train.start is not None,
         )
 
+    @property
+    def parameters(self) -> int:
+        """The number of the parameters of the network that plays."""
+        return self.trainer.policy_of(self.trainer.names[0]).parameters
+
     def _share_of_time(self) -> float:
         """The share of ``train.seconds`` that has passed; 0 without such a bound."""
         seconds = self.config.train.seconds
