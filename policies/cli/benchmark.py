@@ -158,8 +158,8 @@ def benchmark(
             raise unknown("--scenario", scenario, (*scenarios.names(), "all"))
     chosen = scenarios.names() if "all" in names else list(dict.fromkeys(names))
     scored = [of for of in chosen if scenarios.get(of).has_local_rule(cast(Split, split))]
-    scenario = scored[0] if len(chosen) == 1 and scored else None
-    course = Course(scenario=scenario, steps=training_steps, seconds=training_seconds)
+    alone = scored[0] if len(chosen) == 1 and scored else None
+    course = Course(scenario=alone, steps=training_steps, seconds=training_seconds)
     entries: list[Entry] = []
     if config is not None:
         check_kind(config, "benchmark")

@@ -407,8 +407,8 @@ class Benchmark(Experiment):
         if not entry.trains:
             return ()
         if entry.zero_shot is not None:
-            own = [p.run for p in self.parts if (p.set, p.entry.name) == (name, entry.name)]
-            return _validation_curve([validation_scores(run, entry.zero_shot) for run in own])
+            runs = [p.run for p in self.parts if (p.set, p.entry.name) == (name, entry.name)]
+            return _validation_curve([validation_scores(run, entry.zero_shot) for run in runs])
         episodes = entry.options["train"]["episodes"]
         at = np.unique(np.geomspace(1, episodes, POINTS).round().astype(int))
         curves = []

@@ -342,12 +342,12 @@ def policy_figures(result: Result) -> dict[str, Any]:
             least = max(result.by_name[row.problem].reference[2], 1)
             gaps.append(100 * (row.wirelength / least - 1))
     scores = [scale.score(cost) for cost in costs]
-    mean = float(trim_mean(scores, 0.25))
+    mean = float(_middle(scores))
     low, high = mean, mean
     if len(scores) > 1 and max(scores) > min(scores):
         found = bootstrap(
             (scores,),
-            lambda values, axis: trim_mean(values, 0.25, axis=axis),
+            _middle,
             method="percentile",
             random_state=np.random.default_rng(0),  # called rng from SciPy 1.15 on
         )
@@ -355,12 +355,17 @@ def policy_figures(result: Result) -> dict[str, Any]:
     return {
         "score": {"mean": mean, "low": low, "high": high},
         "costs": costs,
-        "cost": float(trim_mean(costs, 0.25)),
+        "cost": float(_middle(costs)),
         "solved": statistics.fmean(solved),
         "connected": statistics.fmean(connected),
         "gap": statistics.fmean(gaps) if gaps else None,
         **told,
     }
+
+
+def _middle(values: Any, axis: int = 0) -> Any:
+    """The interquartile means along an axis."""
+    return trim_mean(values, 0.25, axis=axis)
 
 
 def _whole(value: float) -> float:

@@ -35,6 +35,11 @@ from policies.integrations.torchrl import GROUP, GroupMoves, RoutingEnv
 class RoutingClass(TaskClass):
     """Global routing: every net is an agent of one group, and all share one capacity grid."""
 
+    @staticmethod
+    def of(config: dict[str, Any]) -> "RoutingClass":
+        """A task of a scenario, named after it."""
+        return RoutingClass(name=config["scenario"].replace("-", "_").upper(), config=config)
+
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], EnvBase]:
@@ -112,7 +117,6 @@ class RoutingTask(Task):
     TOY_4X4 = None
     TWO_PIN_8X8 = None
     MULTI_PIN_8X8 = None
-    COOPERATION = None
 
     @staticmethod
     def associated_class() -> type[RoutingClass]:

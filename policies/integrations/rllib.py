@@ -16,7 +16,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -77,7 +77,8 @@ class Policy:
         file = Path(folder) / _OPTIONS
         self.options = build_json(dict[str, Any], read_text(file, _MOST_BYTES), str(file))
         check(str(file), isinstance(self.options.get("mask"), dict), "options of an environment")
-        self._module = RLModule.from_checkpoint(str((Path(folder) / _MODULE).resolve()))
+        module = RLModule.from_checkpoint(str((Path(folder) / _MODULE).resolve()))
+        self._module = cast(Any, module)  # of torch
         took = {"agent_steps": agent_steps, "processor_seconds": processor_seconds}
         self.training = {**took, "teacher": teacher}
         self.parameters = sum(one.numel() for one in self._module.parameters())

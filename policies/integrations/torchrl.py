@@ -195,8 +195,8 @@ class GroupMoves:
         free = np.ones((games * n, masks.shape[1]), np.bool_)
         seen[:rows], free[:rows] = observations, masks > 0
         group = {
-            "observation": torch.from_numpy(seen).unflatten(0, (games, n)),
-            "action_mask": torch.from_numpy(free).unflatten(0, (games, n)),
+            "observation": torch.from_numpy(seen.reshape(games, n, *seen.shape[1:])),
+            "action_mask": torch.from_numpy(free.reshape(games, n, -1)),
         }
         told = TensorDict({GROUP: TensorDict(group, [games, n])}, [games])
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):

@@ -47,7 +47,7 @@ from torch import nn
 
 from marouting import InputError, evaluate_policy, scenarios
 from marouting.config import check
-from policies.integrations.benchmarl import Moves, RoutingTask
+from policies.integrations.benchmarl import Moves, RoutingClass
 
 REWARD = {"kind": "team", "overflow": 1.0, "open": 1.0, "wirelength": 0.05}
 """The team reward of the cooperative scenarios, divided by 20."""
@@ -56,7 +56,7 @@ AGENTS = 2.0
 """Agent-steps of a frame, about; ε falls by frames."""
 
 
-class _Steps(Callback):  # type: ignore[misc]
+class _Steps(Callback):
     """Counts agent-steps, evaluates on the validation problems, and ends the training."""
 
     def __init__(self, scenario: str, most: int, every: int) -> None:
@@ -113,7 +113,7 @@ def train(
     began = time.process_time()
     found = scenarios.get(scenario)
     options = {"scenario": scenario, "reward": REWARD, "shared": True}
-    task = RoutingTask.COOPERATION.get_task({**options, "max_cycles": 1})
+    task = RoutingClass.of({**options, "max_cycles": 1})
     config = ExperimentConfig.get_from_yaml()
     config.max_n_frames = steps  # at least: a frame is one agent-step or more
     config.gamma, config.lr, config.polyak_tau = 0.99, 5e-4, 0.01

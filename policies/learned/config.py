@@ -67,6 +67,8 @@ class TrainOptions:
         threads: threads that share the networks of a training.
         checkpoint_seconds: seconds between checkpoints.
         tensorboard: whether to write TensorBoard's event files beside ``metrics.jsonl``.
+        wandb: whether to log the same in Weights & Biases, as a run of the project ``marouting``
+            named after the run folder. ``WANDB_MODE=offline`` needs no account.
         reference: the ``results.json`` of an experiment whose proven optima TensorBoard measures
             gaps to, by the problems' names; None for no gaps.
         figures: whether to draw the figures at the end.
@@ -88,6 +90,7 @@ class TrainOptions:
     threads: int = 1
     checkpoint_seconds: float = 60.0
     tensorboard: bool = True
+    wandb: bool = False
     reference: str | None = None
     figures: bool = True
 
@@ -106,6 +109,7 @@ class TrainOptions:
         check("problems", kept is None or games is not None, "null without train.games")
         check("validation", shown is None or 1 <= shown <= 10_000, "a number from 1 to 10000")
         check("validation", shown is None or games is not None, "null without train.games")
+        check("wandb", self.tensorboard or not self.wandb, "false without train.tensorboard")
         check("threads", 1 <= self.threads <= 1024, "a number from 1 to 1024")
         check("checkpoint_seconds", self.checkpoint_seconds >= 0, "a number from 0")
 

@@ -365,6 +365,7 @@ class Run:
                 tuple(self.problems),
                 self.reference,
                 drawn=trainer.drawn,
+                wandb=plain(config) if config.train.wandb else None,
             ) as logs,
             _holding_interrupts() as interrupts,
         ):
@@ -476,5 +477,5 @@ def clear(folder: Path) -> None:
         return
     for name in _FILES:
         (folder / name).unlink(missing_ok=True)
-    for name in ("problems", "solutions", "tensorboard", "figures"):
+    for name in ("problems", "solutions", "tensorboard", "wandb", "figures"):
         shutil.rmtree(folder / name, ignore_errors=True)
