@@ -21,6 +21,7 @@ import statistics
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from marouting import InputError, scenarios
 from marouting.config import check
 from marouting.files import exists, read_text, write_text
 from marouting.scenarios.cooperation import COOPERATION
+from policies.experiment.cloned import cloned
 from policies.learned.config import load_config
 from policies.learned.run import Run
 from policies.learned.threads import use_threads
@@ -40,6 +42,7 @@ from policies.results.run_folder import (
     read_episodes,
     read_evaluations,
 )
+from policies.routers.local import LocalRouter
 
 FOLDER = Path("docs/results/cooperation")
 """Where the figures are: ``trained.csv`` and the learning curves, ``curves.csv``."""
@@ -55,6 +58,10 @@ _IQL = (
     "learner.epsilon=0.3",
 )
 _SMALL_TEAM = "env.reward={kind: team, overflow: 1, open: 1, wirelength: 0.05}"
+_TEACHER = LocalRouter(radius=3)
+"""What cloned starts imitate: shortest paths within the window, planned anew at every move."""
+
+_CLONED = "train.start=runs/cooperation/CLONE"
 
 ROWS: Mapping[str, tuple[str, ...]] = {
     "ippo-selfish": ("learner.kind=ippo", _SELFISH),
@@ -64,13 +71,17 @@ ROWS: Mapping[str, tuple[str, ...]] = {
     "mappo-team": ("learner.kind=mappo",),
     "mappo-counterfactual": ("learner.kind=mappo", _COUNTERFACTUAL),
     "iql-team": (*_IQL, _SMALL_TEAM),
+    "ippo-selfish-cloned": ("learner.kind=ippo", _SELFISH, _CLONED),
+    "ippo-team-cloned": ("learner.kind=ippo", _CLONED),
+    "mappo-team-cloned": ("learner.kind=mappo", _CLONED),
 }
 """What ``marouting train`` is told, by row. The scenarios suggest the reward ``team``."""
 
 
 def overrides(scenario: str, row: str, seed: int, steps: int) -> list[str]:
     """What is said on the command line of a training."""
-    return [f"env.scenario={scenario}", f"train.steps={steps}", f"seed={seed}", *ROWS[row]]
+    own = (said.replace("CLONE", f"{scenario}.clone.{seed}.pt") for said in ROWS[row])
+    return [f"env.scenario={scenario}", f"train.steps={steps}", f"seed={seed}", *own]
 
 
 def train(folder: Path, said: Sequence[str]) -> tuple[Run, float]:
@@ -79,7 +90,11 @@ def train(folder: Path, said: Sequence[str]) -> tuple[Run, float]:
     spent = folder / "processor_seconds.txt"
     resume = exists(folder / CONFIG)
     before = float(read_text(spent, 100)) if exists(spent) else 0.0
-    run = Run(load_config(None, [*said, *quiet]), resume=resume)
+    config = load_config(None, [*said, *quiet])
+    start = config.train.start
+    if start is not None and not exists(start):
+        cloned(replace(config, train=replace(config.train, start=None)), _TEACHER, Path(start))
+    run = Run(config, resume=resume)
     if run.finished is not None:
         return run, before
     began = told = time.process_time()
