@@ -24,10 +24,12 @@ from marouting.config import check
 from marouting.files import writing
 from marouting.observations import has_move_order, move_order_of
 from marouting.scenarios.cooperation import COOPERATION
+from marouting.source import ProblemSampler
 from marouting.vector import BatchEnv
 from policies.learned.config import Config, load_config
-from policies.learned.run import problems_of, trainer_of
+from policies.learned.run import problems_of
 from policies.learned.threads import use_threads
+from policies.learned.trainer import Trainer
 from policies.routers.local import LocalRouter
 
 GAMES = 64
@@ -90,11 +92,11 @@ def imitate(
     same = 0.0
     for _ in range(EPOCHS):
         hits = 0
-        for some in torch.randperm(len(moves), generator=generator).split(BATCH):
+        for some in torch.split(torch.randperm(len(moves), generator=generator), BATCH):
             ratings: Tensor = module(obs[some]).masked_fill(~masks[some], -torch.inf)
             loss = nn.functional.cross_entropy(ratings, moves[some])
             adam.zero_grad()
-            loss.backward()
+            torch.autograd.backward(loss)
             adam.step()
             hits += int((ratings.argmax(-1) == moves[some]).sum())
         same = hits / len(moves)
@@ -110,7 +112,10 @@ def cloned(config: Config, rule: LocalRouter, out: Path, moves: int = MOVES) -> 
         out: the file, for ``train.start``.
         moves: how many of the rule's moves are learned from.
     """
-    trainer = trainer_of(*problems_of(config), config)
+    problems, episodes = problems_of(config)
+    assert episodes is not None  # a scenario's training problems are drawn
+    draws = ProblemSampler(episodes, config.seed, GAMES)
+    trainer = Trainer(problems, config, draws)
     networks, setup = trainer.learner.networks, trainer.learner.setup
     module: nn.Module = config.learner.cls.network(
         config.learner.options, setup.obs_shape, setup.actions

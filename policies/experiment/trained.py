@@ -115,7 +115,8 @@ def train(folder: Path, said: Sequence[str]) -> tuple[Run, float]:
 
 def figures(row: str, run: Run, seconds: float, command: str) -> Iterator[dict[str, Any]]:
     """The lines of ``trained.csv`` of a training: the two splits."""
-    parameters = int(run.trainer.learner.networks.flat.shape[1])
+    module = run.trainer.policy_of(run.trainer.names[0]).module
+    parameters = sum(weights.numel() for weights in module.parameters())
     for result in run.standing():
         yield {
             "scenario": result.scenario,
