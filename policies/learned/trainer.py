@@ -68,7 +68,7 @@ class Trainer:
         learner: what learns.
         player: the games: of each problem that still trains, its copies one after another.
         episodes: (M,) int64, episodes finished; where games draw their problems (1,), of all games.
-        steps: likewise, the moves that agents made in them.
+        steps: likewise, the moves that agents have made, in games that go on as well.
         drawn: whether games draw their problems.
         path: how the learner is computed, in words.
         walks: the evaluations made since :meth:`run` last yielded.
@@ -277,9 +277,11 @@ class Trainer:
             self.burn_in()
         while self.running.any():
             self.walks = []
+            before = self.player.engine.games["steps"].copy()
             self.learner.play(self.player, _STEPS)
+            np.add.at(self.steps, self.games, self.player.engine.games["steps"] - before)
             over = self.player.buffers.over.copy()
-            yield self._finish(over) if over.any() else []
+            yield self._finish(over) if over.any() or not self.running.any() else []
 
     def _finish(self, over: NDArray[np.bool_]) -> list[Episode]:
         """Scores the episodes that are over and starts the next ones."""
@@ -288,7 +290,7 @@ class Trainer:
         losses = np.repeat(self.learner.loss.cpu().numpy(), len(games) // len(self.learner.loss))
         for g in np.flatnonzero(over).tolist():
             problem = int(games[g])
-            if not self._trains[problem]:
+            if self.episodes[problem] >= self.config.train.episodes:
                 continue  # another copy has played the last one
             metrics = player.engine.metrics(g)
             reward = float(player.buffers.total[g])
@@ -317,10 +319,9 @@ class Trainer:
                 )
             )
             self.episodes[problem] += 1
-            self.steps[problem] += metrics.steps
         self._before[over, 0], self._before[over, 1] = losses[over], updates[over]
-        self._evaluate(np.unique(games[over]))
         running = self.running
+        self._evaluate(np.unique(games[over] if running.any() else games))
         if running.any() and not running.all() and not self.config.train.shared:
             # The games that go on are started below.
             over = over[np.repeat(running, self._copies)]
@@ -341,7 +342,8 @@ class Trainer:
         trains = np.broadcast_to(self._trains, len(self.names))
         ended = np.array([not trains[of == network].any() for network in networks])
         due = (episodes >= before + train.evaluate_every) | ended
-        due &= episodes != before
+        # A training that ends by its steps ends within an episode.
+        due &= (episodes != before) | (ended & (train.steps is not None))
         networks, episodes = networks[due], episodes[due]
         if not len(networks):
             return
