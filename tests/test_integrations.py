@@ -13,6 +13,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
@@ -444,6 +445,51 @@ def test_benchmarl_takes_the_task() -> None:
     steps = env.rollout(100, break_when_all_done=True)
     assert steps.shape[1] <= task.max_steps(env)
     assert set(task.log_info(steps)) == {"collection/info/joined", "collection/info/overflow"}
+
+
+def test_torchrl_shares_the_mean_of_what_present_nets_are_paid() -> None:
+    pytest.importorskip("torchrl")
+    from policies.integrations.torchrl import RoutingEnv
+
+    options = {"scenario": "gates-8x7-v0", "split": "validation"}
+    own, shared = RoutingEnv(**options), RoutingEnv(shared=True, **options)
+    present = torch.from_numpy(own.batch.present)[:, None, :, None]
+    assert 0 < present.float().mean() < 1
+    torch.manual_seed(0)
+    steps = own.rollout(30, break_when_all_done=True)
+    actions = iter(steps["nets", "action"].unbind(1))
+    again = shared.rollout(
+        30,
+        lambda td: td.set(("nets", "action"), next(actions)),
+        break_when_all_done=True,
+    )
+    mean = (steps["next", "nets", "reward"] * present).sum(2) / present.sum(2)
+    assert torch.allclose(again["next", "reward"], mean)
+    # Agent-steps are the moves of agents, as a figure of the games counts them.
+    moves = steps["next", "info", "acted"].sum(dim=(1, 2))
+    assert moves.tolist() == own.batch.engine.games["steps"].tolist()
+    assert moves.max() > steps.shape[1]
+
+
+@pytest.mark.parametrize("algorithm", ["vdn", "qmix"])
+def test_value_decomposition_makes_a_row(algorithm: str, tmp_path: Path) -> None:
+    pytest.importorskip("benchmarl")
+    from marouting import evaluate_policy
+    from policies.integrations.value_decomposition import train
+
+    steps = 12_000
+    row = train(algorithm, "gates-8x7-v0", steps, 0, tmp_path, off_policy_n_optimizer_steps=60)
+    assert steps <= row["agent_steps"] < steps + 64 * 4 * 20
+    assert row["curve"][-1][0] == row["agent_steps"]
+    assert Path(row["file"]).exists()
+
+    def at_random(_: object, masks: np.ndarray) -> np.ndarray:
+        return (np.random.default_rng(0).random(masks.shape) * masks).argmax(axis=1)
+
+    for split in ("validation", "test"):
+        found = row[split]
+        assert (found["scenario"], found["split"]) == ("gates-8x7-v0", split)
+        assert found["cost"] < evaluate_policy(at_random, "gates-8x7-v0", split).cost - 0.5
 
 
 # Tianshou -----------------------------------------------------------------------------------------

@@ -16,9 +16,15 @@ import copy
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+import torch
 from benchmarl.environments.common import Task, TaskClass
+from benchmarl.experiment import Experiment
+from numpy.typing import NDArray
+from tensordict import TensorDict
 from torchrl.data import Composite
 from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from policies.integrations.torchrl import GROUP, RoutingEnv
 
@@ -103,6 +109,7 @@ class RoutingTask(Task):
     TOY_4X4 = None
     TWO_PIN_8X8 = None
     MULTI_PIN_8X8 = None
+    COOPERATION = None
 
     @staticmethod
     def associated_class() -> type[RoutingClass]:
@@ -118,3 +125,34 @@ def _part(env: EnvBase, group: str, key: str) -> Composite:
         if other != key:
             del part[other]
     return Composite({group: part})
+
+
+class Moves:
+    """The moves of a trained policy without exploration, for :func:`marouting.evaluate_policy`.
+
+    Args:
+        experiment: what trained it.
+
+    Attributes:
+        parameters: of its network.
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._policy = experiment.algorithm.get_policy_for_collection()
+        self._agents = len(experiment.group_map[GROUP])
+        self.parameters = sum(one.numel() for one in self._policy.parameters())
+
+    def __call__(self, observations: NDArray[np.float32], masks: NDArray[np.int8]) -> Any:
+        """(B,) moves for (B, *S) observations and (B, A) masks, N of which are a game of its."""
+        rows, n = len(observations), self._agents
+        games = -(-rows // n)
+        seen = np.zeros((games * n, *observations.shape[1:]), np.float32)
+        free = np.ones((games * n, masks.shape[1]), np.bool_)
+        seen[:rows], free[:rows] = observations, masks > 0
+        group = {
+            "observation": torch.from_numpy(seen).unflatten(0, (games, n)),
+            "action_mask": torch.from_numpy(free).unflatten(0, (games, n)),
+        }
+        told = TensorDict({GROUP: TensorDict(group, [games, n])}, [games])
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            return self._policy(told)[GROUP, "action"].flatten()[:rows].numpy()

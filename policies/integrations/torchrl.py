@@ -35,7 +35,9 @@ class RoutingEnv(EnvBase):
     ``("nets", "action_mask")``             (M, N, A) bool       moves that cross an edge
     ``("nets", "action")``                  (M, N) int64         moves
     ``("nets", "reward")``                  (M, N, 1) float32    what the step paid
+    ``reward``                              (M, 1) float32       in its place, with ``shared``
     ``done``, ``terminated``                (M, 1) bool          whether the game is over
+    ``("info", "acted")``                   (M, 1) float32       agents that moved in the step
     ``("info", "joined")``                  (M, 1) float32       share of the tasks that are joined
     ``("info", "overflow")``                (M, 1) float32       overflow
     ``("info", "wirelength")``              (M, 1) float32       wirelength
@@ -45,6 +47,8 @@ class RoutingEnv(EnvBase):
     Args:
         problems: see :class:`marouting.vector.BatchEnv`.
         state: whether there is the global state, for critics that see it.
+        shared: whether all agents get one reward, the mean of what the step paid those that the
+            problem has.
         device: where tensors are; the games are on the processor.
         **options: the other arguments of :class:`marouting.vector.BatchEnv`.
 
@@ -57,13 +61,19 @@ class RoutingEnv(EnvBase):
     """
 
     def __init__(
-        self, problems: Any = None, *, state: bool = False, device: Any = None, **options: Any
+        self,
+        problems: Any = None,
+        *,
+        state: bool = False,
+        shared: bool = False,
+        device: Any = None,
+        **options: Any,
     ) -> None:
         self.batch = batch = BatchEnv(problems, autoreset=False, **options)
         m, n = batch.num_problems, batch.num_agents
         super().__init__(device=device, batch_size=[m])
         self.group_map = {GROUP: [f"agent_{i}" for i in range(n)]}
-        self._state = state
+        self._state, self._shared = state, shared
         self._seed_to_be: int | None = None
         box, actions = batch.single_observation_space, int(batch.single_action_space.n)
         low, high = (torch.from_numpy(b).expand(m, n, *box.shape) for b in (box.low, box.high))
@@ -71,7 +81,7 @@ class RoutingEnv(EnvBase):
             "observation": Bounded(low, high, (m, n, *box.shape), dtype=torch.float32),
             "action_mask": Categorical(2, (m, n, actions), dtype=torch.bool),
         }
-        info = {key: Unbounded((m, 1)) for key in ("joined", "overflow", "wirelength")}
+        info = {key: Unbounded((m, 1)) for key in ("acted", "joined", "overflow", "wirelength")}
         specs = {GROUP: Composite(seen, shape=(m, n)), "info": Composite(info, shape=(m,))}
         if state:
             space = batch.single_state_space
@@ -79,8 +89,10 @@ class RoutingEnv(EnvBase):
         self.observation_spec = Composite(specs, shape=(m,), device=device)
         moves = Composite({"action": Categorical(actions, (m, n))}, shape=(m, n))
         self.action_spec = Composite({GROUP: moves}, shape=(m,), device=device)
-        paid = Composite({"reward": Unbounded((m, n, 1))}, shape=(m, n))
-        self.reward_spec = Composite({GROUP: paid}, shape=(m,), device=device)
+        paid: dict[str, Any] = {"reward": Unbounded((m, 1))}
+        if not shared:
+            paid = {GROUP: Composite({"reward": Unbounded((m, n, 1))}, shape=(m, n))}
+        self.reward_spec = Composite(paid, shape=(m,), device=device)
         flag = {key: Categorical(2, (m, 1), dtype=torch.bool) for key in ("done", "terminated")}
         self.done_spec = Composite(flag, shape=(m,), device=device)
 
@@ -100,7 +112,10 @@ class RoutingEnv(EnvBase):
         # A game that is over stays so until it is reset.
         over = (self.batch.engine.games["active"] == 0)[:, None]
         seen = self._seen(obs, info)
-        seen[GROUP]["reward"] = reward[..., None].copy()
+        if self._shared:
+            seen["reward"] = reward.mean(axis=1, keepdims=True, where=self.batch.present)
+        else:
+            seen[GROUP]["reward"] = reward[..., None].copy()
         return self._tensors({"done": over, "terminated": over.copy(), **seen})
 
     def _set_seed(self, seed: int | None) -> None:
@@ -115,7 +130,7 @@ class RoutingEnv(EnvBase):
         obs = obs.copy()
         obs[~active] = 0
         tasks = batch.engine.tasks.sum(axis=1)
-        figures = {"joined": info["joined"] / tasks}
+        figures = {"acted": info["acted"].sum(axis=1), "joined": info["joined"] / tasks}
         figures |= {key: info[key] for key in ("overflow", "wirelength")}
         columns = {key: np.asarray(v, np.float32)[:, None].copy() for key, v in figures.items()}
         seen: dict[str, Any] = {

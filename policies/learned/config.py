@@ -33,6 +33,8 @@ class TrainOptions:
         episodes: episodes per problem; in one, all nets route all their two-pin tasks.
         steps: moves of all agents after which a training ends whose games draw problems;
             ``episodes`` is then the most episodes. None: it ends after ``episodes``.
+        seconds: processor time after which such a training ends, whatever is left of its steps.
+            None: no bound. The same seed does then not give the same network.
         shared: whether one network learns all problems; otherwise each problem has its own. None:
             true if games draw problems.
         games: number of games played in parallel, each of which draws a problem for every episode:
@@ -71,6 +73,7 @@ class TrainOptions:
 
     episodes: int = 1000
     steps: int | None = None
+    seconds: float | None = None
     shared: bool | None = None
     games: int | None = None
     problems: int | None = None
@@ -93,6 +96,8 @@ class TrainOptions:
         games, shown, steps = self.games, self.validation, self.steps
         check("steps", steps is None or 1 <= steps <= MOST, f"a number from 1 to {MOST}")
         check("steps", steps is None or games is not None, "null without train.games")
+        check("seconds", self.seconds is None or self.seconds > 0, "a number above 0")
+        check("seconds", self.seconds is None or games is not None, "null without train.games")
         check("games", games is None or 1 <= games <= 1_000_000, "a number from 1 to 1000000")
         check("shared", games is None or self.shared, "true: games draw problems for one network")
         kept = self.problems

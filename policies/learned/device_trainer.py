@@ -6,7 +6,7 @@ are at least :data:`STEPS` steps of all games (:mod:`policies.learned.on_device`
 one episode is logged, since there may be thousands.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -95,6 +95,8 @@ class DeviceTrainer:
             reason = str(error).splitlines()[0]
             raise InputError(f"device: expected more memory for these games: {reason}") from None
         self.episodes, self.steps, self._evaluated = np.zeros((3, 1), np.int64)
+        self.spent = 0.0  # share of train.seconds that has passed, by the clock of a run
+        self.clock: Callable[[], float] = float
         self.best_episode = np.zeros(0, np.int64)
         self.walks: list[GreedyEvaluation] = []
         self._best = self._weights()
@@ -112,7 +114,8 @@ class DeviceTrainer:
         """The share of the training that is done."""
         train = self.config.train
         share = int(self.episodes[0]) / train.episodes
-        return max(share, int(self.steps[0]) / train.steps) if train.steps else share
+        made = int(self.steps[0]) / train.steps if train.steps else 0.0
+        return max(share, made, self.spent)
 
     @property
     def start(self) -> list[Mapping[str, Tensor]]:
@@ -138,6 +141,7 @@ class DeviceTrainer:
             self.steps += told.steps
             self.episodes += told.episodes
             episode = self._sample(told.loss)
+            self.spent = self.clock()
             self._evaluate()
             yield episode
 

@@ -10,7 +10,7 @@ and with ``games`` as well, every episode may be that of another problem.
 
 import functools
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -135,6 +135,8 @@ class Trainer:
         alone = not drawn or self.learner.learning_starts == 0 or guide_ in GUIDES
         check("burn_in", alone, f"{' or '.join(GUIDES)} with train.games, found {guide_}")
         self.episodes, self.steps = np.zeros((2, count), np.int64)
+        self.spent = 0.0  # share of train.seconds that has passed, by the clock of a run
+        self.clock: Callable[[], float] = float
         # What stays of each problem, unless each is played once, and of each network.
         best = 0 if drawn else count
         self.score = np.full((best, 3), np.inf)  # of the best episode: less is better
@@ -184,6 +186,8 @@ class Trainer:
     def _trains(self) -> NDArray[np.bool_]:
         """(M,) which problems still have episodes to train."""
         train = self.config.train
+        if self.spent >= 1:
+            return np.zeros_like(self.episodes, np.bool_)
         most = np.inf if train.steps is None else train.steps
         return (self.episodes < train.episodes) & (self.steps < most)
 
@@ -260,8 +264,10 @@ class Trainer:
 
     def _tell_episodes(self) -> None:
         train, played = self.config.train, self.episodes
-        if train.steps is not None:  # as many episodes of all as steps have been made of all
-            share = np.minimum(self.steps / train.steps, 1)
+        if train.steps is not None or self.spent:
+            # As many episodes of all as there have been steps of all, or time.
+            made = self.steps / train.steps if train.steps else np.zeros(len(played))
+            share = np.clip(made, self.spent, 1)
             played = np.maximum(played, (share * train.episodes).astype(np.int64))
         self.learner.set_episodes(played[self.games])
 
@@ -280,6 +286,7 @@ class Trainer:
             before = self.player.engine.games["steps"].copy()
             self.learner.play(self.player, _STEPS)
             np.add.at(self.steps, self.games, self.player.engine.games["steps"] - before)
+            self.spent = self.clock()
             over = self.player.buffers.over.copy()
             yield self._finish(over) if over.any() or not self.running.any() else []
 
@@ -342,8 +349,8 @@ class Trainer:
         trains = np.broadcast_to(self._trains, len(self.names))
         ended = np.array([not trains[of == network].any() for network in networks])
         due = (episodes >= before + train.evaluate_every) | ended
-        # A training that ends by its steps ends within an episode.
-        due &= (episodes != before) | (ended & (train.steps is not None))
+        # A training that ends by its steps or its time ends within an episode.
+        due &= (episodes != before) | (ended & self.drawn)
         networks, episodes = networks[due], episodes[due]
         if not len(networks):
             return
