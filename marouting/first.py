@@ -29,8 +29,10 @@ def _is_the_command() -> bool:
     return script.partition(".")[0] == "marouting" and not child
 
 
+IS_THE_COMMAND = _is_the_command()
+
 if (
-    _is_the_command()
+    IS_THE_COMMAND
     and threading.current_thread() is threading.main_thread()
     and signal.getsignal(signal.SIGINT) is signal.default_int_handler
 ):

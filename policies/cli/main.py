@@ -25,7 +25,7 @@ try:
 except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
-from marouting import InputError, Solution, __version__, evaluate, sequential_astar
+from marouting import InputError, Solution, __version__, evaluate
 from marouting.config import override, read_yaml
 from marouting.files import check_writable, exists, naming
 from marouting.generator import GeneratorOptions
@@ -47,7 +47,7 @@ from policies.cli.options import (
 from policies.cli.source import ProblemFile, problem_argument
 from policies.cli.view import view
 from policies.interrupts import interruptible
-from policies.routers.base import LEFT_ALONE, small_problem, solve, warm_up
+from policies.routers.base import LEFT_ALONE, solve, warm_up
 from policies.routers.registry import is_learner, make_router, router_names, unknown
 
 if TYPE_CHECKING:
@@ -367,8 +367,6 @@ def evaluate_command(
         found = report(routes)
         click.echo(json.dumps(found)) if as_json else show_report(found, str(solution))
         return
-    small = small_problem()
-    evaluate(small, sequential_astar(small))  # compiles and loads what it needs, which is not timed
     started = time.perf_counter()
     evaluate(routes.problem, routes)
     _report(None, routes, time.perf_counter() - started, as_json)
