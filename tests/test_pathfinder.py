@@ -39,8 +39,16 @@ from policies.routers.pathfinder import (
     Routed,
 )
 from policies.routers.pathfinder.relaxation import Relaxation
+from policies.routers.pathfinder.router import _Gain
 from policies.routers.pathfinder.schedule import TUNED, scheduled
-from policies.routers.pathfinder.state import RELAX, UNIT, make_arrays, make_parameters, with_trees
+from policies.routers.pathfinder.state import (
+    KINDS,
+    RELAX,
+    UNIT,
+    make_arrays,
+    make_parameters,
+    with_trees,
+)
 from policies.routers.registry import is_learner
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -306,6 +314,64 @@ def test_a_short_limit_of_time_is_looked_at_often() -> None:
     assert whole.iterations == 100
     # A pass of patterns, and no more labels than take a fraction of a millisecond.
     assert router(seconds=0.0).solve(problem).iterations <= 5
+
+
+def clock_of(monkeypatch: pytest.MonkeyPatch, step: float) -> None:
+    """Makes every look at the clock take so many seconds."""
+    ticks = itertools.count()
+    monkeypatch.setattr(
+        "policies.routers.pathfinder.router.time.thread_time", lambda: step * next(ticks)
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "stop"),
+    [
+        ({}, "gain"),
+        ({"least_gain": 0.0}, "settled"),
+        ({"passes": 90_000}, "settled"),  # whoever sets passes gets what they find
+        ({"seconds": None}, "settled"),
+    ],
+)
+def test_ends_when_more_time_saves_little(
+    options: dict[str, Any], stop: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = congested()
+    whole = router().solve(problem)
+    assert (whole.stop, whole.history[-1].overflow) == ("settled", 0)
+    clock_of(monkeypatch, 0.5)
+    routed = router(**{"seconds": 1e6, **options}).solve(problem)
+    assert routed.stop == stop
+    assert routed.history == whole.history[: routed.iterations]
+    assert (routed.iterations < whole.iterations) == (stop == "gain")
+
+
+def test_does_not_end_early_with_overflow(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = generate(1, nets=80, max_pins=5)[0]  # far too much for its grid
+    clock_of(monkeypatch, 1.0)
+    assert router(seconds=40.0).solve(problem).stop == "seconds"
+
+
+def test_what_counts_as_little_gain() -> None:
+    """At the end of rounds, over two seconds or the last quarter of the search."""
+
+    def stops(least: float, *found: tuple[float, str, int, int]) -> list[bool]:
+        gain = _Gain()
+        told = []
+        for seconds, kind, overflow, length in found:
+            progress = {"kind": KINDS.index(kind), "best_overflow": overflow, "best_length": length}
+            told.append(gain.too_little(seconds, progress, least))
+        return told
+
+    relax = [(0.0, "relax", 0, 10_000), (1.0, "relax", 0, 10_000), (2.0, "relax", 0, 9_990)]
+    assert stops(0.001, *relax) == [False, False, True]  # ten of the twenty that are wanted
+    assert stops(0.0005, *relax) == [False, False, False]
+    assert stops(0.001, *[(t, k, 1, n) for t, k, _, n in relax]) == [False] * 3
+    assert stops(0.001, *[(t, "squeeze", o, n) for t, k, o, n in relax]) == [False] * 3
+    # In the last quarter of 16 seconds: 30 of 40 from 12 seconds on, but 41 from 11 seconds on.
+    late = [(11.0, "repair", 0, 10_041), (12.0, "repair", 0, 10_030), (16.0, "repair", 0, 10_000)]
+    assert stops(0.001, (0.0, "repair", 0, 11_000), *late) == [False, False, False, True]
+    assert stops(0.0007, (0.0, "repair", 0, 11_000), *late) == [False, False, False, False]
 
 
 @given(problems(), st.sampled_from([0.0, 0.01, 1.0]))

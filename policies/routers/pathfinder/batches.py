@@ -24,6 +24,7 @@ from policies.routers.pathfinder.state import (
     DONE,
     EDGES,
     FIRST_BOX,
+    LAYERS,
     NEGOTIATE,
     POOL_TOO_SMALL,
     PROGRESS,
@@ -85,7 +86,8 @@ def _gather(problem: ProblemArrays, parameters: Parameters, routing: Routing, ba
         if is_settled(problem, parameters, routing, net):
             continue
         batch.net[count], batch.random[count] = net, draw(progress)
-        points += set_box(problem, routing, net, parameters.margin, batch.low, batch.size)
+        margin = parameters.margin
+        points += set_box(problem, routing, net, margin, i64(LAYERS), batch.low, batch.size)
         if negotiated:
             use_tree(problem, routing, via, net, i64(-1))
             order[progress.next - 1], order[begin + count] = order[begin + count], net

@@ -94,9 +94,15 @@ def tree_cost(
 
 @compiled
 def set_box(
-    problem: ProblemArrays, routing: Routing, net: int, margin: int, low: Any, size: Any
+    problem: ProblemArrays,
+    routing: Routing,
+    net: int,
+    margin: int,
+    layers: int,
+    low: Any,
+    size: Any,
 ) -> int:
-    """Puts a box around a net's pins and its current tree.
+    """Puts a box around a net's pins and its current tree, wider by a margin and some layers.
 
     Returns:
         The number of points in the box.
@@ -104,19 +110,17 @@ def set_box(
     points = 1
     for axis in range(AXES):
         least, most = problem.size[axis] - 1, i64(0)
-        if axis == VIA_AXIS:
-            least, most = most, least
-        else:
-            for i in range(problem.first[net], problem.first[net + 1]):
-                at = i64(problem.position[problem.pin[i], axis])
-                least, most = min(least, at), max(most, at)
-            for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-                edge = i64(routing.edge[routing.progress[0].pool, i])
-                at = i64(problem.position[edge // AXES, axis])
-                least, most = min(least, at), max(most, at)
-                if edge % AXES == axis:
-                    most = max(most, at + 1)
-            least, most = max(least - margin, 0), min(most + margin, problem.size[axis] - 1)
+        for i in range(problem.first[net], problem.first[net + 1]):
+            at = i64(problem.position[problem.pin[i], axis])
+            least, most = min(least, at), max(most, at)
+        for i in range(routing.start[net], routing.start[net] + routing.length[net]):
+            edge = i64(routing.edge[routing.progress[0].pool, i])
+            at = i64(problem.position[edge // AXES, axis])
+            least, most = min(least, at), max(most, at)
+            if edge % AXES == axis:
+                most = max(most, at + 1)
+        beyond = layers if axis == VIA_AXIS else margin
+        least, most = max(least - beyond, 0), min(most + beyond, problem.size[axis] - 1)
         low[axis], size[axis] = least, most - least + 1
         points *= most - least + 1
     return points
@@ -154,9 +158,9 @@ def set_costs(
     point = i64(0)
     for x in range(nx):
         for y in range(ny):
-            gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * layers
+            gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * layers + low[2]
             for z in range(nz):
-                demand = i64(problem.demand[net, z])
+                demand = i64(problem.demand[net, low[2] + z])
                 beside = ny * nz
                 for axis in range(AXES):
                     at, last = x, nx - 1
@@ -365,7 +369,7 @@ def _other_end(
     ny, nz = lattice.size[1], lattice.size[2]
     row = key // nz
     gcell = (low[0] + row // ny) * problem.size[1] + low[1] + row % ny
-    gcell = gcell * problem.size[2] + key - row * nz
+    gcell = gcell * problem.size[2] + low[2] + key - row * nz
     point, counts = key, not worn
     while True:
         beside, step = point + stride[move], 1 - 2 * (move & 1)

@@ -5,6 +5,8 @@ from typing import Literal
 
 from marouting.config import MOST, check
 
+_PASSES = 100_000
+
 
 @dataclass(frozen=True, kw_only=True)
 class PathfinderOptions:
@@ -69,6 +71,11 @@ class PathfinderOptions:
             several threads, of the one that works longest; None for no limit. The first pass, of
             patterns, is completed even if that takes longer: after it every net is joined. A
             solution cut off by the limit depends on the machine.
+        least_gain: a search whose best solution has no overflow ends when it has lately saved less
+            than this share of the wirelength per second of processor time. What counts are the
+            latest two seconds, or the latest quarter of the search if that is longer. 0: it goes
+            on. Not if ``passes`` is set, or without a limit of ``seconds``: what comes out then
+            does not depend on the machine.
         threads: how many threads plan trees, where there are more than 20 000 nets to route. What
             comes out does not depend on it, unless ``seconds`` cuts the search off.
         start: a file of a solution to begin with, such as one that was cut off; None: begin with
@@ -100,8 +107,9 @@ class PathfinderOptions:
     repair_stall_passes: int = 60
     min_repair_fraction: float = 0.0
     patience_factor: int = 16
-    passes: int = 100_000
+    passes: int = _PASSES
     seconds: float | None = 50.0
+    least_gain: float = 0.001
     threads: int = 1
     start: str | None = None
     seed: int = 0
@@ -112,6 +120,11 @@ class PathfinderOptions:
             check(name, fits, f"a number from {least} to {most}")
         check("present_factor", self.present_factor > 0, "a number above 0, up to 1000")
         check("seconds", self.seconds is None or self.seconds >= 0, "a number from 0, or null")
+
+    @property
+    def by_the_clock(self) -> bool:
+        """Whether the time that the search takes may decide when it ends, within ``seconds``."""
+        return self.least_gain > 0 and self.seconds is not None and self.passes == _PASSES
 
 
 _RANGES = {
@@ -136,6 +149,7 @@ _RANGES = {
     "min_repair_fraction": (0, 1),
     "patience_factor": (1, MOST),
     "passes": (1, MOST),
+    "least_gain": (0, 1),
     "threads": (1, 1024),
     "seed": (0, MOST),
 }

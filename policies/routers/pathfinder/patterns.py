@@ -137,7 +137,9 @@ def route_pattern(
     if routing.length[net] > 0:
         use_tree(problem, routing, parameters.via, net, i64(1))
         return DONE
-    points = set_box(problem, routing, net, i64(0), buffers.low, lattice.size)
+    points = set_box(
+        problem, routing, net, i64(0), problem.size[VIA_AXIS], buffers.low, lattice.size
+    )
     if points > len(buffers.pin):
         progress.need = points
         return BOX_TOO_SMALL

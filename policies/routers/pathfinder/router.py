@@ -1,6 +1,7 @@
 """The router, and what it reports."""
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -33,9 +34,13 @@ _LEAST_WORK, _MOST_WORK = 1 << 10, 1 << 18
 _WARM = 60
 """Passes of a search that is made to compile all that a search needs."""
 
-Stop = Literal["optimal", "settled", "passes", "seconds", "asked"]
-"""Why a search ended: no solution can be better; it finds nothing better any more; it had all the
-passes, or all the time, that it may take; or somebody asked it to stop."""
+_WINDOW, _SHARE = 2.0, 0.25
+"""What a search has saved lately is what it saved in so many seconds, and in this share of it."""
+
+Stop = Literal["optimal", "settled", "gain", "passes", "seconds", "asked"]
+"""Why a search ended: no solution can be better; it finds nothing better any more; or too little
+for the time; it had all the passes, or all the time, that it may take; or somebody asked it to
+stop."""
 
 
 class Pass(NamedTuple):
@@ -78,6 +83,30 @@ class Routed:
     def report(self) -> dict[str, Any]:
         """Figures for tables beyond those of the evaluator: ``iterations`` and ``stop``."""
         return {"iterations": self.iterations, "stop": self.stop}
+
+
+class _Gain:
+    """How much of its length the best solution without overflow has lately lost."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, float]] = deque()  # seconds and length after passes
+
+    def too_little(self, seconds: float, progress: Any, least: float) -> bool:
+        """Notes the best solution after a pass; whether the search has saved too little lately.
+
+        Within a round nothing is noted: only its last passes find better solutions.
+        """
+        if progress["best_overflow"] > 0 or KINDS[progress["kind"]] not in ("relax", "repair"):
+            return False
+        seen, length = self._seen, float(progress["best_length"])
+        seen.append((seconds, length))
+        begin = seconds - max(_WINDOW, _SHARE * seconds)
+        if seen[0][0] > begin:
+            return False
+        while seen[1][0] <= begin:
+            seen.popleft()
+        then, before = seen[0]
+        return before - length < least * length * (seconds - then)
 
 
 class PathfinderRouter:
@@ -165,13 +194,16 @@ class PathfinderRouter:
         if parameters.lp_passes > 0:
             relaxation = Relaxation(arrays, parameters, routing, options.lp_price_scale)
         passes: list[Pass] = []
+        gain = _Gain()
         ended = len(routing.order) == 0
         stop: Stop = "optimal" if ended else "settled"
         with Crew(arrays, parameters, int(progress["most"]), options.threads) as crew:
 
+            def spent() -> float:
+                return time.thread_time() - worked + crew.waited
+
             def left() -> float:
-                spent = time.thread_time() - worked + crew.waited
-                return np.inf if limit is None else limit - spent
+                return np.inf if limit is None else limit - spent()
 
             while not ended:
                 # Half of the time that is left, so that short searches end in time, too.
@@ -198,6 +230,9 @@ class PathfinderRouter:
                     stop = _reason(progress, parameters.passes)
                 elif passes and (asked or left() <= 0):  # the first pass has made a whole solution
                     stop, ended = "asked" if asked else "seconds", True
+                elif rows and options.by_the_clock:
+                    ended = gain.too_little(spent(), progress, options.least_gain)
+                    stop = "gain" if ended else stop
         self._best = None
         solution = _best(problem, routing)
         prices = routing.price / UNIT

@@ -32,6 +32,10 @@ MENDED = 80
 """Of a hundred nets that negotiate and are too large for a cheapest tree, so many keep their tree
 but for the paths that overflow. The others grow new ones, or all would keep their trees' shapes."""
 
+LAYERS = 2
+"""Layers by which a net's box extends beyond its pins and its tree: boxes with all ten layers of a
+chip would take twice the time. A net that is rerouted again comes higher each time."""
+
 FIRST_BOX = 4096
 """Points in the largest box that the working memory has room for at first."""
 

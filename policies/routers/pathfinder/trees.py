@@ -27,6 +27,7 @@ from policies.routers.pathfinder.state import (
     EXACT,
     EXACT_LABELS,
     FULL,
+    LAYERS,
     MENDED,
     NEGOTIATE,
     NEGOTIATED_LABELS,
@@ -143,7 +144,7 @@ def list_tree(problem: ProblemArrays, lattice: Lattice, buffers: NetBuffers) -> 
     low, size, point = buffers.low, i64(0), 0
     for x in range(lattice.size[0]):
         for y in range(lattice.size[1]):
-            gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * problem.size[2]
+            gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * problem.size[2] + low[2]
             for z in range(lattice.size[2]):
                 for axis in range(AXES):
                     if lattice.tree[point] >> 2 * axis & 1:
@@ -196,9 +197,9 @@ def plan(
     lattice, search, buffers = memory
     progress = routing.progress[0]
     pins = problem.first[net + 1] - problem.first[net]
-    margin, limit = parameters.margin, i64(FULL)
+    margin, layers, limit = parameters.margin, i64(LAYERS), i64(FULL)
     while True:
-        points = set_box(problem, routing, net, margin, buffers.low, lattice.size)
+        points = set_box(problem, routing, net, margin, layers, buffers.low, lattice.size)
         if points > len(buffers.pin):
             progress.need = points
             return BOX_TOO_SMALL
@@ -231,7 +232,8 @@ def plan(
             break
         if lattice.size[0] == problem.size[0] and lattice.size[1] == problem.size[1]:
             limit = i64(FAR)
-        margin = 2 * margin + 1
+        margin, layers = 2 * margin + 1, problem.size[VIA_AXIS]
+    exact = exact and lattice.size[VIA_AXIS] == problem.size[VIA_AXIS]
     buffers.plan[EDGES], buffers.plan[EXACT] = list_tree(problem, lattice, buffers), i64(exact)
     return DONE
 
