@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from marouting.generator import generate
     from marouting.observations import Observation, PaperObservation
     from marouting.options import EnvOptions
+    from marouting.problem.controls import Area, Controls, ProblemFile, adjusted
     from marouting.problem.field import Field
     from marouting.problem.grid import Move
     from marouting.problem.net import Adjustment, Net, Pin
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 __all__ = [
     "ENVIRONMENT_ID",
     "Adjustment",
+    "Area",
+    "Controls",
     "Engine",
     "EnvOptions",
     "Evaluation",
@@ -47,10 +50,12 @@ __all__ = [
     "Pin",
     "PolicyResult",
     "Problem",
+    "ProblemFile",
     "Reward",
     "Solution",
     "WindowObservation",
     "__version__",
+    "adjusted",
     "evaluate",
     "evaluate_policy",
     "generate",
@@ -64,6 +69,8 @@ __all__ = [
 
 _HOMES = {
     "Adjustment": "problem.net",
+    "Area": "problem.controls",
+    "Controls": "problem.controls",
     "Engine": "batch.engine",
     "EnvOptions": "options",
     "Evaluation": "problem.solution",
@@ -77,9 +84,11 @@ _HOMES = {
     "Pin": "problem.net",
     "PolicyResult": "evaluation",
     "Problem": "problem.problem",
+    "ProblemFile": "problem.controls",
     "Reward": "rewards",
     "Solution": "problem.solution",
     "WindowObservation": "batch.window",
+    "adjusted": "problem.controls",
     "evaluate": "problem.solution",
     "evaluate_policy": "evaluation",
     "generate": "generator",
