@@ -122,11 +122,14 @@ def outcome(folder: Path) -> dict[str, Any]:
     files = [folder / "metrics.jsonl", folder / "evaluations.jsonl"]
     files += sorted((folder / "solutions").iterdir())
     checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
+    policy = torch.load(folder / "policy.pt", weights_only=True)
     del checkpoint["seconds"]
+    for saved in (checkpoint, policy):
+        assert saved["figures"].pop("processor_seconds") > 0
     return {
         **{path.name: path.read_bytes() for path in files},
         "result": results(folder),
-        "policy": content(torch.load(folder / "policy.pt", weights_only=True)),
+        "policy": content(policy),
         "checkpoint": content(checkpoint),
     }
 
@@ -1307,7 +1310,7 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "problems of no names": changed(lambda state: state.update(problems=torch.ones(3, 3))),
     **{
         f"no {key}": changed(lambda state, key=key: state.pop(key))  # type: ignore[misc]
-        for key in ("problems", "training", "trainer", "seconds", "logged", "evaluated")
+        for key in ("problems", "training", "trainer", "seconds", "figures", "logged", "evaluated")
     },
     "no policies": changed(lambda state: state["trainer"].pop("policies")),
     "no moves": changed(lambda state: state["trainer"].pop("moves")),

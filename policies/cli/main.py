@@ -470,6 +470,8 @@ def train(
         if as_json:
             told = {"out": run.folder, "episodes": run.episodes[0], "rows": rows}
             splits: dict[str, Any] = {r.split: r.as_dict(rows=False) for r in standing}
+            if standing:
+                told |= {**asdict(run.figures), "parameters": run.parameters}
             click.echo(as_text({**told, **splits}))
             return
         if len(run.problems) > FEW:

@@ -98,9 +98,16 @@ def play(
     options: Mapping[str, Any] = getattr(policy, "options", {})
     with allowing_code(code for _, code in code_named(options)):
         own = {name: value for name, value in options.items() if name not in PLAYED}
+        if isinstance(own.get("mask"), Mapping):  # its other keys are of interfaces
+            own["mask"] = {key: of for key, of in own["mask"].items() if key == "visited"}
         game = game_options({**own, "scenario": scenario, "split": split})
         _check_game(game, scenario)
-        radius = local_radius_of(game.observation.make())
+        observation = game.observation.make()
+        problems = list(scenarios.get(scenario).problems(split).values())
+        shape = observation.space(problems, game.overflow == "allowed").shape
+        known = tuple(getattr(policy, "obs_shape", shape))
+        check("policy", known == shape, f"one for observations of shape {shape}, found {known}")
+        radius = local_radius_of(observation)
         env = play_split(policy.moves, scenario, split, local=radius is not None, **own)
     sight = WHOLE if radius is None else f"radius {radius}"
     sight += f", {game.message_bits} bits" if game.message_bits else ""

@@ -10,23 +10,26 @@
 
 The configuration of a task holds the arguments of :class:`marouting.vector.BatchEnv`, and
 ``max_cycles``: after so many steps a game has ended.
+
+A checkpoint is scored by ``marouting benchmark --router 'policies.integrations.benchmarl:Policy
+file=…/checkpoints/checkpoint_N.pt'``. To load one runs the code that it holds.
 """
 
+import contextlib
 import copy
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
 from benchmarl.environments.common import Task, TaskClass
 from benchmarl.experiment import Experiment
-from numpy.typing import NDArray
-from tensordict import TensorDict
 from torchrl.data import Composite
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from policies.integrations.torchrl import GROUP, RoutingEnv
+from marouting.config import check
+from marouting.files import naming
+from policies.integrations.saved import Training
+from policies.integrations.torchrl import GROUP, GroupMoves, RoutingEnv
 
 
 class RoutingClass(TaskClass):
@@ -127,32 +130,49 @@ def _part(env: EnvBase, group: str, key: str) -> Composite:
     return Composite({group: part})
 
 
-class Moves:
-    """The moves of a trained policy without exploration, for :func:`marouting.evaluate_policy`.
-
-    Args:
-        experiment: what trained it.
-
-    Attributes:
-        parameters: of its network.
-    """
+class Moves(GroupMoves):
+    """The moves of the policy of an experiment, without exploration."""
 
     def __init__(self, experiment: Experiment) -> None:
-        self._policy = experiment.algorithm.get_policy_for_collection()
-        self._agents = len(experiment.group_map[GROUP])
-        self.parameters = sum(one.numel() for one in self._policy.parameters())
+        policy = experiment.algorithm.get_policy_for_collection()
+        super().__init__(policy, len(experiment.group_map[GROUP]))
 
-    def __call__(self, observations: NDArray[np.float32], masks: NDArray[np.int8]) -> Any:
-        """(B,) moves for (B, *S) observations and (B, A) masks, N of which are a game of its."""
-        rows, n = len(observations), self._agents
-        games = -(-rows // n)
-        seen = np.zeros((games * n, *observations.shape[1:]), np.float32)
-        free = np.ones((games * n, masks.shape[1]), np.bool_)
-        seen[:rows], free[:rows] = observations, masks > 0
-        group = {
-            "observation": torch.from_numpy(seen).unflatten(0, (games, n)),
-            "action_mask": torch.from_numpy(free).unflatten(0, (games, n)),
-        }
-        told = TensorDict({GROUP: TensorDict(group, [games, n])}, [games])
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            return self._policy(told)[GROUP, "action"].flatten()[:rows].numpy()
+
+class Policy(Moves):
+    """The policy in a checkpoint of BenchMARL, with the options of its task.
+
+    Args:
+        file: the checkpoint, as BenchMARL lays it down: in ``checkpoints`` of its run folder.
+        agent_steps, processor_seconds: what its training took; None: not known.
+        teacher: whether it learned from something with sight of the whole problem; None: not known.
+
+    Attributes:
+        options, training, obs_shape: see :mod:`policies.experiment.played`.
+
+    Raises:
+        InputError: it cannot be read, or is of another task.
+    """
+
+    def __init__(
+        self,
+        file: str,
+        agent_steps: int | None = None,
+        processor_seconds: float | None = None,
+        teacher: bool | None = None,
+    ) -> None:
+        known = Path(file).parent.parent / "config.pkl"
+        with naming(known, "cannot be read"), known.open("rb"), contextlib.redirect_stdout(None):
+            experiment = Experiment.reload_from_file(file, {"loggers": [], "evaluation": False})
+        experiment.close()
+        fits = isinstance(experiment.task, RoutingClass)
+        check(file, fits, f"a checkpoint of a task of {__name__}")
+        super().__init__(experiment)
+        task = {key: of for key, of in experiment.task.config.items() if key not in _OF_THE_TASK}
+        self.options = Training(task).options
+        took = {"agent_steps": agent_steps, "processor_seconds": processor_seconds}
+        self.training = {**took, "teacher": teacher}
+        self.obs_shape = tuple(experiment.observation_spec[GROUP, "observation"].shape[1:])
+
+
+_OF_THE_TASK = ("max_cycles", "shared")
+"""Keys of a task that are no options of its environment."""

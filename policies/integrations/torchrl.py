@@ -6,18 +6,28 @@ TorchRL's ``PettingZooWrapper`` plays one game at a time, and needs ``agents_per
 
     env = RoutingEnv(marouting.generate(16, nets=10), reward="normalised")
     env.rollout(100)["next", "nets", "reward"]  # (16, 100, 10, 1)
+
+A policy that :func:`save` has saved is scored by ``marouting benchmark --router
+'policies.integrations.torchrl:Policy file=policy.pt'``, or in Python
+(:func:`marouting.evaluate_policy`). To load one runs the code that it holds.
 """
 
+import os
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from marouting.config import check
+from marouting.files import naming
 from marouting.vector import BatchEnv, Info
+from policies.integrations.saved import Training
 
 GROUP = "nets"
 """The group of all agents."""
@@ -55,6 +65,7 @@ class RoutingEnv(EnvBase):
     Attributes:
         batch: the games, to be read.
         group_map: the agents of the group.
+        taken: what it has been used for; ``training`` is a flag of torch's modules.
 
     Raises:
         InputError: an option or a problem cannot be used.
@@ -72,6 +83,7 @@ class RoutingEnv(EnvBase):
         self.batch = batch = BatchEnv(problems, autoreset=False, **options)
         m, n = batch.num_problems, batch.num_agents
         super().__init__(device=device, batch_size=[m])
+        self.taken = Training(options)
         self.group_map = {GROUP: [f"agent_{i}" for i in range(n)]}
         self._state, self._shared = state, shared
         self._seed_to_be: int | None = None
@@ -109,6 +121,7 @@ class RoutingEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Moves all agents."""
         obs, reward, _, _, info = self.batch.step(tensordict[GROUP, "action"].cpu().numpy())
+        self.taken.agent_steps += int(info["acted"].sum())
         # A game that is over stays so until it is reset.
         over = (self.batch.engine.games["active"] == 0)[:, None]
         seen = self._seen(obs, info)
@@ -156,3 +169,69 @@ class RoutingEnv(EnvBase):
             [m],
             device=self.device,
         )
+
+
+class GroupMoves:
+    """The moves of a policy for a group of N agents, without exploration.
+
+    Args:
+        policy: reads ``("nets", "observation")`` and ``("nets", "action_mask")``, and writes
+            ``("nets", "action")``.
+        agents: N; as many rows are put into a game, whosever they are.
+
+    Attributes:
+        parameters: the number of the policy's.
+    """
+
+    def __init__(self, policy: TensorDictModuleBase, agents: int) -> None:
+        self._policy, self._agents = policy, agents
+        self.parameters = sum(one.numel() for one in policy.parameters())
+
+    def moves(self, observations: NDArray[np.float32], masks: NDArray[np.int8]) -> Any:
+        """(B,) moves for observations (B, *S) and masks (B, A)."""
+        rows, n = len(observations), self._agents
+        games = -(-rows // n)
+        seen = np.zeros((games * n, *observations.shape[1:]), np.float32)
+        free = np.ones((games * n, masks.shape[1]), np.bool_)
+        seen[:rows], free[:rows] = observations, masks > 0
+        group = {
+            "observation": torch.from_numpy(seen).unflatten(0, (games, n)),
+            "action_mask": torch.from_numpy(free).unflatten(0, (games, n)),
+        }
+        told = TensorDict({GROUP: TensorDict(group, [games, n])}, [games])
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            return self._policy(told)[GROUP, "action"].flatten()[:rows].numpy()
+
+
+def save(policy: TensorDictModuleBase, env: RoutingEnv, file: str | os.PathLike[str]) -> None:
+    """Saves a policy with the options of the environment that it was trained in."""
+    batch = env.batch
+    shape = batch.single_observation_space.shape
+    kept = {"policy": policy, "agents": batch.num_agents, "obs_shape": shape}
+    torch.save({**kept, **env.taken.saved()}, file)
+
+
+class Policy(GroupMoves):
+    """A policy that :func:`save` has saved; see :class:`GroupMoves`.
+
+    It shares its parameters among all agents, which must not depend on each other's rows.
+
+    Args:
+        file: the file.
+        teacher: whether it learned from something with sight of the whole problem; None: not known.
+
+    Attributes:
+        options, training, obs_shape: see :mod:`policies.experiment.played`.
+
+    Raises:
+        InputError: the file cannot be read, or is another one.
+    """
+
+    def __init__(self, file: str, teacher: bool | None = None) -> None:
+        with naming(file, "cannot be read"):
+            kept = torch.load(file, map_location="cpu", weights_only=False)
+        fits = isinstance(kept, dict) and {"policy", "agents", "options"} <= kept.keys()
+        check(file, fits, "a policy that policies.integrations.torchrl.save has saved")
+        super().__init__(kept["policy"], kept["agents"])
+        self.options, self.training = kept["options"], {**kept["training"], "teacher": teacher}
+        self.obs_shape = kept["obs_shape"]

@@ -8,8 +8,8 @@
 All nets of a round move at once, see what the scenario suggests, and get one reward: the reduction
 of the team's cost, with :data:`REWARD` as its scale. Nets that are done have a single move, which
 does nothing. ``--steps`` are agent-steps, the moves that nets make. What is printed has the keys of
-``marouting train --json``. The run folder holds BenchMARL's checkpoint, which ``marouting benchmark
---router 'benchmarl file=…'`` scores.
+``marouting train --json``. ``file`` is BenchMARL's checkpoint, which
+:class:`policies.integrations.benchmarl.Policy` plays.
 
 What is set here, of BenchMARL 1.5's options (``benchmarl/conf``):
 
@@ -31,6 +31,8 @@ the last network is kept.
 
 import contextlib
 import json
+import logging
+import pkgutil
 import sys
 import time
 from pathlib import Path
@@ -71,7 +73,7 @@ class _Steps(Callback):  # type: ignore[misc]
         """Evaluates, and ends the training when all steps are made."""
         del training_td, group
         if self.steps >= self.every * (len(self.curve) + 1) or self.steps >= self.most:
-            result = evaluate_policy(Moves(self.experiment), self.scenario, "validation")
+            result = evaluate_policy(Moves(self.experiment).moves, self.scenario, "validation")
             self.curve.append((self.steps, round(result.cost, 4)))
             click.echo(f"{self.steps} agent-steps: {result}", err=True)
         if self.steps >= self.most:
@@ -107,6 +109,7 @@ def train(
     """
     check("steps", steps >= 1, "a number from 1")
     torch.set_num_threads(1)
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # its messages go to the standard output
     began = time.process_time()
     found = scenarios.get(scenario)
     options = {"scenario": scenario, "reward": REWARD, "shared": True}
@@ -141,19 +144,19 @@ def train(
         with contextlib.suppress(_AllMadeError):
             experiment.run()
     seconds = time.process_time() - began
-    moves = Moves(experiment)
+    policy = Moves(experiment)
     row = {
         "row": algorithm,
         "scenario": found.name,
         "seed": seed,
         "agent_steps": counter.steps,
         "processor_seconds": round(seconds, 1),
-        "parameters": moves.parameters,
+        "parameters": policy.parameters,
         "file": str(counter.file),
         "curve": counter.curve,
     }
     for split in scenarios.SPLITS[1:]:
-        row[split] = evaluate_policy(moves, found.name, split, local=3).as_dict(rows=False)
+        row[split] = evaluate_policy(policy.moves, found.name, split, local=3).as_dict(rows=False)
     return row
 
 
@@ -178,4 +181,5 @@ def main(
 
 
 if __name__ == "__main__":
-    main()
+    # By its name, under which BenchMARL's checkpoints name what they hold.
+    pkgutil.resolve_name("policies.integrations.value_decomposition:main")()

@@ -143,9 +143,7 @@ class TrainedPolicy:
             env = build(EnvOptions, state["env"], f"{where}: env")
             told = state.get("negotiation")
             negotiation = told and build(Negotiation, told, f"{where}: negotiation")
-            training = asdict(
-                build(TrainingFigures, state.get("training", {}), f"{where}: training")
-            )
+            training = asdict(build(TrainingFigures, state.get("figures", {}), f"{where}: figures"))
             learner = piece("learner", state["learner"], where=f"{where}: learner")
             if not names or len({len(names), len(weights), len(episodes)}) > 1:
                 raise ValueError(f"{len(names)} names, {len(weights)} networks")

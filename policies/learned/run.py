@@ -248,7 +248,7 @@ class Run:
             self.trainer.load_state(state, str(path))
             self._seconds, self._logged = state["seconds"], state["logged"]
             self._evaluated = state["evaluated"]
-            self._processor_seconds = state["training"]["processor_seconds"]
+            self._processor_seconds = state["figures"]["processor_seconds"]
             for name, time_ in (
                 ("seconds", self._seconds),
                 ("processor_seconds", self._processor_seconds),
@@ -267,7 +267,7 @@ class Run:
 
     def _state(self) -> dict[str, Any]:
         logged = {"logged": self._logged, "evaluated": self._evaluated}
-        told = {"training": asdict(self.figures), "seconds": self._seconds}
+        told = {"figures": asdict(self.figures), "seconds": self._seconds}
         return {**self.trainer.state(), **told, **logged}
 
     @property
@@ -281,6 +281,11 @@ class Run:
             processor_seconds=self._processor_seconds,
             teacher=told or self.config.train.start is not None,
         )
+
+    @property
+    def parameters(self) -> int:
+        """The number of the parameters of the network that plays."""
+        return self.trainer.policy_of(self.trainer.names[0]).parameters
 
     def _share_of_time(self) -> float:
         """The share of ``train.seconds`` that has passed; 0 without such a bound."""
@@ -386,7 +391,7 @@ class Run:
                     saved = time.monotonic()
             keep()  # nothing is trained again if the results below are interrupted
         rows = self._results()
-        told = {"training": asdict(self.figures)}
+        told = {"figures": asdict(self.figures)}
         _save({**self.trainer.policy(), **told}, self.folder / POLICY)
         if config.train.figures:
             # matplotlib: only if it is wanted
