@@ -70,9 +70,11 @@ def contest_cost(solution: Solution) -> ContestCost:
     allowed = via | problem.chip.wires[layer, np.minimum(axis, 1)]
     refused = np.unique(net[~allowed])
     wire = allowed & ~via
+    far = near + problem.strides[axis]
     wires = np.bincount(near[wire], minlength=size).reshape(problem.grid)
-    wired = _wired(solution, wire)
-    demand = 2 * wires + tracks_of_vias(solution)  # in half tracks
+    wired = np.concatenate((net[wire] * size + near[wire], net[wire] * size + far[wire]))
+    stacked = np.setdiff1d(net[via] * size + near[via], wired) % size
+    demand = 2 * wires + _via_demand(problem, contest, stacked)  # in half tracks
     lengths = (contest.x_length, contest.y_length)
     wirelength = sum(
         float(lengths[a] @ wires[..., contest.axis == a].sum(axis=(1 - a, 2))[:-1]) for a in (0, 1)
@@ -122,23 +124,10 @@ def usable(capacity: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(capacity > _LEAST, capacity, 0.0)
 
 
-def _wired(solution: Solution, wire: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Nets · G + Gcell of both ends of some uses of edges."""
-    problem, (net, edge) = solution.problem, solution.uses
-    near = edge[wire] // AXES
-    far = near + problem.strides[edge[wire] % AXES]
-    return np.tile(net[wire], 2) * int(np.prod(problem.grid)) + np.concatenate((near, far))
-
-
-def tracks_of_vias(solution: Solution) -> NDArray[np.int64]:
-    """(X, Y, Z) half tracks that vias take of the edge to the next Gcell along each layer."""
-    problem, (net, edge) = solution.problem, solution.uses
-    contest = contest_of(problem)
-    assert problem.chip is not None
-    size, near, axis = int(np.prod(problem.grid)), edge // AXES, edge % AXES
-    via = axis == VIA_AXIS
-    wire = ~via & problem.chip.wires[near % problem.grid[2], np.minimum(axis, 1)]
-    stacked = np.setdiff1d(net[via] * size + near[via], _wired(solution, wire)) % size
+def _via_demand(
+    problem: Problem, contest: Contest, stacked: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """(X, Y, Z) half tracks that stacked vias take; ``stacked`` are Gcells, with repetitions."""
     demand = np.zeros(problem.grid, np.int64)
     position = np.stack(np.unravel_index(stacked, problem.grid), axis=1)
     for a in (0, 1):

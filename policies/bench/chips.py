@@ -37,9 +37,9 @@ def write_contest(path: Path, nets: int, seed: int = 1) -> None:
     """Writes a problem of the ISPD 2024 contest, PATH.cap and PATH.net.
 
     A wire of one Gcell costs 5 and a via 4, as in the contest; a Gcell that is just full 0.8 to
-    2.6. There are 6 to 10 tracks in a Gcell.
+    2.6. There are 4 to 8 tracks in a Gcell.
     """
-    side = round((nets / 2) ** 0.5)
+    side = round(nets**0.5)
     grid, rng = (side, side, 8), np.random.default_rng(seed)
     problem = generate(
         grid=grid,
@@ -48,7 +48,6 @@ def write_contest(path: Path, nets: int, seed: int = 1) -> None:
         capacity=9,
         reduced_edges=0,
         rent=0.7,
-        hot_spots=4,
         seed=seed,
     )[0]
     lines = [
@@ -59,7 +58,7 @@ def write_contest(path: Path, nets: int, seed: int = 1) -> None:
     ]
     for z in range(grid[2]):
         lines.append(f"metal{z + 1} {z % 2} 400")
-        free = rng.integers(6, 11, (side, side)) if z else np.zeros((side, side), int)
+        free = rng.integers(4, 9, (side, side)) if z else np.zeros((side, side), int)
         lines += [" ".join(map(str, row)) for row in free.tolist()]
     path.with_suffix(".cap").write_text("\n".join(lines) + "\n", encoding="utf-8")
     text = []

@@ -1,20 +1,17 @@
 """The cost of the ISPD 2024 contest as what is minimised (``cost: ispd2024``).
 
-Nets then pay for the length of their wires, for vias, and for what their wires add to the cost of
-overflow (:func:`~policies.routers.pathfinder.kernels.use_cost`). The tracks that vias take are
-counted after every pass and stay the same during the next one. The result is the best solution
-after any pass by the contest's own cost (:func:`marouting.problem.contest.contest_cost`).
+Nets then pay for the length of their wires, for vias, and for what both add to the cost of overflow
+(:func:`~policies.routers.pathfinder.kernels.use_cost`). Apart from rounding, and from what edges
+without use cost, the length of a solution is its cost by the contest's rules
+(:func:`marouting.problem.contest.contest_cost`); there is no overflow beside that.
 """
 
 import numpy as np
 
-from marouting import InputError, Problem, Solution
-from marouting.kernels import compiled, i64
-from marouting.problem.contest import contest_cost, contest_of, tracks_of_vias, usable
+from marouting import InputError, Problem
+from marouting.problem.contest import contest_of, usable
 from marouting.problem.grid import AXES, VIA_AXIS
-from policies.routers.pathfinder.kernels import use_cost
-from policies.routers.pathfinder.state import UNIT, ProblemArrays, Routing, present_solution
-from policies.routers.pathfinder.trees import tree_length
+from policies.routers.pathfinder.state import UNIT, ProblemArrays, Routing
 
 
 def with_contest(
@@ -46,47 +43,7 @@ def with_contest(
             height=np.arange(problem.grid[VIA_AXIS]) * round(contest.via_cost * UNIT / usual),
             overflow_cost=overflow_cost,
             tracks=tracks.reshape(-1),
+            along=contest.axis.astype(np.int64),
         ),
         routing._replace(vias=np.zeros(len(routing.price))),
     )
-
-
-class Judge:
-    """Keeps the best solution by the contest's cost.
-
-    Attributes:
-        solution: that solution; None before the first pass has ended.
-        cost: its cost.
-    """
-
-    def __init__(self, problem: Problem, arrays: ProblemArrays) -> None:
-        self._problem, self._arrays = problem, arrays
-        self.solution: Solution | None = None
-        self.cost = np.inf
-
-    def look(self, routing: Routing) -> None:
-        """Judges the present trees, and counts the tracks that their vias take."""
-        solution = present_solution(self._problem, routing)
-        cost = contest_cost(solution).total
-        if cost < self.cost:
-            self.solution, self.cost = solution, cost
-        axis = contest_of(self._problem).axis
-        vias = np.zeros((*self._problem.grid, AXES))
-        for z, halves in enumerate(np.moveaxis(tracks_of_vias(solution), 2, 0)):
-            vias[..., z, axis[z]] = halves / 2
-        routing.vias[:] = vias.reshape(-1)
-        length = _whole_length(self._arrays, routing)
-        for name in ("length", "last_length", "best_length"):
-            routing.progress[name] = length
-
-
-@compiled
-def _whole_length(problem: ProblemArrays, routing: Routing) -> int:
-    """The length of all trees and what all edges' use costs."""
-    length = i64(0)
-    for net in range(len(routing.length)):
-        length += tree_length(problem, routing, i64(net))
-    for edge in range(len(problem.capacity)):
-        if problem.capacity[edge] >= 0 and edge % AXES != VIA_AXIS:
-            length += use_cost(problem, routing, i64(edge), i64(0))
-    return length

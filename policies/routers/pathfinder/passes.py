@@ -168,7 +168,6 @@ def advance(
         if (
             parameters.lp_passes > 0
             or progress.most > 1
-            or progress.contest
             or progress.history == len(routing.history)
         ):
             return PAUSED

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from marouting import Problem, Solution
 from policies.routers.pathfinder.batches import Crew
-from policies.routers.pathfinder.contest import Judge, with_contest
+from policies.routers.pathfinder.contest import with_contest
 from policies.routers.pathfinder.options import PathfinderOptions
 from policies.routers.pathfinder.relaxation import Relaxation
 from policies.routers.pathfinder.schedule import scheduled
@@ -188,10 +188,8 @@ class PathfinderRouter:
             routing = with_trees(routing, start)
         if prices is not None:
             routing.price[:] = prices * UNIT
-        judge = None
         if options.cost == "ispd2024":
             arrays, routing = with_contest(problem, arrays, routing)
-            judge = Judge(problem, arrays)
         progress = routing.progress[0]
         progress["present"] = present
         progress["large"] |= present > 0
@@ -227,8 +225,6 @@ class PathfinderRouter:
                     passes.append(Pass(KINDS[kind], overflow, length / UNIT, routed))
                 if relaxation is not None and rows:
                     relaxation.after_pass(routing)
-                if judge is not None and rows:
-                    judge.look(routing)
                 progress["history"] = 0
                 asked = False
                 if self.watch is not None:
@@ -241,15 +237,12 @@ class PathfinderRouter:
                     stop = _reason(progress, parameters.passes)
                 elif passes and (asked or left() <= 0):  # the first pass has made a whole solution
                     stop, ended = "asked" if asked else "seconds", True
-                elif rows and options.by_the_clock and (judge is not None or _round_over(progress)):
-                    length = float(progress["best_length"]) if judge is None else judge.cost
+                elif rows and options.by_the_clock and _round_over(progress):
+                    length = float(progress["best_length"])
                     ended = gain.too_little(spent(), length, options.least_gain)
                     stop = "gain" if ended else stop
         self._best = None
         solution = _best(problem, routing)
-        if judge is not None:
-            judge.look(routing)
-            solution = judge.solution or solution
         prices = routing.price / UNIT
         factor = float(progress["present"])
         return Routed(solution, time.perf_counter() - began, tuple(passes), stop, prices, factor)

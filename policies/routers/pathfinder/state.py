@@ -128,6 +128,7 @@ class ProblemArrays(NamedTuple):
     wire: NDArray[np.int64]  # (2, columns or rows) along each axis a wire to the next Gcell
     overflow_cost: NDArray[np.float64]  # (Z,) of a Gcell that is just full
     tracks: NDArray[np.float64]  # (E,) capacities
+    along: NDArray[np.int64]  # (Z,) the axis of each layer's wires
 
 
 class Parameters(NamedTuple):
@@ -248,6 +249,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         wire=np.empty((2, 0), np.int64),
         overflow_cost=np.empty(0),
         tracks=np.empty(0),
+        along=np.empty(0, np.int64),
     )
     routable = np.flatnonzero(np.diff(first) > 1)
     # Short nets come first: they have fewer ways to choose from.

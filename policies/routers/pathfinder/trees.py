@@ -9,8 +9,10 @@ from marouting.kernels import compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.lattice import CLOSED, FAR, Lattice
 from policies.routers.pathfinder.kernels import (
+    beside_via,
     draw,
     grow,
+    is_stacked,
     join_all,
     load_tree,
     mend,
@@ -58,6 +60,8 @@ def use_tree(problem: ProblemArrays, routing: Routing, net: int, sign: int) -> N
         gcell = edge // AXES
         if edge - AXES * gcell == VIA_AXIS:
             progress.length += sign * via_cost(problem, gcell)
+            if progress.contest:
+                _use_via(problem, routing, net, gcell, sign)
             continue
         progress.length += sign * wire_cost(problem, routing, edge) - use_cost(
             problem, routing, edge, i64(0)
@@ -68,6 +72,21 @@ def use_tree(problem: ProblemArrays, routing: Routing, net: int, sign: int) -> N
         progress.length += use_cost(problem, routing, edge, i64(0))
         if not progress.contest:
             progress.overflow += max(-routing.remaining[edge], 0) - over
+
+
+@compiled
+def _use_via(problem: ProblemArrays, routing: Routing, net: int, gcell: int, sign: int) -> None:
+    """Adds the tracks that a via of a net's tree takes beside its lower Gcell, or removes them."""
+    progress, first = routing.progress[0], i64(routing.start[net])
+    last = first + routing.length[net]
+    if not is_stacked(problem, routing.edge, i64(progress.pool), first, last, gcell):
+        return
+    for side in range(2):
+        beside, halves = beside_via(problem, gcell, side)
+        if halves > 0:
+            progress.length -= use_cost(problem, routing, beside, i64(0))
+            routing.vias[beside] += sign * halves / 2
+            progress.length += use_cost(problem, routing, beside, i64(0))
 
 
 @compiled
