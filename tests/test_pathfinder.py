@@ -42,7 +42,6 @@ from policies.routers.pathfinder.relaxation import Relaxation
 from policies.routers.pathfinder.router import _Gain
 from policies.routers.pathfinder.schedule import TUNED, scheduled
 from policies.routers.pathfinder.state import (
-    KINDS,
     RELAX,
     UNIT,
     make_arrays,
@@ -353,25 +352,19 @@ def test_does_not_end_early_with_overflow(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_what_counts_as_little_gain() -> None:
-    """At the end of rounds, over two seconds or the last quarter of the search."""
+    """Over four seconds or the last quarter of the search."""
 
-    def stops(least: float, *found: tuple[float, str, int, int]) -> list[bool]:
+    def stops(least: float, *found: tuple[float, int]) -> list[bool]:
         gain = _Gain()
-        told = []
-        for seconds, kind, overflow, length in found:
-            progress = {"kind": KINDS.index(kind), "best_overflow": overflow, "best_length": length}
-            told.append(gain.too_little(seconds, progress, least))
-        return told
+        return [gain.too_little(seconds, length, least) for seconds, length in found]
 
-    relax = [(0.0, "relax", 0, 10_000), (1.0, "relax", 0, 10_000), (2.0, "relax", 0, 9_990)]
-    assert stops(0.001, *relax) == [False, False, True]  # ten of the twenty that are wanted
-    assert stops(0.0005, *relax) == [False, False, False]
-    assert stops(0.001, *[(t, k, 1, n) for t, k, _, n in relax]) == [False] * 3
-    assert stops(0.001, *[(t, "squeeze", o, n) for t, k, o, n in relax]) == [False] * 3
-    # In the last quarter of 16 seconds: 30 of 40 from 12 seconds on, but 41 from 11 seconds on.
-    late = [(11.0, "repair", 0, 10_041), (12.0, "repair", 0, 10_030), (16.0, "repair", 0, 10_000)]
-    assert stops(0.001, (0.0, "repair", 0, 11_000), *late) == [False, False, False, True]
-    assert stops(0.0007, (0.0, "repair", 0, 11_000), *late) == [False, False, False, False]
+    first = [(0.0, 10_000), (2.0, 10_000), (4.0, 9_990)]
+    assert stops(0.001, *first) == [False, False, True]  # ten of the forty that are wanted
+    assert stops(0.0002, *first) == [False, False, False]
+    # In the last quarter of 24 seconds: 50 of 60.
+    late = [(0.0, 11_000), (17.0, 10_061), (18.0, 10_050), (24.0, 10_000)]
+    assert stops(0.001, *late) == [False, False, False, True]
+    assert stops(0.0008, *late) == [False, False, False, False]
 
 
 @given(problems(), st.sampled_from([0.0, 0.01, 1.0]))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from marouting import Problem, Solution
 from policies.routers.pathfinder.batches import Crew
+from policies.routers.pathfinder.contest import with_contest
 from policies.routers.pathfinder.options import PathfinderOptions
 from policies.routers.pathfinder.relaxation import Relaxation
 from policies.routers.pathfinder.schedule import scheduled
@@ -22,6 +23,8 @@ from policies.routers.pathfinder.state import (
     Routing,
     make_arrays,
     make_parameters,
+    present_solution,
+    solution_of,
     with_trees,
 )
 
@@ -34,7 +37,7 @@ _LEAST_WORK, _MOST_WORK = 1 << 10, 1 << 18
 _WARM = 60
 """Passes of a search that is made to compile all that a search needs."""
 
-_WINDOW, _SHARE = 2.0, 0.25
+_WINDOW, _SHARE = 4.0, 0.25
 """What a search has saved lately is what it saved in so many seconds, and in this share of it."""
 
 Stop = Literal["optimal", "settled", "gain", "passes", "seconds", "asked"]
@@ -89,16 +92,11 @@ class _Gain:
     """How much of its length the best solution without overflow has lately lost."""
 
     def __init__(self) -> None:
-        self._seen: deque[tuple[float, float]] = deque()  # seconds and length after passes
+        self._seen: deque[tuple[float, float]] = deque()  # seconds and length at ends of rounds
 
-    def too_little(self, seconds: float, progress: Any, least: float) -> bool:
-        """Notes the best solution after a pass; whether the search has saved too little lately.
-
-        Within a round nothing is noted: only its last passes find better solutions.
-        """
-        if progress["best_overflow"] > 0 or KINDS[progress["kind"]] not in ("relax", "repair"):
-            return False
-        seen, length = self._seen, float(progress["best_length"])
+    def too_little(self, seconds: float, length: float, least: float) -> bool:
+        """Notes the best solution's length; whether the search has saved too little lately."""
+        seen = self._seen
         seen.append((seconds, length))
         begin = seconds - max(_WINDOW, _SHARE * seconds)
         if seen[0][0] > begin:
@@ -135,7 +133,14 @@ class PathfinderRouter:
     def warm_up(self, problem: Problem) -> None:
         """Compiles what routing needs, by a problem to which ``start`` is no solution."""
         passes = min(self.options.passes, _WARM)
-        options = replace(self.options, start=None, passes=passes, schedule="standard")
+        options = replace(
+            self.options,
+            start=None,
+            passes=passes,
+            schedule="standard",
+            cost="wirelength",
+            via_weight=1.0,
+        )
         PathfinderRouter(options).route(problem)
         if self.options.schedule == "tuned":  # which may use the linear program
             PathfinderRouter(replace(options, lp_passes=1)).route(problem)
@@ -183,6 +188,8 @@ class PathfinderRouter:
             routing = with_trees(routing, start)
         if prices is not None:
             routing.price[:] = prices * UNIT
+        if options.cost == "ispd2024":
+            arrays, routing = with_contest(problem, arrays, routing)
         progress = routing.progress[0]
         progress["present"] = present
         progress["large"] |= present > 0
@@ -230,8 +237,9 @@ class PathfinderRouter:
                     stop = _reason(progress, parameters.passes)
                 elif passes and (asked or left() <= 0):  # the first pass has made a whole solution
                     stop, ended = "asked" if asked else "seconds", True
-                elif rows and options.by_the_clock:
-                    ended = gain.too_little(spent(), progress, options.least_gain)
+                elif rows and options.by_the_clock and _round_over(progress):
+                    length = float(progress["best_length"])
+                    ended = gain.too_little(spent(), length, options.least_gain)
                     stop = "gain" if ended else stop
         self._best = None
         solution = _best(problem, routing)
@@ -251,12 +259,14 @@ def _best(problem: Problem, routing: Routing) -> Solution:
         [progress[f"{when}{what}"] for what in ("overflow", "length")] for when in ("", "best_")
     )
     if KINDS[progress["kind"]] in ("squeeze", "repair") and now < best:
-        edges, first, length = routing.edge[progress["pool"]], routing.start, routing.length
-    else:
-        edges, first, length = routing.best, routing.best_first[:-1], np.diff(routing.best_first)
-    net = np.repeat(np.arange(len(length)), length)
-    place = np.arange(len(net)) + (first - np.cumsum(length) + length)[net]
-    return Solution.of_uses(problem, net, edges[place].astype(np.int64))
+        return present_solution(problem, routing)
+    first = routing.best_first
+    return solution_of(problem, routing.best, first[:-1], np.diff(first))
+
+
+def _round_over(progress: Any) -> bool:
+    """Whether a round without overflow has just ended: only then has it found its best solution."""
+    return progress["best_overflow"] == 0 and KINDS[progress["kind"]] in ("relax", "repair")
 
 
 def _reason(progress: Any, most: int) -> Stop:
