@@ -18,7 +18,8 @@ def check_fields(options: Any, kind: Any = None, **bounds: tuple[float, float]) 
         InputError: a value is none of its field's; the message names the field, what was expected
             and what was found.
     """
-    for name, hint in hints_of(kind or type(options)).items():
+    schema: Any = kind or type(options)
+    for name, hint in hints_of(schema).items():
         value = of_key(name, getattr(options, name), hint)
         object.__setattr__(options, name, value)
         if name in bounds and value is not None:

@@ -23,11 +23,14 @@ from marouting import (
     global_routing_v0,
     sequential_astar,
 )
+from marouting.config import plain, yaml_text
 from marouting.game import Game
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.rules import Rules
-from marouting.source import load_problem
+from marouting.source import fixed_problems, load_problem
 from policies.cli.main import status
+from policies.experiment.config import load_set
+from policies.learned.config import load_config
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 CHIP = Path(__file__).resolve().parents[1] / "docs" / "examples" / "problems" / "chip.def"
@@ -203,6 +206,19 @@ def test_the_environment_plays_the_adjusted_problem() -> None:
     assert env.metrics()["tasks"] > 100
     assert load_problem(ProblemFile(**given)) == expected
     assert len(global_routing_v0.raw_env(problem={"nets": 4}).possible_agents) == 4
+
+
+def test_configurations_take_controls(tmp_path: Path) -> None:
+    given = {"path": str(CHIP), "layers": "2..3", "derate": {"Metal3": 0.5}}
+    expected = ProblemFile(**given).read()
+    assert load_set("chips", given) == {"chip": expected}
+    words = [f"env.problem.path={CHIP}", "env.problem.layers=2..3", "env.problem.derate.Metal3=0.5"]
+    config = load_config(None, words)
+    assert fixed_problems(config.env) == {"chip": expected}
+    (tmp_path / "c.yaml").write_text(yaml_text(plain(config)))
+    assert load_config(tmp_path / "c.yaml") == config
+    with pytest.raises(InputError, match=r"env.problem.layrs: unknown key; did you mean layers"):
+        load_config(None, [*words, "env.problem.layrs=2"])
 
 
 def test_commands_take_controls(tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:

@@ -54,8 +54,13 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
         **rest: Any,
     ) -> None:
         adjusting = build(Controls, override({}, controls), "--control")
-        file = {"path": os.fspath(problem), "lef": lef, "tile": tile}
-        file["net"] = None if net is None else os.fspath(net)
-        command(problem=ProblemFile(**file, **vars(adjusting)), **rest)
+        file = ProblemFile(
+            path=os.fspath(problem),
+            lef=tuple(map(os.fspath, lef)),
+            tile=tile,
+            net=None if net is None else os.fspath(net),
+            **vars(adjusting),
+        )
+        command(problem=file, **rest)
 
     return with_file

@@ -284,11 +284,19 @@ class Trainer:
         while self.running.any():
             self.walks = []
             before = self.player.engine.games["steps"].copy()
-            self.learner.play(self.player, _STEPS)
+            self.learner.play(self.player, self._steps_ahead)
             np.add.at(self.steps, self.games, self.player.engine.games["steps"] - before)
             self.spent = self.clock()
             over = self.player.buffers.over.copy()
             yield self._finish(over) if over.any() or not self.running.any() else []
+
+    @property
+    def _steps_ahead(self) -> int:
+        """Steps of all games until the trainer looks again: it stops soon after ``train.steps``."""
+        if self.config.train.steps is None:
+            return _STEPS
+        left = self.config.train.steps - int(self.steps.sum())
+        return int(np.clip(left // self.player.buffers.actions.size, 1, _STEPS))
 
     def _finish(self, over: NDArray[np.bool_]) -> list[Episode]:
         """Scores the episodes that are over and starts the next ones."""
