@@ -51,8 +51,24 @@ def test_a_training_on_a_device_goes_on_from_its_checkpoint() -> None:
     assert int(steps.split()[0]) > 0
 
 
-def test_an_action_out_of_range_is_told_at_the_next_reset() -> None:
-    assert simulate("check") == ["actions: expected 0 to 5, or -1, found others"]
+def test_games_draw_their_problems_anew_and_leave_nothing_of_the_last() -> None:
+    differs, episodes = simulate("draw")
+    assert differs == "None"
+    assert int(episodes) >= 6
+
+
+def test_what_cannot_be_used_is_told_and_scenarios_order_turns() -> None:
+    assert simulate("check") == [
+        "actions: expected 0 to 5, or -1, found others",  # at the next reset
+        "actions: expected integers of shape (1, 3), found float64 of shape (1, 3)",
+        "actions: expected integers of shape (1, 3), found float64 of shape (1, 3)",
+        "seed: expected a whole number from 0 to 2**64 - 1, found -1",
+        "saved: expected the state of such games, found that of others",
+        "problems: expected a list of problems, or a problem or scenario as well; found 1",
+        "pool: expected a number from 1, found 0.5",
+        "True WindowObservation",
+        "False PaperObservation",
+    ]
 
 
 def test_what_the_device_does_not_know_trains_with_the_networks_alone_on_it() -> None:

@@ -17,6 +17,7 @@ import contextlib
 import functools
 import sys
 import warnings
+import weakref
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -48,6 +49,9 @@ THREADS = 256
 
 WARP = 32
 """Threads that run in step; so many clear a game together."""
+
+DEFAULT_STREAM = 0
+"""The stream of all launches and copies, which torch uses as well."""
 
 cuda: Any = None
 """The module ``numba.cuda``, once there is a :class:`Device`."""
@@ -164,14 +168,15 @@ class Device:
 class Recorded:
     """Launches that are recorded once, as a CUDA graph, and then repeated by a single call.
 
-    Numba takes a third of a millisecond to pass on the arguments of a launch.
+    Numba takes a third of a millisecond to pass on the arguments of a launch. The arrays and the
+    kernels have to outlive this object, which does not keep them: whoever owns both would otherwise
+    be part of a cycle, and its memory on the device would wait for Python's garbage collector.
     """
 
     def __init__(self, launch: Callable[[Any], None]) -> None:
         from cuda.bindings import driver
 
         self._driver = driver
-        self._keeps = launch  # and with it the arrays
         stream = cuda.stream()
         handle = int(stream.handle)
         mode = driver.CUstreamCaptureMode.CU_STREAM_CAPTURE_MODE_RELAXED
@@ -179,10 +184,13 @@ class Recorded:
         launch(stream)
         graph = self._checked(driver.cuStreamEndCapture(handle))
         self._graph = self._checked(driver.cuGraphInstantiate(graph, 0))
+        self._checked(driver.cuGraphDestroy(graph))
+        destroys = weakref.finalize(self, driver.cuGraphExecDestroy, self._graph)
+        destroys.atexit = False  # a process that ends frees everything
 
-    def __call__(self, stream: int) -> None:
-        """Repeats the launches on a stream."""
-        self._checked(self._driver.cuGraphLaunch(self._graph, stream))
+    def __call__(self) -> None:
+        """Repeats the launches."""
+        self._checked(self._driver.cuGraphLaunch(self._graph, DEFAULT_STREAM))
 
     @staticmethod
     def _checked(answer: Any) -> Any:
