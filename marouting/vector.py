@@ -131,6 +131,8 @@ class BatchEnv(EzPickle):
             device=device,
             **options,
         )
+        kind = type(self).__name__
+        check("device", device == "cpu", f"cpu for the class {kind}, found {device!r}")
         if not (is_whole(threads) and threads >= 1):
             raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
         checked = batch_options(options, everyone=everyone)

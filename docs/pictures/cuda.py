@@ -28,9 +28,9 @@ def curves(report: dict[str, Any]) -> dict[str, Curve]:
         )
     }
     found["IPPO, trained on gates-8x7-v0"] = [
-        (row["games"], row["trained_steps_per_s"])
+        (row["games"], row["agent_steps_per_s"])
         for row in report["learning"]
-        if row["learner"] == "ippo" and "trained_steps_per_s" in row
+        if row["learner"] == "ippo" and "agent_steps_per_s" in row
     ]
     return found
 

@@ -5,9 +5,13 @@ The rules are those of the processor: the kernels of :mod:`marouting.batch` and
 what one agent sees; a warp clears a game whose episode begins. A step is five launches: games
 begin, games move, agents whose tasks have ended see where they arrived, games settle, agents see.
 
-Bytes set the pace. So agents are numbered in turn order: threads that play neighbouring games then
-read neighbouring addresses. What an agent reads around itself lies together, in the smallest types
-that hold it (:mod:`marouting.cuda.env`).
+Scattered reads set the pace. So agents are numbered in turn order: threads that play neighbouring
+games then read neighbouring addresses. What an agent reads around itself lies together, in the
+smallest types that hold it (:mod:`marouting.cuda.env`).
+
+Compiled kernels are not kept on disk. ``cache=True`` of numba-cuda would take old ones for as long
+as this file does not change, whatever becomes of the rules, and would raise an error where nothing
+can be written. What it would take is in :mod:`marouting.compiling`.
 
 Without a device, numba's simulator runs the same code as Python (``NUMBA_ENABLE_CUDASIM=1``), which
 is slow and meant for tests.

@@ -341,14 +341,14 @@ def learning(
         if rollouts == 2:  # all is compiled
             first = moves, now
         if rollouts > 1 and rollouts & (rollouts - 1) == 0:
-            yield {**what, "moves": moves, "seconds": now - begin, "joined": told.joined}
+            yield {**what, "agent_steps": moves, "seconds": now - begin, "joined": told.joined}
     rate = (moves - first[0]) / max(now - first[1], 1e-9)
     result = marouting.evaluate_policy(trained, scenario, "test")
     yield {
         **what,
-        "moves": moves,
+        "agent_steps": moves,
         "seconds": now - begin,
-        "trained_moves_per_s": rate,
+        "agent_steps_per_s": rate,
         "test_cost": result.cost,
         "test_solved": result.solved,
     }
