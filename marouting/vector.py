@@ -141,13 +141,12 @@ class BatchEnv(EzPickle):
         once = not play_once or not is_whole(problems)
         check("play_once", once, "false: these games draw their problems")
         episodes = drawn_from(problems, problem, checked)
-        draws = episodes and self._draws_of(episodes, seed, cast(int, problems))
-        if draws is None:
+        draws = None
+        if episodes is None:
             self.engine = engine = Engine(fixed_batch(problems, checked), checked)
         else:
-            self.engine = engine = Engine(
-                draws.problems.tolist(), checked, room=draws.episodes.room
-            )
+            draws = self._draws_of(episodes, seed, cast(int, problems))
+            self.engine = engine = Engine(draws.problems.tolist(), checked, room=episodes.room)
         self._draws = draws
         bounds = draws.episodes.bounds if draws else engine.problems
         self.autoreset, self._everyone = autoreset and not play_once, everyone

@@ -62,9 +62,9 @@ class Follower:
 def draw() -> None:
     """Compares games that draw their problems with the same problems on the processor.
 
-    Problems have different numbers of nets. Once, one of the games begins before its time; and from
-    the middle on, a copy of the environment plays. Prints what differs first, and how many episodes
-    were played.
+    Problems have different numbers of nets. Once, one of the games begins before its time, and from
+    the middle on, a copy of the environment plays. Prints what differs first, then how many
+    episodes were played and how many different problems the games drew.
     """
     options: dict[str, Any] = {
         "observation": {**WINDOW, "radius": 1}, "reward": "team", "max_steps": 5,
@@ -74,13 +74,16 @@ def draw() -> None:
         for nets in (2, 4, 3)
     ]
     env: Any = BatchEnv(2, problem=problems, device="cuda", **options)
-    rng, followers, episodes, differs = np.random.default_rng(0), {}, 0, None
+    rng = np.random.default_rng(0)
+    followers: dict[int, Follower] = {}
+    drawn: list[tuple[int, int]] = []
+    differs: str | None = None
     obs, info = env.reset(seed=3)
     begins = np.ones(2, np.bool_)
     for step in range(30):
         for m in np.flatnonzero(begins).tolist():
-            number, episodes = int(on_host(info["problem"])[m]), episodes + 1
-            followers[m] = Follower(env.pool[number], options)
+            drawn.append((m, int(on_host(info["problem"])[m])))
+            followers[m] = Follower(env.pool[drawn[-1][1]], options)
         for m, follower in followers.items():
             differs = differs or follower.differs(obs, info, env.nets, m)
         mask, begins = on_host(info["action_mask"]), on_host(info["over"])
@@ -97,7 +100,7 @@ def draw() -> None:
         for m in np.flatnonzero(~begins).tolist():
             followers[m].step(moves[m])
     print(differs)
-    print(episodes)
+    print(len(drawn), len(set(drawn)))
 
 
 def check() -> None:

@@ -52,9 +52,11 @@ def test_a_training_on_a_device_goes_on_from_its_checkpoint() -> None:
 
 
 def test_games_draw_their_problems_anew_and_leave_nothing_of_the_last() -> None:
-    differs, episodes = simulate("draw")
+    differs, counts = simulate("draw")
     assert differs == "None"
-    assert int(episodes) >= 6
+    episodes, problems = map(int, counts.split())
+    assert episodes >= 6
+    assert problems > 2  # of two games
 
 
 def test_what_cannot_be_used_is_told_and_scenarios_order_turns() -> None:

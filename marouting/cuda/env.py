@@ -124,8 +124,9 @@ class CudaBatchEnv(BatchEnv):
         check("play_once", once, "false: these games draw their problems")
         observation, reward = checked.observation.make(), checked.reward.make()
         self.autoreset, self._everyone = autoreset and not play_once, everyone
-        if isinstance(problem, ProblemStream):  # a training has one already
-            episodes: ProblemStream | None = problem
+        given: Any = problem
+        if isinstance(given, ProblemStream):  # a training has one already
+            episodes: ProblemStream | None = given
         else:
             episodes = drawn_from(problems, problem, checked)
         self._drawn = episodes is not None
