@@ -361,6 +361,9 @@ class Launches(NamedTuple):
 def launches(see: Any, prepare: Any, tell: Any) -> Launches:
     """The kernels of a step, for an observation.
 
+    With ``window`` the arguments of ``move`` take 4089 bytes. CUDA before 12.1 refuses more than
+    4096: one array more, and drivers before that cannot be used.
+
     Args:
         see: writes what an agent sees, with arguments (static, dynamic, look, m, n, out, row).
         prepare: makes what ``see`` needs of game m, with arguments (dynamic, look, m).
