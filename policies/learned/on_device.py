@@ -26,6 +26,7 @@ from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.ppo import PPOOptions
 from policies.learned.checkpoint import checked
+from policies.learned.trainer import torch_device
 
 _NEVER = -1e9
 
@@ -68,7 +69,8 @@ class DevicePPO:
         critic: gives the value of what an agent sees.
 
     Raises:
-        InputError: the observation has an order of moves that is not known on a device.
+        InputError: the observation has an order of moves that is not known on a device, moves have
+            messages, or torch cannot use the device.
     """
 
     def __init__(
@@ -81,7 +83,7 @@ class DevicePPO:
         seed: int = 0,
     ) -> None:
         self.env, self.options, self.steps = env, options, steps
-        self.device = torch.device("cuda" if on_cuda(env) else "cpu")
+        self.device = torch_device("cuda" if on_cuda(env) else "cpu")
         known = not has_move_order(observation) or type(observation) is WindowObservation
         check("observation", known, "paper or window on a device")
         self.mirrored = has_move_order(observation)
@@ -360,9 +362,9 @@ class DevicePPO:
                 np.frombuffer(part, now.dtype).reshape(now.shape)
                 for part, now in zip(parts, env.save(), strict=True)
             ]
+            env.restore(arrays)
         except ValueError:
             raise InputError(f"{where}: games: expected those of such a training") from None
-        env.restore(arrays)
 
     @torch.no_grad()
     def __call__(self, obs: Any, mask: Any) -> Any:

@@ -85,7 +85,7 @@ class Trainer:
         self.config, self.problems, self.names = config, dict(problems), tuple(problems)
         train, learner = config.train, config.learner
         use_threads(train.threads)
-        device = _device(train.device)
+        device = torch_device(train.device)
         # What needs no game is checked first.
         if not issubclass(learner.cls, Learner):
             raise InputError(
@@ -595,7 +595,8 @@ def _score(metrics: Metrics, reward: float | None) -> tuple[float, ...]:
     return (metrics.tasks - metrics.joined, *by)
 
 
-def _device(name: str) -> torch.device:
+def torch_device(name: str) -> torch.device:
+    """A device of torch's; raises InputError if it cannot be used."""
     try:
         device = torch.device(name)
         torch.zeros(1, device=device).cpu()
