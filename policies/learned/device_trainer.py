@@ -136,6 +136,7 @@ class DeviceTrainer:
         if not self.steps[0]:
             for weights in self.start:
                 self.ppo.actor.load_state_dict(weights)
+            self._best = self._weights()
         while self.running[0]:
             self.ppo.progress = self._share()
             with _allocating():
