@@ -414,9 +414,12 @@ def taken(value: Any, hint: Any) -> Any:
     if hasattr(value, "tolist"):  # NumPy's
         value = value.tolist()
     forms = _forms(hint)
-    for form in forms:
-        if form.fits(value):
-            return form.take(value)
+    fitting = [form for form in forms if form.fits(value)]
+    if len(fitting) > 1 and (isinstance(value, Mapping) or is_dataclass(value)):
+        given = value if isinstance(value, Mapping) else [f.name for f in fields(value)]
+        fitting = [form for form in fitting if form.keys <= set(given)] or fitting
+    if fitting:
+        return fitting[0].take(value)
     *words, last = dict.fromkeys(form.words for form in forms)
     expected = f"{', '.join(words)} or {last}" if words else last
     new = RENAMED_VALUES.get(value) if isinstance(value, str) else None
@@ -430,6 +433,7 @@ class _Form(NamedTuple):
     words: str
     fits: Callable[[Any], object]
     take: Callable[[Any], Any]
+    keys: frozenset[str] = frozenset()  # of a schema: those without a default
 
 
 def _text(value: str | os.PathLike[str]) -> str:
@@ -488,7 +492,8 @@ def _form(kind: Any) -> _Form:
     if is_dataclass(kind) or hasattr(kind, "__required_keys__"):  # or a TypedDict
         take, keys = functools.partial(_record, kind), list(hints_of(kind))
         words = f"a mapping of {', '.join(keys)}" if len(keys) < _FEW else "a mapping"
-        return _Form(words, lambda v: isinstance(v, Mapping) or is_dataclass(type(v)), take)
+        fits = lambda v: isinstance(v, Mapping) or is_dataclass(type(v))  # noqa: E731
+        return _Form(words, fits, take, frozenset(_required(kind)))
     return _PLAIN.get(kind, _Form("a value", lambda _: True, lambda v: v))
 
 

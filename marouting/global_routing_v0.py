@@ -207,10 +207,12 @@ gain: if every net follows A*, the paper's rules connect all nets on 4 of 10 tes
 ## Problems
 
 `problem` is a `Problem`, a file, or a mapping of generator options
-(:class:`marouting.generator.GeneratorOptions`). It may also be a folder or a list. Every episode
-then plays one of its problems, drawn at random; `problem_name` says which. With `scenario` and
-`split` the problems are those of a benchmark scenario (:mod:`marouting.scenarios`): a new training
-problem in every episode, or one of the fixed validation or test problems.
+(:class:`marouting.generator.GeneratorOptions`) or of a file with controls, such as
+``{"path": "chip.def", "layers": "2..6"}`` (:class:`marouting.problem.controls.ProblemFile`). It may
+also be a folder or a list. Every episode then plays one of its problems, drawn at random;
+`problem_name` says which. With `scenario` and `split` the problems are those of a benchmark
+scenario (:mod:`marouting.scenarios`): a new training problem in every episode, or one of the fixed
+validation or test problems.
 
 ## Many problems at once
 

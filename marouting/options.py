@@ -7,6 +7,7 @@ from typing import Any, Literal
 from marouting.config import Named, build, check, merged, piece_field, take_pieces, unknown_key
 from marouting.errors import UnknownOption
 from marouting.generator import GeneratorOptions
+from marouting.problem.controls import ProblemFile
 from marouting.rules import Rules, TurnOrder
 from marouting.scenarios import Split, load, names
 
@@ -23,7 +24,7 @@ It has no reduced edges. They take a search, and compiling it would double the t
 PLAYED = ("problem", "scenario", "split")  # the options that say which problems are played, not how
 
 
-ProblemSource = str | tuple[str, ...] | GeneratorOptions
+ProblemSource = str | tuple[str, ...] | ProblemFile | GeneratorOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +34,9 @@ class GameOptions(Rules):
     The options of the rules come from :class:`marouting.rules.Rules`.
 
     Attributes:
-        problem: a ``.gr`` file, a folder of them, a list of both, or generator options
+        problem: a problem's file, a folder of ``.gr`` files, a list of both, a file with controls
+            such as ``{path: chip.def, layers: 2..6}``
+            (:class:`marouting.problem.controls.ProblemFile`), or generator options
             (:class:`marouting.generator.GeneratorOptions`). With several problems, every reset
             draws one; with ``seed: null`` the generator makes a new one. None: a small problem,
             or those of the scenario.

@@ -16,6 +16,7 @@ from marouting.errors import InputError
 from marouting.files import is_dir, stem_of, suffix_of
 from marouting.generator import GeneratorOptions, generate_from
 from marouting.options import SMALL, GameOptions
+from marouting.problem.controls import ProblemFile
 from marouting.problem.net import MAX_NUMBER, is_whole
 from marouting.problem.problem import Problem
 from marouting.scenarios import Scenario, Split, get
@@ -24,24 +25,28 @@ Source = (
     Problem
     | Sequence[Problem]
     | GeneratorOptions
+    | ProblemFile
     | str
     | os.PathLike[str]
     | Sequence[str]
     | Mapping[str, Any]
     | None
 )
-"""A problem or several, options of the generator, a file, a folder, a list of both; None: a small
-problem."""
+"""A problem or several, options of the generator, a file, perhaps with controls, a folder, a list
+of files and folders; None: a small problem."""
+
+Checked = tuple[Problem, ...] | GeneratorOptions | ProblemFile | tuple[str, ...]
+"""A source that has been checked."""
 
 AHEAD = 1024  # problems of a stream without end that are drawn ahead
 MOST_PROBLEMS = 10_000  # the most problems that an environment keeps
 
 
-def checked_source(source: Source) -> tuple[Problem, ...] | GeneratorOptions | tuple[str, ...]:
-    """A source in one of three forms; raises InputError for anything else."""
+def checked_source(source: Source) -> Checked:
+    """A source in one of four forms; raises InputError for anything else."""
     if source is None:
         return SMALL
-    if isinstance(source, GeneratorOptions):
+    if isinstance(source, GeneratorOptions | ProblemFile):
         return source
     if isinstance(source, Problem):
         return (source,)
@@ -75,6 +80,8 @@ def load_problems(source: Source) -> dict[str, Problem]:
     source = checked_source(source)
     if isinstance(source, GeneratorOptions):
         return {generated_name(i): p for i, p in enumerate(generate_from(source))}
+    if isinstance(source, ProblemFile):
+        return {source.stem: source.read()}
     if not source:
         raise InputError("problem: expected at least one, found an empty list")
     if isinstance(source[0], Problem):

@@ -88,12 +88,15 @@ def any_problem(rng: Random) -> Problem:
     def layers() -> tuple[int, ...]:
         return tuple(rng.choices(range(10), k=grid[2]))
 
+    def any_width() -> int | tuple[int, ...]:
+        return rng.choice((rng.randrange(10), layers()))
+
     def pin() -> Pin:
         left, low = rng.randrange(grid[0] * width), rng.randrange(grid[1] * height)
         return Pin(x + left, y + low, rng.randint(1, grid[2]))
 
     nets = [
-        Net(f"{rng.choice('n(1é!&')}{i}", rng.randrange(10**9), tuple(pins), rng.randrange(10))
+        Net(f"{rng.choice('n(1é!&')}{i}", rng.randrange(10**9), tuple(pins), any_width())
         for i in range(rng.randint(1, 5))
         if (pins := [pin() for _ in range(rng.randint(1, 4))])
     ]

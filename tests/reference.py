@@ -101,6 +101,11 @@ def steiner_length(problem: Problem) -> NDArray[np.int64]:
     return length
 
 
+def own_width(net: Net, layer: int) -> int:
+    """The minimum width of a net's wires in a layer, from 0."""
+    return net.min_width[layer] if isinstance(net.min_width, tuple) else net.min_width
+
+
 def plain_evaluation(solution: Solution) -> Evaluation:
     """The figures of a solution, from its edges as pairs of Gcells."""
     problem = solution.problem
@@ -117,7 +122,7 @@ def plain_evaluation(solution: Solution) -> Evaluation:
             graph.add_edge(*edge)
             vias += is_via(edge)
             if not is_via(edge):
-                width = max(net.min_width, problem.min_width[near[2]])
+                width = max(own_width(net, near[2]), problem.min_width[near[2]])
                 taken[edge] = taken.get(edge, 0) + width + problem.min_spacing[near[2]]
         lengths += len(numbers)
         pieces = sum(not set(pins).isdisjoint(part) for part in nx.connected_components(graph))
@@ -482,7 +487,8 @@ class Game:
         if is_via(edge):
             return 0
         layer = edge[0][2]
-        width = max(self.problem.nets[self.agents[n].net].min_width, self.problem.min_width[layer])
+        net = self.problem.nets[self.agents[n].net]
+        width = max(own_width(net, layer), self.problem.min_width[layer])
         return width + self.problem.min_spacing[layer]
 
     def remaining(self, edge: Edge) -> int | None:
@@ -685,7 +691,10 @@ def contested(
     nets = []
     for index in range(draw(st.integers(1, max_nets))):
         pins = [pin() for _ in range(rng.integers(1, max_pins + 1))]
-        nets.append(Net(f"n{index}", index, tuple(pins), int(rng.integers(0, 3))))
+        width: int | tuple[int, ...] = int(rng.integers(0, 3))
+        if rng.random() < 0.2:
+            width = tuple(rng.integers(0, 3, layers).tolist())
+        nets.append(Net(f"n{index}", index, tuple(pins), width))
     # One net surely has something to route.
     far = Pin(origin[0] + columns * tile[0] - 1, origin[1] + rows * tile[1] - 1, layers)
     ends = (Pin(*origin, 1), far)

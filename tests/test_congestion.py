@@ -1,15 +1,18 @@
 """Congestion maps, which stand for drawings of too many nets."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import solved_problems
 
-from marouting import generate, sequential_astar
+from marouting import Adjustment, Problem, generate, sequential_astar
 
 figures = pytest.importorskip("policies.figures", exc_type=ImportError)
 congestion = pytest.importorskip("policies.figures.congestion", exc_type=ImportError)
+utilisation = pytest.importorskip("policies.results.utilisation", exc_type=ImportError)
 
 
 @given(solved_problems(), st.sampled_from([1, 2, 3, 1024]))
@@ -95,3 +98,25 @@ def test_exactly_full_is_blue_whatever_the_scale(most):
     full, above = scale.to_rgba(np.array([100.0, most])).tolist()
     assert full[2] > full[0] + 0.3
     assert above[0] > above[2] + 0.3
+
+
+def test_maps_of_designs_show_the_tracks_that_are_free() -> None:
+    problem = generate(1, (6, 5, 2), nets=4, capacity=4, reduced_edges=0, seed=1)[0]
+    less = Adjustment(1, 2, 1, 2, 2, 1, 1), Adjustment(3, 0, 2, 3, 1, 2, 0)
+    chip = replace(problem, adjustments=less, chip=problem.chip_or_default)
+    expected = np.full((2, 6, 5), 100.0)
+    expected[0, 1, 2], expected[1, 3, 0] = 25, 0
+    assert utilisation.free_tracks(chip).tolist() == expected.tolist()
+    coarse = utilisation.free_tracks(chip, 3)
+    assert coarse.shape == (2, 3, 3)
+    assert (coarse[0, 0, 1], coarse[1, 1, 0], np.count_nonzero(coarse < 100)) == (25, 0, 2)
+
+    flat = generate(1, (1, 5, 1), nets=2, capacity=4, reduced_edges=0, seed=1)[0]
+    assert utilisation.free_tracks(flat).tolist() == [[[100.0] * 5]]
+
+    def titles(problem: Problem) -> list[str]:
+        figure = congestion.congestion_map(problem, sequential_astar(problem), "p")
+        return [axes.get_title() for axes in figure.axes if axes.get_title()]
+
+    assert titles(chip)[-2:] == ["tracks of Metal1", "tracks of Metal2"]
+    assert not any("tracks" in title for title in titles(problem))

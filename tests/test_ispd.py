@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import networkx
@@ -10,7 +11,16 @@ import pytest
 from hypothesis import given
 from strategies import problems, solved_problems
 
-from marouting import Adjustment, Net, Pin, Problem, Solution, evaluate, sequential_astar
+from marouting import (
+    Adjustment,
+    InputError,
+    Net,
+    Pin,
+    Problem,
+    Solution,
+    evaluate,
+    sequential_astar,
+)
 from marouting.problem.grid import AXES, VIA_AXIS
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
@@ -417,3 +427,25 @@ def test_nets_of_thousands_of_pins_find_the_gaps(
     crossing = used[(used >= wall[0]) & (used < wall[1]) & (used % AXES == 0)] // AXES
     assert set((crossing // problem.strides[1] % problem.grid[1]).tolist()) <= {28, 29}
     assert len(crossing)
+
+
+def test_a_net_may_have_a_width_for_each_layer(tmp_path: Path) -> None:
+    pins = (Pin(0, 0, 1), Pin(2, 2, 1))
+    nets = Net("wide", 1, pins, (1, 3)), Net("plain", 2, pins), Net("equal", 3, pins, (2, 2))
+    problem = Problem((3, 3, 2), (0, 5), (5, 0), nets, (1, 2), (0, 1), (0, 0))
+    assert [net.min_width for net in problem.nets] == [(1, 3), 1, 2]
+    assert problem.net_demand.tolist() == [[1, 4], [1, 3], [2, 3]]
+    problem.write(tmp_path / "p.gr")
+    assert "wide 1 2 1 3\n" in (tmp_path / "p.gr").read_text()
+    assert Problem.read(tmp_path / "p.gr") == problem
+    with pytest.raises(InputError, match="ispd98 cannot hold it: net wide: expected minimum width"):
+        problem.write(tmp_path / "p.gr", "ispd98")
+    (tmp_path / "p.gr").write_text(
+        (tmp_path / "p.gr").read_text().replace("wide 1 2 1 3", "wide 1 2 1 3 4")
+    )
+    with pytest.raises(InputError, match=r"p.gr:9: expected net 1 of 3 \(name, id"):
+        Problem.read(tmp_path / "p.gr")
+    with pytest.raises(
+        InputError, match="net wide: expected one minimum width or 2, one per layer"
+    ):
+        replace(problem, nets=(replace(nets[0], min_width=(1, 2, 3)),))

@@ -9,7 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from marouting import InputError, Problem, Solution, evaluate
+from marouting import (
+    Controls,
+    InputError,
+    Problem,
+    ProblemFile,
+    Solution,
+    adjusted,
+    evaluate,
+)
 from policies.cli.main import status
 
 pytest.importorskip("klayout.db")
@@ -366,7 +374,11 @@ def test_without_the_extra_it_says_so(
 
 @needs_ispd18
 def test_the_contests_own_guide_joins_all_its_nets() -> None:
-    problem = Problem.read(ISPD18 / "ispd18_test1.input.def")
+    design = ISPD18 / "ispd18_test1.input.def"
+    squares = Problem.read(design)
+    assert (squares.grid, squares.tile) == ((68, 67, 9), (5700, 5700))  # 15 tracks of Metal3
+    assert squares.layer_capacity[:, :2].max(axis=1).tolist()[:2] == [0, 14]
+    problem = Problem.read(design, tile=(6000, 5700), pin_layer_wires=True)
     assert problem.grid == (65, 67, 9)  # as in the guide
     assert problem.chip is not None
     assert (problem.chip.x[-2:].tolist(), problem.chip.y[-2:].tolist()) == (
@@ -552,3 +564,91 @@ def test_what_klayout_refuses_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         Problem.read(file)
     assert str(caught.value).startswith(f"{file.with_suffix('.lef')}:36: klayout: ")
+
+
+# --- nondefault rules, clocks, pin layers, square Gcells ------------------------------------------
+
+RULES = {
+    "lef": """\
+NONDEFAULTRULE wide
+  LAYER M1
+    WIDTH 0.08 ;
+    SPACING 0.12 ;
+    WIREEXTENSION 0.1 ;
+  END M1
+  VIA v1 DEFAULT
+    LAYER M1 ; RECT -0.1 -0.1 0.1 0.1 ;
+  END v1
+  SPACING
+    LAYER M1 CUT 0.1 ;
+  END SPACING
+  USEVIA v2 ;
+END wide
+""",
+    "def": """\
+NONDEFAULTRULES 1 ;
+- wide + HARDSPACING + LAYER M1 WIDTH 80 SPACING 120 WIREEXT 100 + VIA v1 ;
+END NONDEFAULTRULES
+""",
+}
+
+
+@pytest.mark.parametrize("place", RULES)
+def test_nets_with_a_nondefault_rule_take_more_tracks(tmp_path: Path, place: str) -> None:
+    lef = LEF.replace("END LIBRARY", RULES["lef"] + "END LIBRARY") if place == "lef" else LEF
+    text = DEF.replace("NETS 2", f"{RULES['def']}NETS 2") if place == "def" else DEF
+    text = text.replace("( u1 A ) + USE", "( u1 A ) + NONDEFAULTRULE wide + USE")
+    problem = Problem.read(design(tmp_path, text, lef))
+    # 80 wide and 120 apart, where tracks are 100 apart; M2 is as usual.
+    assert [net.min_width for net in problem.nets] == [(2, 1), 1]
+    assert problem.net_demand.tolist() == [[2, 1], [1, 1]]
+    wide = text.replace("wide + USE", "wider + USE")
+    with pytest.raises(InputError, match=r"chip.def:[0-9]+: net n1: did you mean wide"):
+        Problem.read(design(tmp_path, wide, lef))
+
+
+def test_clock_nets_of_a_design(tmp_path: Path) -> None:
+    problem = Problem.read(design(tmp_path, DEF.replace("USE SIGNAL ;", "USE CLOCK ;")))
+    assert problem.chip is not None
+    assert problem.chip.clock is not None
+    assert problem.chip.clock.tolist() == [True, False]
+    ranged = adjusted(problem, Controls(clock_layers="1..2", layers="1..2"))
+    assert ranged.nets == problem.nets
+    without = Problem.read(design(tmp_path)).chip
+    assert without is not None
+    assert without.clock is None
+
+
+THIRD = """\
+LAYER M3
+  TYPE ROUTING ;
+  DIRECTION HORIZONTAL ;
+  PITCH 0.05 ;
+  WIDTH 0.02 ;
+END M3
+"""
+
+
+def test_the_layer_of_pins_has_no_wires_where_others_do(tmp_path: Path) -> None:
+    lef = LEF.replace("MACRO", f"{THIRD}MACRO", 1)
+    file = design(tmp_path, DEF, lef)
+    assert Problem.read(file).horizontal_capacity[0] == 0
+    assert Problem.read(file).horizontal_capacity[2] > 0
+    asked = Problem.read(file, pin_layer_wires=True)
+    ranged = ProblemFile(path=str(file), layers="1..3").read()
+    assert ranged.capacity.tolist() == asked.capacity.tolist()
+    assert capacities(asked, 0, 0) == capacities(Problem.read(design(tmp_path)), 0, 0)
+    # The lowest layer has wires if it holds fewer pins, or no other has wires along its axis.
+    upper = lef.replace("LAYER M1 ;\n        RECT", "LAYER M2 ;\n        RECT")
+    assert upper != lef
+    assert Problem.read(design(tmp_path, DEF, upper)).capacity[::3].reshape(3, 3, 3)[..., 0].any()
+
+
+def test_gcells_without_a_grid_are_squares(tmp_path: Path) -> None:
+    text = "\n".join(line for line in DEF.split("\n") if not line.startswith("GCELLGRID"))
+    text = text.replace("( 1000 1000 )", "( 3000 2000 )")
+    lef = LEF.replace("MACRO", f"{THIRD}MACRO", 1)
+    problem = Problem.read(design(tmp_path, text, lef))
+    assert (problem.tile, problem.grid) == ((750, 750), (4, 2, 3))  # 15 tracks of M3
+    assert problem.chip is not None
+    assert problem.chip.y.tolist() == [0, 750, 2000]

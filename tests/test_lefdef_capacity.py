@@ -241,7 +241,7 @@ def raster_capacity(design: Design, problem: Problem, layer: str) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(40))
 def test_capacities_and_pins_of_random_designs(tmp_path: Path, seed: int) -> None:
     design = Design(seed)
-    problem = Problem.read(design.write(tmp_path), tile=(17, 19))
+    problem = Problem.read(design.write(tmp_path), tile=(17, 19), pin_layer_wires=True)
     assert problem.chip is not None
     capacity = problem.capacity.reshape(*problem.grid, 3)
     for z, layer in enumerate(LAYERS):

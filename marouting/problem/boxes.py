@@ -77,12 +77,18 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
     return np.divmod(uses, AXES * size)
 
 
-def boxes_of(problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]) -> Boxes:
+def boxes_of(
+    problem: Problem,
+    net: NDArray[np.int64],
+    edge: NDArray[np.int64],
+    more: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None,
+) -> Boxes:
     """Boxes that cover routes, edges (k,) of nets (k,), and pins, connected where the routes are.
 
     Every longest straight segment is a box. Every via lies in a box of both layers. Every pin's
     Gcell is covered in its own layer and in the next higher one, so that the pin can be left by a
-    via, and so is what the pin touches of Gcells beside it.
+    via, and so is what the pin touches of Gcells beside it. ``more`` is net and Gcell (n,) twice of
+    what is covered beyond that.
     """
     chip: Chip = problem.chip_or_default
     size, layers = int(np.prod(problem.grid)), problem.grid[2]
@@ -98,8 +104,9 @@ def boxes_of(problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]) 
         beside_net, beside = _beside_pins(problem, chip.places)
         pin_net, pins = np.concatenate((pin_net, beside_net)), np.concatenate((pins, beside))
     below_top = pins % layers + 1 < layers
-    single_net = np.concatenate((net[~wire], net[~wire], pin_net, pin_net[below_top]))
-    single = np.concatenate((near[~wire], far[~wire], pins, pins[below_top] + 1))
+    more_net, more_gcells = (pin_net[:0], pins[:0]) if more is None else more
+    single_net = np.concatenate((net[~wire], net[~wire], pin_net, pin_net[below_top], more_net))
+    single = np.concatenate((near[~wire], far[~wire], pins, pins[below_top] + 1, more_gcells))
     alone = np.setdiff1d(single_net * size + single, in_wires)
     box_net = np.concatenate((run_net, alone // size))
     corners = np.concatenate((ends, np.repeat((alone % size)[:, None], 2, axis=1)))

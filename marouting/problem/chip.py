@@ -34,6 +34,15 @@ class Places(NamedTuple):
     first: NDArray[np.int64]  # (pins + 1,) likewise the places of each pin
     gcell: NDArray[np.int64]  # (places,) Gcell numbers
 
+    def of_nets(self, nets: NDArray[np.int64]) -> "Places":
+        """The places of the pins of some nets (k,), ascending."""
+        owner = np.repeat(np.arange(len(self.first_pin) - 1), np.diff(self.first_pin))
+        pins = np.flatnonzero(np.isin(owner, nets))
+        pin = np.repeat(np.arange(len(owner)), np.diff(self.first))
+        sizes = [np.diff(self.first_pin)[nets], np.diff(self.first)[pins]]
+        first_pin, first = (np.concatenate(([0], np.cumsum(size))) for size in sizes)
+        return Places(first_pin, first, self.gcell[np.isin(pin, pins)])
+
 
 @dataclass(frozen=True, eq=False)
 class Chip:
@@ -45,6 +54,7 @@ class Chip:
     wires: NDArray[np.bool_]  # (Z, 2) bool, whether wires of each layer may go along x and along y
     places: Places | None = None  # where pins can be reached; None: only where the problem has them
     contest: Contest | None = None  # of a problem of the ISPD 2024 contest
+    clock: NDArray[np.bool_] | None = None  # (nets,) whether the files call a net a clock; None: no
 
 
 class Capacities(NamedTuple):

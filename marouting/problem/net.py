@@ -50,7 +50,8 @@ class Net:
         id: the number that the file gives the net.
         pins: one or more; several may lie in one Gcell. Any iterable of pins, or of other rows
             of three integers, becomes a tuple of pins.
-        min_width: minimum width of the net's wires; 1 in the paper.
+        min_width: minimum width of the net's wires; 1 in the paper. Or one number for each layer,
+            lowest first; equal numbers become one.
 
     Raises:
         FieldError: the pins are no rows of numbers. All else is checked by the problem.
@@ -59,11 +60,15 @@ class Net:
     name: str
     id: int
     pins: tuple[Pin, ...]
-    min_width: int = 1
+    min_width: int | tuple[int, ...] = 1
 
     def __post_init__(self) -> None:
         pins = records(f"net {self.name}: expected pins", Pin, self.pins)
         object.__setattr__(self, "pins", pins)
+        if isinstance(self.min_width, tuple | list):
+            widths = whole_numbers(f"net {self.name}: minimum width", self.min_width)
+            one = widths[0] if len(set(widths)) == 1 else widths
+            object.__setattr__(self, "min_width", one)
 
 
 class Adjustment(NamedTuple):
@@ -95,7 +100,8 @@ def check_net(net: Net, row: int = 0) -> None:
         )
     if not net.pins:
         raise FieldError(f"net {net.name}: expected at least one pin", "nets", row)
-    check_numbers(f"net {net.name}: id and minimum width", (net.id, net.min_width), "nets", row)
+    widths = net.min_width if isinstance(net.min_width, tuple) else (net.min_width,)
+    check_numbers(f"net {net.name}: id and minimum width", (net.id, *widths), "nets", row)
 
 
 def check_numbers(name: str, values: Iterable[int], field: str = "", row: int = 0) -> None:

@@ -37,6 +37,22 @@ UNLIMITED = int(np.iinfo(np.int32).max)
 """The capacity of a via. Vias never overflow (paper, section on the problem sets generator)."""
 
 
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """Nets that were taken out of a problem because their routes stay as they are.
+
+    Attributes:
+        whole: the problem with all nets.
+        free: (nets,) int64, for each net of the problem its number in ``whole``, ascending.
+        uses: (uses,) int64 twice: net, by its number in ``whole``, and edge of the routes that
+            stay, in this order.
+    """
+
+    whole: "Problem"
+    free: NDArray[np.int64]
+    uses: tuple[NDArray[np.int64], NDArray[np.int64]]
+
+
 @dataclass(frozen=True)
 class Problem:
     """A grid of Gcells with capacities, and the nets to be routed over it.
@@ -56,6 +72,8 @@ class Problem:
         chip: names of layers, lines between Gcells and costs that the problem's files give beyond
             the problem itself, or None. Equal problems may differ in it, and ``.gr`` files do not
             hold it.
+        kept: nets whose routes stay (:mod:`marouting.problem.controls`), or None. The capacities
+            lack what they take. Solutions are written with them and read without them.
 
     Raises:
         FieldError: a value is out of range or contradicts another (an InputError).
@@ -72,6 +90,7 @@ class Problem:
     tile: tuple[int, int] = (1, 1)
     adjustments: tuple[Adjustment, ...] = ()
     chip: Chip | None = field(default=None, compare=False, repr=False)
+    kept: Kept | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         layered = (
@@ -108,6 +127,13 @@ class Problem:
         names: set[str] = set()
         for row, net in enumerate(self.nets):
             check_net(net, row)
+            if isinstance(net.min_width, tuple) and len(net.min_width) != self.grid[2]:
+                raise FieldError(
+                    f"net {net.name}: expected one minimum width or {self.grid[2]}, one per layer, "
+                    f"found {len(net.min_width)}",
+                    "nets",
+                    row,
+                )
             if net.name in names:
                 raise FieldError(f"net {net.name}: expected a name no earlier net has", "nets", row)
             names.add(net.name)
@@ -260,11 +286,21 @@ class Problem:
         The width is the larger of the net's and the layer's minimum width, the spacing the
         layer's minimum spacing (ISPD 2008 evaluator).
         """
-        width = np.fromiter((net.min_width for net in self.nets), np.int32, len(self.nets))
-        demand = np.maximum(width[:, None], np.array(self.min_width, np.int32))
+        demand = np.maximum(self.net_width, np.array(self.min_width, np.int32))
         demand += np.array(self.min_spacing, np.int32)
         demand.setflags(write=False)
         return demand
+
+    @property
+    def net_width(self) -> NDArray[np.int32]:
+        """(nets, Z) the minimum width of each net's wires in each layer."""
+        widths = [net.min_width for net in self.nets]
+        by_layer = [i for i, width in enumerate(widths) if isinstance(width, tuple)]
+        table = np.empty((len(widths), self.grid[2]), np.int32)
+        table[:] = np.array([0 if isinstance(w, tuple) else w for w in widths], np.int32)[:, None]
+        if by_layer:
+            table[by_layer] = [widths[i] for i in by_layer]
+        return table
 
     @functools.cached_property
     def flat_pin_gcells(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -301,6 +337,7 @@ class Problem:
         lef: Sequence[str | os.PathLike[str]] = (),
         tile: tuple[int, int] | None = None,
         net: str | os.PathLike[str] | None = None,
+        pin_layer_wires: bool = False,
     ) -> "Problem":
         """Reads a problem.
 
@@ -315,9 +352,11 @@ class Problem:
             lef: for a design its LEF files, technology first; none stands for the file beside it
                 that is named alike, with the suffix ``.lef``.
             tile: for a design the width and height of a Gcell in the DEF's units; None for its
-                GCELLGRID, or, where it has none, for 15 tracks.
+                GCELLGRID, or, where it has none, for squares of 15 tracks of the third layer.
             net: for a ``.cap`` file its ``.net`` file; None for the one beside it that is named
                 alike.
+            pin_layer_wires: for a design whether wires may run in its lowest layer even where that
+                holds most pins of its cells.
 
         Raises:
             InputError: the file cannot be read, is in none of the formats, or does not describe
@@ -334,7 +373,7 @@ class Problem:
                 raise InputError(f"{os.fspath(path)}: expected no {name}: only {own} files take it")
         if suffix == ".def":
             files = lef or [beside(path, ".lef")]
-            record = lefdef.read_design(path, files, tile)
+            record = lefdef.read_design(path, files, tile, pin_layer_wires)
         elif suffix == ".cap":
             record = ispd.read_contest(path, net or beside(path, ".net"))
         else:

@@ -19,6 +19,7 @@ from marouting.problem import ispd
 from marouting.problem.boxes import Boxes, boxes_of, edges_in_boxes
 from marouting.problem.chip import Places
 from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS
+from marouting.problem.guides import patches
 from marouting.problem.net import FieldError
 from marouting.problem.parts import joined_parts
 from marouting.problem.problem import Problem, check_problem
@@ -30,7 +31,7 @@ from marouting.problem.segments import (
     with_pins_at,
 )
 
-RouteFormat = Literal["ispd2008", "guide", "ispd2024"]
+RouteFormat = Literal["ispd2008", "guide", "patched-guide", "ispd2024"]
 """The formats of solutions (:meth:`Solution.write`)."""
 
 ROUTE_FORMATS: tuple[RouteFormat, ...] = get_args(RouteFormat)
@@ -138,12 +139,14 @@ class Solution:
         but for one sort.
 
         Returns:
-            Another solution of the same problem, or an equal one if no edge joins nothing.
+            Another solution of the same problem, or this one if no edge joins nothing.
         """
         net, edge = self.uses
         _, vertex = _graph(self.problem, self)
         size, kept = int(vertex.max()) + 1, np.zeros(len(edge), np.bool_)
         ends, pins = vertex[: 2 * len(edge)].reshape(2, -1), vertex[2 * len(edge) :]
+        if _are_trees(ends, pins, size):
+            return self
         at, back, queue = (np.empty(length, np.int64) for length in (2 * len(edge), size, size))
         _mark_ways(ends, pins, np.zeros(size + 1, np.int64), at, back, queue, kept)
         return Solution.of_uses(self.problem, net[kept], edge[kept])
@@ -198,12 +201,18 @@ class Solution:
         Args:
             path: the file.
             problem: what it solves; its origin and tile map points to Gcells, its chip boxes.
+                Routes of nets that it keeps (:attr:`Problem.kept`) are passed over.
 
         Raises:
             InputError: the file cannot be read, is of none of these formats, or does not fit the
                 problem; the message names the file, the line, and what was expected.
         """
         check_problem(problem)
+        if problem.kept is not None:
+            whole, free = Solution.read(path, problem.kept.whole), problem.kept.free
+            net, edge = whole.uses
+            routed = np.isin(net, free)
+            return Solution.of_uses(problem, np.searchsorted(free, net[routed]), edge[routed])
         layers = problem.chip_or_default.layers
         record = ispd.read_solution(path, ((net.name, net.id) for net in problem.nets), layers)
         try:
@@ -239,10 +248,14 @@ class Solution:
 
         - ``guide``, for a suffix ``.guide``: a routing guide as in the ISPD 2018 contest
           (:func:`marouting.problem.boxes.boxes_of`).
+        - ``patched-guide``: the same with more room around pins and at crowded places
+          (:func:`marouting.problem.guides.patches`).
         - ``ispd2024``, for a suffix ``.PR_output``: the output of the ISPD 2024 contest.
         - ``ispd2008``, for all others: ISPD solution text. Nets come in the problem's order, each
           as its longest straight segments between the centres of Gcells, ordered by their lower
           end.
+
+        Nets that the problem keeps (:attr:`Problem.kept`) are written with their routes.
 
         Args:
             path: the file.
@@ -251,11 +264,21 @@ class Solution:
         Raises:
             InputError: the format cannot hold the routes, or the file cannot be written.
         """
+        if (kept := self.problem.kept) is not None:
+            (net, edge), (kept_net, kept_edge) = self.uses, kept.uses
+            owner = np.concatenate((kept.free[net], kept_net))
+            edges = np.concatenate((edge, kept_edge))
+            order = np.lexsort((edges, owner))
+            Solution.of_uses(kept.whole, owner[order], edges[order]).write(path, format)
+            return
         format = format or _BY_SUFFIX.get(suffix_of(path), "ispd2008")
         nets = self.problem.nets
-        if format == "guide":
+        if format in ("guide", "patched-guide"):
             layers = self.problem.chip_or_default.layers
-            net, box, layer = boxes_of(self.problem, *self.uses)
+            more = None
+            if format == "patched-guide":
+                more = patches(self.problem, self.uses, self.used_edges)
+            net, box, layer = boxes_of(self.problem, *self.uses, more)
             rows = [
                 f"{' '.join(map(str, corners))} {layers[z]}"
                 for corners, z in zip(box.tolist(), layer.tolist(), strict=True)
@@ -470,6 +493,14 @@ def _graph(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDA
     pairs = np.concatenate((net, net, pin_net)) * problem.topology.gcells
     pairs += np.concatenate((near, far, pins))
     return pin_net, np.unique(pairs, return_inverse=True)[1]
+
+
+def _are_trees(ends: NDArray[np.int64], pins: NDArray[np.int64], size: int) -> bool:
+    """Whether all parts of a graph of so many vertices are trees that end in pins."""
+    leaf = np.bincount(ends.reshape(-1), minlength=size) == 1
+    leaf[pins] = False
+    parts = np.count_nonzero(joined_parts(*ends, size) == np.arange(size))
+    return not leaf.any() and ends.shape[1] == size - parts
 
 
 @compiled

@@ -25,11 +25,12 @@ try:
 except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
-from marouting import InputError, Solution, __version__, evaluate, sequential_astar
+from marouting import InputError, ProblemFile, Solution, __version__, evaluate
 from marouting.config import override, read_yaml
-from marouting.files import check_writable, exists, naming
+from marouting.files import check_writable, exists, naming, suffix_of
 from marouting.generator import GeneratorOptions
 from marouting.problem.contest import contest_cost, with_pins_covered
+from marouting.problem.guides import check_guide
 from marouting.problem.ispd import FORMATS, Format
 from marouting.problem.solution import ROUTE_FORMATS, RouteFormat
 from marouting.registry import importing_from, names
@@ -44,10 +45,10 @@ from policies.cli.options import (
     overrides_argument,
     tell,
 )
-from policies.cli.source import ProblemFile, problem_argument
+from policies.cli.source import problem_argument
 from policies.cli.view import view
 from policies.interrupts import interruptible
-from policies.routers.base import LEFT_ALONE, small_problem, solve, warm_up
+from policies.routers.base import LEFT_ALONE, solve, warm_up
 from policies.routers.registry import is_learner, make_router, router_names, unknown
 
 if TYPE_CHECKING:
@@ -154,7 +155,8 @@ def convert(
 
     PROBLEM is a LEF/DEF design (.def), a problem of the ISPD 2024 or 2025 contest (.cap), or ISPD
     text, whose header tells the format. Solutions are ISPD text (ispd2008), a routing guide
-    (.guide) or ISPD 2024's output (.PR_output); OpenROAD's route segments are read as well. Any of
+    (.guide; --format patched-guide gives more room around pins and at crowded places) or ISPD
+    2024's output (.PR_output); OpenROAD's route segments are read as well. Any of
     them may be compressed (.gz). Nothing is lost: a format that cannot hold all of the input is
     an error.
     """
@@ -228,7 +230,8 @@ def route(
     (seconds) for optimal. A learner uses the policy of --checkpoint; without one it is trained on
     the problem, as in the paper, and its options are the keys of a training's configuration, such
     as train.episodes=200. Overflow and wirelength are given with and without (pruned) dead ends
-    and loops, which --prune removes. The seconds exclude compiling and loading.
+    and loops, which --prune removes. The seconds, by the clock and of processor time, exclude
+    compiling, loading and files.
     """
     from policies.cli.progress import waiting
 
@@ -258,13 +261,18 @@ def route(
             save = None if out is None else lambda best: _finished(best, prune).write(out)
             stack.enter_context(waiting(router, solver, save))
         warm_up(solver)
-        started = time.perf_counter()
+        started, worked = time.perf_counter(), _processor_seconds()
         solution, report = solve(solver, loaded)
         solution = _finished(solution, prune)
-        seconds = time.perf_counter() - started
+        seconds, worked = time.perf_counter() - started, _processor_seconds() - worked
     if out is not None:
         solution.write(out)
-    _report(router, solution, seconds, as_json, report)
+    _report(router, solution, seconds, as_json, {"processor_seconds": round(worked, 2), **report})
+
+
+def _processor_seconds() -> float:
+    """Processor time so far, of all threads and of processes that have ended."""
+    return sum(os.times()[:4])
 
 
 def _finished(solution: Solution, prune: bool) -> Solution:
@@ -347,8 +355,10 @@ def evaluate_command(
     """Evaluate a solution file by the rules of the ISPD 2008 contest's evaluator.
 
     Overflow and wirelength are given with and without (pruned) dead ends and loops. A routing guide
-    is evaluated by the shortest routes inside it. Problems of the ISPD 2024 contest also get the
-    contest's cost. A pin with shapes in several Gcells may be reached in any of them.
+    is evaluated by the shortest routes inside it. A file .guide is checked too: boxes off the grid
+    of Gcells, pins that it does not cover, nets whose boxes are in several parts. Problems of the
+    ISPD 2024 contest also get the contest's cost. A pin with shapes in several Gcells may be
+    reached in any of them.
 
     A report has wires and vias by layer, the edges with the most overflow and the nets on them,
     each net's detour over the shortest tree, a histogram of edge use, and the open nets.
@@ -367,11 +377,12 @@ def evaluate_command(
         found = report(routes)
         click.echo(json.dumps(found)) if as_json else show_report(found, str(solution))
         return
-    small = small_problem()
-    evaluate(small, sequential_astar(small))  # compiles and loads what it needs, which is not timed
     started = time.perf_counter()
     evaluate(routes.problem, routes)
-    _report(None, routes, time.perf_counter() - started, as_json)
+    seconds = time.perf_counter() - started
+    checked = check_guide(solution, loaded) if suffix_of(solution) == ".guide" else None
+    of_guide = {} if checked is None else {f"guide_{k}": v for k, v in asdict(checked).items()}
+    _report(None, routes, seconds, as_json, of_guide)
 
 
 @cli.command("config")

@@ -1,42 +1,17 @@
 """The argument PROBLEM of commands, and the options that tell where the rest of a problem is."""
 
 import functools
+import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import click
 
-from marouting import Problem
-from marouting.files import stem_of
+from marouting import Controls, ProblemFile
+from marouting.config import build, override
 from policies.cli.options import FILE, WHOLE
-
-
-@dataclass(frozen=True)
-class ProblemFile:
-    """The file that a command is given as PROBLEM, and what its format needs beside it.
-
-    Attributes:
-        path: the file.
-        lef: the LEF files of a ``.def`` file.
-        tile: the size of a Gcell of a ``.def`` file.
-        net: the ``.net`` file of a ``.cap`` file.
-    """
-
-    path: Path
-    lef: tuple[Path, ...] = ()
-    tile: tuple[int, int] | None = None
-    net: Path | None = None
-
-    @property
-    def stem(self) -> str:
-        """The problem's name."""
-        return stem_of(self.path)
-
-    def read(self) -> Problem:
-        """The problem; raises InputError if it cannot be read."""
-        return Problem.read(self.path, lef=self.lef, tile=self.tile, net=self.net)
 
 
 def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
@@ -61,14 +36,31 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
         type=FILE,
         help="The .net file of a .cap file.  [default: the .net file of the same name]",
     )
+    @click.option(
+        "--control",
+        "controls",
+        metavar="KEY=VALUE",
+        multiple=True,
+        help="A control of the problem, such as layers=2..6, derate.met1=0.8 or keep=FILE; may be "
+        f"given several times. The keys are {', '.join(own.name for own in fields(Controls))}.",
+    )
     @functools.wraps(command)
     def with_file(
         problem: Path,
         lef: tuple[Path, ...],
         tile: tuple[int, int] | None,
         net: Path | None,
+        controls: tuple[str, ...],
         **rest: Any,
     ) -> None:
-        command(problem=ProblemFile(problem, lef, tile, net), **rest)
+        adjusting = build(Controls, override({}, controls), "--control")
+        file = ProblemFile(
+            path=os.fspath(problem),
+            lef=tuple(map(os.fspath, lef)),
+            tile=tile,
+            net=None if net is None else os.fspath(net),
+            **vars(adjusting),
+        )
+        command(problem=file, **rest)
 
     return with_file

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, get_args
 
 import click
 
-from marouting import InputError, Problem, Solution, evaluate, sequential_astar
+from marouting import InputError, Problem, ProblemFile, Solution, evaluate, sequential_astar
 from marouting.files import check_writable, is_dir, stem_of, suffix_of, write_text
 from marouting.rules import TurnOrder
 from policies.cli.options import FILE, WHOLE, allow_code_option, json_option, tell
-from policies.cli.source import ProblemFile, problem_argument
+from policies.cli.source import problem_argument
 from policies.results.run_folder import solution_name
 from policies.routers.registry import labelled, router_label
 
@@ -110,7 +110,7 @@ def _solutions(
     if not paths:
         return {"astar": sequential_astar(loaded)}
     found: dict[str, Solution] = {}
-    for file in (file for path in paths for file in _files(path, problem.path)):
+    for file in (file for path in paths for file in _files(path, Path(problem.path))):
         name = base = solution_name(file, problem.stem)
         while name in found:
             name = f"{base} ({len(found) + 1})"

@@ -1,5 +1,6 @@
 """Congestion maps: what is drawn of routes that are too many to be told apart."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution, evaluate
 from marouting.render import USE
 from policies.figures.style import fitted, literal
-from policies.results.utilisation import congestion
+from policies.results.utilisation import congestion, free_tracks
 
 MOST_NETS = 1000
 """The most nets that are drawn one by one."""
@@ -96,10 +97,11 @@ def draw_congestion(axes: Axes, problem: Problem, solution: Solution, across: fl
 def congestion_map(problem: Problem, solution: Solution, title: str) -> Figure:
     """The use of every Gcell's fullest edge: all layers together, and layer by layer.
 
-    Layers without any route are named and not drawn.
+    Layers without any route are named and not drawn. For a chip's design the tracks that shapes
+    leave free in these layers follow, if they block any: stripes of power grids are seen there.
 
     Returns:
-        Panels of one size with one scale.
+        Panels of one size, with one scale for use and one for tracks.
     """
     judged = evaluate(problem, solution)
     values, side = congestion(problem, solution)
@@ -109,8 +111,14 @@ def congestion_map(problem: Problem, solution: Solution, title: str) -> Figure:
     unused = [names[z] for z in range(len(layers)) if z not in used]
     panels = [("all layers", np.fmax.reduce(layers, axis=0))]
     panels += [(names[z], layers[z]) for z in used]
+    tracks: list[tuple[str, NDArray[np.float64]]] = []
+    if problem.chip is not None:
+        free = free_tracks(problem)
+        blocked = [z for z in used if np.nanmin(free[z], initial=100) < 100]
+        tracks = [(f"tracks of {names[z]}", free[z]) for z in blocked]
     across = min(len(panels), 4 if len(panels) in (4, 7, 8) else 3)
-    down = -(-len(panels) // across)
+    rows_of_use = -(-len(panels) // across)
+    down = rows_of_use + -(-len(tracks) // across)
     columns, rows, _ = problem.grid
     ratio = float(np.clip(rows / columns, 0.3, 2))
     figure = Figure(
@@ -129,7 +137,22 @@ def congestion_map(problem: Problem, solution: Solution, title: str) -> Figure:
         show_use(axes, own, side, scale)
         axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5), title=literal(name))
         axes.set(xlabel="x [Gcell]", ylabel="y [Gcell]")
-    for axes in drawn.flat[len(panels) :]:
+    for axes in drawn[:rows_of_use].flat[len(panels) :]:
         axes.set_axis_off()
-    figure.colorbar(scale, ax=drawn, shrink=0.9, aspect=40, **label_of_use(values))
+    shown = drawn[:rows_of_use]
+    figure.colorbar(scale, ax=shown, shrink=0.9, aspect=40, **label_of_use(values))
+    if tracks:
+        _draw_tracks(figure, drawn[rows_of_use:], tracks, side)
     return figure
+
+
+def _draw_tracks(figure: Figure, drawn: Any, tracks: Sequence[tuple[str, Any]], side: int) -> None:
+    """Draws the tracks that are free in some layers, light where all are, as panels."""
+    scale = ScalarMappable(Normalize(0, 100), "Greys_r")
+    for axes, (name, own) in zip(drawn.flat, tracks, strict=False):
+        show_use(axes, own, side, scale)
+        axes.set(title=literal(name), xlabel="x [Gcell]", ylabel="y [Gcell]")
+    for axes in drawn.flat[len(tracks) :]:
+        axes.set_axis_off()
+    label = "free tracks [% of most Gcells]"
+    figure.colorbar(scale, ax=drawn, shrink=0.9, aspect=40, label=label)

@@ -31,9 +31,8 @@ class TrainOptions:
 
     Attributes:
         episodes: episodes per problem; in one, all nets route all their two-pin tasks.
-        steps: moves of all agents, counted when an episode is over, after which a training ends
-            whose games draw problems; ``episodes`` is then the most episodes. None: it ends after
-            ``episodes``.
+        steps: moves of all agents after which a training ends whose games draw problems;
+            ``episodes`` is then the most episodes. None: it ends after ``episodes``.
         seconds: processor time after which such a training ends, whatever is left of its steps.
             None: no bound. The same seed does then not give the same network.
         shared: whether one network learns all problems; otherwise each problem has its own. None:

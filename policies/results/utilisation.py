@@ -58,6 +58,44 @@ def congestion(
     return found, side
 
 
+def free_tracks(problem: Problem, most: int = MOST_FIELDS) -> NDArray[np.float64]:
+    """Capacity in % of what most edges of a layer have, of the edge with the least in each field.
+
+    Where it is below 100, shapes block tracks: cells, macros, stripes of power grids. It is not
+    above 100: the last Gcells of a row may be larger than others.
+
+    Args:
+        problem: the problem.
+        most: the most fields along x and y, as in :func:`congestion`.
+
+    Returns:
+        (Z, X, Y) float64; NaN in layers without capacity.
+    """
+    columns, rows, layers = problem.grid
+    side = -(-max(columns, rows) // most)
+    found = np.full((layers, VIA_AXIS, -(-columns // side), -(-rows // side)), np.nan)
+    adjusted, capacity = problem.adjusted
+    layer, axis = adjusted // AXES % layers, adjusted % AXES
+    usual = problem.layer_capacity[:, :VIA_AXIS]
+    largest = np.zeros(usual.shape)
+    np.maximum.at(largest, (layer, axis), capacity)
+    whole = np.where(usual > 0, usual, largest)
+    whole[whole == 0] = np.nan
+    found[:] = (100 * usual / whole)[..., None, None]
+    x, y = np.divmod(adjusted // (AXES * layers), rows)
+    place = (layer, axis, x // side, y // side)
+    share = np.minimum(100 * capacity / whole[layer, axis], 100)
+    if side == 1:
+        found[place] = share
+    else:
+        np.fmin.at(found, place, share)
+    if side == 1:  # the last edges of a row lead off the grid: their fields look as those before
+        found[:, 0, -1] = found[:, 0, max(0, columns - 2)]
+        found[:, 1, :, -1] = found[:, 1, :, max(0, rows - 2)]
+    shown: NDArray[np.float64] = np.fmin.reduce(found, axis=1)
+    return shown
+
+
 def via_counts(solution: Solution, side: int) -> NDArray[np.int64]:
     """(X, Y) int64, the vias in use in every field of ``side`` Gcells, each once for every net."""
     columns, rows, layers = solution.problem.grid

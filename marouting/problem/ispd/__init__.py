@@ -22,6 +22,8 @@ adjustments          a count, then rows     none                  none
 (http://www.ispd.cc/contests/08/ispd08rc.html). Adjustments give single edges their own capacity:
 ``x y layer x y layer capacity``, with columns and rows from 0 and layers from 1. The contest does
 not forbid several adjustments of one edge; its evaluator (``eval2008.pl``) lets the last one count.
+A net whose width differs by layer has the widths of all layers in its line, lowest first: an
+extension of this package.
 
 ``ispd98`` is the format of ``ibm01.modified.txt`` in BoxRouter 2.0 (Cho et al., 2007): the ISPD'98
 benchmarks with two layers. Its header differs from the contest's in one wrong word, by which it is

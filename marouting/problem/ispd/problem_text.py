@@ -112,7 +112,7 @@ def read_problem(path: str | os.PathLike[str]) -> ProblemRecord:
     where: dict[str, array[int]] = {}
     with reading(path) as lines:
         form, values = _read_header(lines, where)
-        nets = _read_nets(lines, where, form)
+        nets = _read_nets(lines, where, form, values["grid"][2])
         if "adjustments" not in form.fixed:
             values["adjustments"] = _read_adjustments(lines, where)
         elif tokens := lines.next():
@@ -136,7 +136,9 @@ def write_problem(
         rows.append((*header.keyword.split(), *itertools.islice(numbers, header.count)))
     rows.append((_NUM_NET.keyword, len(nets)))
     for net in nets:
-        rows.append((net.name, net.id, len(net.pins), net.min_width)[: len(form.net)])
+        widths = net.min_width if isinstance(net.min_width, tuple) else (net.min_width,)
+        widths = widths if len(form.net) == 4 else ()
+        rows.append((net.name, net.id, len(net.pins), *widths))
         rows += [pin[: len(form.pin)] for pin in net.pins]
     if "adjustments" not in form.fixed:
         rows += [(len(adjustments),), *adjustments]
@@ -202,7 +204,9 @@ class _Numbers(dict[str, int]):
 _RECURRING = 2**16
 
 
-def _read_nets(lines: Lines, where: dict[str, "array[int]"], form: _Form) -> tuple[Net, ...]:
+def _read_nets(
+    lines: Lines, where: dict[str, "array[int]"], form: _Form, layers: int
+) -> tuple[Net, ...]:
     """Reads ``num net`` and the nets; records the lines of nets and pins in ``where``."""
     tokens = lines.next()
     if not (numbers := _NUM_NET.numbers(tokens)):
@@ -217,9 +221,12 @@ def _read_nets(lines: Lines, where: dict[str, "array[int]"], form: _Form) -> tup
         tokens = lines.next()
         if not tokens:
             raise InputError(f"file ends after {len(nets)} of {count} nets")
-        if len(tokens) != len(form.net) or not all(map(is_number, tokens[1:])):
+        one_width = len(tokens) == len(form.net)
+        by_layer = len(form.net) == 4 and len(tokens) == 3 + layers
+        if not (one_width or by_layer) or not all(map(is_number, tokens[1:])):
             raise unexpected(f"net {len(nets) + 1} of {count} ({', '.join(form.net)})", tokens)
-        name, (id_, pin_count, width) = tokens[0], [*map(int, tokens[1:]), _WIDTH][:3]
+        name, (id_, pin_count, *widths) = tokens[0], map(int, tokens[1:])
+        width = tuple(widths) if len(widths) > 1 else (*widths, _WIDTH)[0]
         where["nets"].append(lines.number)
         pins: list[Pin] = []
         while len(pins) < pin_count:

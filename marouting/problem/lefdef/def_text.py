@@ -13,8 +13,15 @@ from typing import NamedTuple
 
 from marouting.errors import InputError, nearest
 from marouting.problem.ispd.lines import reading, unexpected
-from marouting.problem.lefdef.lef_text import Library, is_keyword
-from marouting.problem.lefdef.statements import ENCODING_ERRORS, MOST_CUTS, Copy, Statements, whole
+from marouting.problem.lefdef.lef_text import Library, Rule, is_keyword
+from marouting.problem.lefdef.statements import (
+    ENCODING_ERRORS,
+    MOST_CUTS,
+    Copy,
+    Statements,
+    number,
+    whole,
+)
 
 
 class Tracks(NamedTuple):
@@ -63,6 +70,9 @@ class Design:
         first: (nets + 1,) the connections of net i are ``first[i]`` to ``first[i + 1]``.
         connections: component (``PIN`` for a pin of the design) and pin of each.
         lines: of each net.
+        rules: width and spacing by nondefault rule and layer, None: as usual.
+        rule_of: the nondefault rule of the nets that have one.
+        clocks: the names of clock nets.
     """
 
     file: str
@@ -79,6 +89,9 @@ class Design:
     first: "array[int]" = field(default_factory=lambda: array("q", [0]))
     connections: list[tuple[str, str]] = field(default_factory=list)
     lines: "array[int]" = field(default_factory=lambda: array("q"))
+    rules: dict[str, Rule] = field(default_factory=dict)
+    rule_of: dict[str, str] = field(default_factory=dict)
+    clocks: set[str] = field(default_factory=set)
 
     @property
     def box(self) -> tuple[int, int, int, int]:
@@ -228,6 +241,8 @@ def _read_section(
         elif section == "VIAS":
             design.vias.add(rest[0])
             _check_arrays(rest)
+        elif section == "NONDEFAULTRULES":
+            design.rules[rest[0]] = _rule(rest)
         elif section == "SPECIALNETS":
             _check_arrays(rest)
             _check_vias(rest, design, library)
@@ -249,6 +264,21 @@ def _read_section(
             f"found {found} before their end",
             stacklevel=2,
         )
+
+
+def _rule(rest: list[str]) -> Rule:
+    """Width and spacing by layer of ``name {+ LAYER layer WIDTH w … [SPACING s] …}``."""
+    rule = Rule()
+    for clause in _clauses(rest[1:]):
+        if clause[0].upper() == "LAYER" and len(clause) > 1:
+            sizes = dict(zip([word.upper() for word in clause[2::2]], clause[3::2], strict=False))
+            what = f"a size of layer {clause[1]} in rule {rest[0]}"
+            width, spacing = (
+                number(sizes[name], what) if name in sizes else None
+                for name in ("WIDTH", "SPACING")
+            )
+            rule[clause[1]] = (width, spacing)
+    return rule
 
 
 def _component(rest: list[str], design: Design, library: Library) -> list[str]:
@@ -387,7 +417,7 @@ def _check_via(name: str, what: str, design: Design, library: Library) -> None:
 
 def _net(rest: list[str], line: int, design: Design, library: Library) -> None:
     """Adds a net with its connections, if it has any, to the design."""
-    connections = []
+    connections: list[tuple[str, str]] = []
     for names in _connections(rest[1:], rest[0]):
         component, pin = (name.replace("\\", "") for name in names)
         of_chip = component.upper() == "PIN" and component not in design.components
@@ -408,6 +438,19 @@ def _net(rest: list[str], line: int, design: Design, library: Library) -> None:
             what, lacks = f"component {component}", "" if is_placed else _NO_PLACE
         if lacks and len(connections) > 1:  # one pin alone needs no place: nothing is routed to it
             raise InputError(f"net {rest[0]}: {what} {lacks}")
+    for clause in _clauses(rest):
+        keyword = clause[0].upper()
+        if keyword == "USE" and clause[1:2] and clause[1].upper() == "CLOCK":
+            design.clocks.add(rest[0])
+        elif keyword == "NONDEFAULTRULE" and clause[1:2]:
+            rule = clause[1]
+            if rule not in design.rules and rule not in library.rules:
+                hint = nearest(rule, [*design.rules, *library.rules])
+                raise InputError(
+                    f"net {rest[0]}: {hint}expected a rule of NONDEFAULTRULES or of the LEF files, "
+                    f"found {rule}"
+                )
+            design.rule_of[rest[0]] = rule
     if connections:
         design.nets.append(rest[0])
         design.lines.append(line)

@@ -19,7 +19,7 @@ from marouting.problem.chip import Chip, Places, as_adjustments
 from marouting.problem.grid import MAX_GCELLS, gcells_of_boxes
 from marouting.problem.ispd.problem_text import ProblemRecord
 from marouting.problem.lefdef.def_text import Design, Tracks, read_def
-from marouting.problem.lefdef.lef_text import Layer, Library, read_library
+from marouting.problem.lefdef.lef_text import Layer, Library, Rule, read_library
 from marouting.problem.lefdef.shapes import Shapes, moved_pins, read_shapes
 from marouting.problem.lefdef.statements import copying
 from marouting.problem.lefdef.tracks import capacity_of_layer, places
@@ -28,15 +28,20 @@ from marouting.problem.net import MAX_NUMBER, Net, Pin
 TRACKS_PER_GCELL = 15
 """The side of a Gcell in tracks, where neither a GCELLGRID nor a tile says another."""
 
+LAYER_OF_GCELLS = 3
+"""The layer, from 1, whose tracks these are (as in OpenROAD); of fewer layers the highest."""
+
 
 def read_design(
     path: str | os.PathLike[str],
     lef: Sequence[str | os.PathLike[str]],
     tile: tuple[int, int] | None = None,
+    pin_layer_wires: bool = False,
 ) -> ProblemRecord:
     """The fields of a problem from a DEF file and its LEF files, technology first.
 
     ``tile`` is the size of a Gcell in the DEF's units; None: as the DEF says, or 15 tracks.
+    ``pin_layer_wires`` says whether a layer of pins (:func:`_is_pin_layer`) has capacity.
     """
     library = Library()
     with (
@@ -69,21 +74,27 @@ def read_design(
         boxes = shapes.all[shapes.all[:, 0] == z, 1:]
         capacity[..., z] = _capacity(design, layer, boxes, shapes.outside, x, y)
     axis = np.array([layer.axis for layer in layers])
-    fields = as_adjustments(capacity, axis, np.ones(len(layers), np.bool_))
     owner, pin_boxes = _located_pins(design, shapes)
     pins = _pin_gcells(design, owner, pin_boxes, x, y, len(layers))
+    if not pin_layer_wires and _is_pin_layer(design, pins.gcell[:, 2], axis):
+        capacity[..., 0] = 0
+    fields = as_adjustments(capacity, axis, np.ones(len(layers), np.bool_))
     origin = (int(x[0]), int(y[0]))
     side = (_usual(np.diff(x)), _usual(np.diff(y)))
     at = np.array(origin) + pins.gcell[:, :2] * np.array(side) + np.array(side) // 2
     located = [Pin(*row) for row in np.column_stack((at, pins.gcell[:, 2] + 1)).tolist()]
     bounds = design.first.tolist()
+    scale = 1 / design.units
+    rules = library.rules | {name: _scaled(rule, scale) for name, rule in design.rules.items()}
     chip = Chip(
         tuple(layer.name for layer in layers),
         x,
         y,
         np.stack((axis == 0, axis == 1), axis=1),
         pins.places,
+        clock=np.array([name in design.clocks for name in design.nets]) if design.clocks else None,
     )
+    widths = {name: _rule_tracks(design, layers, rule) for name, rule in rules.items()}
     where = {
         name: array("q", [design.die_line])
         for name in ("grid", "origin", "tile", "vertical_capacity", "horizontal_capacity")
@@ -100,7 +111,12 @@ def read_design(
             "origin": origin,
             "tile": side,
             "nets": tuple(
-                Net(name, number, tuple(located[bounds[number] : bounds[number + 1]]))
+                Net(
+                    name,
+                    number,
+                    tuple(located[bounds[number] : bounds[number + 1]]),
+                    widths[design.rule_of[name]] if name in design.rule_of else 1,
+                )
                 for number, name in enumerate(design.nets)
             ),
             "min_width": (1,) * len(layers),
@@ -129,7 +145,7 @@ def _lines(
         if tile is None and own:
             inner = places(own, low, high, design.file)
         else:
-            side = tile[axis] if tile else TRACKS_PER_GCELL * _step(design, layers, axis)
+            side = tile[axis] if tile else TRACKS_PER_GCELL * _step_of_gcells(design, layers)
             if not 1 <= side <= MAX_NUMBER:
                 raise InputError(f"tile: expected sides from 1 to {MAX_NUMBER}, found {tile}")
             count = max(1, (high - low) // side)
@@ -140,11 +156,58 @@ def _lines(
     return found[0], found[1]
 
 
-def _step(design: Design, layers: Sequence[Layer], axis: int) -> int:
-    """The least distance between tracks at places along an axis, in the design's units."""
-    steps = [tracks.step for tracks in design.tracks if tracks.axis == axis]
-    steps = steps or [_pitch(design, layer, axis) for layer in layers]
-    return min(steps)
+def _step_of_gcells(design: Design, layers: Sequence[Layer]) -> int:
+    """The distance between the tracks that size square Gcells, in the design's units."""
+    return _step(design, layers[min(LAYER_OF_GCELLS, len(layers)) - 1])
+
+
+def _step(design: Design, layer: Layer) -> int:
+    """The least distance between tracks of a layer, in the design's units."""
+    return min(tracks.step for tracks in _tracks(design, layer))
+
+
+def _is_pin_layer(
+    design: Design, layer: NDArray[np.int64], axis: NDArray[np.int64]
+) -> np.bool_ | bool:
+    """Whether the lowest layer is for pins: most pins of cells are in it, and others have wires.
+
+    Args:
+        design: the design.
+        layer: (connections,) the layer of each pin.
+        axis: (Z,) that of each layer's wires.
+    """
+    of_cells = np.array([component != "PIN" for component, _ in design.connections])
+    return len(np.unique(axis[1:])) == 2 and 2 * (layer[of_cells] == 0).sum() > of_cells.sum()
+
+
+def _scaled(rule: Rule, scale: float) -> Rule:
+    """A rule in another unit."""
+    return {
+        layer: (width and width * scale, spacing and spacing * scale)
+        for layer, (width, spacing) in rule.items()
+    }
+
+
+def _rule_tracks(design: Design, layers: Sequence[Layer], rule: Rule) -> tuple[int, ...]:
+    """The tracks that a net takes in each layer by a nondefault rule: its width plus its spacing.
+
+    Wires of usual width and spacing take one, however far apart tracks are.
+    """
+    tracks = []
+    for layer in layers:
+        width, spacing = rule.get(layer.name, (None, None))
+        usual = _spacing(layer)
+        pitch = max(layer.width + usual, _step(design, layer) / design.units)
+        wide = (width or layer.width) + max(spacing or 0, usual)
+        tracks.append(max(1, math.ceil(wide / pitch - 1e-6)))
+    return tuple(tracks)
+
+
+def _spacing(layer: Layer) -> float:
+    """What wires of a layer keep from each other, in micrometres."""
+    if layer.spacing is not None:
+        return layer.spacing
+    return max(0.0, layer.pitch[1 - layer.axis] - layer.width)
 
 
 def _pitch(design: Design, layer: Layer, axis: int) -> int:
@@ -153,6 +216,22 @@ def _pitch(design: Design, layer: Layer, axis: int) -> int:
     if pitch < 1:
         raise InputError(f"{design.file}: expected TRACKS or a PITCH of layer {layer.name}")
     return pitch
+
+
+def _tracks(design: Design, layer: Layer) -> list[Tracks]:
+    """The tracks of a layer: those of the DEF, or by the layer's pitch."""
+    across = 1 - layer.axis  # the axis along which tracks have their places
+    low, high = design.box[across], design.box[across + 2]
+    own = [
+        t
+        for t in design.tracks  # those that name no layer are of all layers
+        if t.axis == across and (layer.name in t.layers or not t.layers)
+    ]
+    if own:
+        return own
+    pitch = _pitch(design, layer, across)
+    offset = layer.offset[across] * design.units if layer.offset else pitch / 2
+    return [Tracks(across, low + round(offset), (high - low) // pitch + 1, pitch, (), 1)]
 
 
 def _capacity(
@@ -164,22 +243,9 @@ def _capacity(
     y: NDArray[np.int64],
 ) -> NDArray[np.int64]:
     """(X, Y) the capacity of a layer's edges."""
-    across = 1 - layer.axis  # the axis along which tracks have their places
-    low, high = design.box[across], design.box[across + 2]
-    own = [
-        t
-        for t in design.tracks  # those that name no layer are of all layers
-        if t.axis == across and (layer.name in t.layers or not t.layers)
-    ]
-    if not own:
-        pitch = _pitch(design, layer, across)
-        offset = layer.offset[across] * design.units if layer.offset else pitch / 2
-        own = [Tracks(across, low + round(offset), (high - low) // pitch + 1, pitch, (), 1)]
-    tracks = places(own, low, high, design.file)
-    spacing = layer.spacing
-    if spacing is None:
-        spacing = max(0.0, layer.pitch[across] - layer.width)
-    distance = round((layer.width + 2 * spacing) * design.units)
+    across = 1 - layer.axis
+    tracks = places(_tracks(design, layer), design.box[across], design.box[across + 2], design.file)
+    distance = round((layer.width + 2 * _spacing(layer)) * design.units)
     halo = np.repeat(np.array([distance, 0]), (len(boxes), len(outside)))
     left, lowest, right, highest = np.concatenate((boxes, outside)).T
     if layer.axis == 0:

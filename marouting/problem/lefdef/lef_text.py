@@ -32,6 +32,10 @@ class Layer:
     offset: tuple[float, float] | None = None  # of the first track along x, y; None: half a pitch
 
 
+Rule = dict[str, tuple[float | None, float | None]]
+"""Width and spacing by layer, in the units of the file; None: as usual."""
+
+
 @dataclass
 class Library:
     """What LEF files hold.
@@ -41,6 +45,7 @@ class Library:
         others: the names of the other layers.
         vias: the names of the vias.
         macros: the names of the pins of each macro, without backslashes.
+        rules: width and spacing of each layer by nondefault rule and layer, None: as usual.
         pin_vias: vias that are shapes of macros' pins: macro, pin, via, and where it stands.
         used_vias: the vias of macros, with the file and the line that first names each.
         files: their names.
@@ -50,6 +55,7 @@ class Library:
     others: set[str] = field(default_factory=set)
     vias: set[str] = field(default_factory=set)
     macros: dict[str, set[str]] = field(default_factory=dict)
+    rules: dict[str, Rule] = field(default_factory=dict)
     pin_vias: list[tuple[str, str, str, float, float]] = field(default_factory=list)
     used_vias: dict[str, str] = field(default_factory=dict)
     files: list[str] = field(default_factory=list)
@@ -73,7 +79,7 @@ class Library:
                 raise InputError(f"{at}: expected a via of the LEF files, found {via}")
 
 
-_NAMED = {"VIARULE", "SITE", "NONDEFAULTRULE", "ARRAY"}
+_NAMED = {"VIARULE", "SITE", "ARRAY"}
 _CLOSED = {
     "UNITS", "SPACING", "IRDROP", "PROPERTYDEFINITIONS", "NOISETABLE", "CORRECTIONTABLE",
 }  # fmt: skip
@@ -100,6 +106,8 @@ def read_library(path: str | os.PathLike[str], library: Library, copy: Copy) -> 
             elif word == "VIA":
                 library.vias.add(name := words.word())
                 words.skip_to("END", name)
+            elif word == "NONDEFAULTRULE":
+                _read_rule(words, library)
             elif word in _NAMED:
                 words.skip_to("END", words.word())
             elif word in _CLOSED:
@@ -170,6 +178,32 @@ def _first_spacing(rest: list[str], layer: Layer) -> float | None:
     if table[at : at + 1] == ["PRL"]:
         at += 2
     return _size(rest[at : at + 1], f"the spacing of layer {layer.name}")[0]
+
+
+def _read_rule(words: Statements, library: Library) -> None:
+    """Reads a nondefault rule, whose layers and vias are blocks that end with their name."""
+    name = words.word()
+    begun, rule = words.line, Rule()
+    while (keyword := words.keyword()) != "END":
+        if not keyword:
+            raise InputError(f"file ends inside rule {name}, which begins in line {begun}")
+        if keyword == "LAYER":
+            layer = words.word()
+            size: dict[str, float] = {}
+            while (inside := words.keyword()) != "END":
+                rest = words.rest()
+                if inside in ("WIDTH", "SPACING"):
+                    size[inside] = _size(rest, f"a size of layer {layer} in rule {name}")[0]
+            words.expect(layer)
+            rule[layer] = (size.get("WIDTH"), size.get("SPACING"))
+        elif keyword == "VIA":
+            words.skip_to("END", words.word())
+        elif keyword == "SPACING":
+            words.skip_to("END", keyword)
+        else:
+            words.rest()
+    words.expect(name)
+    library.rules.setdefault(name, rule)
 
 
 def _size(rest: list[str], what: str) -> tuple[float, float]:

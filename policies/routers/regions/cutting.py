@@ -55,7 +55,7 @@ class Piece(NamedTuple):
         taken: (k,) how many of them.
         first: (nets + 1,) the pins of a net are those from its first to the first of the next.
         pin: (pins,) their Gcells.
-        width: (nets,) minimum width of the nets' wires.
+        width: (nets, Z) minimum width of the nets' wires.
         net: (uses,) the net of every use of an edge as the routes are now, ascending.
         edge: (uses,) the edge, ascending for each net.
         priced: (m,) edges with a price.
@@ -89,7 +89,7 @@ class Piece(NamedTuple):
         pins = [Pin(*at) for at in zip(x.tolist(), y.tolist(), (z + 1).tolist(), strict=True)]
         bounds = self.first.tolist()
         nets = tuple(
-            Net(str(i), i, tuple(pins[bounds[i] : bounds[i + 1]]), width)
+            Net(str(i), i, tuple(pins[bounds[i] : bounds[i + 1]]), tuple(width))
             for i, width in enumerate(self.width.tolist())
         )
         near = np.stack(np.unravel_index(self.adjusted // AXES, self.grid), axis=1)
@@ -343,7 +343,6 @@ def cut(
     shared, taken = taken_from(solution, division, region)
     priced = np.flatnonzero(prices)
     priced = priced[_within(problem, box, priced)]
-    width = np.fromiter((problem.nets[i].min_width for i in nets.tolist()), np.int32, len(nets))
     piece = Piece(
         grid=_grid(problem, box),
         capacity=problem.layer_capacity[:, :VIA_AXIS].T.copy(),
@@ -355,7 +354,7 @@ def cut(
         taken=taken,
         first=starts.astype(np.int32),
         pin=_local(problem, box, vertex[end] % gcells).astype(np.int32),
-        width=width,
+        width=problem.net_width[nets],
         net=number_of[order].astype(np.int32),
         edge=used[order],
         priced=_local_edges(problem, box, priced),

@@ -1,0 +1,368 @@
+"""Controls of a chip's problem: layers, less capacity, and nets that stay as they are.
+
+A problem is adjusted once, after it is read. The game, all routers and ``evaluate`` then see the
+adjusted problem and need to know nothing else:
+
+* A layer outside of all **ranges of layers** has no capacity. Where nets have different ranges, a
+  net has a width in the layers that it must leave free that exceeds the capacity of every edge
+  there: a wire in one is overflow. Vias lead through all layers, so pins outside the range are
+  reached.
+* **Derating** multiplies capacities of layers and of areas, and rounds down.
+* Nets that are **kept** leave the problem, and capacities lack what their routes take. Solutions
+  are written with them (:class:`marouting.problem.problem.Kept`).
+"""
+
+import re
+from collections.abc import Collection
+from dataclasses import dataclass, field, fields, replace
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.checks import check_fields
+from marouting.config import check
+from marouting.errors import InputError, nearest
+from marouting.files import stem_of
+from marouting.problem.chip import Chip
+from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.net import Adjustment
+from marouting.problem.problem import Kept, Problem
+from marouting.problem.solution import Solution, evaluate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Area:
+    """A rectangle of Gcells in which edges have less capacity.
+
+    Attributes:
+        columns: the first and the last column, from 0.
+        rows: the first and the last row, from 0.
+        factor: by which the capacity of edges at its Gcells is multiplied, 0 to 1.
+        layers: in which layers, as in :class:`Controls`; None: in all.
+    """
+
+    columns: tuple[int, int]
+    rows: tuple[int, int]
+    factor: float
+    layers: str | int | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, factor=(0, 1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Controls:
+    """How a problem is adjusted.
+
+    Layers are given as a number from 1, a name, or a range of them, both ends included: ``3``,
+    ``met3``, ``2..6``, ``met1..met5``, ``2..``. Names of nets may hold ``*`` and ``?``.
+
+    Attributes:
+        layers: the layers of wires; None: all, but for the layer that holds only pins of a LEF/DEF
+            design.
+        clock_layers: the layers of the wires of clock nets, which are those with USE CLOCK in a DEF
+            file and those that ``clock_nets`` names; None: as ``layers``.
+        clock_nets: names of clock nets.
+        long_layers: the layers of the wires of long nets; None: as ``layers``.
+        long_nets: half the perimeter of the pins' bounding box, in Gcells, from which a net is
+            long.
+        derate: factors from 0 to 1 by layers, such as ``{met1: 0.8, 3..4: 0.9}``, by which capacity
+            is multiplied.
+        areas: the same in rectangles of Gcells (:class:`Area`).
+        keep: a file of routes or a guide; the nets that it routes stay as they are. None: none do.
+        keep_nets: names of nets of that file that stay; empty: all do.
+
+    Raises:
+        InputError: a value is none of its field's.
+    """
+
+    layers: str | int | None = None
+    clock_layers: str | int | None = None
+    clock_nets: tuple[str, ...] = ()
+    long_layers: str | int | None = None
+    long_nets: int | None = None
+    derate: dict[str, float] = field(default_factory=dict)
+    areas: tuple[Area, ...] = ()
+    keep: str | None = None
+    keep_nets: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        # Not those of a subclass: paths need not be UTF-8, as the text of a configuration is.
+        check_fields(self, Controls, long_nets=(1, 2**31 - 1))
+        for layers, factor in self.derate.items():
+            check(f"derate.{layers}", 0 <= factor <= 1, f"a number from 0 to 1, found {factor}")
+        both = (self.long_layers is None) == (self.long_nets is None)
+        check("long_layers", both, "long_nets beside it: from which length on nets are long")
+        check("clock_nets", not self.clock_nets or self.clock_layers, "clock_layers beside them")
+        check("keep_nets", not self.keep_nets or self.keep, "keep beside them, a file of routes")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProblemFile(Controls):
+    """A problem in a file, and how it is adjusted after it is read.
+
+    Attributes:
+        path: the file.
+        lef: the LEF files of a ``.def`` file, technology first; empty: the one beside it.
+        tile: width and height of a Gcell of a ``.def`` file; None: as its GCELLGRID says.
+        net: the ``.net`` file of a ``.cap`` file; None: the one beside it.
+    """
+
+    path: str
+    lef: tuple[str, ...] = ()
+    tile: tuple[int, int] | None = None
+    net: str | None = None
+
+    @property
+    def stem(self) -> str:
+        """The problem's name."""
+        return stem_of(self.path)
+
+    def read(self) -> Problem:
+        """The adjusted problem; raises InputError if it cannot be read or adjusted so."""
+        wires = self.layers is not None
+        problem = Problem.read(
+            self.path, lef=self.lef, tile=self.tile, net=self.net, pin_layer_wires=wires
+        )
+        try:
+            return adjusted(problem, self)
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from None
+
+
+def adjusted(problem: Problem, controls: Controls) -> Problem:
+    """A problem as controls adjust it; this one, if they say nothing.
+
+    Args:
+        problem: as it was read. Its contest's cost, if it has one, stays that of its files.
+        controls: how to adjust it.
+
+    Returns:
+        A problem on the same grid, with fewer nets if some are kept.
+
+    Raises:
+        InputError: a layer, a net or an area does not exist, a range of layers has wires along one
+            axis only, or kept routes cannot be read or do not join their pins. The message names
+            the control.
+    """
+    if all(getattr(controls, own.name) == getattr(_NONE, own.name) for own in fields(_NONE)):
+        return problem
+    kept, stays = _kept_routes(problem, controls)
+    free = np.setdiff1d(np.arange(len(problem.nets)), kept)
+    check("keep", len(free), f"at least one net that does not stay, found all in {controls.keep}")
+    allowed = _allowed_layers(problem, controls)
+    edge, capacity, by_layer = _reduced(problem, controls, np.any(allowed[free], axis=0))
+    if stays is not None:
+        used, tracks = stays.used_edges
+        inside = used % AXES != VIA_AXIS
+        used, tracks = used[inside], tracks[inside]
+        both = np.union1d(edge, used)
+        left = by_layer[both // AXES % problem.grid[2], both % AXES]
+        left[np.searchsorted(both, edge)] = capacity
+        left[np.searchsorted(both, used)] -= tracks
+        edge, capacity = both, np.maximum(left, 0)
+    found = _with_capacities(problem, edge, capacity, by_layer)
+    found = _with_widths(found, allowed, free)
+    if stays is None:
+        return found
+    nets = tuple(found.nets[i] for i in free.tolist())
+    chip, own = _chip_of(problem.chip, free), Kept(problem, free, stays.uses)
+    return replace(found, nets=nets, chip=chip, kept=own)
+
+
+_NONE = Controls()  # which change nothing
+
+
+# --- Layers ---------------------------------------------------------------------------------------
+
+
+def _layers_of(problem: Problem, name: str, given: str | int | None) -> NDArray[np.bool_]:
+    """(Z,) which layers a range means; all for None."""
+    count, names = problem.grid[2], problem.chip_or_default.layers
+    if given is None:
+        return np.ones(count, np.bool_)
+
+    def number(text: str, default: int) -> int:
+        if not text:
+            return default
+        if text in names:
+            return names.index(text)
+        if re.fullmatch("[0-9]{1,9}", text) and 1 <= int(text) <= count:
+            return int(text) - 1
+        raise InputError(
+            f"{name}: {nearest(text, names)}expected a layer from 1 to {count} or by its name, "
+            f"{', '.join(names)}, or a range such as 2..{count}, found {given!r}"
+        )
+
+    low, dots, high = str(given).partition("..")
+    first = number(low, 0 if dots else -1)
+    last = number(high, count - 1) if dots else first
+    check(name, 0 <= first <= last, f"a range from a lower to a higher layer, found {given!r}")
+    within: NDArray[np.bool_] = (first <= np.arange(count)) & (np.arange(count) <= last)
+    return within
+
+
+def _allowed_layers(problem: Problem, controls: Controls) -> NDArray[np.bool_]:
+    """(nets, Z) the layers in which each net may have wires."""
+    signal = _wired(problem, "layers", controls.layers)
+    allowed = np.tile(signal, (len(problem.nets), 1))
+    if controls.long_layers is not None and controls.long_nets is not None:
+        low, high = problem.pin_boxes()
+        long = (high - low)[:, :VIA_AXIS].sum(axis=1) >= controls.long_nets
+        allowed[long] = _wired(problem, "long_layers", controls.long_layers)
+    if controls.clock_layers is not None:
+        clock = _named(problem, "clock_nets", controls.clock_nets)
+        if problem.chip is not None and problem.chip.clock is not None:
+            clock |= problem.chip.clock
+        check("clock_layers", clock.any(), "clock nets: clock_nets=NAMES, or USE CLOCK in DEF")
+        allowed[clock] = _wired(problem, "clock_layers", controls.clock_layers)
+    return allowed
+
+
+def _wired(problem: Problem, name: str, given: str | int | None) -> NDArray[np.bool_]:
+    """:func:`_layers_of`; raises InputError if they lack wires along an axis that others have."""
+    layers = _layers_of(problem, name, given)
+    there = problem.layer_capacity[:, :VIA_AXIS] > 0
+    edge, capacity = problem.adjusted
+    rows = edge[capacity > 0]
+    there[rows // AXES % problem.grid[2], rows % AXES] = True
+    for axis, way in enumerate(("horizontal", "vertical")):
+        lacks = there[:, axis].any() and not there[layers, axis].any()
+        check(name, not lacks, f"a layer for {way} wires among them, found none in {given!r}")
+    return layers
+
+
+def _with_widths(problem: Problem, allowed: NDArray[np.bool_], nets: NDArray[np.int64]) -> Problem:
+    """The problem with widths that keep some nets out of layers in which other nets have wires."""
+    closed = allowed.any(axis=0) & ~allowed
+    concerned = nets[closed[nets].any(axis=1)]
+    if not len(concerned):
+        return problem
+    layers = problem.grid[2]
+    most = problem.layer_capacity[:, :VIA_AXIS].max(axis=1).astype(np.int64)
+    edge, capacity = problem.adjusted
+    np.maximum.at(most, edge // AXES % layers, capacity)
+    widths = np.where(closed[concerned], most + 1, problem.net_width[concerned])
+    changed = list(problem.nets)
+    for net, row in zip(concerned.tolist(), widths.tolist(), strict=True):
+        changed[net] = replace(changed[net], min_width=tuple(row))
+    return replace(problem, nets=tuple(changed))
+
+
+# --- Capacity -------------------------------------------------------------------------------------
+
+
+def _reduced(
+    problem: Problem, controls: Controls, open_layers: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Capacities after derating: edges that differ, (n,) twice, and (Z, 2) by layer and axis."""
+    layers = problem.grid[2]
+    factor = open_layers.astype(np.float64)
+    for name, share in controls.derate.items():
+        factor[_layers_of(problem, f"derate.{name}", name)] *= share
+    edge = problem.adjusted[0]
+    regions = [_edges_in(problem, number, area) for number, area in enumerate(controls.areas)]
+    edge = np.unique(np.concatenate((edge, *regions)))
+    own = factor[edge // AXES % layers]
+    for region, area in zip(regions, controls.areas, strict=True):
+        own[np.searchsorted(edge, region)] *= area.factor
+    capacity = _share(problem.capacity_of(edge), own)
+    by_layer = _share(problem.layer_capacity[:, :VIA_AXIS], factor[:, None])
+    return edge, capacity, by_layer
+
+
+def _share(capacity: NDArray[np.int32], factor: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Capacities times factors, rounded down; 0.7 of ten tracks are seven."""
+    return np.floor(capacity * factor + 1e-6).astype(np.int64)
+
+
+def _edges_in(problem: Problem, number: int, area: Area) -> NDArray[np.int64]:
+    """The edges inside layers that touch the Gcells of an area, each once."""
+    ranges = []
+    for axis, (name, (first, last)) in enumerate((("columns", area.columns), ("rows", area.rows))):
+        most = problem.grid[axis] - 1
+        check(
+            f"areas.{number}.{name}",
+            0 <= first <= last <= most,
+            f"a first and a last one from 0 to {most}, found {[first, last]}",
+        )
+        ranges.append((first, last, most))
+    z = np.flatnonzero(_layers_of(problem, f"areas.{number}.layers", area.layers))
+    found = []
+    for axis in range(VIA_AXIS):
+        begin = [first for first, _, _ in ranges]
+        end = [last for _, last, _ in ranges]
+        begin[axis] = max(begin[axis] - 1, 0)
+        end[axis] = min(end[axis], ranges[axis][2] - 1)
+        sides = (np.arange(a, b + 1) for a, b in zip(begin, end, strict=True))
+        x, y, layer = np.meshgrid(*sides, z, indexing="ij")
+        gcell = np.stack((x, y, layer), axis=-1).reshape(-1, 3) @ problem.strides
+        found.append(AXES * gcell + axis)
+    return np.unique(np.concatenate(found))
+
+
+def _with_capacities(
+    problem: Problem,
+    edge: NDArray[np.int64],
+    capacity: NDArray[np.int64],
+    by_layer: NDArray[np.int64],
+) -> Problem:
+    """The problem with other capacities: of layers and axes (Z, 2), and of single edges."""
+    near, axis = np.divmod(edge, AXES)
+    x, y, z = np.unravel_index(near, problem.grid)
+    differs = capacity != by_layer[z, axis]
+    table = np.column_stack((x, y, z + 1, x + (axis == 0), y + (axis == 1), z + 1, capacity))
+    return replace(
+        problem,
+        horizontal_capacity=tuple(by_layer[:, 0].tolist()),
+        vertical_capacity=tuple(by_layer[:, 1].tolist()),
+        adjustments=tuple(map(Adjustment._make, table[differs].tolist())),
+    )
+
+
+# --- Nets that stay -------------------------------------------------------------------------------
+
+
+def _named(problem: Problem, name: str, patterns: Collection[str]) -> NDArray[np.bool_]:
+    """(nets,) whether a net's name fits one of the patterns; each must fit one."""
+    named = np.zeros(len(problem.nets), np.bool_)
+    for pattern in patterns:
+        plain = pattern.replace("[", "[[]")  # buses have brackets in their names
+        fits = [fnmatchcase(net.name, plain) for net in problem.nets]
+        check(name, any(fits), f"names of nets, found none named {pattern}")
+        named |= fits
+    return named
+
+
+def _kept_routes(problem: Problem, controls: Controls) -> tuple[NDArray[np.int64], Solution | None]:
+    """The nets that stay, and their routes: a solution of the problem, or None without any."""
+    if controls.keep is None:
+        return np.empty(0, np.int64), None
+    found = Solution.read(controls.keep, problem)
+    net, edge = found.uses
+    chosen = _named(problem, "keep_nets", controls.keep_nets)
+    if not controls.keep_nets:
+        chosen[net] = True
+    check("keep", chosen.any(), f"a net with a route, found none in {controls.keep}")
+    reached = found.at_reached_pins()
+    open_nets = set(evaluate(reached.problem, reached).disconnected)
+    for i in np.flatnonzero(chosen).tolist():
+        if problem.nets[i].name in open_nets:
+            raise InputError(
+                f"keep: {controls.keep}: net {problem.nets[i].name}: expected a route that joins "
+                "all pins; keep_nets selects others"
+            )
+    stays = chosen[net]
+    return np.flatnonzero(chosen), Solution.of_uses(problem, net[stays], edge[stays])
+
+
+def _chip_of(chip: Chip | None, nets: NDArray[np.int64]) -> Chip | None:
+    """What a chip's files say beyond a problem, for some of its nets."""
+    if chip is None:
+        return None
+    return replace(
+        chip,
+        places=None if chip.places is None else chip.places.of_nets(nets),
+        clock=None if chip.clock is None else chip.clock[nets],
+    )

@@ -1,0 +1,148 @@
+"""Routing guides for detailed routers: a check of them, and patches that give more room.
+
+The rules are those by which the routers of the ISPD 2018 and 2019 contests read guides (Kahng, Wang
+and Xu, "TritonRoute: an initial detailed router for advanced VLSI technologies", ICCAD 2018).
+"""
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marouting.memory import USED
+from marouting.problem import ispd
+from marouting.problem.grid import AXES, VIA_AXIS, gcells_of_boxes, neighbours
+from marouting.problem.parts import joined_parts
+from marouting.problem.problem import Problem
+
+CROWDED = 0.9
+"""From which share of an edge's capacity on patched guides give its nets more room."""
+
+
+@dataclass(frozen=True)
+class GuideCheck:
+    """What is wrong with a guide, by the contests' rules.
+
+    Attributes:
+        boxes: how many boxes it has.
+        off_grid: boxes whose sides are not all on lines between Gcells.
+        open_pins: pins, of nets with several, of which no box touches a shape in its own layer.
+        split_nets: nets whose boxes are in several parts. Boxes are joined if they touch along a
+            side or overlap in one layer, or overlap in two layers above each other.
+    """
+
+    boxes: int
+    off_grid: int
+    open_pins: int
+    split_nets: int
+
+
+def check_guide(path: str | os.PathLike[str], problem: Problem) -> GuideCheck | None:
+    """Checks a guide.
+
+    Pins and boxes are compared by Gcells, which is exact for boxes on the grid.
+
+    Args:
+        path: the file.
+        problem: what it is a guide for.
+
+    Returns:
+        What is wrong with it; None if the file holds routes and no boxes.
+
+    Raises:
+        InputError: the file cannot be read or does not fit the problem.
+    """
+    problem = problem if problem.kept is None else problem.kept.whole
+    chip, nets = problem.chip_or_default, [(net.name, net.id) for net in problem.nets]
+    record = ispd.read_solution(path, nets, chip.layers)
+    if isinstance(record, ispd.SolutionRecord) or not len(record.boxes):
+        return None
+    net, box, layer = record.net, record.boxes[:, :4], record.boxes[:, 4]
+    lines = (chip.x, chip.y, chip.x, chip.y)
+    on_grid = np.stack([np.isin(box[:, i], at) for i, at in enumerate(lines)]).all(axis=0)
+    first = [np.searchsorted(at, box[:, i], "right") - 1 for i, at in enumerate(lines[:2])]
+    last = [np.searchsorted(at, box[:, i + 2], "left") for i, at in enumerate(lines[:2])]
+    first = [at.clip(0, len(line) - 2) for at, line in zip(first, lines, strict=False)]
+    last = [
+        np.minimum(np.maximum(b, a + 1), len(line) - 1)
+        for a, b, line in zip(first, last, lines, strict=False)
+    ]
+    index, x, y = gcells_of_boxes(first, last, USED, "boxes of {} Gcells")
+    size = int(np.prod(problem.grid))
+    gcell = np.stack((x, y, layer[index]), axis=1) @ problem.strides
+    covered = np.unique(net[index] * size + gcell)
+    near, far = np.concatenate(
+        [np.stack(neighbours(problem.grid, covered, axis)) for axis in range(AXES)], axis=1
+    )
+    parts = np.unique(joined_parts(near, far, len(covered)))
+    parts_of_net = np.bincount(covered[parts] // size, minlength=len(problem.nets))
+    return GuideCheck(
+        boxes=len(box),
+        off_grid=int(np.count_nonzero(~on_grid)),
+        open_pins=_open_pins(problem, covered),
+        split_nets=int(np.count_nonzero(parts_of_net > 1)),
+    )
+
+
+def _open_pins(problem: Problem, covered: NDArray[np.int64]) -> int:
+    """How many pins have no shape in ``covered``, nets · G + Gcell, ascending."""
+    size = int(np.prod(problem.grid))
+    pins = np.array([len(net.pins) for net in problem.nets])
+    owner = np.repeat(np.arange(len(pins)), pins)
+    place, gcell = np.arange(len(owner)), problem.gcell_of_pins
+    if problem.chip is not None and problem.chip.places is not None:
+        places = problem.chip.places
+        place, gcell = np.repeat(place, np.diff(places.first)), places.gcell
+    touched = np.isin(owner[place] * size + gcell, covered)
+    reached = np.zeros(len(owner), np.bool_)
+    reached[place[touched]] = True
+    return int(np.count_nonzero(~reached & (pins[owner] > 1)))
+
+
+def patches(
+    problem: Problem,
+    uses: tuple[NDArray[np.int64], NDArray[np.int64]],
+    demand: tuple[NDArray[np.int64], NDArray[np.int64]],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Gcells beyond routes and pins that give a detailed router more room.
+
+    Around every pin they are the Gcells of the eight neighbouring columns, in the pin's layer and
+    in the next two. Where an edge is crowded, they are its Gcells in the layers above and below
+    that have wires.
+
+    Args:
+        problem: what is routed.
+        uses: net and edge of every use of an edge by a net.
+        demand: edges in use, ascending, and the tracks taken of each.
+
+    Returns:
+        (k,) twice: net and Gcell, perhaps several times.
+    """
+    first, pins = problem.flat_pin_gcells
+    owner = np.repeat(np.arange(len(problem.nets)), np.diff(first))
+    several = np.diff(first)[owner] > 1
+    owner, at = owner[several], np.stack(np.unravel_index(pins[several], problem.grid), axis=1)
+    found = [
+        (owner, at + np.array([dx, dy, dz]))
+        for dx in (-1, 0, 1)
+        for dy in (-1, 0, 1)
+        for dz in (0, 1, 2)
+    ]
+    net, edge = uses
+    used, tracks = demand
+    crowded = used[(tracks > 0) & (tracks >= CROWDED * problem.capacity_of(used))]
+    concerned = (edge % AXES != VIA_AXIS) & np.isin(edge, crowded)
+    near = edge[concerned] // AXES
+    wired = problem.layer_capacity[:, :VIA_AXIS].max(axis=1) > 0
+    for gcell in (near, near + problem.strides[edge[concerned] % AXES]):
+        position = np.stack(np.unravel_index(gcell, problem.grid), axis=1)
+        for step in (-1, 1):
+            layer = position[:, 2] + step
+            there = (layer >= 0) & (layer < problem.grid[2])
+            there[there] = wired[layer[there]]
+            found.append((net[concerned][there], position[there] + np.array([0, 0, step])))
+    nets = np.concatenate([own for own, _ in found])
+    cells = np.concatenate([cell for _, cell in found])
+    inside = ((cells >= 0) & (cells < np.array(problem.grid))).all(axis=1)
+    return nets[inside], cells[inside] @ problem.strides
