@@ -20,6 +20,7 @@ import enum
 import functools
 import gc
 import hashlib
+import importlib
 import os
 import pickle
 import re
@@ -38,6 +39,12 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.extending import typeof_impl
+from numba.np import linalg
+
+# Numba imports SciPy, which takes as long as all kernels, only to see whether there is a BLAS.
+_ensure_blas, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+importlib.import_module("numba.np.arraymath")
+linalg.ensure_blas = _ensure_blas
 
 
 def compile_with(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.batch.engine import Engine
 from marouting.batch.locality import check_local
 from marouting.options import game_options
 from marouting.problem.solution import evaluate
@@ -39,7 +40,7 @@ class ProblemResult:
         overflow: in tracks.
         wirelength: in edges, a via counts 1.
         cost: the wirelength, and :attr:`marouting.scenarios.Scenario.open_cost` for every task that
-            is not connected.
+            is not connected and every track of overflow.
         reference: overflow and wirelength of the best solution known.
         score: of the leaderboard, see :mod:`marouting.scenarios.score`.
         gap: wirelength above the reference, in %; None if it has open nets or more overflow.
@@ -143,18 +144,40 @@ def evaluate_policy(
             is not local.
         ValueError: the policy returns something else than one action for each agent.
     """
-    found = get(scenario)
-    problems = found.problems(split)
+    env = play_split(policy, scenario, split, local=local, threads=threads, **options)
+    return result_of(env.engine, scenario, split)
+
+
+def play_split(
+    policy: Policy,
+    scenario: str,
+    split: Split = "test",
+    *,
+    local: bool | int = False,
+    threads: int = 1,
+    **options: Any,
+) -> BatchEnv:
+    """The games of :func:`evaluate_policy`, at their end."""
     given: dict[str, Any] = {**options, "scenario": scenario, "split": split}
+    _ = get(scenario).problems(split)  # or an error
     sequential = game_options(given).turn_order == "sequential"
     env = BatchEnv(everyone=not sequential, play_once=True, threads=threads, **given)
     if local is not False:
         some = env.engine.part(slice(_CHECKED))
         check_local(env.observation, some, None if local is True else local)
     play(policy, env)
-    steps = env.engine.games["steps"]
-    rows = [_row(env, m, name, scenario) for m, name in enumerate(problems)]
     env.close()
+    return env
+
+
+def result_of(engine: Engine, scenario: str, split: Split = "test") -> PolicyResult:
+    """What came of the games of a split, each at its end.
+
+    Raises:
+        InputError: there is no such scenario or split.
+    """
+    found = get(scenario)
+    rows = [_row(engine, m, name, scenario) for m, name in enumerate(found.problems(split))]
     gaps = [row.gap for row in rows if row.gap is not None]
     best = sum(found.cost(row.reference[1], 0) for row in rows)
     cost = sum(row.cost for row in rows) / best
@@ -176,7 +199,7 @@ def evaluate_policy(
         wirelength=sum(row.wirelength for row in rows),
         gap=sum(gaps) / len(gaps) if gaps else None,
         compared=len(gaps),
-        agent_steps=int(steps.sum()),
+        agent_steps=int(engine.games["steps"].sum()),
         rows=tuple(rows),
     )
 
@@ -195,11 +218,11 @@ def play(policy: Policy, env: BatchEnv) -> Mapping[str, Any]:
     return info
 
 
-def _row(env: BatchEnv, m: int, name: str, scenario: str) -> ProblemResult:
+def _row(engine: Engine, m: int, name: str, scenario: str) -> ProblemResult:
     """What came of problem m."""
-    found, problem = get(scenario), env.engine.problems[m]
-    metrics, reference = env.engine.metrics(m), found.reference(problem)
-    figures = Figures.of(evaluate(problem, env.engine.solution(m)))
+    found, problem = get(scenario), engine.problems[m]
+    metrics, reference = engine.metrics(m), found.reference(problem)
+    figures = Figures.of(evaluate(problem, engine.solution(m)))
     astar = Figures.of(evaluate(problem, sequential_astar(problem)))
     best = Figures(0, reference.overflow, reference.wirelength)
     good = figures[:2] == best[:2]
@@ -210,7 +233,7 @@ def _row(env: BatchEnv, m: int, name: str, scenario: str) -> ProblemResult:
         open=figures.open,
         overflow=figures.overflow,
         wirelength=figures.wirelength,
-        cost=found.cost(figures.wirelength, metrics.tasks - metrics.joined),
+        cost=found.cost(figures.wirelength, metrics.tasks - metrics.joined, figures.overflow),
         reference=(reference.overflow, reference.wirelength),
         score=score(figures, astar, best),
         gap=100 * (figures.wirelength / max(best.wirelength, 1) - 1) if good else None,

@@ -35,7 +35,31 @@ _allowed: ContextVar[bool | frozenset[str]] = ContextVar("allowed", default=Fals
 
 _folder: ContextVar[str | None] = ContextVar("folder", default=None)
 
+_HOMES = {"observation": "marouting.observations", "reward": "marouting.rewards"}
+"""The modules that register this package's own pieces."""
+
 _registered: dict[str, dict[str, type[Any] | str]] = {kind: {} for kind in KINDS}
+
+
+ENVIRONMENT_ID = "marouting/GlobalRouting-v0"
+"""What Gymnasium and PettingZoo call the environment."""
+
+
+def register_environments() -> None:
+    """Makes the environment known to Gymnasium and PettingZoo, which takes a tenth of a second."""
+    import gymnasium
+
+    gymnasium.register(
+        ENVIRONMENT_ID,
+        entry_point="marouting.env.single:GlobalRoutingSingle",
+        vector_entry_point="marouting.gym_vector:GlobalRoutingVector",
+    )
+    try:  # PettingZoo has a registry from version 1.27 on
+        from pettingzoo import register
+    except ImportError:
+        return
+    register("aec", ENVIRONMENT_ID, "marouting.global_routing_v0:env")
+    register("parallel", ENVIRONMENT_ID, "marouting.global_routing_v0:parallel_env")
 
 
 def register(kind: str, name: str, cls: type[Any] | str) -> None:
@@ -63,6 +87,8 @@ def names(kind: str) -> tuple[str, ...]:
 
 def registered() -> list[tuple[str, str, str]]:
     """What this process has registered, as arguments of :func:`register` for another process."""
+    for kind in KINDS:
+        _check_kind(kind)
     return [
         (kind, name, cls if isinstance(cls, str) else f"{cls.__module__}:{cls.__qualname__}")
         for kind, known in _registered.items()
@@ -139,6 +165,8 @@ def name_of(kind: str, cls: type[Any]) -> str:
 def _check_kind(kind: str) -> None:
     if kind not in KINDS:
         raise InputError(f"kind: expected one of {', '.join(KINDS)}, found {kind!r}")
+    if (home := _HOMES.get(kind)) is not None:
+        importlib.import_module(home)
 
 
 @functools.cache
@@ -151,6 +179,7 @@ def imported(path: str, prefix: str = "") -> Any:
     """What a user has at ``module:Name``, or None; raises InputError if there is no such module."""
     if (folder := _folder.get()) is not None and folder not in sys.path:
         sys.path.append(folder)
+        register_environments()  # which the user's code may make by name
     return _imported(path, prefix)
 
 

@@ -131,23 +131,22 @@ class BatchEnv(EzPickle):
             device=device,
             **options,
         )
+        kind = type(self).__name__
+        check("device", device == "cpu", f"cpu for the class {kind}, found {device!r}")
         if not (is_whole(threads) and threads >= 1):
             raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
-        checked = game_options(options)
-        if checked.turn_order is None:
-            order = ORDERS["multi" if everyone else "single"]
-            checked = replace(checked, turn_order=order)
+        checked = batch_options(options, everyone=everyone)
         self._persists = checked.agents_persist
         check("agents_persist", everyone or not self._persists, "false: only one row")
         once = not play_once or not is_whole(problems)
         check("play_once", once, "false: these games draw their problems")
-        draws = _draws(self._draws_of, problems, problem, checked, seed)
-        if draws is None:
+        episodes = drawn_from(problems, problem, checked)
+        draws = None
+        if episodes is None:
             self.engine = engine = Engine(fixed_batch(problems, checked), checked)
         else:
-            self.engine = engine = Engine(
-                draws.problems.tolist(), checked, room=draws.episodes.room
-            )
+            draws = self._draws_of(episodes, seed, cast(int, problems))
+            self.engine = engine = Engine(draws.problems.tolist(), checked, room=episodes.room)
         self._draws = draws
         bounds = draws.episodes.bounds if draws else engine.problems
         self.autoreset, self._everyone = autoreset and not play_once, everyone
@@ -388,13 +387,17 @@ def info_of(b: StepBuffers, now: Callable[[str], Any], final: Callable[[str], An
     }
 
 
-def _draws(
-    kind: type[ProblemSampler],
-    problems: Sequence[Problem] | int | None,
-    source: Source,
-    options: GameOptions,
-    seed: int,
-) -> ProblemSampler | None:
+def batch_options(options: Mapping[str, Any], *, everyone: bool) -> GameOptions:
+    """The options of a batch; see :class:`BatchEnv`."""
+    checked = game_options(options)
+    if checked.turn_order is not None:
+        return checked
+    return replace(checked, turn_order=ORDERS["multi" if everyone else "single"])
+
+
+def drawn_from(
+    problems: Sequence[Problem] | int | None, source: Source, options: GameOptions
+) -> ProblemStream | None:
     """What the games of a batch draw their problems from; None if they stay, see `BatchEnv`."""
     if not is_whole(problems):
         check("problem", source is None, "none: problems= is a list, not a number of games")
@@ -402,7 +405,7 @@ def _draws(
     if options.scenario is None:
         what = f"a list of problems, or a problem or scenario as well; found {problems}"
         check("problems", source is not None, what)
-    return kind(ProblemStream(source, options.scenario, options.split), seed, cast(int, problems))
+    return ProblemStream(source, options.scenario, options.split)
 
 
 def fixed_batch(

@@ -1,5 +1,6 @@
 """What tests/test_cuda.py runs in numba's CUDA simulator, which has to be on before numba is."""
 
+import pickle
 import sys
 from typing import Any
 
@@ -8,7 +9,7 @@ import torch
 
 import marouting
 from marouting.vector import BatchEnv
-from policies.bench.cuda import CASES, compare, difference
+from policies.bench.cuda import CASES, WINDOW, compare, difference, on_host
 from policies.learned.config import load_config
 from policies.learned.device_trainer import DeviceTrainer
 from policies.learned.run import problems_of
@@ -21,15 +22,112 @@ def play(first: int, last: int) -> None:
         print(compare(problems, 16, **options))
 
 
+class Follower:
+    """Plays on the processor what a game of the device plays, whose rows are in turn order."""
+
+    def __init__(self, problem: marouting.Problem, options: Any) -> None:
+        self.env: Any = BatchEnv([problem], **options)
+        self.order = self.env.engine.order[0]
+        self.obs, self.info = self.env.reset()
+
+    def step(self, moves: np.ndarray) -> None:
+        """Makes the moves (N,) of the rows of the device."""
+        actions = np.empty((1, len(self.order)), np.int32)
+        actions[0, self.order] = moves[: len(self.order)]
+        self.obs, *_, self.info = self.env.step(actions)
+
+    def differs(self, obs: Any, info: Any, nets: np.ndarray, m: int) -> str | None:
+        """The name of the first array that game m of the device has otherwise."""
+        here = {"obs": self.obs, **self.info, "nets": self.env.engine.nets}
+        there = {"obs": obs, **info, "nets": nets}
+        rows = len(self.order)
+        for name in ("nets", "obs", "action_mask", "active", "acted", "task_ended"):
+            found = on_host(there[name])[m]
+            if not np.array_equal(here[name][0, self.order], found[:rows]):
+                return name
+            if not (found[rows:] == (1 if name == "action_mask" else -(name == "nets"))).all():
+                return f"{name} of rows without agents"
+        ended = self.info["task_ended"][0, self.order] != 0
+        for name in ("final_obs", "final_mask"):
+            found = on_host(there[name])[m, :rows]
+            if not np.array_equal(here[name][0, self.order][ended], found[ended]):
+                return name
+        figures = ("over", "overflow", "wirelength", "joined", "steps")
+        return difference(
+            {name: here[name] for name in figures},
+            {name: on_host(there[name])[m : m + 1] for name in figures},
+        )
+
+
+def draw() -> None:
+    """Compares games that draw their problems with the same problems on the processor.
+
+    Problems have different numbers of nets. Once, one of the games begins before its time, and from
+    the middle on, a copy of the environment plays. Prints what differs first, then how many
+    episodes were played and how many different problems the games drew.
+    """
+    options: dict[str, Any] = {
+        "observation": {**WINDOW, "radius": 1}, "reward": "team", "max_steps": 5,
+    }  # fmt: skip
+    problems = [
+        marouting.generate(1, nets=nets, grid=(4, 4, 2), capacity=1, reduced_edges=0)[0]
+        for nets in (2, 4, 3)
+    ]
+    env: Any = BatchEnv(2, problem=problems, device="cuda", **options)
+    rng = np.random.default_rng(0)
+    followers: dict[int, Follower] = {}
+    drawn: list[tuple[int, int]] = []
+    differs: str | None = None
+    obs, info = env.reset(seed=3)
+    begins = np.ones(2, np.bool_)
+    for step in range(30):
+        for m in np.flatnonzero(begins).tolist():
+            drawn.append((m, int(on_host(info["problem"])[m])))
+            followers[m] = Follower(env.pool[drawn[-1][1]], options)
+        for m, follower in followers.items():
+            differs = differs or follower.differs(obs, info, env.nets, m)
+        mask, begins = on_host(info["action_mask"]), on_host(info["over"])
+        if differs is not None:
+            break
+        if step == 5:
+            begins = np.array([True, False])
+            obs, info = env.reset(options={"reset_mask": begins})
+            continue
+        if step == 15:
+            env = pickle.loads(pickle.dumps(env))
+        moves = (mask * rng.random(mask.shape)).argmax(-1)
+        obs, *_, info = env.step(moves)
+        for m in np.flatnonzero(~begins).tolist():
+            followers[m].step(moves[m])
+    print(differs)
+    print(len(drawn), len(set(drawn)))
+
+
 def check() -> None:
-    """Prints what the environment says of an action that is out of range."""
-    env: Any = BatchEnv(marouting.generate(1, nets=3, grid=(4, 4, 2), capacity=1), device="cuda")
+    """Prints what the environment says of what it cannot use, and how scenarios order turns."""
+    problems = marouting.generate(2, nets=3, grid=(4, 4, 2), capacity=1, reduced_edges=0)
+    env: Any = BatchEnv(problems[:1], device="cuda")
     env.reset()
     env.step(env._device.of(np.full((1, env.num_agents), 9, np.int32)))
-    try:
-        env.reset()
-    except ValueError as error:
-        print(error)
+    drawing: Any = BatchEnv(1, problem=problems, device="cuda")
+    floats = np.zeros((1, env.num_agents))
+    for call in (
+        env.reset,
+        lambda: env.step(floats),
+        lambda: env.step(env._device.of(floats)),
+        lambda: drawing.reset(seed=-1),
+        lambda: BatchEnv(problems[1:], device="cuda").restore(env.save()),
+        lambda: BatchEnv(1, device="cuda"),
+        lambda: BatchEnv(1, problem=problems, device="cuda", pool=0.5),
+    ):
+        try:
+            call()
+        except ValueError as error:
+            print(error)
+    env.reset(seed=-1)  # without effect, as on the processor
+    for options in ({"scenario": "online-8x8-v0"}, {"problem": problems, "turn_order": None}):
+        env = BatchEnv(1, device="cuda", pool=1, **options)
+        print(env._static.sequential, type(env.observation).__name__)
 
 
 def trainer() -> DeviceTrainer:
@@ -71,7 +169,5 @@ if __name__ == "__main__":
     torch.set_num_threads(1)
     if sys.argv[1] == "play":
         play(*map(int, sys.argv[2:]))
-    elif sys.argv[1] == "check":
-        check()
     else:
-        resume()
+        {"check": check, "draw": draw, "resume": resume}[sys.argv[1]]()

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import problems
 
-from marouting import Engine, InputError, Solution, evaluate, generate, sequential_astar
+from marouting import Engine, Field, InputError, Solution, evaluate, generate, sequential_astar
 from marouting.render import colour_of, rgb_array, scene_of
 from marouting.search.guides import AStar
 
@@ -325,3 +325,20 @@ def test_a_trained_policy_plays_its_own_game(tmp_path, monkeypatch, capfd):
     routed = dict(line.split(maxsplit=1) for line in capfd.readouterr().out.splitlines())
     assert cli.status(["view", "p.gr", "--checkpoint", "run/policy.pt", "--out", "a.svg"]) == 0
     assert f"wirelength {routed['wirelength']}" in capfd.readouterr().out
+
+
+def test_walls_and_closed_gcells_are_drawn():
+    # Columns 0 and 1, a wall, columns 2 and 3; the gate is in row 0; nothing leads to column 4.
+    field = Field(5, 3).wall(right_of=1).gate(right_of=1, row=0, tracks=1)
+    problem = field.wall(right_of=3).area((4, 4), (0, 2)).net((0, 0), (3, 0)).problem()
+    text = film.svg([scene_of(Engine([problem]))], "", 2)
+    (ground,) = (path for path in paths(text) if path.get("fill") == "#eef0f4")
+    assert ground.get("d").count("z") == 4 * 3
+    (walls,) = (path for path in paths(text) if path.get("stroke") == "#202020")
+    assert walls.get("d").count("v") == 2  # the wall in rows 1 and 2
+    assert "h" not in walls.get("d")
+    assert len({line.split()[0] for line in walls.get("d").split("M")[1:]}) == 1
+
+
+def paths(text):
+    return ElementTree.fromstring(text).findall(f"{SVG}path")

@@ -15,21 +15,26 @@ import pytest
 import torch
 
 import marouting
+from marouting.batch.setup import static_state
 from marouting.config import build
+from marouting.cuda.env import _narrow, _without_vias
 from marouting.options import game_options
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.ppo import PPOOptions
 from policies.learned.config import load_config
 from policies.learned.device_trainer import on_device
 from policies.learned.on_device import DevicePPO
+from policies.learned.run import problems_of, trainer_of
 
 SIMULATED = Path(__file__).with_name("simulated.py")
 CASES = 14
 
 
-def simulate(*arguments: str) -> list[str]:
-    """The lines that tests/simulated.py prints in the simulator."""
-    settings = {**os.environ, "NUMBA_ENABLE_CUDASIM": "1", "PYTHONWARNINGS": "ignore"}
+def simulate(*arguments: str, simulator: bool = True) -> list[str]:
+    """The lines that tests/simulated.py prints in the simulator, or on a real device."""
+    settings = {
+        **os.environ, "NUMBA_ENABLE_CUDASIM": str(int(simulator)), "PYTHONWARNINGS": "ignore",
+    }  # fmt: skip
     run = subprocess.run(
         [sys.executable, str(SIMULATED), *arguments],
         env=settings, capture_output=True, text=True, check=False,
@@ -51,15 +56,49 @@ def test_a_training_on_a_device_goes_on_from_its_checkpoint() -> None:
     assert int(steps.split()[0]) > 0
 
 
-def test_an_action_out_of_range_is_told_at_the_next_reset() -> None:
-    assert simulate("check") == ["actions: expected 0 to 5, or -1, found others"]
+SIMULATOR = pytest.param(True, id="simulator")
+REAL = pytest.param(False, id="real", marks=pytest.mark.gpu)
+
+
+@pytest.mark.parametrize("simulator", [SIMULATOR, REAL])
+def test_games_draw_their_problems_anew_and_leave_nothing_of_the_last(simulator: bool) -> None:
+    differs, counts = simulate("draw", simulator=simulator)
+    assert differs == "None"
+    episodes, problems = map(int, counts.split())
+    assert episodes >= 6
+    assert problems > 2  # of two games
+
+
+@pytest.mark.parametrize("simulator", [SIMULATOR, REAL])
+def test_what_cannot_be_used_is_told_and_scenarios_order_turns(simulator: bool) -> None:
+    assert simulate("check", simulator=simulator) == [
+        "actions: expected 0 to 5, or -1, found others",  # at the next reset
+        "actions: expected integers of shape (1, 3), found float64 of shape (1, 3)",
+        "actions: expected integers of shape (1, 3), found float64 of shape (1, 3)",
+        "seed: expected a whole number from 0 to 2**64 - 1, found -1",
+        "saved: expected the state of such games, found that of others",
+        "problems: expected a list of problems, or a problem or scenario as well; found 1",
+        "pool: expected a number from 1, found 0.5",
+        "True WindowObservation",
+        "False PaperObservation",
+    ]
 
 
 def test_what_the_device_does_not_know_trains_with_the_networks_alone_on_it() -> None:
     changes = ["learner.kind=ippo", "env.scenario=gates-8x7-v0", "train.device=cuda"]
     assert on_device(load_config(None, changes))
-    for other in ("env.observation.channels=[demand]", "learner.kind=dqn", "train.device=cpu"):
+    for other in (
+        "env.observation.channels=[demand]", "env.message_bits=1", "learner.kind=dqn",
+        "train.device=cpu",
+    ):  # fmt: skip
         assert not on_device(load_config(None, [*changes, other]))
+
+
+def test_games_are_on_the_first_device_alone() -> None:
+    changes = ["learner.kind=ippo", "env.scenario=gates-8x7-v0", "train.device=cuda:1"]
+    config = load_config(None, changes)
+    with pytest.raises(marouting.InputError, match=r"^train.device: expected cuda, .*cuda:1$"):
+        trainer_of(*problems_of(config), config)
 
 
 @pytest.mark.gpu
@@ -125,6 +164,14 @@ def test_all_kernels_compile_for_a_device(
         env.state()
     assert len(compiled) == 3 * 6
     assert all(f".target sm_{capability[0]}{capability[1]}" in code for code in compiled)
+
+
+def test_edges_cannot_overflow_their_small_types_while_routes_are_put_back() -> None:
+    problems = marouting.generate(1, nets=200, reduced_edges=0)
+    for rounds, kind in ((0, np.int8), (1, np.int16)):
+        rules = game_options({"rip_up": {"rounds": rounds}} if rounds else {})
+        static, _ = static_state(problems, rules)
+        assert _narrow(_without_vias(static))["remaining"] == kind
 
 
 def test_what_a_device_cannot_do_is_refused_in_one_line() -> None:

@@ -1114,7 +1114,10 @@ def test_own_routers_stand_in_an_experiment(
         ({"router": "my_routers:Mine"}, "routers.mine: order: "),
         ({"router": "my_routers:Mine", "order": 3}, "routers.mine: order: "),
         ({"router": "my_routers:Mine", "order": "x", "agian": 1}, "did you mean again?"),
-        ({"router": "my_routers:Neither"}, "expected a class with a method route, or a learner"),
+        (
+            {"router": "my_routers:Neither"},
+            "expected a class with a method route or moves, or a learner",
+        ),
         ({"router": "my_routers:Nowhere"}, "there is no class Nowhere in my_routers"),
         ({"router": "no_module:Mine"}, "there is no module no_module"),
         (

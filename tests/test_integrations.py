@@ -2,6 +2,7 @@
 
 import csv
 import importlib.util
+import json
 import pickle
 import re
 import subprocess
@@ -13,12 +14,16 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
+from conftest import in_this_process
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 from marouting import ENVIRONMENT_ID, InputError, PaperObservation, generate, global_routing_v0
 from marouting.game import NOBODY
 from marouting.vector import BatchEnv
+from policies.cli.main import status
+from policies.experiment import experiment
 
 
 class Seen(PaperObservation):
@@ -446,6 +451,51 @@ def test_benchmarl_takes_the_task() -> None:
     assert set(task.log_info(steps)) == {"collection/info/joined", "collection/info/overflow"}
 
 
+def test_torchrl_shares_the_mean_of_what_present_nets_are_paid() -> None:
+    pytest.importorskip("torchrl")
+    from policies.integrations.torchrl import RoutingEnv
+
+    options = {"scenario": "gates-8x7-v0", "split": "validation"}
+    own, shared = RoutingEnv(**options), RoutingEnv(shared=True, **options)
+    present = torch.from_numpy(own.batch.present)[:, None, :, None]
+    assert 0 < present.float().mean() < 1
+    torch.manual_seed(0)
+    steps = own.rollout(30, break_when_all_done=True)
+    actions = iter(steps["nets", "action"].unbind(1))
+    again = shared.rollout(
+        30,
+        lambda td: td.set(("nets", "action"), next(actions)),
+        break_when_all_done=True,
+    )
+    mean = (steps["next", "nets", "reward"] * present).sum(2) / present.sum(2)
+    assert torch.allclose(again["next", "reward"], mean)
+    # Agent-steps are the moves of agents, as a figure of the games counts them.
+    moves = steps["next", "info", "acted"].sum(dim=(1, 2))
+    assert moves.tolist() == own.batch.engine.games["steps"].tolist()
+    assert moves.max() > steps.shape[1]
+
+
+@pytest.mark.parametrize("algorithm", ["vdn", "qmix"])
+def test_value_decomposition_makes_a_row(algorithm: str, tmp_path: Path) -> None:
+    pytest.importorskip("benchmarl")
+    from marouting import evaluate_policy
+    from policies.integrations.value_decomposition import train
+
+    steps = 12_000
+    row = train(algorithm, "gates-8x7-v0", steps, 0, tmp_path, off_policy_n_optimizer_steps=60)
+    assert steps <= row["agent_steps"] < steps + 64 * 4 * 20
+    assert row["curve"][-1][0] == row["agent_steps"]
+    assert Path(row["file"]).exists()
+
+    def at_random(_: object, masks: np.ndarray) -> np.ndarray:
+        return (np.random.default_rng(0).random(masks.shape) * masks).argmax(axis=1)
+
+    for split in ("validation", "test"):
+        found = row[split]
+        assert (found["scenario"], found["split"]) == ("gates-8x7-v0", split)
+        assert found["cost"] < evaluate_policy(at_random, "gates-8x7-v0", split).cost - 0.5
+
+
 # Tianshou -----------------------------------------------------------------------------------------
 
 
@@ -537,13 +587,66 @@ def test_a_recipe_fails_where_too_few_nets_are_joined(run: str) -> None:
     assert re.search(said, done.stderr, re.MULTILINE), done.stderr
 
 
+SCORED = {
+    "score_sb3": ("sb3_contrib", "sb3", "file=model.zip"),
+    "score_torchrl": ("torchrl", "torchrl", "file=policy.pt"),
+    "score_benchmarl": ("benchmarl", "benchmarl", "file={file}"),
+    "score_rllib": ("ray.rllib", "rllib", "folder=folder"),
+}
+"""Examples that train a policy and score it: what they need, and the router that they name."""
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) for n in SCORED])
+def test_a_policy_that_was_trained_in_a_library_is_a_row(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its figures are those that the example prints; another scenario's game is refused."""
+    needed, module, option = SCORED[name]
+    try:
+        importlib.import_module(needed)
+    except ImportError:
+        pytest.skip(f"{needed} is not installed")
+    example = RECIPES / f"{name}.py"
+    target = option.partition("=")[2].replace("{file}", "runs")
+    done = subprocess.run(
+        [sys.executable, example, target, "--steps", "3000"],
+        capture_output=True,
+        text=True,
+        timeout=900,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.strip().splitlines()
+    printed = re.search(r"test: cost ([\d.]+), score (-?[\d.]+)", lines[-1])
+    assert printed, done.stdout
+    monkeypatch.chdir(tmp_path)
+    router = f"policies.integrations.{module}:Policy {option.format(file=lines[0])} teacher=false"
+    monkeypatch.setattr(experiment, "work_on", in_this_process)
+    command = ["benchmark", "--router", router, "--name", "row", "jobs=1", "--json", "--scenario"]
+    assert status([*command, "gates-8x7-v0"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    assert f"{row['cost']:.4f}" == printed[1]
+    assert f"{row['score']['mean']:.3f}" == printed[2]
+    assert (row["sight"], row["teacher"]) == ("radius 3", False)
+    assert row["parameters"] > 50_000
+    if module in ("sb3", "torchrl"):
+        assert 3000 <= row["agent_steps"] < 20_000
+    # The options are those of the training: the game of another scenario is refused.
+    assert status([*command, "online-8x8-v0"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "turn_order: expected sequential, as online-8x8-v0 is played, found round_robin" in error
+
+
 def test_every_recipe_is_listed_and_short() -> None:
     page = (RECIPES.parents[1] / "libraries.md").read_text(encoding="utf-8")
     files = {file.stem: file for file in RECIPES.glob("*.py") if file.stem != "curve"}
-    assert set(files) == {run.split()[0] for run in RUNS}
+    assert set(files) == {run.split()[0] for run in (*RUNS, *SCORED)}
     for name, file in files.items():
         assert f"(examples/libraries/{name}.py)" in page
-        assert len(file.read_text(encoding="utf-8").splitlines()) <= 60, name
+        most = 75 if name in SCORED else 60
+        assert len(file.read_text(encoding="utf-8").splitlines()) <= most, name
     for link in re.findall(r"\]\(([^)#]+)\)", page):
         assert link.startswith("https://") or (RECIPES.parents[1] / link).exists(), link
 

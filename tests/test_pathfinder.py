@@ -39,8 +39,15 @@ from policies.routers.pathfinder import (
     Routed,
 )
 from policies.routers.pathfinder.relaxation import Relaxation
+from policies.routers.pathfinder.router import _Gain
 from policies.routers.pathfinder.schedule import TUNED, scheduled
-from policies.routers.pathfinder.state import RELAX, UNIT, make_arrays, make_parameters, with_trees
+from policies.routers.pathfinder.state import (
+    RELAX,
+    UNIT,
+    make_arrays,
+    make_parameters,
+    with_trees,
+)
 from policies.routers.registry import is_learner
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -306,6 +313,58 @@ def test_a_short_limit_of_time_is_looked_at_often() -> None:
     assert whole.iterations == 100
     # A pass of patterns, and no more labels than take a fraction of a millisecond.
     assert router(seconds=0.0).solve(problem).iterations <= 5
+
+
+def clock_of(monkeypatch: pytest.MonkeyPatch, step: float) -> None:
+    """Makes every look at the clock take so many seconds."""
+    ticks = itertools.count()
+    monkeypatch.setattr(
+        "policies.routers.pathfinder.router.time.thread_time", lambda: step * next(ticks)
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "stop"),
+    [
+        ({}, "gain"),
+        ({"least_gain": 0.0}, "settled"),
+        ({"passes": 90_000}, "settled"),  # whoever sets passes gets what they find
+        ({"seconds": None}, "settled"),
+    ],
+)
+def test_ends_when_more_time_saves_little(
+    options: dict[str, Any], stop: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = congested()
+    whole = router().solve(problem)
+    assert (whole.stop, whole.history[-1].overflow) == ("settled", 0)
+    clock_of(monkeypatch, 0.5)
+    routed = router(**{"seconds": 1e6, **options}).solve(problem)
+    assert routed.stop == stop
+    assert routed.history == whole.history[: routed.iterations]
+    assert (routed.iterations < whole.iterations) == (stop == "gain")
+
+
+def test_does_not_end_early_with_overflow(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = generate(1, nets=80, max_pins=5)[0]  # far too much for its grid
+    clock_of(monkeypatch, 1.0)
+    assert router(seconds=40.0).solve(problem).stop == "seconds"
+
+
+def test_what_counts_as_little_gain() -> None:
+    """Over four seconds or the last quarter of the search."""
+
+    def stops(least: float, *found: tuple[float, int]) -> list[bool]:
+        gain = _Gain()
+        return [gain.too_little(seconds, length, least) for seconds, length in found]
+
+    first = [(0.0, 10_000), (2.0, 10_000), (4.0, 9_990)]
+    assert stops(0.001, *first) == [False, False, True]  # ten of the forty that are wanted
+    assert stops(0.0002, *first) == [False, False, False]
+    # In the last quarter of 24 seconds: 50 of 60.
+    late = [(0.0, 11_000), (17.0, 10_061), (18.0, 10_050), (24.0, 10_000)]
+    assert stops(0.001, *late) == [False, False, False, True]
+    assert stops(0.0008, *late) == [False, False, False, False]
 
 
 @given(problems(), st.sampled_from([0.0, 0.01, 1.0]))

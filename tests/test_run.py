@@ -122,11 +122,14 @@ def outcome(folder: Path) -> dict[str, Any]:
     files = [folder / "metrics.jsonl", folder / "evaluations.jsonl"]
     files += sorted((folder / "solutions").iterdir())
     checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
+    policy = torch.load(folder / "policy.pt", weights_only=True)
     del checkpoint["seconds"]
+    for saved in (checkpoint, policy):
+        assert saved["figures"].pop("processor_seconds") > 0
     return {
         **{path.name: path.read_bytes() for path in files},
         "result": results(folder),
-        "policy": content(torch.load(folder / "policy.pt", weights_only=True)),
+        "policy": content(policy),
         "checkpoint": content(checkpoint),
     }
 
@@ -217,9 +220,11 @@ def test_a_training_ends_after_so_many_steps(tmp_path: Path) -> None:
     done: list[Episode] = []
     assert run.progress == (0, 3000, "steps")
     run.execute(done.extend)
-    steps = sum(episode.steps for episode in done)
-    assert 3000 <= steps < 3000 + 4 * 4 * 50
-    assert sum(episode.steps for episode in done[:-4]) < 3000
+    made = int(run.trainer.steps.sum())
+    assert 3000 <= made < 3000 + 256 + 4 * 4  # it ends within a rollout
+    player = run.trainer.player  # type: ignore[union-attr]
+    playing = player.engine.games["steps"][~player.buffers.over]
+    assert sum(episode.steps for episode in done) + playing.sum() == made
     assert run.progress == (3000, 3000, "steps")
     assert run.trainer.learner.progress[0] == 1  # type: ignore[attr-defined]
     assert run.finished is not None
@@ -1305,7 +1310,7 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "problems of no names": changed(lambda state: state.update(problems=torch.ones(3, 3))),
     **{
         f"no {key}": changed(lambda state, key=key: state.pop(key))  # type: ignore[misc]
-        for key in ("problems", "training", "trainer", "seconds", "logged", "evaluated")
+        for key in ("problems", "training", "trainer", "seconds", "figures", "logged", "evaluated")
     },
     "no policies": changed(lambda state: state["trainer"].pop("policies")),
     "no moves": changed(lambda state: state["trainer"].pop("moves")),

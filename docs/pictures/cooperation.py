@@ -1,9 +1,11 @@
 """Draws docs/pictures/cooperation/: levels, with what selfish nets do and what is optimal.
 
-python docs/pictures/cooperation.py
+python docs/pictures/cooperation.py                                  # still pictures
+python docs/pictures/cooperation.py gates-8x7-v0 runs/ppo/policy.pt  # animated, with this policy
 """
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +14,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from marouting import Problem, Solution, evaluate, scenarios
+from marouting import Engine, Problem, Solution, evaluate, scenarios
+from marouting.game import NOBODY
 from marouting.problem.grid import AXES, VIA_AXIS
 from policies.experiment.anarchy import SELFISH, rules_of
+from policies.figures.animation import record, save_animation
 from policies.figures.routes import shifts
 from policies.figures.style import INK, LINES, save
+from policies.learned.policy import TrainedPolicy
 from policies.routers.optimal import OptimalRouter
 
 FOLDER = Path(__file__).parent / "cooperation"
@@ -80,8 +85,28 @@ def picture(name: str) -> Figure:
     return figure
 
 
+def selfish_game(problem: Problem, name: str) -> Iterator[Engine]:
+    """The game of selfish nets: the same engine at the beginning and after every round."""
+    engine, rng = Engine([problem], rules_of(name)), np.random.default_rng(0)
+    yield engine
+    while engine.games["agent"][0] != NOBODY:
+        engine.step(SELFISH.moves(engine, rng))
+        yield engine
+
+
+def animate(name: str, policy: TrainedPolicy) -> None:
+    """Draws the problem of the still pictures, played by selfish nets and by a policy."""
+    problem, _ = chosen(name)
+    games = {"selfish": selfish_game(problem, name), "team": policy.play(problem)}
+    for how, states in games.items():
+        save_animation(record(states), FOLDER / f"{name}-{how}.svg", f"{name}: {how}")
+
+
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
     mpl.rcParams["svg.fonttype"], mpl.rcParams["svg.hashsalt"] = "none", "marouting"
-    for level in LEVELS:
-        save(picture(level), FOLDER / f"{level}.svg")
+    if len(sys.argv) > 1:
+        animate(sys.argv[1], TrainedPolicy.load(sys.argv[2]))
+    else:
+        for level in LEVELS:
+            save(picture(level), FOLDER / f"{level}.svg")

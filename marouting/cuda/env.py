@@ -1,5 +1,6 @@
 """Many problems at once on a CUDA device; made by ``BatchEnv(…, device="cuda")``."""
 
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, cast
@@ -14,10 +15,11 @@ from marouting.batch.bits import numbers_of
 from marouting.batch.engine import Metrics
 from marouting.batch.expected import new_maps, track_of
 from marouting.batch.setup import dynamic_state, static_state
-from marouting.batch.state import AGENT, GAME, Static
+from marouting.batch.state import AGENT, GAME, Option, Static
 from marouting.batch.window import WindowObservation
 from marouting.config import check
 from marouting.cuda.games import (
+    DEFAULT_STREAM,
     WARP,
     Device,
     Paper,
@@ -35,8 +37,7 @@ from marouting.cuda.games import (
     tell_window,
 )
 from marouting.game import NOBODY
-from marouting.observations import PaperObservation, state_space_of
-from marouting.options import ORDERS, game_options
+from marouting.observations import Observation, PaperObservation, state_space_of
 from marouting.player import FastPath, StepBuffers
 from marouting.problem.grid import AXES, VIA_AXIS, Grid
 from marouting.problem.net import is_whole
@@ -44,7 +45,15 @@ from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.rewards import prices_of
 from marouting.source import ProblemStream, Source, generated_name
-from marouting.vector import FIGURES, BatchEnv, Info, fixed_batch, info_of
+from marouting.vector import (
+    FIGURES,
+    BatchEnv,
+    Info,
+    batch_options,
+    drawn_from,
+    fixed_batch,
+    info_of,
+)
 
 _CHANGING = ("capacity", "demand", "first", "order")
 """What a problem brings along: arrays of a :class:`Static` with the game as the first axis."""
@@ -63,7 +72,8 @@ class CudaBatchEnv(BatchEnv):
     Observations, masks, rewards and the arrays of the info stay on the device. They have
     ``__cuda_array_interface__``: ``torch.as_tensor(array, device="cuda")`` and
     ``cupy.asarray(array)`` show them without a copy. They belong to the environment and are
-    overwritten by the next call. Work is queued on the default stream, as torch's is.
+    overwritten by the next call. Work is queued on the default stream, which torch uses as well
+    unless it is told otherwise.
 
     The rows of a problem are in turn order, unlike on the processor, unless nets are ripped up with
     their neighbours: ``nets`` tells them apart.
@@ -78,11 +88,12 @@ class CudaBatchEnv(BatchEnv):
         actions: (M, K) int16 on the device; :meth:`step` takes this array without a copy.
         pool: the problems that are played, a list.
         names: their names, a list.
-        stream: the stream on which work is queued; 0: the default.
+
+    There is no ``engine``: the games are on the device.
 
     Raises:
         InputError: no device can be used, it has too little memory, or an option is not supported
-            there: observations and rewards of your own.
+            there: observations and rewards of your own, ``agents_persist`` and ``set_order``.
     """
 
     def __init__(
@@ -105,30 +116,29 @@ class CudaBatchEnv(BatchEnv):
         )  # fmt: skip
         check("device", device == "cuda", f"cpu or cuda, found {device!r}")
         check("threads", threads == 1, "1: they are the processor's")
-        whole = is_whole(seed) and 0 <= seed < 2**64
-        check("seed", whole, f"a whole number from 0, found {seed!r}")
+        _check_seed(seed)
         self._device = Device()
-        order = ORDERS["multi" if everyone else "single"]
-        checked = game_options({"turn_order": order, **options})
+        checked = batch_options(options, everyone=everyone)
         check("agents_persist", not checked.agents_persist, "false for device cuda")
         once = not play_once or not is_whole(problems)
         check("play_once", once, "false: these games draw their problems")
         observation, reward = checked.observation.make(), checked.reward.make()
         self.autoreset, self._everyone = autoreset and not play_once, everyone
-        self.stream = 0
-        drawn = is_whole(problems)
-        if drawn:
-            episodes: Any = problem
-            if not isinstance(problem, ProblemStream):  # trainings have one already
-                episodes = ProblemStream(problem, checked.scenario, checked.split)
-            check("pool", pool is None or pool >= 1, f"a number from 1, found {pool}")
+        given: Any = problem
+        if isinstance(given, ProblemStream):  # a training has one already
+            episodes: ProblemStream | None = given
+        else:
+            episodes = drawn_from(problems, problem, checked)
+        self._drawn = episodes is not None
+        if episodes is not None:
+            self.num_problems = cast(int, problems)
+            check("games", self.num_problems >= 1, f"a number from 1, found {problems}")
+            some = pool is None or (is_whole(pool) and pool >= 1)
+            check("pool", some, f"a number from 1, found {pool!r}")
             ahead, bounds = episodes.ahead(pool, seed), episodes.bounds
             self.names, self.pool = (list(each) for each in zip(*ahead, strict=True))
             held = static_state(self.pool, checked, room=episodes.room)
-            self.num_problems = cast(int, problems)
-            check("games", self.num_problems >= 1, f"a number from 1, found {problems}")
         else:
-            check("problem", problem is None, "none: problems= is a list, not a number of games")
             check("pool", pool is None, "none: these problems stay")
             self.pool = bounds = list(fixed_batch(problems, checked))
             self.names = [generated_name(m) for m in range(len(self.pool))]
@@ -137,15 +147,18 @@ class CudaBatchEnv(BatchEnv):
         # Lots of rip-up depend on the numbers of agents.
         lots = checked.rip_up is not None and checked.rip_up.neighbours > 0
         static, self._nets = held if lots else _in_turn(*held)
+        static = _without_vias(static)
+        self._played = _digest(static.tasks, self._nets)
         self.num_envs, self.num_agents = self.num_problems, self._nets.shape[1]
         overflow = static.overflow_allowed
+        self._observation = observation
         self.single_observation_space = observation.space(bounds, overflow)
         self.single_state_space = state_space_of(observation, bounds, overflow)
         self.single_action_space = Discrete(checked.actions)
         for name, what in unsupported(observation, reward):
             check(name, False, what)
         with self._device.allocating():
-            self._upload(static, drawn, seed)
+            self._upload(static, seed)
             self._look, *looks = self._looks(observation, static)
             shape = self.num_problems, len(static.neighbour)
             fast = FastPath.of(shape, observation, reward, everyone=everyone, make=self._zeros)
@@ -154,9 +167,10 @@ class CudaBatchEnv(BatchEnv):
         self._recorded: dict[tuple[bool, bool], Recorded] = {}
         self._begun = False
 
-    def _upload(self, static: Static, drawn: bool, seed: int) -> None:
+    def _upload(self, static: Static, seed: int) -> None:
         """Makes the arrays on the device."""
-        device, games, grid = self._device, self.num_problems, Grid.of(self.pool[0].grid)
+        device, games, drawn = self._device, self.num_problems, self._drawn
+        grid = Grid.of(self.pool[0].grid)
         rows = self.num_agents if self._everyone else 1
         kinds = _narrow(static)
 
@@ -207,6 +221,11 @@ class CudaBatchEnv(BatchEnv):
         return self._device.zeros(shape, dtype, "C" if name in _TOGETHER else "F")
 
     @property
+    def observation(self) -> Observation:
+        """What agents see: the options of what the device writes."""
+        return self._observation
+
+    @property
     def nets(self) -> NDArray[np.int32]:
         """(M, N) int32, on the processor: the net of every agent; NOBODY (−1) for none."""
         return self._nets[self._pool.number.copy_to_host()]
@@ -226,7 +245,9 @@ class CudaBatchEnv(BatchEnv):
         self.check()
         which, seeds = self._chosen(seed, options)
         given = np.array([s is not None for s in seeds])
-        if given.any():
+        if self._drawn and given.any():
+            for fresh_seed in set(seeds) - {None}:
+                _check_seed(fresh_seed)
             keys, episode = self._pool.key.copy_to_host(), self._pool.episode.copy_to_host()
             chosen = given & which
             fresh = np.array([0 if s is None else s for s in seeds], np.uint64)
@@ -262,19 +283,19 @@ class CudaBatchEnv(BatchEnv):
         """Takes actions from another array."""
         shape, most = self.actions.shape, int(self.single_action_space.n)
         there = ("__cuda_array_interface__", "copy_to_host")  # numba's simulator has the second
-        if not any(hasattr(actions, name) for name in there):
-            actions = np.asarray(actions)
-            if not (actions.min() >= NOBODY and actions.max() < most):
-                expected = f"0 to {most - 1}, or {NOBODY}"
-                raise ValueError(f"actions: expected {expected}, found {actions}")
-            actions = self._device.of(actions)
-        if tuple(actions.shape) != shape:
-            raise ValueError(f"actions: expected shape {shape}, found {tuple(actions.shape)}")
-        given = self._device.array(actions)
+        on_device = any(hasattr(actions, name) for name in there)
+        given = self._device.array(actions) if on_device else np.asarray(actions)
+        if tuple(given.shape) != shape or given.dtype.kind not in "iu":
+            found = f"{given.dtype} of shape {tuple(given.shape)}"
+            raise ValueError(f"actions: expected integers of shape {shape}, found {found}")
+        if not on_device:
+            if not (given.min() >= NOBODY and given.max() < most):
+                raise ValueError(f"actions: expected 0 to {most - 1}, or {NOBODY}, found {given}")
+            given = self._device.of(given)
         self._run(self._launches.take, self.actions.size, given, self.actions, most, self._refused)
 
     def _run(self, kernel: Any, threads: int, *arguments: Any) -> None:
-        self._device.launch(kernel, threads, self.stream, *arguments)
+        self._device.launch(kernel, threads, DEFAULT_STREAM, *arguments)
 
     def _looks(self, observation: Any, static: Static) -> tuple[Any, Any, Any, Any]:
         """What an observation needs on the device, and its kernels, see :func:`.launches`."""
@@ -302,9 +323,9 @@ class CudaBatchEnv(BatchEnv):
 
         key = steps, restarts
         if key in self._recorded:
-            self._recorded[key](self.stream)
+            self._recorded[key]()
             return
-        launch(self.stream)
+        launch(DEFAULT_STREAM)
         if not self._device.simulated:
             self._recorded[key] = Recorded(launch)
 
@@ -365,15 +386,17 @@ class CudaBatchEnv(BatchEnv):
 
         ``final_obs`` and ``final_mask`` of the last step are not in it.
         """
-        return [array.copy_to_host() for array in self._arrays()]
+        return [self._played.copy(), *(array.copy_to_host() for array in self._arrays())]
 
     def restore(self, saved: Any) -> None:
-        """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
+        """Puts all games back into a saved state; raises ValueError if it is of other games."""
+        played, *rest = saved
         arrays = self._arrays()
-        shapes = [[(a.shape, a.dtype) for a in some] for some in (arrays, saved)]
-        if shapes[0] != shapes[1]:
+        shapes = [[(a.shape, a.dtype) for a in some] for some in (arrays, rest)]
+        # A state has places in tables of problems, which kernels do not check.
+        if shapes[0] != shapes[1] or not np.array_equal(played, self._played):
             raise ValueError("saved: expected the state of such games, found that of others")
-        for array, kept in zip(arrays, saved, strict=True):
+        for array, kept in zip(arrays, rest, strict=True):
             if array.size:
                 array.copy_to_device(kept)
         arguments = self._static, self._dynamic, self._buffers, self._look
@@ -435,16 +458,22 @@ def _in_turn(static: Static, nets: NDArray[np.int32]) -> tuple[Static, NDArray[n
     return static._replace(tasks=tasks, first=first, demand=demand, order=order), nets
 
 
+def _without_vias(static: Static) -> Static:
+    """The same problems with vias of capacity 0, which nobody asks for: edges fit smaller types."""
+    capacity = static.capacity.copy()
+    capacity[:, VIA_AXIS::AXES] = 0
+    return static._replace(capacity=capacity)
+
+
 def _narrow(static: Static) -> dict[str, Any]:
     """The smallest types that hold what games need, by the names of arrays.
 
     The fewer bytes a game takes, the more games fit into the device's cache.
     """
-    inside = static.capacity.reshape(len(static.capacity), -1, AXES)
-    inside[..., VIA_AXIS] = 0  # nobody asks what is left of a via
     demand = int(static.demand.max(axis=2).sum(axis=1, dtype=np.int64).max())
-    least = -demand * static.overflow_allowed
-    edges = _holds(least, int(inside.max()))
+    # Where routes are put back after a round, they overflow until the last of them is.
+    overflows = static.overflow_allowed or static.options[Option.ROUNDS] > 0
+    edges = _holds(-demand * overflows, int(static.capacity.max()))
     small = {np.dtype(np.int32): np.dtype(np.int16)}
     fits = max(len(static.position), static.max_steps, demand) < 2**15
     agent = _fields(AGENT)
@@ -453,7 +482,7 @@ def _narrow(static: Static) -> dict[str, Any]:
         tasks = int(np.diff(static.first, axis=1).max())
         agent["joined"] = _holds(0, tasks)
     game = _fields(GAME)
-    if demand * inside[0].size < 2**31:
+    if demand * static.capacity.shape[1] < 2**31:
         game["overflow"] = game["wirelength"] = np.dtype(np.int32)
     return {
         "capacity": edges,
@@ -475,6 +504,20 @@ def _holds(least: int, most: int) -> Any:
     kinds = (np.int8, np.int16, np.int32)
     fits = (k for k in kinds if np.iinfo(k).min <= least and most <= np.iinfo(k).max)
     return np.dtype(next(fits, np.int64))
+
+
+def _check_seed(seed: Any) -> None:
+    """Raises InputError for a seed that a device cannot draw by."""
+    whole = is_whole(seed) and 0 <= seed < 2**64
+    check("seed", whole, f"a whole number from 0 to 2**64 - 1, found {seed!r}")
+
+
+def _digest(*arrays: NDArray[Any]) -> NDArray[np.uint8]:
+    """(32,) of what is in some arrays."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).data)
+    return np.frombuffer(digest.digest(), np.uint8)
 
 
 def _keys(seeds: NDArray[np.uint64]) -> NDArray[np.uint64]:

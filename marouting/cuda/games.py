@@ -5,9 +5,13 @@ The rules are those of the processor: the kernels of :mod:`marouting.batch` and
 what one agent sees; a warp clears a game whose episode begins. A step is five launches: games
 begin, games move, agents whose tasks have ended see where they arrived, games settle, agents see.
 
-Bytes set the pace. So agents are numbered in turn order: threads that play neighbouring games then
-read neighbouring addresses. What an agent reads around itself lies together, in the smallest types
-that hold it (:mod:`marouting.cuda.env`).
+Scattered reads set the pace. So agents are numbered in turn order: threads that play neighbouring
+games then read neighbouring addresses. What an agent reads around itself lies together, in the
+smallest types that hold it (:mod:`marouting.cuda.env`).
+
+Compiled kernels are not kept on disk. ``cache=True`` of numba-cuda would take old ones for as long
+as this file does not change, whatever becomes of the rules, and would raise an error where nothing
+can be written. What it would take is in :mod:`marouting.compiling`.
 
 Without a device, numba's simulator runs the same code as Python (``NUMBA_ENABLE_CUDASIM=1``), which
 is slow and meant for tests.
@@ -17,6 +21,7 @@ import contextlib
 import functools
 import sys
 import warnings
+import weakref
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -48,6 +53,9 @@ THREADS = 256
 
 WARP = 32
 """Threads that run in step; so many clear a game together."""
+
+DEFAULT_STREAM = 0
+"""The stream of all launches and copies, which torch uses as well."""
 
 cuda: Any = None
 """The module ``numba.cuda``, once there is a :class:`Device`."""
@@ -164,14 +172,15 @@ class Device:
 class Recorded:
     """Launches that are recorded once, as a CUDA graph, and then repeated by a single call.
 
-    Numba takes a third of a millisecond to pass on the arguments of a launch.
+    Numba takes a third of a millisecond to pass on the arguments of a launch. The arrays and the
+    kernels have to outlive this object, which does not keep them: whoever owns both would otherwise
+    be part of a cycle, and its memory on the device would wait for Python's garbage collector.
     """
 
     def __init__(self, launch: Callable[[Any], None]) -> None:
         from cuda.bindings import driver
 
         self._driver = driver
-        self._keeps = launch  # and with it the arrays
         stream = cuda.stream()
         handle = int(stream.handle)
         mode = driver.CUstreamCaptureMode.CU_STREAM_CAPTURE_MODE_RELAXED
@@ -179,10 +188,13 @@ class Recorded:
         launch(stream)
         graph = self._checked(driver.cuStreamEndCapture(handle))
         self._graph = self._checked(driver.cuGraphInstantiate(graph, 0))
+        self._checked(driver.cuGraphDestroy(graph))
+        destroys = weakref.finalize(self, driver.cuGraphExecDestroy, self._graph)
+        destroys.atexit = False  # a process that ends frees everything
 
-    def __call__(self, stream: int) -> None:
-        """Repeats the launches on a stream."""
-        self._checked(self._driver.cuGraphLaunch(self._graph, stream))
+    def __call__(self) -> None:
+        """Repeats the launches."""
+        self._checked(self._driver.cuGraphLaunch(self._graph, DEFAULT_STREAM))
 
     @staticmethod
     def _checked(answer: Any) -> Any:
@@ -348,6 +360,9 @@ class Launches(NamedTuple):
 @functools.cache
 def launches(see: Any, prepare: Any, tell: Any) -> Launches:
     """The kernels of a step, for an observation.
+
+    With ``window`` the arguments of ``move`` take 4089 bytes. CUDA before 12.1 refuses more than
+    4096: one array more, and drivers before that cannot be used.
 
     Args:
         see: writes what an agent sees, with arguments (static, dynamic, look, m, n, out, row).

@@ -119,6 +119,11 @@ def with_pins_covered(solution: Solution) -> Solution:
     return Solution.of_uses(problem, nets[order], edges[order])
 
 
+def usable(capacity: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Capacities, and 0 where there is too little to count."""
+    return np.where(capacity > _LEAST, capacity, 0.0)
+
+
 def _via_demand(
     problem: Problem, contest: Contest, stacked: NDArray[np.int64]
 ) -> NDArray[np.int64]:

@@ -11,12 +11,28 @@ from marouting.kernels import compiled
 def joined_parts(
     near: NDArray[np.int64], far: NDArray[np.int64], vertices: int
 ) -> NDArray[np.int64]:
-    """(vertices,) for each vertex the lowest one in its part, given the ends of all edges."""
+    """(vertices,) for each vertex the lowest one in its part, given the ends of all edges.
+
+    For so many edges that this takes longer than loading the compiler, it is compiled.
+    """
     part = np.arange(vertices)
-    mark_joins(near, far, np.arange(len(near)), part, np.zeros(len(near), np.bool_))
-    while (lower := part[part]).sum() < part.sum():
+    if len(near) > _MANY:
+        mark_joins(near, far, np.arange(len(near)), part, np.zeros(len(near), np.bool_))
+    while True:
+        apart = part[near] != part[far]
+        near, far = part[near[apart]], part[far[apart]]
+        if not len(near):
+            break
+        high = np.maximum(near, far)  # each root joins the lowest one beside it, if that is lower
+        np.minimum.at(part, high, np.minimum(near, far))
+        while ((lower := part[part[high]]) != part[high]).any():
+            part[high] = lower
+    while ((lower := part[part]) != part).any():
         part = lower
     return part
+
+
+_MANY = 1_000_000
 
 
 @compiled

@@ -139,12 +139,14 @@ class Solution:
         but for one sort.
 
         Returns:
-            Another solution of the same problem, or an equal one if no edge joins nothing.
+            Another solution of the same problem, or this one if no edge joins nothing.
         """
         net, edge = self.uses
         _, vertex = _graph(self.problem, self)
         size, kept = int(vertex.max()) + 1, np.zeros(len(edge), np.bool_)
         ends, pins = vertex[: 2 * len(edge)].reshape(2, -1), vertex[2 * len(edge) :]
+        if _are_trees(ends, pins, size):
+            return self
         at, back, queue = (np.empty(length, np.int64) for length in (2 * len(edge), size, size))
         _mark_ways(ends, pins, np.zeros(size + 1, np.int64), at, back, queue, kept)
         return Solution.of_uses(self.problem, net[kept], edge[kept])
@@ -491,6 +493,14 @@ def _graph(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDA
     pairs = np.concatenate((net, net, pin_net)) * problem.topology.gcells
     pairs += np.concatenate((near, far, pins))
     return pin_net, np.unique(pairs, return_inverse=True)[1]
+
+
+def _are_trees(ends: NDArray[np.int64], pins: NDArray[np.int64], size: int) -> bool:
+    """Whether all parts of a graph of so many vertices are trees that end in pins."""
+    leaf = np.bincount(ends.reshape(-1), minlength=size) == 1
+    leaf[pins] = False
+    parts = np.count_nonzero(joined_parts(*ends, size) == np.arange(size))
+    return not leaf.any() and ends.shape[1] == size - parts
 
 
 @compiled

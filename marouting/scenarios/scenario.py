@@ -57,7 +57,8 @@ class Scenario:
             defaults where the scenario is played.
         training: how a training on the scenario's problems runs
             (:class:`policies.learned.config.TrainOptions`), unless it is told otherwise.
-        open_cost: what an open task costs, in edges of wire; see :meth:`cost`.
+        open_cost: what an open task costs, and a track of overflow, in edges of wire; see
+            :meth:`cost`.
         mirrors: whether mirror images of a held-out problem are held out as well.
         largest: makes a problem with at least as many nets and pins and as much capacity as any
             that is drawn. None: draws with more of them than all validation and test problems are
@@ -169,12 +170,13 @@ class Scenario:
             )
         return found
 
-    def cost(self, wirelength: float, open_tasks: float) -> float:
+    def cost(self, wirelength: float, open_tasks: float, overflow: float = 0) -> float:
         """What routes cost: their wirelength, and :attr:`open_cost` for every open task.
 
+        A track of overflow costs as much as an open task. The scenarios of policies have none.
         The cost of a policy is the sum over the problems, divided by that of the references.
         """
-        return wirelength + self.open_cost * open_tasks
+        return wirelength + self.open_cost * (open_tasks + overflow)
 
     def score(self, cost: float, split: Split = "test") -> float:
         """The score of a policy: 0 for the best local rule, 1 for the optimum, the more the better.
@@ -187,10 +189,15 @@ class Scenario:
         Raises:
             InputError: the best local rule is not known for this scenario and split.
         """
+        rule = self.local_rule(split)
+        return (rule - cost) / (rule - 1)
+
+    def local_rule(self, split: Split = "test") -> float:
+        """The cost of the best local rule, which has the score 0; raises InputError if unknown."""
         rule = references_in(self.references).heuristic.get(split)
         if rule is None:  # see has_local_rule
             raise InputError(f"{self.name}: expected a scenario with a known best local rule")
-        return (rule - cost) / (rule - 1)
+        return rule
 
     def has_local_rule(self, split: Split) -> bool:
         """Whether the cost of the best local rule is known, from which :meth:`score` counts."""

@@ -9,6 +9,7 @@ installed, and PPO. The whole takes less than 8 minutes.
 import importlib
 import json
 import platform
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,13 +24,14 @@ import numpy as np
 import torch
 
 import marouting
-from marouting.config import build
+from marouting.config import build, check
 from marouting.cuda import games as device
 from marouting.cuda.env import CudaBatchEnv
 from marouting.files import check_writable, write_text
 from marouting.kernels import compiled, i64
 from marouting.options import game_options
 from marouting.vector import BatchEnv
+from policies.cli.main import status
 from policies.cli.options import FILE
 from policies.learned.algorithms import ppo
 from policies.learned.on_device import DevicePPO
@@ -162,11 +164,10 @@ def compare(
 @compiled
 def random_move(mask: Any, m: int, row: int, counter: int) -> int:
     """A random move that the mask allows."""
-    z = np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(
-        (m * mask.shape[1] + row) * 0x2545F4914F6CDD1D
+    place = np.uint64(m * mask.shape[1] + row)
+    z = device.mixed(
+        np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15) + place * np.uint64(0x2545F4914F6CDD1D)
     )
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     free = i64(0)
     for move in range(mask.shape[2]):
         free += mask[m, row, move]
@@ -248,20 +249,24 @@ def speed(games: int, seconds: float, **options: Any) -> dict[str, Any]:
         env._static, env._dynamic, env._buffers, env._look, env._fast,
     )  # fmt: skip
     calls = {
-        "policy": lambda: policy(info),
-        "begin": lambda: env._run(
-            run.begin, 32 * games, static, dynamic, b, env._pool, step, True, False
+        "begin": (
+            run.begin, device.WARP * games, static, dynamic, b, env._pool, step, True, False
         ),
-        "move": lambda: env._run(
-            run.move, games, static, dynamic, b, fast, look, env._pool, step, True
-        ),
-        "arrive": lambda: env._run(
-            run.arrive, b.actions.size, static, dynamic, b, look, step, True
-        ),
-        "settle": lambda: env._run(run.settle, games, static, dynamic, b, fast, look, step, True),
-        "show": lambda: env._run(run.show, b.actions.size, static, dynamic, b, look),
-    }
-    row["us"] = {name: timed(call, seconds / 4) * 1e6 for name, call in calls.items()}
+        "move": (run.move, games, static, dynamic, b, fast, look, env._pool, step, True),
+        "arrive": (run.arrive, b.actions.size, static, dynamic, b, look, step, True),
+        "settle": (run.settle, games, static, dynamic, b, fast, look, step, True),
+        "show": (run.show, b.actions.size, static, dynamic, b, look),
+    }  # fmt: skip
+
+    def recorded(kernel: Any, threads: int, *arguments: Any) -> device.Recorded:
+        return device.Recorded(
+            lambda stream: env._device.launch(kernel, threads, stream, *arguments)
+        )
+
+    row["us"] = {"policy": timed(lambda: policy(info), seconds / 4) * 1e6}
+    for name, call in calls.items():
+        # This is the device's time. Without a recording, it would be that of numba.
+        row["us"][name] = timed(recorded(*call), seconds / 4) * 1e6
     row["registers"] = {
         name: max(getattr(run, name).get_regs_per_thread().values())
         for name in ("begin", "move", "arrive", "settle", "show")
@@ -336,14 +341,14 @@ def learning(
         if rollouts == 2:  # all is compiled
             first = moves, now
         if rollouts > 1 and rollouts & (rollouts - 1) == 0:
-            yield {**what, "moves": moves, "seconds": now - begin, "joined": told.joined}
+            yield {**what, "agent_steps": moves, "seconds": now - begin, "joined": told.joined}
     rate = (moves - first[0]) / max(now - first[1], 1e-9)
     result = marouting.evaluate_policy(trained, scenario, "test")
     yield {
         **what,
-        "moves": moves,
+        "agent_steps": moves,
         "seconds": now - begin,
-        "trained_moves_per_s": rate,
+        "agent_steps_per_s": rate,
         "test_cost": result.cost,
         "test_solved": result.solved,
     }
@@ -360,9 +365,12 @@ def machine() -> dict[str, Any]:
         except metadata.PackageNotFoundError:
             found[name] = None
     name = cuda.get_current_device().name
+    kernel = Path("/proc/driver/nvidia/version")  # there on Linux
+    driver = re.search(r"\d+(\.\d+)+", kernel.read_text() if kernel.exists() else "")
     return {
         "card": name.decode() if isinstance(name, bytes) else str(name),
-        "driver": ".".join(map(str, cuda.cudadrv.driver.driver.get_version())),
+        "driver": driver and driver[0],
+        "cuda": ".".join(map(str, cuda.cudadrv.driver.driver.get_version())),
         "python": platform.python_version(),
         **found,
     }
@@ -370,21 +378,24 @@ def machine() -> dict[str, Any]:
 
 @click.command()
 @click.option("--out", type=FILE, help="JSON file for the results; without it, none is written.")
-@click.option("--seconds", type=float, default=1.0, show_default=True, help="Of a measurement.")
+@click.option("--seconds", type=click.FloatRange(0), default=1.0, help="Of a measurement.")
 @click.option("--sections", default=",".join(SECTIONS), show_default=True)
-@click.option("--games", help="Numbers of games, with commas between them.")
-def main(out: Path | None, seconds: float, sections: str, games: str | None) -> None:
+@click.option("--games", default=",".join(map(str, GAMES)), show_default=True)
+def main(out: Path | None, seconds: float, sections: str, games: str) -> None:
     """Check the batch on a CUDA device, and measure it."""
+    names, counts = sections.split(","), games.split(",")
+    for name in names:
+        check("--sections", name in SECTIONS, f"some of {', '.join(SECTIONS)}, found {name}")
+    for count in counts:
+        fits = count.isdecimal() and int(count) > 0
+        check("--games", fits, f"numbers from 1 with commas between them, found {count}")
+    numbers = tuple(map(int, counts))
     if out is not None:
         check_writable(out)
     device.Device()
     begin = time.perf_counter()
     report: dict[str, Any] = {"machine": machine()}
     click.echo(json.dumps(report["machine"]))
-    numbers = GAMES if games is None else tuple(map(int, games.split(",")))
-    for section in sections.split(","):
-        if section not in SECTIONS:
-            raise click.BadParameter(f"expected some of {', '.join(SECTIONS)}, found {section}")
 
     def done(what: str, row: Any) -> None:
         report.setdefault(what, []).append(row)
@@ -411,16 +422,16 @@ def main(out: Path | None, seconds: float, sections: str, games: str | None) -> 
 
     pool = ProcessPoolExecutor(len(CASES), get_context("spawn"))  # each compiles for a minute
     problems = marouting.generate(64, nets=8, max_pins=3, grid=(6, 6, 2), capacity=2)
-    wanted = CASES if "equality" in sections else ()
+    wanted = CASES if "equality" in names else ()
     found = [pool.submit(compare, problems, 100, **options) for options in wanted]
-    for section in sections.split(","):
+    for name in names:
         try:
-            measure(section)
+            measure(name)
         except Exception as error:  # the next sections are worth as much
-            done("failed", f"{section}: {type(error).__name__}: {str(error)[-600:]}")
+            done("failed", f"{name}: {type(error).__name__}: {str(error)[-600:]}")
     wrong = [row for row in report.get("equality", ()) if row["differs"]]
     sys.exit(1 if wrong or "failed" in report else 0)
 
 
 if __name__ == "__main__":
-    main.main(prog_name="python -m policies.bench.cuda", standalone_mode=True)
+    sys.exit(status(None, main, "python -m policies.bench.cuda"))

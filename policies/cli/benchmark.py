@@ -51,6 +51,19 @@ BASELINES = Path("configs/benchmark/baselines.yaml")
 )
 @click.option("--seeds", type=WHOLE, help="Number of seeds of randomised routers.  [default: 3]")
 @click.option(
+    "--training-steps",
+    type=WHOLE,
+    metavar="N",
+    help="Agent-steps for which a learner is trained on the training problems of a scenario of "
+    "docs/cooperation.md, before it plays the split.  [default: as the scenario suggests]",
+)
+@click.option(
+    "--training-seconds",
+    type=click.FloatRange(0, min_open=True),
+    metavar="S",
+    help="Processor time of such a training.  [default: no bound]",
+)
+@click.option(
     "--split",
     type=click.Choice(["test", "validation"]),
     default="test",
@@ -81,6 +94,8 @@ def benchmark(
     config: Path | None,
     budget: str | None,
     seeds: int | None,
+    training_steps: int | None,
+    training_seconds: float | None,
     split: str,
     out: Path,
     leaderboard: Path | None,
@@ -89,10 +104,12 @@ def benchmark(
     """Score routers on the problems of a scenario.
 
     The score is 0 for sequential A* and 1 for the best solution known; docs/scenarios.md explains
-    it. Each router gets a result file OUT/SCENARIO.NAME.json. A benchmark that was stopped
-    continues when the same command is given again. KEY=VALUE changes a key of --config, or an
-    option of a single --router; jobs=N sets the number of processes (default: one per core), and
-    engine=ray distributes the work with Ray.
+    it. In the scenarios of docs/cooperation.md nets decide for themselves, and it is 0 for the best
+    local rule; learners are trained once, on the scenario's training problems. Each router gets a
+    result file OUT/SCENARIO.NAME.json. A benchmark that was stopped continues when the same command
+    is given again. KEY=VALUE changes a key of --config, or an option of a single --router; jobs=N
+    sets the number of processes (default: one per core), and engine=ray distributes the work with
+    Ray.
     """
     if leaderboard is not None:
         from policies.experiment.leaderboard import write_leaderboard
@@ -108,11 +125,17 @@ def benchmark(
         return
 
     from marouting import scenarios
-    from marouting.config import build, override
+    from marouting.config import build, check, override
     from policies.cli.progress import problems_bar
     from policies.cli.resolved import check_kind
     from policies.cli.tables import show_benchmark
-    from policies.experiment.benchmark import Benchmark, BenchmarkConfig, from_text, load_entries
+    from policies.experiment.benchmark import (
+        Benchmark,
+        BenchmarkConfig,
+        Course,
+        from_text,
+        load_entries,
+    )
     from policies.experiment.config import Budget, Entry, Split
     from policies.experiment.result import read_result, summarise
     from policies.routers.registry import unknown
@@ -129,20 +152,27 @@ def benchmark(
     own = [text for text in overrides if text.startswith(("engine=", "jobs="))]
     overrides = tuple(text for text in overrides if text not in own)
     settings = build(BenchmarkConfig, override({}, own))
-    entries: list[Entry] = []
-    if config is not None:
-        check_kind(config, "benchmark")
-        entries, settings = load_entries(config, [*overrides, *own], given)
-    elif overrides and len(routers) != 1:
-        raise InputError(f"{overrides[0]}: expected --config or one --router with it")
-    for text in routers:
-        more = "" if config is not None else f" {shlex.join(overrides)}" if overrides else ""
-        entries.append(from_text(f"{text}{more}", name, given))
     names = tuple(scenarios.load(name).name if ":" in name else name for name in names)
     for scenario in names:
         if scenario not in (*scenarios.names(), "all"):
             raise unknown("--scenario", scenario, (*scenarios.names(), "all"))
     chosen = scenarios.names() if "all" in names else list(dict.fromkeys(names))
+    scored = [of for of in chosen if scenarios.get(of).has_local_rule(cast(Split, split))]
+    alone = scored[0] if len(chosen) == 1 and scored else None
+    course = Course(scenario=alone, steps=training_steps, seconds=training_seconds)
+    entries: list[Entry] = []
+    if config is not None:
+        check_kind(config, "benchmark")
+        entries, settings = load_entries(config, [*overrides, *own], given, course)
+    elif overrides and len(routers) != 1:
+        raise InputError(f"{overrides[0]}: expected --config or one --router with it")
+    for text in routers:
+        more = "" if config is not None else f" {shlex.join(overrides)}" if overrides else ""
+        entries.append(from_text(f"{text}{more}", name, given, course))
+    for bound, most in course.bounds.items():
+        trained = most is None or any(entry.zero_shot for entry in entries)
+        what = "a learner to train, and one scenario of docs/cooperation.md"
+        check(f"--training-{bound}", trained, what)
     run = Benchmark(
         chosen,
         entries,

@@ -2,6 +2,7 @@
 
 import contextlib
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,22 +11,13 @@ from types import FrameType, MappingProxyType
 from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from marouting import Solution
 from policies.routers.base import Keeper, Router, Watched
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
     from policies.results.run_folder import Episode, GreedyEvaluation
 
 
@@ -157,10 +149,13 @@ def waiting(
 @contextlib.contextmanager
 def _shown(text: str) -> Iterator[Callable[[str], None]]:
     """Shows a text that changes: a function to call with the new text."""
-    console = Console(stderr=True)
-    if console.is_terminal:
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
         spinner, elapsed = SpinnerColumn(), TimeElapsedColumn()
         column = TextColumn("{task.description}", markup=False)
+        console = Console(stderr=True)
         with Progress(spinner, column, elapsed, console=console, transient=True) as bar:
             task = bar.add_task(text, total=None)
             yield lambda text: bar.update(task, description=text)
@@ -214,8 +209,18 @@ _OFTEN = 10.0
 
 
 @contextlib.contextmanager
-def _bar(unit: str) -> Iterator[tuple[Progress, TaskID]]:
+def _bar(unit: str) -> "Iterator[tuple[Progress, TaskID]]":
     """A bar that shows what is done of how many, and the time, if standard error is a terminal."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
     console = Console(stderr=True)
     bar = Progress(
         TextColumn("{task.description}", markup=False),  # names may contain brackets

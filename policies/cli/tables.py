@@ -146,19 +146,24 @@ def show_benchmark(summaries: Sequence[Mapping[str, Any]]) -> None:
     Args:
         summaries: as :func:`policies.experiment.result.summarise` returns them.
     """
-    from policies.experiment.leaderboard import cells_of  # not for the other tables
+    # Not for the other tables.
+    from policies.experiment.leaderboard import POLICY_COLUMNS, cells_of, policy_cells
 
     for scenario in dict.fromkeys(row["scenario"] for row in summaries):
         rows = [row for row in summaries if row["scenario"] == scenario]
         rows.sort(key=lambda row: (row["score"] is None, -(row["score"] or {"mean": 0})["mean"]))
         columns = {"router": [row["name"] for row in rows]}
-        columns |= zip(_BENCHMARK, map(list, zip(*map(cells_of, rows), strict=True)), strict=True)
+        of_policies = "sight" in rows[0]
+        headings, cells = (POLICY_COLUMNS, policy_cells) if of_policies else (_BENCHMARK, cells_of)
+        columns |= zip(headings, map(list, zip(*map(cells, rows), strict=True)), strict=True)
         problems, seeds = rows[0]["problems"], max(row["seeds"] for row in rows)
         of = f"{problems} {rows[0]['split']} problems"
         if seeds > 1:
             of += f", up to {seeds} seeds"
         _print(f"{scenario}: {of}", columns, ["router"])
-    click.echo(_wrapped(_BENCHMARK_NOTES))
+    for notes, of_policies in ((_BENCHMARK_NOTES, False), (_POLICY_NOTES, True)):
+        if any(("sight" in row) == of_policies for row in summaries):
+            click.echo(_wrapped(notes))
 
 
 _BENCHMARK = ("score", "open", "overflow", "gap\n%", "at ref.\n%", "A*\nW/T/L", "seconds")
@@ -172,6 +177,16 @@ _BENCHMARK_NOTES = (
     "all). at ref.: solutions as good as the reference. W/T/L: wins, ties and losses against A*. "
     "seconds: median per problem. All per seed. ?: not known. docs/scenarios.md explains the "
     "protocol."
+)
+
+
+_POLICY_NOTES = (
+    "score: 0 for the best local rule, 1 for the optimum; interquartile mean over the seeds [95 % "
+    "bootstrap interval]. cost: wirelength and open tasks, divided by the optimum's wirelength. "
+    "solved: problems without open tasks; connected: tasks. gap: mean wirelength above the "
+    "optimum, of the solved problems. sees: what a net sees when it chooses; planners see "
+    "the whole problem. teacher: whether it learned from somebody who does. training: processor "
+    "time of one seed. ?: not known. docs/cooperation.md explains the protocol."
 )
 
 

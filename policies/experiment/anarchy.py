@@ -35,10 +35,9 @@ import click
 from marouting import InputError, Problem, scenarios
 from marouting.config import check
 from marouting.files import read_text, write_text
-from marouting.options import game_options
-from marouting.rules import Rules
 from marouting.scenarios import Scenario
 from marouting.scenarios.cooperation import COOPERATION, Braess
+from policies.experiment.played import rules_of
 from policies.routers.local import LocalRouter
 
 FOLDER = Path("docs/results/cooperation")
@@ -110,12 +109,6 @@ class Row:
         """Whether the row is that of a rule."""
         own = (self.rule, self.radius, self.price, self.seen)
         return own == (rule.rule, rule.radius, rule.price, rule.seen)
-
-
-def rules_of(scenario: str) -> Rules:
-    """The rules of the game that a scenario suggests."""
-    options = game_options({"scenario": scenario, "split": "test"})
-    return Rules(**{field.name: getattr(options, field.name) for field in fields(Rules)})
 
 
 def measure(

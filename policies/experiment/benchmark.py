@@ -9,6 +9,7 @@ import os
 import platform
 import re
 import shlex
+import statistics
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,12 +19,13 @@ from typing import Any
 import numpy as np
 
 from marouting import InputError, __version__, evaluate, scenarios, sequential_astar
-from marouting.config import build, check, override, read_yaml
-from marouting.files import is_dir, is_file, stem_of, suffix_of
+from marouting.config import build, build_json, check, override, read_yaml
+from marouting.files import is_dir, is_file, read_text, stem_of, suffix_of
 from marouting.scenarios.score import Figures
 from policies.engines import EngineName, cores, processor
 from policies.experiment.config import (
     PUBLISHED,
+    SEED,
     SOLUTIONS,
     Budget,
     Entry,
@@ -31,9 +33,17 @@ from policies.experiment.config import (
     Split,
 )
 from policies.experiment.experiment import Experiment
-from policies.experiment.result import Outcome, Result, Task
+from policies.experiment.played import PLANNER, UNLEARNED, About
+from policies.experiment.result import Outcome, Result, Scale, Task
 from policies.results.rows import Row
-from policies.results.run_folder import CHECKPOINT, METRICS, POLICY, read_episodes
+from policies.results.run_folder import (
+    CHECKPOINT,
+    EVALUATIONS,
+    METRICS,
+    POLICY,
+    read_episodes,
+    read_evaluations,
+)
 from policies.results.statistics import interquartile_mean
 from policies.routers.registry import is_learner
 
@@ -42,6 +52,9 @@ SEEDS = 3
 
 POINTS = 40
 """Points of a learning curve."""
+
+_ABOUT_BYTES = 2**16
+"""The largest file about a policy that is read."""
 
 
 # --- what is compared -----------------------------------------------------------------------------
@@ -70,32 +83,67 @@ class BenchmarkConfig:
     engine: EngineName = "local"
 
 
-def from_text(text: str, name: str | None, budget: Budget | None) -> Entry:
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """How learners are trained for a scenario of policies; without one, on each problem.
+
+    Attributes:
+        scenario: on whose training problems.
+        steps, seconds: see :class:`policies.learned.config.TrainOptions`; None: as the scenario
+            suggests.
+    """
+
+    scenario: str | None = None
+    steps: int | None = None
+    seconds: float | None = None
+
+    def fill(self, raw: Mapping[str, Any]) -> dict[str, Any]:
+        """The options of a learner's entry with the scenario and the bounds in them."""
+        bounds = {name: value for name, value in self.bounds.items() if value is not None}
+        train = raw.get("train") or {}
+        check("train", isinstance(train, Mapping), "a mapping")
+        for name in bounds:
+            what = f"none beside --training-{name}"
+            check(f"train.{name}", train.get(name) is None, what)
+        return {**raw, "scenario": self.scenario, "train": {**train, **bounds}}
+
+    @property
+    def bounds(self) -> dict[str, float | None]:
+        """The bounds by their names."""
+        return {"steps": self.steps, "seconds": self.seconds}
+
+
+def from_text(
+    text: str, name: str | None, budget: Budget | None, course: Course | None = None
+) -> Entry:
     """An entry as the command line names it.
 
     Args:
         text: the name of a router or a learner, or ``module:Class``, each with options after it
             (``astar best_of=16 target=tree``); the file of a trained policy or the run
-            folder of a training; a folder of solutions; or a CSV file with overflow and wirelength
-            of solutions that are not at hand.
+            folder of a training, of which there is one for each seed where ``{seed}`` stands in the
+            name; a folder of solutions; or a CSV file with overflow and wirelength of solutions
+            that are not at hand.
         name: what tables call it; None: the router and its options, or the name of the file.
         budget: the budget, applied to the options where they do not say otherwise.
+        course: how it is trained if it is a learner; None: on each problem.
 
     Raises:
         InputError: it is none of these, or an option is wrong.
     """
     raw: dict[str, Any]
-    path = Path(text)
+    path = Path(text.replace(SEED, "0"))
     trained = next((path / name for name in (POLICY, CHECKPOINT) if is_file(path / name)), None)
     if trained is not None:
-        raw = {"router": _learner_of(trained), "checkpoint": str(trained)}
-        called = path.resolve().name
+        raw = {"router": _learner_of(trained), "checkpoint": str(Path(text) / trained.name)}
+        called = Path(text).absolute().name.replace(SEED, "")
     elif is_dir(path):
         raw, called = {"router": SOLUTIONS, "folder": text}, path.resolve().name
     elif is_file(path) and suffix_of(path) == ".csv":
         raw, called = {"router": PUBLISHED, "file": text}, stem_of(path)
     elif is_file(path):
-        raw, called = {"router": _learner_of(path), "checkpoint": text}, path.stem
+        raw = {"router": _learner_of(path), "checkpoint": text}
+        called = Path(text).stem.replace(SEED, "")
     else:
         try:
             router, *options = shlex.split(text) or [""]
@@ -108,13 +156,27 @@ def from_text(text: str, name: str | None, budget: Budget | None) -> Entry:
         called = "-".join([router, *(option.partition("=")[2] for option in options)])
     called = name or re.sub(r"[^\w-]+", "-", called).strip("-_") or "router"
     source = ["--router", text, *(["--name", name] if name else [])]
-    return _entry(called, raw, budget, source)
+    return _entry(called, raw, budget, source, course)
 
 
-def _entry(name: str, raw: Mapping[str, Any], budget: Budget | None, source: list[str]) -> Entry:
+def _entry(
+    name: str,
+    raw: Mapping[str, Any],
+    budget: Budget | None,
+    source: list[str],
+    course: Course | None,
+) -> Entry:
     """An entry with a budget, unless it has its own, and bound to this version."""
-    told = dict(raw)
-    if budget is not None:
+    told, router = dict(raw), raw.get("router")
+    named = isinstance(router, str) and router not in (PUBLISHED, SOLUTIONS)
+    learns = named and is_learner(str(router))
+    if course is not None and course.scenario and learns and "checkpoint" not in raw:
+        what = f"--training-steps or --training-seconds: {name} is trained once"
+        check("--budget", budget is None and "budget" not in raw, what)
+        told = course.fill(raw)
+        for bound, most in course.bounds.items():
+            source = [*source, *([] if most is None else [f"--training-{bound}", f"{most}"])]
+    elif budget is not None:
         told.setdefault("budget", budget.text)
         source = [*source, "--budget", budget.text]
     entry = Entry.of(name, told)
@@ -135,7 +197,10 @@ def _learner_of(checkpoint: Path) -> str:
 
 
 def load_entries(
-    path: str | os.PathLike[str], overrides: Sequence[str], budget: Budget | None
+    path: str | os.PathLike[str],
+    overrides: Sequence[str],
+    budget: Budget | None,
+    course: Course | None = None,
 ) -> tuple[list[Entry], BenchmarkConfig]:
     """The entries of a configuration, and the configuration.
 
@@ -143,6 +208,7 @@ def load_entries(
         path: a YAML file.
         overrides: ``key=value``, as :func:`marouting.config.override` takes them.
         budget: what the command line says; None for the configuration's own.
+        course: how learners are trained; None: on each problem.
 
     Raises:
         InputError: names the file or key, what was expected and what was found.
@@ -154,7 +220,9 @@ def load_entries(
         budget = Budget.parse(config.budget)
         config = replace(config, budget=budget.text)
     found = [
-        _entry(name, raw, budget, source) for name, raw in config.routers.items() if raw is not None
+        _entry(name, raw, budget, source, course)
+        for name, raw in config.routers.items()
+        if raw is not None
     ]
     check(f"{where}: routers", found, "at least one")
     return found, config
@@ -208,6 +276,10 @@ class Benchmark(Experiment):
             for name in entry.only or ():
                 _ = scenarios.get(name)  # or an error
             own = [f"{name}{tail}" for name in entry.only or names if name in names]
+            for scenario in map(scenarios.get, names if entry.trains else ()):
+                fits = entry.zero_shot == scenario.name or not scenario.has_local_rule(split)
+                what = f"{scenario.name} alone with {entry.name}, which is trained for it"
+                check("--scenario", fits and (len(names) == 1 or not entry.zero_shot), what)
             if own:
                 routers[entry.name] = {**entry.plain, "only": own if entry.only else None}
         for scenario in self.scenarios.values():
@@ -244,9 +316,16 @@ class Benchmark(Experiment):
             tasks = []
             for of, problem in self.sets[name].items():
                 best = self.scenarios[name].reference(problem)
-                astar = Figures.of(evaluate(problem, sequential_astar(problem)))
-                reference = (0, best.overflow, best.wirelength)
-                tasks.append(Task(problem=of, astar=astar, reference=reference, proven=best.proven))
+                found = evaluate(problem, sequential_astar(problem))
+                tasks.append(
+                    Task(
+                        problem=of,
+                        astar=Figures.of(found),
+                        reference=(0, best.overflow, best.wirelength),
+                        proven=best.proven,
+                        tasks=found.tasks if self._scale(name) else None,
+                    )
+                )
             self._tasks[name] = tuple(tasks)
         return self._tasks[name]
 
@@ -259,8 +338,13 @@ class Benchmark(Experiment):
         trained = spent if entry.trains else entry.training_seconds
         if trained is None and entry.routes and "checkpoint" not in entry.options:
             trained = 0.0
-        total = None if None in (spent, trained) else (spent or 0) + (trained or 0)
-        if entry.trains:  # which is in the time of the rows
+        scale = self._scale(name)
+        policy = None if scale is None else self._about(name, entry)
+        if policy is not None and entry.plays:
+            trained = policy.training_seconds
+        seeds_trained = len(self.config.seeds) if scale is not None and entry.seeded else 1
+        total = None if None in (spent, trained) else (spent or 0) + seeds_trained * (trained or 0)
+        if entry.trains and scale is None:  # which is in the time of the rows
             total = spent
         size = "1 core" if cores() == 1 else f"{cores()} cores"
         scenario = self.scenarios[name].name
@@ -278,11 +362,42 @@ class Benchmark(Experiment):
             machine=", ".join((processor(), size, platform.system())),
             command=" ".join([shlex.join(command), self.sources[entry.name], *seeds]),
             date=time.strftime("%Y-%m-%d"),
+            scale=scale,
+            policy=policy,
             seconds=None if total is None else round(total, 3),
             training_seconds=trained,
             tasks=tuple(tasks.values()),
             outcomes=outcomes,
             curve=self._curve(name, entry, tasks),
+        )
+
+    def _scale(self, name: str) -> Scale | None:
+        """How a set is scored if it is the split of a scenario of policies."""
+        scenario = self.scenarios[name]
+        if not scenario.has_local_rule(self.split):
+            return None
+        return Scale(local_rule=scenario.local_rule(self.split), open_cost=scenario.open_cost)
+
+    def _about(self, name: str, entry: Entry) -> About:
+        """What is known of an entry on a split of a scenario of policies: means over the seeds."""
+        if not entry.plays:
+            return build(About, {"sight": PLANNER, **(UNLEARNED if entry.routes else {})})
+        files = [p.about for p in self.parts if (p.set, p.entry.name) == (name, entry.name)]
+        found = [build_json(About, read_text(file, _ABOUT_BYTES), str(file)) for file in files]
+        for file, one in zip(files, found, strict=True):
+            for key in ("sight", "teacher", "parameters"):
+                expected, own = getattr(found[0], key), getattr(one, key)
+                check(f"{file}: {key}", own == expected, f"{expected}, as in {files[0]}")
+        means = {
+            key: None if None in of else statistics.fmean(of)
+            for key in ("agent_steps", "training_seconds")
+            if (of := [getattr(one, key) for one in found])
+        }
+        steps, seconds = means["agent_steps"], means["training_seconds"]
+        return replace(
+            found[0],
+            agent_steps=None if steps is None else round(steps),
+            training_seconds=None if seconds is None else round(seconds, 1),
         )
 
     def _curve(
@@ -291,6 +406,9 @@ class Benchmark(Experiment):
         """The learning curve of what was trained here."""
         if not entry.trains:
             return ()
+        if entry.zero_shot is not None:
+            runs = [p.run for p in self.parts if (p.set, p.entry.name) == (name, entry.name)]
+            return _validation_curve([validation_scores(run, entry.zero_shot) for run in runs])
         episodes = entry.options["train"]["episodes"]
         at = np.unique(np.geomspace(1, episodes, POINTS).round().astype(int))
         curves = []
@@ -308,3 +426,33 @@ class Benchmark(Experiment):
             ]
         means = [interquartile_mean(column) for column in np.array(curves).T]
         return tuple((int(i), round(mean, 6)) for i, mean in zip(at, means, strict=True))
+
+
+def validation_scores(run: Path, scenario: str) -> list[tuple[int, float]]:
+    """Agent-steps and the score on the validation problems, of each evaluation of a training."""
+    found = scenarios.get(scenario)
+    best = {name: found.reference(of) for name, of in found.problems("validation").items()}
+    steps = np.cumsum([0, *(episode.steps for episode in read_episodes(run / METRICS))])
+    costs: dict[int, list[float]] = {}
+    for walk in read_evaluations(run / EVALUATIONS):
+        cost = found.cost(walk.wirelength, walk.tasks - walk.joined, walk.overflow)
+        costs.setdefault(walk.episodes, []).append(cost)
+    least = sum(reference.wirelength for reference in best.values())
+    return [
+        (int(steps[min(episodes, len(steps) - 1)]), found.score(sum(own) / least, "validation"))
+        for episodes, own in costs.items()
+        if len(own) == len(best)
+    ]
+
+
+def _validation_curve(
+    seeds: Sequence[Sequence[tuple[int, float]]],
+) -> tuple[tuple[int, float], ...]:
+    """The mean of the curves of seeds, at no more than POINTS of the steps of the first."""
+    if not all(seeds):
+        return ()
+    steps = np.array([step for step, _ in seeds[0]])
+    at = steps[np.unique(np.linspace(0, len(steps) - 1, POINTS).round().astype(int))]
+    scores = [np.interp(at, *np.array(curve).T) for curve in seeds]
+    means = np.mean(scores, axis=0)
+    return tuple((int(i), round(float(mean), 6)) for i, mean in zip(at, means, strict=True))

@@ -11,9 +11,10 @@ from marouting import InputError, Problem, scenarios
 from marouting.config import build, check, merged, override, plain, read_yaml
 from marouting.files import is_dir, is_file_name, naming
 from marouting.options import PLAYED
-from marouting.registry import allowing_code
+from marouting.registry import allowing_code, lookup
 from marouting.source import load_problems, problems_in
 from policies.engines import EngineName
+from policies.experiment.played import is_policy
 from policies.learned.config import config_of, for_learner
 from policies.results.rows import read_published
 from policies.results.statistics import ALL
@@ -189,16 +190,20 @@ class Training:
 
     Attributes:
         config: a YAML file with a training's configuration, which the other keys change.
+        scenario: a scenario on whose training problems one network is trained, which then plays the
+            set, a split of the same scenario (docs/cooperation.md). None: trained on the problems
+            of the set.
         stack: the number of problems that one process trains side by side. More than one save time
             on a GPU, but not on a CPU. A learner shared by all problems takes a whole set.
         env: keys of the game, as in a training's configuration; the experiment gives the problems.
         learner: options of the learner.
         train: keys of the run; ``figures`` and ``tensorboard`` are off unless they are given here.
         checkpoint: the file of a trained policy, which routes without any training; no other key
-            may then be given.
+            may then be given. ``{seed}`` in it stands for the seed.
     """
 
     config: str | None = None
+    scenario: str | None = None
     stack: int = 1
     env: dict[str, Any] = field(default_factory=dict)
     learner: dict[str, Any] = field(default_factory=dict)
@@ -209,7 +214,7 @@ class Training:
         check("stack", self.stack >= 1, "a number from 1")
         for name in PLAYED:
             check(f"env.{name}", name not in self.env, "none: the experiment has its sets")
-        told = self.config or self.env or self.learner or self.train
+        told = self.config or self.scenario or self.env or self.learner or self.train
         check("checkpoint", not (self.checkpoint and told), "no keys of a training beside it")
 
     def resolved(self, learner: str, where: str) -> dict[str, Any]:
@@ -223,10 +228,13 @@ class Training:
         raw = merged(merged(raw, quiet), told)
         if isinstance(raw.get("env"), Mapping):  # the problems are the experiment's
             raw["env"] = {key: value for key, value in raw["env"].items() if key not in PLAYED}
+        if self.scenario is not None:
+            raw["env"] = {**raw.get("env", {}), "scenario": self.scenario}
         config: dict[str, Any] = plain(config_of(for_learner(raw, learner, where), where))
         for name in PLAYED:
             del config["env"][name]
-        return {"stack": self.stack, **{part: config[part] for part in PARTS}}
+        scenario = {} if self.scenario is None else {"scenario": self.scenario}
+        return {**scenario, "stack": self.stack, **{part: config[part] for part in PARTS}}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -298,6 +306,21 @@ class Entry:
         return self.router not in (PUBLISHED, SOLUTIONS)
 
     @property
+    def plays(self) -> bool:
+        """Whether it is a policy, which plays the split of a scenario of policies as a whole."""
+        if not self.routes:
+            return False
+        if is_learner(self.router):
+            return not self.trains or self.zero_shot is not None
+        return is_policy(lookup("router", self.router))
+
+    @property
+    def zero_shot(self) -> str | None:
+        """The scenario on whose training problems it is trained; None for none."""
+        scenario: str | None = self.options.get("scenario") if self.trains else None
+        return scenario
+
+    @property
     def plain(self) -> dict[str, Any]:
         """The entry as a configuration holds it."""
         own = {"router": self.router, "only": self.only, "prune": self.prune, "label": self.label}
@@ -308,7 +331,12 @@ class Entry:
     def allowed(self) -> str | None:
         """What it may spend on a problem, in words; None if its options do not bound it."""
         if self.trains:
-            return f"{self.options['train']['episodes']} episodes"
+            train = self.options["train"]
+            if self.zero_shot is None:
+                return f"{train['episodes']} episodes"
+            bounds = [] if train["steps"] is None else [f"{train['steps']} agent-steps"]
+            bounds += [] if train["seconds"] is None else [f"{train['seconds']:g} s of training"]
+            return ", ".join(bounds) or f"{train['episodes']} episodes"
         tries = self.options.get(_TRIES)
         times = [self.options[name] for name in _TIMES if self.options.get(name) is not None]
         bounds = [f"best of {tries}"] if tries is not None and tries > 1 else []
@@ -345,20 +373,30 @@ class Entry:
         elif is_learner(router, f"{where}: router"):
             options = spent.fill(router, options, where) if spent else options
             options = build(Training, options, where).resolved(router, where)
-            trains = seeded = "checkpoint" not in options
+            trains = "checkpoint" not in options
+            seeded = trains or _seeded(options)
         else:
             if "seed" in options and has_seed(router):
                 raise InputError(f"{where}: seed: expected none: set seeds of the experiment")
             options = spent.fill(router, options, where) if spent else options
             seed = {"seed": 0} if has_seed(router) else {}
             made = router_piece(router, {**options, **seed}, where)
-            seeded = is_seeded(made)
+            seeded = is_seeded(made) or _seeded(options)
             options = {key: value for key, value in plain(made).items() if key not in seed}
             del options["kind"]
         sets = None if only is None else tuple(only)
         return Entry(
             name, router, sets, prune, label, options, trains, seeded, version, training
         )  # fmt: skip
+
+
+SEED = "{seed}"
+"""Stands in names of files for the seed: one file for each."""
+
+
+def _seeded(options: Mapping[str, Any]) -> bool:
+    """Whether there is a file for each seed."""
+    return any(isinstance(value, str) and SEED in value for value in options.values())
 
 
 _LABEL = 80

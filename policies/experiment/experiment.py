@@ -20,7 +20,8 @@ from marouting.config import (
     yaml_text,
 )
 from marouting.files import FILE_NAME, exists, is_file_name, naming, read_text, write_text
-from marouting.registry import allowing_code
+from marouting.registry import allowing_code, lookup
+from marouting.scenarios import get
 from marouting.source import load_problems
 from policies.engines import check_engine, cores
 from policies.experiment.config import (
@@ -36,7 +37,7 @@ from policies.results.rows import RESULTS, SUMMARY, Row, read_rows, to_csv
 from policies.results.run_folder import CONFIG, METRICS
 from policies.results.statistics import ALL, add_gaps, baseline, by_set, summarise
 from policies.results.utilisation import problem_type
-from policies.routers.registry import unknown
+from policies.routers.registry import is_learner, unknown
 
 
 class Experiment:
@@ -162,13 +163,21 @@ class Experiment:
     def parts(self) -> tuple[Part, ...]:
         """All the work, router by router; routers that take long come last."""
         return tuple(
-            Part(self.folder, name, entry, seed, share)
+            Part(self.folder, name, entry, seed, share, self._scenario(name))
             for entry in sorted(self.entries, key=_slowness)
             for name, own in self.sets.items()
             if entry.only is None or name in entry.only
             for seed in (self.config.seeds if entry.seeded else (None,))
-            for share in _shares(entry, own)
+            for share in _shares(entry, own, self._scenario(name))
         )
+
+    def _scenario(self, name: str) -> ScenarioSet | None:
+        """The split of a scenario of policies that a set is; None for other sets."""
+        if not isinstance(self.config.problems, Mapping):
+            return None
+        split = ScenarioSet.of(self.config.problems[name])
+        known = split is not None and get(split.scenario).has_local_rule(split.split)
+        return split if known else None
 
     def _left(self) -> list[Part]:
         """The work that is left; what others made is read again every time."""
@@ -320,9 +329,20 @@ def _slowness(entry: Entry) -> int:
     return 2 if entry.trains else int(entry.router == "optimal")
 
 
-def _shares(entry: Entry, problems: Mapping[str, Problem]) -> list[tuple[str, ...]]:
+def _shares(
+    entry: Entry, problems: Mapping[str, Problem], scenario: ScenarioSet | None
+) -> list[tuple[str, ...]]:
     """The problems of a set, in groups that one process does at a time."""
-    if not entry.routes:
+    where = f"routers.{entry.name}"
+    if entry.zero_shot is not None:
+        found = None if scenario is None else scenario.scenario
+        what = f"{found}, whose problems it plays, found {entry.zero_shot}"
+        check(f"{where}.scenario", found == entry.zero_shot, what)
+    if scenario is None and entry.plays and not is_learner(entry.router):
+        known = hasattr(lookup("router", entry.router), "route")
+        what = "one with a method route: policies play the scenarios of docs/cooperation.md"
+        check(f"{where}.router", known, what)
+    if not entry.routes or (scenario is not None and entry.plays):
         return [tuple(problems)]
     if not entry.trains:
         return [(name,) for name in problems]

@@ -68,6 +68,9 @@ def _aligned(found: Mapping[Path, Result]) -> list[Result]:
             check(where, task.astar == known.astar, f"{list(known.astar)}, as in {first}")
             if (task.reference, not task.proven) < (known.reference, not known.proven):
                 tasks[task.problem] = task
+        scale = found[first].scale
+        what = f"that of {first}, found another"
+        check(f"{file}: scale", result.scale == scale, what)
     aligned = [_rescored(result, tasks) for result in found.values()]
     return sorted(aligned, key=_rank)
 
@@ -77,7 +80,8 @@ def _rescored(result: Result, tasks: Mapping[str, Task]) -> Result:
     outcomes = []
     for row in result.outcomes:
         figures = row.figures
-        score = None if figures is None else tasks[row.problem].score(figures)
+        known = figures is not None and result.scale is None
+        score = tasks[row.problem].score(figures) if known and figures else None
         outcomes.append(replace(row, score=score))
     own = tuple(tasks[task.problem] for task in result.tasks)
     return replace(result, tasks=own, outcomes=tuple(outcomes))
@@ -89,7 +93,8 @@ def _rank(result: Result) -> tuple[float | str | bool, ...]:
     if row["score"] is None:
         return True, result.name
     gap = float("inf") if row["gap"] is None else row["gap"]
-    return False, -row["score"]["mean"], -row["at_reference"], gap, result.name
+    at_reference = 0 if result.scale is not None else row["at_reference"]
+    return False, -row["score"]["mean"], -at_reference, gap, result.name
 
 
 def _title(group: _Group) -> str:
@@ -112,11 +117,16 @@ def _draw(group: _Group, found: Sequence[Result], folder: Path) -> list[Path]:
     drawn = []
     if rows:
         drawn.append(folder / _picture(group, "scores"))
-        save(score_intervals(rows, _title(group)), drawn[-1])
+        save(score_intervals(rows, _title(group), policies=_of_policies(found)), drawn[-1])
     if curves:
         drawn.append(folder / _picture(group, "curves"))
-        save(learning_curves(curves, _title(group)), drawn[-1])
+        save(learning_curves(curves, _title(group), policies=_of_policies(found)), drawn[-1])
     return drawn
+
+
+def _of_policies(found: Sequence[Result]) -> bool:
+    """Whether these are results of a scenario of policies."""
+    return found[0].scale is not None
 
 
 def _page(groups: Mapping[_Group, Sequence[Result]], drawn: set[str]) -> str:
@@ -127,37 +137,69 @@ def _page(groups: Mapping[_Group, Sequence[Result]], drawn: set[str]) -> str:
         "docs/results/benchmark --leaderboard docs/notes/leaderboard.md` from the files in "
         "[results/benchmark](../results/benchmark); do not edit it. "
         "[Scenarios](../scenarios.md) explains the protocol and how to add a row.",
-        "",
-        "**Score**: 0 for sequential A*, 1 for the reference (the proven optimum, or the best "
-        "solution known); by open nets, then overflow, then wirelength; interquartile mean over "
-        "problems and seeds with its 95 % bootstrap interval. **Open**: problems with open nets. "
-        "**Overflow**: the sum, in tracks. **Gap**: mean wirelength above the reference, of the "
-        "solutions with its open nets and overflow; in brackets the number of problems, if not "
-        "all. **At reference**: solutions as good as it. **W/T/L**: wins, ties and losses against "
-        "A*. All of these are per seed. **Seconds**: median wall time per problem. **Rerun**: "
-        "what the whole row takes on one core, training included. **?**: not known.",
     ]
-    for group, found in groups.items():
-        rows = [summarise(result) for result in found]
-        lines += ["", f"## {_title(group)}", ""]
-        if group[0] in scenarios.names():
-            lines += [scenarios.get(group[0]).description, ""]
+    tracks = (("Planners", _PLANNERS, False), ("Policies", _POLICIES, True))
+    for title, notes, policies in tracks:
+        own = {group: found for group, found in groups.items() if _of_policies(found) == policies}
+        if own:
+            lines += ["", f"## {title}", "", notes]
+        for group, found in own.items():
+            lines += _section(group, found, drawn)
+    return "\n".join(lines) + "\n"
+
+
+_PLANNERS = (
+    "Routers that see the whole problem, and learners that are trained on each problem. "
+    "**Score**: 0 for sequential A*, 1 for the reference (the proven optimum, or the best "
+    "solution known); by open nets, then overflow, then wirelength; interquartile mean over "
+    "problems and seeds with its 95 % bootstrap interval. **Open**: problems with open nets. "
+    "**Overflow**: the sum, in tracks. **Gap**: mean wirelength above the reference, of the "
+    "solutions with its open nets and overflow; in brackets the number of problems, if not "
+    "all. **At reference**: solutions as good as it. **W/T/L**: wins, ties and losses against "
+    "A*. All of these are per seed. **Seconds**: median wall time per problem. **Rerun**: "
+    "what the whole row takes on one core, training included. **?**: not known."
+)
+
+_POLICIES = (
+    "Nets that decide for themselves, once ([Cooperation](../cooperation.md)), and no training on "
+    "test problems. **Score**: 0 for the best local rule, 1 for the optimum; interquartile mean "
+    "over the seeds with its 95 % bootstrap interval. **Cost**: wirelength and open tasks, divided "
+    "by the optimum's wirelength; interquartile mean over the seeds. **Solved**: problems without "
+    "open tasks. **Connected**: tasks. **Gap**: mean wirelength above the optimum, of the solved "
+    "problems. **Sees**: what a net sees when it chooses, verified for radii. Planners see the "
+    "whole problem: they are bounds, no competitors. **Teacher**: whether it learned from somebody "
+    "with sight of the whole problem. **Agent-steps** and **training** (processor time): of one "
+    "seed. **?**: not known."
+)
+
+
+def _section(group: _Group, found: Sequence[Result], drawn: set[str]) -> list[str]:
+    """The lines about a scenario."""
+    rows = [summarise(result) for result in found]
+    lines = ["", f"### {_title(group)}", ""]
+    if group[0] in scenarios.names():
+        lines += [scenarios.get(group[0]).description, ""]
+    lines += [
+        f"{rows[0]['problems']} problems; the reference is proven on "
+        f"{rows[0]['proven']:.0f} % of them.",
+        "",
+    ]
+    if _of_policies(found):
+        lines.append(f"| {' | '.join(('router', *POLICY_COLUMNS))} |")
+        lines.append("|---|---|---:|---:|---:|---:|---|---|---:|---:|---:|---:|")
+        lines += [f"| `{row['name']}` | {' | '.join(policy_cells(row))} |" for row in rows]
+    else:
         lines += [
-            f"{rows[0]['problems']} problems; the reference is proven on "
-            f"{rows[0]['proven']:.0f} % of them.",
-            "",
             "| router | score | open | overflow | gap, % | at reference, % | W/T/L | seconds | "
             "budget | seeds | rerun | training |",
             "|---|---|---:|---:|---:|---:|---:|---:|---|---:|---:|---:|",
         ]
         lines += [_line(row) for row in rows]
-        pictures = (("scores", "Scores"), ("curves", "Learning curves"))
-        for kind, title in pictures:
-            if (name := _picture(group, kind)) in drawn:
-                lines += ["", f"![{title}, {_title(group)}]({(PICTURES / name).as_posix()})"]
-        lines += ["", "<details><summary>How each row was made</summary>", ""]
-        lines += [*_commands(found), "", "</details>"]
-    return "\n".join(lines) + "\n"
+    for kind, title in (("scores", "Scores"), ("curves", "Learning curves")):
+        if (name := _picture(group, kind)) in drawn:
+            lines += ["", f"![{title}, {_title(group)}]({(PICTURES / name).as_posix()})"]
+    lines += ["", "<details><summary>How each row was made</summary>", ""]
+    return [*lines, *_commands(found), "", "</details>"]
 
 
 def _commands(found: Sequence[Result]) -> list[str]:
@@ -202,6 +244,46 @@ def cells_of(row: Mapping[str, Any]) -> list[str]:
         f"{row['at_reference']:.0f}",
         "/".join(f"{row[of]:.3g}" for of in ("wins", "ties", "losses")),
         seconds,
+    ]
+
+
+POLICY_COLUMNS = (
+    "score",
+    "cost",
+    "solved, %",
+    "connected, %",
+    "gap, %",
+    "sees",
+    "teacher",
+    "parameters",
+    "agent-steps",
+    "training",
+    "seeds",
+)
+"""The columns of :func:`policy_cells`."""
+
+
+def policy_cells(row: Mapping[str, Any]) -> list[str]:
+    """The figures of a summary of a policy in words, in the order of :data:`POLICY_COLUMNS`."""
+
+    def told(key: str, form: str, factor: float = 1) -> str:
+        return "?" if row[key] is None else format(factor * row[key], form).replace(",", " ")
+
+    score, interval = row["score"], ""
+    if score is not None and row["seeds"] > 1:
+        interval = f" [{score['low']:.3f}, {score['high']:.3f}]"
+    return [
+        "?" if score is None else f"{round(score['mean'], 3) + 0:.3f}{interval}",
+        told("cost", ".4f"),
+        told("solved", ".1f", 100),
+        told("connected", ".1f", 100),
+        told("gap", ".2f"),
+        row["sight"],
+        "?" if row["teacher"] is None else "yes" if row["teacher"] else "no",
+        told("parameters", ",d"),
+        told("agent_steps", ",d"),
+        _duration(row["training_seconds"]),
+        str(row["seeds"]),
     ]
 
 

@@ -3,22 +3,32 @@
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from marouting import InputError, Problem, Solution
 from marouting.config import build, code_named
 from marouting.files import naming, write_text
 from marouting.registry import allowing_code
 from policies.engines import Call, EngineName, opened
-from policies.experiment.config import PARTS, PUBLISHED, SOLUTIONS, Entry, Published
+from policies.experiment.config import (
+    PARTS,
+    PUBLISHED,
+    SEED,
+    SOLUTIONS,
+    Entry,
+    Published,
+    ScenarioSet,
+)
+from policies.experiment.played import MovesPolicy, play
 from policies.learned.burn_in import read_solutions
 from policies.learned.config import Config, load_config
 from policies.results import run_folder
 from policies.results.rows import COLUMNS, Row, figures_of, solution_row
 from policies.routers.base import Router, solve, warm_up
-from policies.routers.registry import is_learner, make_router
+from policies.routers.local import LocalRouter
+from policies.routers.registry import has_seed, is_learner, make_router
 
 
 @dataclass(frozen=True)
@@ -31,6 +41,7 @@ class Part:
         entry: the router.
         seed: the seed; None for a router that draws no random numbers.
         problems: the names of the problems; the part's files are named after the first.
+        scenario: the split of a scenario of policies that they are; None for other problems.
     """
 
     folder: Path
@@ -38,6 +49,7 @@ class Part:
     entry: Entry
     seed: int | None
     problems: tuple[str, ...]
+    scenario: ScenarioSet | None = None
 
     @property
     def label(self) -> str:
@@ -63,6 +75,20 @@ class Part:
         return self.folder / "solutions" / self.set / f"{name}.{self.label}.solution"
 
     @property
+    def about(self) -> Path:
+        """The file that says what is known of a policy that plays all problems at once."""
+        return self.folder / "policies" / self.set / f"{self.label}.json"
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The options of the router, with the seed in names of files."""
+        seed = str(self.seed)
+        return {
+            name: value.replace(SEED, seed) if isinstance(value, str) else value
+            for name, value in self.entry.options.items()
+        }
+
+    @property
     def gpus(self) -> int:
         """The number of GPUs that it needs."""
         return int(self.entry.trains and self.entry.options["train"]["device"] != "cpu")
@@ -72,6 +98,8 @@ class Part:
         try:
             if self.entry.router == PUBLISHED:
                 rows = self._quote()
+            elif self.scenario is not None and self.entry.plays:
+                rows = self._play(self.scenario)
             elif self.entry.trains:
                 rows = self._train()
             else:
@@ -93,6 +121,10 @@ class Part:
         elif self.entry.router == SOLUTIONS:
             for name, problem in problems.items():
                 self._external(name, problem)
+        elif self.entry.zero_shot is not None:
+            _ = self._training()
+        elif self.scenario is not None and self.entry.plays:
+            _ = self._policy()
         elif self.entry.trains:
             from policies.learned.trainer import Trainer  # torch: only if something learned
 
@@ -105,7 +137,7 @@ class Part:
             from policies.learned.policy import TrainedPolicy
 
             for name, problem in problems.items():
-                TrainedPolicy.load(self.entry.options["checkpoint"], name).check(problem)
+                TrainedPolicy.load(self.options["checkpoint"], name).check(problem)
 
     def _quote(self) -> list[Row]:
         """The rows of a published router; raises InputError if one is missing."""
@@ -155,6 +187,33 @@ class Part:
         row = {"problem": name, **solution_row(solution, seconds), "proven": proven}
         return {**row, "from": report.get("from")}
 
+    def _play(self, scenario: ScenarioSet) -> list[Row]:
+        """The rows of a policy that plays all problems at once; writes what is known of it."""
+        if self.entry.trains:
+            self._run()
+        policy = self._policy()
+        started = time.perf_counter()
+        engine, about = play(policy, scenario.scenario, scenario.split)
+        seconds = (time.perf_counter() - started) / len(self.problems)
+        rows = []
+        for m, name in enumerate(self.problems):
+            solution = self._finished(engine.solution(m))
+            solution.write(self.solution(name))
+            metrics = engine.metrics(m)
+            played = {"joined": metrics.joined, "tasks": metrics.tasks}
+            rows.append({"problem": name, **solution_row(solution, seconds), **played})
+        write_text(self.about, json.dumps(asdict(about), indent=1) + "\n")
+        return rows
+
+    def _policy(self) -> LocalRouter | MovesPolicy:
+        """What plays; raises InputError if its file cannot be used."""
+        if not is_learner(self.entry.router):
+            return cast(LocalRouter | MovesPolicy, self._router(""))
+        from policies.learned.policy import TrainedPolicy  # torch: only if something learned
+
+        trained = self.run / run_folder.POLICY
+        return TrainedPolicy.load(trained if self.entry.trains else self.options["checkpoint"])
+
     def _finished(self, solution: Solution) -> Solution:
         """A solution as it is judged."""
         return solution.pruned() if self.entry.prune else solution
@@ -163,9 +222,10 @@ class Part:
         if "checkpoint" in self.entry.options and is_learner(self.entry.router):
             from policies.learned.router import LearnedRouter  # torch: only if something learned
 
-            return LearnedRouter(checkpoint=self.entry.options["checkpoint"], network=problem)
-        seed = {} if self.seed is None else {"seed": self.seed}
-        return make_router(self.entry.router, {**self.entry.options, **seed})
+            return LearnedRouter(checkpoint=self.options["checkpoint"], network=problem)
+        seeded = self.seed is not None and has_seed(self.entry.router)
+        seed = {"seed": self.seed} if seeded else {}
+        return make_router(self.entry.router, {**self.options, **seed})
 
     def _warm_up(self, router: Router) -> None:
         """Does so once per process, so that no time includes compiling."""
@@ -173,7 +233,8 @@ class Part:
             warm_up(router)
             _warm.add(self.entry.name)
 
-    def _train(self) -> list[Row]:
+    def _run(self) -> None:
+        """Trains in the run folder, or goes on there."""
         from policies.learned.router import LearnedRouter
         from policies.learned.run import Run
 
@@ -183,11 +244,14 @@ class Part:
                 config = load_config(kept) if kept.exists() else self._training()
             # The folder may have been renamed since the training was started.
             config = replace(config, out=str(self.run))
-            if not kept.exists():
+            if not kept.exists() and self.entry.zero_shot is None:
                 self._warm_up(LearnedRouter(config))
             Run(config, resume=kept.exists()).execute()
         # The checkpoint of a finished training is large and of no use.
         (self.run / run_folder.CHECKPOINT).unlink(missing_ok=True)
+
+    def _train(self) -> list[Row]:
+        self._run()
         found = run_folder.read_result(self.run)
         rows = [row for row in found if row["router"] == self.entry.router]
         for row in rows:
@@ -201,7 +265,10 @@ class Part:
 
     def _training(self) -> Config:
         parts = {key: dict(self.entry.options[key]) for key in PARTS}
-        parts["env"]["problem"] = [str(self.problem(name)) for name in self.problems]
+        if self.entry.zero_shot is None:
+            parts["env"]["problem"] = [str(self.problem(name)) for name in self.problems]
+        else:
+            parts["env"]["scenario"] = self.entry.zero_shot
         return build(Config, {"seed": self.seed, **parts})
 
 

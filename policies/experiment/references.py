@@ -50,7 +50,9 @@ def solve(problem: Problem, name: str, effort: Effort, known: Record | None = No
     bound = found.bound_overflow, found.bound_wirelength
     if found.status != "optimal":
         for seed in range(effort.seeds):
-            options = PathfinderOptions(seconds=effort.each, repair_after=1000, seed=seed)
+            options = PathfinderOptions(
+                seconds=effort.each, least_gain=0.0, repair_after=1000, seed=seed
+            )
             figures = evaluate(problem, PathfinderRouter(options).route(problem))
             if (figures.overflow, figures.wirelength) < score:
                 score, solver = (figures.overflow, figures.wirelength), f"pathfinder, seed {seed}"

@@ -9,18 +9,20 @@ import json
 import re
 import statistics
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from scipy.stats import bootstrap, trim_mean
 
 from marouting.config import Meets, between, build_json, check
 from marouting.files import read_text, write_text
 from marouting.scenarios.score import Figures, score
 from policies.experiment.config import Split
+from policies.experiment.played import About
 from policies.results.rows import Count, Measure, Name, Row, Seconds
 from policies.results.statistics import bootstrap_interval, gap, interquartile_mean
 
@@ -43,12 +45,14 @@ class Task:
         astar: open nets, overflow and wirelength of sequential A* as in the paper: score 0.
         reference: those of the proven optimum or the best solution known: score 1.
         proven: whether the reference is proven to be optimal.
+        tasks: two-pin tasks of the problem, in scenarios of policies.
     """
 
     problem: Name
     astar: tuple[Count, Count, Count]
     reference: tuple[Count, Count, Count]
     proven: bool
+    tasks: Count | None = None
 
     def __post_init__(self) -> None:
         check("reference", self.reference <= self.astar, "one at least as good as A*")
@@ -70,7 +74,9 @@ class Outcome:
         wirelength: in edges.
         vias: None if not known.
         seconds: wall time, with the training if there was one for this problem; None if not known.
-        score: see :mod:`marouting.scenarios.score`; None where ``open`` is.
+        score: see :mod:`marouting.scenarios.score`; None where ``open`` is, and in scenarios of
+            policies, whose problems have one score together.
+        open_tasks: two-pin tasks that are not joined, in scenarios of policies; None if not known.
     """
 
     problem: Name
@@ -81,6 +87,7 @@ class Outcome:
     vias: Count | None = None
     seconds: Seconds | None = None
     score: Share | None
+    open_tasks: Count | None = None
 
     @staticmethod
     def of(row: Row, task: Task) -> "Outcome":
@@ -89,6 +96,9 @@ class Outcome:
         figures = {column: row[column] for column in columns}
         opened = row.get("open_nets")
         found = None if opened is None else Figures(opened, row["overflow"], row["wirelength"])
+        if task.tasks is not None:
+            tasks = None if row["joined"] is None else row["tasks"] - row["joined"]
+            return Outcome(**figures, open=opened, score=None, open_tasks=tasks)
         score = None if found is None else round(task.score(found), 9)
         return Outcome(**figures, open=opened, score=score)
 
@@ -96,6 +106,26 @@ class Outcome:
     def figures(self) -> Figures | None:
         """What solutions compare by; None if not all of it is known."""
         return None if self.open is None else Figures(self.open, self.overflow, self.wirelength)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """How a split of a scenario of policies is scored; see :class:`marouting.scenarios.Scenario`.
+
+    Attributes:
+        local_rule: cost of the best local rule, which has the score 0.
+        open_cost: what an open task costs, in edges of wire.
+    """
+
+    local_rule: Annotated[float, between(1, 1000)]
+    open_cost: Count
+
+    def __post_init__(self) -> None:
+        check("local_rule", self.local_rule > 1, "a cost above 1")
+
+    def score(self, cost: float) -> float:
+        """The score of a cost: 1 for the optimum."""
+        return (self.local_rule - cost) / (self.local_rule - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,14 +145,18 @@ class Result:
         machine: in words.
         command: that makes the file again.
         date: when the file was written, as YYYY-MM-DD.
+        scale: how the split is scored, in scenarios of policies; None: by problem, from A*.
+        policy: what there is to say of what plays there.
         seconds: all that it takes to make the rows again on one core, training included; None if
             not known.
         training_seconds: the part of it that is training, or what training the checkpoint took; 0
-            for what does not learn, None if not known.
+            for what does not learn, None if not known. In scenarios of policies it is processor
+            time, the mean over the seeds.
         tasks: the problems.
         outcomes: one for each problem and seed.
         curve: of a learner trained on the problems: episodes per problem, and the interquartile
-            mean of the scores of the best routes so far.
+            mean of the scores of the best routes so far. Of a policy trained for a scenario:
+            agent-steps, and the mean over the seeds of the scores on the validation problems.
     """
 
     format: Literal["marouting-benchmark-1"] = "marouting-benchmark-1"
@@ -136,6 +170,8 @@ class Result:
     machine: str
     command: str
     date: Annotated[str, Meets(re.compile("[0-9]{4}-[0-9]{2}-[0-9]{2}").fullmatch, "YYYY-MM-DD")]
+    scale: Scale | None = None
+    policy: About | None = None
     seconds: Seconds | None
     training_seconds: Seconds | None
     tasks: tuple[Task, ...]
@@ -156,12 +192,20 @@ class Result:
             fits = row.vias is None or row.vias <= row.wirelength
             check(f"{where}: vias", fits, "at most the wirelength")
             known = row.figures
-            if known is None:
+            if self.scale is not None:
+                check(f"{where}: score", row.score is None, "null: all problems have one score")
+                most = self.by_name[row.problem].tasks
+                fits = row.open_tasks is None or most is None or row.open_tasks <= most
+                check(f"{where}: open_tasks", fits, "at most the tasks")
+            elif known is None:
                 check(f"{where}: score", row.score is None, "null, as the open nets are unknown")
             else:
                 right = self.by_name[row.problem].score(known)
                 fits = row.score is not None and abs(row.score - right) <= CLOSE
                 check(f"{where}: score", fits, f"{right:.6f}, found {row.score}")
+        known_tasks = all(task.tasks is not None for task in self.tasks)
+        check("tasks", self.scale is None or known_tasks, "the number of two-pin tasks of each")
+        check("policy", (self.policy is None) == (self.scale is None), "one with a scale")
         whole = len(seeds) == len(self.tasks) and len(set(seeds.values())) == 1
         check("outcomes", whole, "every problem with the same number of seeds")
 
@@ -179,14 +223,21 @@ class Result:
     def write(self, folder: Path) -> Path:
         """Writes the file into a folder, whole or not at all; returns its path."""
         path = folder / self.file_name
-        plain = asdict(self)
+        plain = _without_nulls(asdict(self), ("scale", "policy"))
         lists = {key: plain.pop(key) for key in ("tasks", "outcomes", "curve")}
+        for key in ("tasks", "outcomes"):
+            lists[key] = [_without_nulls(row, ("tasks", "open_tasks")) for row in lists[key]]
         text = json.dumps(plain, indent=1, ensure_ascii=False).removesuffix("\n}")
         for key, rows in lists.items():  # a line each, so that files can be compared
             lines = ",\n  ".join(json.dumps(row, ensure_ascii=False) for row in rows)
             text += f',\n "{key}": [\n  {lines}\n ]' if rows else f',\n "{key}": []'
         write_text(path, f"{text}\n}}\n")
         return path
+
+
+def _without_nulls(row: Mapping[str, Any], keys: Collection[str]) -> dict[str, Any]:
+    """Without these keys where they are None: they are for scenarios of policies."""
+    return {key: value for key, value in row.items() if key not in keys or value is not None}
 
 
 def read_result(path: Path) -> Result:
@@ -196,6 +247,9 @@ def read_result(path: Path) -> Result:
 
 def summarise(result: Result) -> dict[str, Any]:
     """The figures of a result, None where something is not known.
+
+    Those of scenarios of policies are :func:`policy_figures` in place of the ones from ``score`` to
+    ``losses``.
 
     Returns:
         ``name``, ``scenario``, ``split``, ``router``, ``budget``, the numbers of ``problems`` and
@@ -228,6 +282,8 @@ def summarise(result: Result) -> dict[str, Any]:
         "seconds": result.seconds,
         "training_seconds": result.training_seconds,
     }
+    if result.scale is not None:
+        return {**summary, **policy_figures(result)}
     found = [(tasks[row.problem], row.figures) for row in rows if row.figures is not None]
     if len(found) < len(rows):
         unknown = ("score", "open", "gap", "gap_problems", "at_reference", "wins", "ties", "losses")
@@ -250,6 +306,66 @@ def summarise(result: Result) -> dict[str, Any]:
         "ties": _whole(sum(figures == task.astar for task, figures in found) / seeds),
         "losses": _whole(sum(figures > task.astar for task, figures in found) / seeds),
     }
+
+
+def policy_figures(result: Result) -> dict[str, Any]:
+    """What the table of policies shows; figures of seeds are averaged.
+
+    Returns:
+        ``score``: ``mean`` (interquartile over the seeds), ``low`` and ``high`` (95 % bootstrap);
+        ``costs``: of each seed, as :func:`marouting.evaluate_policy` gives it, and ``cost``, their
+        interquartile mean; ``solved``, ``connected``: shares of the problems without open tasks and
+        overflow, and of the tasks; ``gap``: mean wirelength above the reference in % of the solved
+        problems; and ``sight``, ``teacher``, ``parameters`` and ``agent_steps`` of
+        :class:`.played.About`. None for what is not known.
+    """
+    scale, about = result.scale, result.policy
+    assert scale is not None and about is not None  # noqa: PT018
+    by_seed: dict[int | None, list[Outcome]] = {}
+    for row in result.outcomes:
+        by_seed.setdefault(row.seed, []).append(row)
+    told = asdict(about)
+    del told["training_seconds"]  # the result's own
+    if any(row.open_tasks is None for row in result.outcomes):
+        unknown = ("score", "costs", "cost", "solved", "connected", "gap")
+        return {**dict.fromkeys(unknown), **told}
+    best = sum(task.reference[2] for task in result.tasks)
+    tasks = sum(task.tasks or 0 for task in result.tasks)
+    costs, solved, connected, gaps = [], [], [], []
+    for rows in by_seed.values():
+        lost = sum((row.open_tasks or 0) + row.overflow for row in rows)
+        costs.append((sum(row.wirelength for row in rows) + scale.open_cost * lost) / best)
+        done = [row for row in rows if not (row.open_tasks or row.overflow)]
+        solved.append(len(done) / len(rows))
+        connected.append(1 - sum(row.open_tasks or 0 for row in rows) / tasks)
+        for row in done:
+            least = max(result.by_name[row.problem].reference[2], 1)
+            gaps.append(100 * (row.wirelength / least - 1))
+    scores = [scale.score(cost) for cost in costs]
+    mean = float(_middle(scores))
+    low, high = mean, mean
+    if len(scores) > 1 and max(scores) > min(scores):
+        found = bootstrap(
+            (scores,),
+            _middle,
+            method="percentile",
+            random_state=np.random.default_rng(0),  # called rng from SciPy 1.15 on
+        )
+        low, high = map(float, found.confidence_interval)
+    return {
+        "score": {"mean": mean, "low": low, "high": high},
+        "costs": costs,
+        "cost": float(_middle(costs)),
+        "solved": statistics.fmean(solved),
+        "connected": statistics.fmean(connected),
+        "gap": statistics.fmean(gaps) if gaps else None,
+        **told,
+    }
+
+
+def _middle(values: Any, axis: int = 0) -> Any:
+    """The interquartile means along an axis."""
+    return trim_mean(values, 0.25, axis=axis)
 
 
 def _whole(value: float) -> float:

@@ -7,9 +7,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.problem.grid import Grid
+from marouting.problem.grid import VIA_AXIS, Grid
 from marouting.render import Scene, colour_of
 from policies.figures.routes import side_by_side
 
@@ -44,6 +45,7 @@ def svg(scenes: Sequence[Scene], title: str, fps: float) -> str:
     name = html.escape("".join(c if c.isprintable() else ascii(c)[1:-1] for c in title))
     parts = [
         *film.ground(),
+        *film.walls(),
         *film.overflows(),
         *film.routes(),
         *film.vias(),
@@ -129,18 +131,46 @@ class _Film:
         return f"{x:.1f}".removesuffix(".0"), f"{y:.1f}".removesuffix(".0")
 
     def ground(self) -> Iterator[str]:
-        """The Gcells."""
+        """The Gcells that an edge leads to."""
         columns, rows, _ = self.scenes[0].grid.shape
         gap = 0.06 * self._pitch if max(columns, rows) <= 64 else 0
         side = self._pitch - gap
         squares = (
             f"M{self._left + x * self._pitch + gap / 2:.4g} "
-            f"{EDGE + HEAD + y * self._pitch + gap / 2:.4g}h{side:.4g}v{side:.4g}h-{side:.4g}z"
-            for x in range(columns)
-            for y in range(rows)
+            f"{EDGE + HEAD + (rows - 1 - y) * self._pitch + gap / 2:.4g}"
+            f"h{side:.4g}v{side:.4g}h-{side:.4g}z"
+            for x, y in np.argwhere(self._reached()).tolist()
         )
         whole = f"M{self._left} {EDGE + HEAD}h{columns * self._pitch}v{rows * self._pitch}H"
         yield f'<path fill="#eef0f4" d="{"".join(squares) if gap else f"{whole}{self._left}z"}"/>'
+
+    def _tracks(self) -> NDArray[np.int64]:
+        """(X, Y, 2), the tracks from each column of Gcells to the next one along x and y."""
+        grid = self.scenes[0].grid
+        return self.scenes[0].capacity.reshape(*grid.shape, -1)[..., :VIA_AXIS].sum(2)
+
+    def _reached(self) -> NDArray[np.bool_]:
+        """(X, Y) bool, the columns of Gcells that have a neighbour."""
+        along_x, along_y = np.moveaxis(self._tracks() > 0, -1, 0)
+        reached = along_x | along_y
+        reached[1:] |= along_x[:-1]
+        reached[:, 1:] |= along_y[:, :-1]
+        return reached
+
+    def walls(self) -> Iterator[str]:
+        """A line between neighbours that no edge joins."""
+        tracks, reached, lines = self._tracks(), self._reached(), []
+        half = self._pitch / 2
+        for x, y, axis in np.argwhere(tracks == 0).tolist():
+            other = (x + 1, y) if axis == 0 else (x, y + 1)
+            if other[axis] == tracks.shape[axis] or not (reached[x, y] and reached[other]):
+                continue
+            left, top = map(float, self._at(other))
+            start = (left - half, top - half) if axis == 0 else (left - half, top + half)
+            lines.append(f"M{start[0]:.4g} {start[1]:.4g}{'vh'[axis]}{self._pitch:.4g}")
+        if lines:
+            wide = f"{max(0.1 * self._pitch, 1):.3g}"
+            yield f'<path stroke="#202020" stroke-width="{wide}" d="{"".join(lines)}"/>'
 
     def overflows(self) -> Iterator[str]:
         """Bands on edges that overflow, below the routes."""

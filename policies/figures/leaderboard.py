@@ -11,15 +11,21 @@ LEAST = -1.0
 """Scores below are drawn as arrows at the edge, with the number beside them."""
 
 
-def score_intervals(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
+ENDS = {False: ("A*", "reference"), True: ("best local rule", "optimum")}
+"""What has the scores 0 and 1: in scenarios of planners, and of policies."""
+
+
+def score_intervals(
+    rows: Sequence[Mapping[str, Any]], title: str = "", *, policies: bool = False
+) -> Figure:
     """The score of every router with its interval, in the order of the rows, on a linear axis.
 
     Each has a ``name`` and a ``score`` (``mean``, ``low`` and ``high``). Lines stand at the scores
-    of A* and of the reference.
+    0 and 1.
     """
     figure = Figure(figsize=(9, 1.6 + 0.34 * len(rows)), layout="constrained")
     axes = figure.subplots()
-    for x, label in ((0, "A*"), (1, "reference")):
+    for x, label in enumerate(ENDS[policies]):
         axes.axvline(x, color=INK, linewidth=1, linestyle="--")
         place: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
         axes.annotate(label, (x, 1), xytext=(0, 3), ha="center", fontsize=9, **place)
@@ -44,10 +50,13 @@ def score_intervals(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figur
     return figure
 
 
-def learning_curves(curves: Mapping[str, Sequence[tuple[int, float]]], title: str = "") -> Figure:
+def learning_curves(
+    curves: Mapping[str, Sequence[tuple[int, float]]], title: str = "", *, policies: bool = False
+) -> Figure:
     """The score of the best routes so far over the course of trainings.
 
-    Points are (episodes, score), by the learner's name; the axis of episodes is logarithmic.
+    Points are (episodes, score), by the learner's name; the axis of episodes is logarithmic. Those
+    of policies are (agent-steps, score on the validation problems).
     """
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots()
@@ -62,11 +71,15 @@ def learning_curves(curves: Mapping[str, Sequence[tuple[int, float]]], title: st
         )
     for height in (0, 1):
         axes.axhline(height, color=INK, linewidth=1, linestyle="--")
-    axes.set_xscale("log")
+    if not policies:
+        axes.set_xscale("log")
     axes.grid(color=PALE, linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.set_xlabel("episodes per problem (logarithmic: most is learnt in the first of them)")
-    axes.set_ylabel("score of the best routes so far\n(A* 0, reference 1)")
+    zero, one = ENDS[policies]
+    across = "episodes per problem (logarithmic: most is learnt in the first of them)"
+    axes.set_xlabel("agent-steps" if policies else across)
+    up = "score on the validation problems" if policies else "score of the best routes so far"
+    axes.set_ylabel(f"{up}\n({zero} 0, {one} 1)")
     axes.set_title(literal(title), fontsize=12)
     axes.legend(frameon=False, fontsize=9)
     return figure

@@ -10,21 +10,35 @@
 
 The configuration of a task holds the arguments of :class:`marouting.vector.BatchEnv`, and
 ``max_cycles``: after so many steps a game has ended.
+
+A checkpoint is scored by ``marouting benchmark --router 'policies.integrations.benchmarl:Policy
+file=…/checkpoints/checkpoint_N.pt'``. To load one runs the code that it holds.
 """
 
+import contextlib
 import copy
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from benchmarl.environments.common import Task, TaskClass
+from benchmarl.experiment import Experiment
 from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
-from policies.integrations.torchrl import GROUP, RoutingEnv
+from marouting.config import check
+from marouting.files import naming
+from policies.integrations.saved import Training
+from policies.integrations.torchrl import GROUP, GroupMoves, RoutingEnv
 
 
 class RoutingClass(TaskClass):
     """Global routing: every net is an agent of one group, and all share one capacity grid."""
+
+    @staticmethod
+    def of(config: dict[str, Any]) -> "RoutingClass":
+        """A task of a scenario, named after it."""
+        return RoutingClass(name=config["scenario"].replace("-", "_").upper(), config=config)
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
@@ -118,3 +132,51 @@ def _part(env: EnvBase, group: str, key: str) -> Composite:
         if other != key:
             del part[other]
     return Composite({group: part})
+
+
+class Moves(GroupMoves):
+    """The moves of the policy of an experiment, without exploration."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        policy = experiment.algorithm.get_policy_for_collection()
+        super().__init__(policy, len(experiment.group_map[GROUP]))
+
+
+class Policy(Moves):
+    """The policy in a checkpoint of BenchMARL, with the options of its task.
+
+    Args:
+        file: the checkpoint, as BenchMARL lays it down: in ``checkpoints`` of its run folder.
+        agent_steps, processor_seconds: what its training took; None: not known.
+        teacher: whether it learned from something with sight of the whole problem; None: not known.
+
+    Attributes:
+        options, training, obs_shape: see :mod:`policies.experiment.played`.
+
+    Raises:
+        InputError: it cannot be read, or is of another task.
+    """
+
+    def __init__(
+        self,
+        file: str,
+        agent_steps: int | None = None,
+        processor_seconds: float | None = None,
+        teacher: bool | None = None,
+    ) -> None:
+        known = Path(file).parent.parent / "config.pkl"
+        with naming(known, "cannot be read"), known.open("rb"), contextlib.redirect_stdout(None):
+            experiment = Experiment.reload_from_file(file, {"loggers": [], "evaluation": False})
+        experiment.close()
+        fits = isinstance(experiment.task, RoutingClass)
+        check(file, fits, f"a checkpoint of a task of {__name__}")
+        super().__init__(experiment)
+        task = {key: of for key, of in experiment.task.config.items() if key not in _OF_THE_TASK}
+        self.options = Training(task).options
+        took = {"agent_steps": agent_steps, "processor_seconds": processor_seconds}
+        self.training = {**took, "teacher": teacher}
+        self.obs_shape = tuple(experiment.observation_spec[GROUP, "observation"].shape[1:])
+
+
+_OF_THE_TASK = ("max_cycles", "shared")
+"""Keys of a task that are no options of its environment."""

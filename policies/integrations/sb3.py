@@ -7,18 +7,30 @@ environments::
     from policies.integrations.sb3 import RoutingVecEnv
 
     env = RoutingVecEnv(marouting.generate(16, nets=10), reward="normalised")
-    MaskablePPO("MlpPolicy", env).learn(100_000)
+    model = MaskablePPO("MlpPolicy", env).learn(100_000)
+
+A model that :func:`save` has saved is scored by ``marouting benchmark --router
+'policies.integrations.sb3:Policy file=model.zip'``, or in Python
+(:func:`marouting.evaluate_policy`). To load one runs the code that it holds.
 """
 
+import inspect
+import os
+import pkgutil
 import time
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecEnv
 
+from marouting.config import check
+from marouting.files import naming
 from marouting.vector import BatchEnv, Info
+from policies.integrations.saved import Training
 
 
 class RoutingVecEnv(VecEnv):
@@ -43,6 +55,7 @@ class RoutingVecEnv(VecEnv):
 
     Attributes:
         batch: the games, to be read.
+        taken: what it has been used for.
 
     Raises:
         InputError: an option or a problem cannot be used.
@@ -50,6 +63,7 @@ class RoutingVecEnv(VecEnv):
 
     def __init__(self, problems: Any = None, *, everyone: bool = True, **options: Any) -> None:
         self.batch = BatchEnv(problems, everyone=everyone, autoreset=False, **options)
+        self.taken = Training(options, everyone=everyone)
         self._everyone = everyone
         self._rows = self.batch.num_agents if everyone else 1
         count = self.batch.num_problems * self._rows
@@ -79,6 +93,7 @@ class RoutingVecEnv(VecEnv):
         reward = paid.ravel().copy()
         self._return += reward
         self._length += info["acted"].ravel()
+        self.taken.agent_steps += int(info["acted"].sum())
         if self._everyone:
             joined, ended = terminated.ravel().copy(), (terminated | truncated).ravel()
             success = joined
@@ -146,3 +161,58 @@ class RoutingVecEnv(VecEnv):
         """False for all: there are no wrappers inside."""
         del wrapper_class
         return [False for _ in self._get_indices(indices)]
+
+
+def save(model: BaseAlgorithm, file: str | os.PathLike[str]) -> None:
+    """Saves a model with the options of its :class:`RoutingVecEnv`, for :class:`Policy`.
+
+    If the environment is wrapped in SB3's ``VecNormalize``, its statistics are saved as well.
+    """
+    env = model.get_env()
+    assert env is not None  # it was trained in one
+    kind = type(model)
+    normalise = model.get_vec_normalize_env()
+    vars(model)["routing"] = {
+        **env.get_attr("taken")[0].saved(),
+        "kind": f"{kind.__module__}:{kind.__qualname__}",
+        "normalise": normalise,
+    }
+    model.save(file)
+
+
+class Policy:
+    """A model that :func:`save` has saved, without exploration.
+
+    Args:
+        file: the model.
+        teacher: whether it learned from something with sight of the whole problem; None: not known.
+
+    Attributes:
+        options, training, parameters, obs_shape: see :mod:`policies.experiment.played`.
+
+    Raises:
+        InputError: the file cannot be read, or is another one.
+    """
+
+    def __init__(self, file: str, teacher: bool | None = None) -> None:
+        with naming(file, "cannot be read"):
+            data, _, _ = load_from_zip_file(file, device="cpu")
+        known = None if data is None else data.get("routing")
+        check(file, known is not None, "a model that policies.integrations.sb3.save has saved")
+        kept: dict[str, Any] = known or {}
+        self._model = pkgutil.resolve_name(kept["kind"]).load(file, device="cpu")
+        self._normalise = kept["normalise"]
+        self._masks = "action_masks" in inspect.signature(self._model.predict).parameters
+        self.options, self.training = kept["options"], {**kept["training"], "teacher": teacher}
+        self.parameters = sum(one.numel() for one in self._model.policy.parameters())
+        self.obs_shape = self._model.observation_space.shape
+
+    def moves(
+        self, observations: NDArray[np.float32], masks: NDArray[np.int8]
+    ) -> NDArray[np.integer]:
+        """(B,) moves for observations (B, *S) and masks (B, A)."""
+        if self._normalise is not None:
+            observations = self._normalise.normalize_obs(observations)
+        masked = {"action_masks": masks > 0} if self._masks else {}
+        moves, _ = self._model.predict(observations, deterministic=True, **masked)
+        return np.asarray(moves)

@@ -31,9 +31,10 @@ class TrainOptions:
 
     Attributes:
         episodes: episodes per problem; in one, all nets route all their two-pin tasks.
-        steps: moves of all agents, counted when an episode is over, after which a training ends
-            whose games draw problems; ``episodes`` is then the most episodes. None: it ends after
-            ``episodes``.
+        steps: moves of all agents after which a training ends whose games draw problems;
+            ``episodes`` is then the most episodes. None: it ends after ``episodes``.
+        seconds: processor time after which such a training ends, whatever is left of its steps.
+            None: no bound. The same seed does then not give the same network.
         shared: whether one network learns all problems; otherwise each problem has its own. None:
             true if games draw problems.
         games: number of games played in parallel, each of which draws a problem for every episode:
@@ -65,6 +66,8 @@ class TrainOptions:
         threads: threads that share the networks of a training.
         checkpoint_seconds: seconds between checkpoints.
         tensorboard: whether to write TensorBoard's event files beside ``metrics.jsonl``.
+        wandb: whether to log the same in Weights & Biases, as a run of the project ``marouting``
+            named after the run folder. ``WANDB_MODE=offline`` needs no account.
         reference: the ``results.json`` of an experiment whose proven optima TensorBoard measures
             gaps to, by the problems' names; None for no gaps.
         figures: whether to draw the figures at the end.
@@ -72,6 +75,7 @@ class TrainOptions:
 
     episodes: int = 1000
     steps: int | None = None
+    seconds: float | None = None
     shared: bool | None = None
     games: int | None = None
     problems: int | None = None
@@ -85,6 +89,7 @@ class TrainOptions:
     threads: int = 1
     checkpoint_seconds: float = 60.0
     tensorboard: bool = True
+    wandb: bool = False
     reference: str | None = None
     figures: bool = True
 
@@ -94,6 +99,8 @@ class TrainOptions:
         games, shown, steps = self.games, self.validation, self.steps
         check("steps", steps is None or 1 <= steps <= MOST, f"a number from 1 to {MOST}")
         check("steps", steps is None or games is not None, "null without train.games")
+        check("seconds", self.seconds is None or self.seconds > 0, "a number above 0")
+        check("seconds", self.seconds is None or games is not None, "null without train.games")
         check("games", games is None or 1 <= games <= 1_000_000, "a number from 1 to 1000000")
         check("shared", games is None or self.shared, "true: games draw problems for one network")
         kept = self.problems
@@ -101,6 +108,7 @@ class TrainOptions:
         check("problems", kept is None or games is not None, "null without train.games")
         check("validation", shown is None or 1 <= shown <= 10_000, "a number from 1 to 10000")
         check("validation", shown is None or games is not None, "null without train.games")
+        check("wandb", self.tensorboard or not self.wandb, "false without train.tensorboard")
         check("threads", 1 <= self.threads <= 1024, "a number from 1 to 1024")
         check("checkpoint_seconds", self.checkpoint_seconds >= 0, "a number from 0")
 

@@ -6,7 +6,8 @@ are at least :data:`STEPS` steps of all games (:mod:`policies.learned.on_device`
 one episode is logged, since there may be thousands.
 """
 
-from collections.abc import Iterator, Mapping
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -41,7 +42,8 @@ def on_device(config: Config) -> bool:
     train, env = config.train, config.env
     # A learner derived from these may do anything.
     known = config.learner.cls in (PPO, IPPO, MAPPO) and env.agents == "multi"
-    if not (train.device.startswith("cuda") and train.games is not None and known):
+    known &= train.games is not None and env.message_bits == 0
+    if not (known and train.device.startswith("cuda")):
         return False
     return not any(unsupported(env.observation.make(), env.reward.make()))
 
@@ -73,6 +75,8 @@ class DeviceTrainer:
     ) -> None:
         self.config, self.problems, self.names = config, dict(problems), tuple(problems)
         train, options = config.train, config.learner.options
+        one = "cuda, where games are on it too: CUDA_VISIBLE_DEVICES says which"
+        check("train.device", train.device == "cuda", f"{one}, found {train.device}")
         check("train.negotiation", train.negotiation is None, "null on a device")
         check("train.start", train.start != "generalist", "null or a file on a device")
         env = plain(config.env)
@@ -89,12 +93,11 @@ class DeviceTrainer:
         rows = self.env.num_problems * self.env.num_agents
         observation = config.env.observation.make()
         steps = max(STEPS, round(options.rollout / rows))
-        try:
+        with _allocating():
             self.ppo = DevicePPO(self.env, observation, options, steps=steps, seed=config.seed)
-        except torch.OutOfMemoryError as error:
-            reason = str(error).splitlines()[0]
-            raise InputError(f"device: expected more memory for these games: {reason}") from None
         self.episodes, self.steps, self._evaluated = np.zeros((3, 1), np.int64)
+        self.spent = 0.0  # share of train.seconds that has passed, by the clock of a run
+        self.clock: Callable[[], float] = float
         self.best_episode = np.zeros(0, np.int64)
         self.walks: list[GreedyEvaluation] = []
         self._best = self._weights()
@@ -112,7 +115,8 @@ class DeviceTrainer:
         """The share of the training that is done."""
         train = self.config.train
         share = int(self.episodes[0]) / train.episodes
-        return max(share, int(self.steps[0]) / train.steps) if train.steps else share
+        made = int(self.steps[0]) / train.steps if train.steps else 0.0
+        return max(share, made, self.spent)
 
     @property
     def start(self) -> list[Mapping[str, Tensor]]:
@@ -132,12 +136,15 @@ class DeviceTrainer:
         if not self.steps[0]:
             for weights in self.start:
                 self.ppo.actor.load_state_dict(weights)
+            self._best = self._weights()
         while self.running[0]:
             self.ppo.progress = self._share()
-            told = self.ppo.iterate()
+            with _allocating():
+                told = self.ppo.iterate()
             self.steps += told.steps
             self.episodes += told.episodes
             episode = self._sample(told.loss)
+            self.spent = self.clock()
             self._evaluate()
             yield episode
 
@@ -277,6 +284,16 @@ class DeviceTrainer:
         self._best_score = tuple(map(float, state["score"]))
         self._best_after = int(state["episodes"][0])
         self.ppo.load_state(state["training"], where)
+
+
+@contextlib.contextmanager
+def _allocating() -> Iterator[None]:
+    """Raises InputError where torch finds too little memory on the device."""
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"device: expected more memory for these games: {reason}") from None
 
 
 _OWN = ("episodes", "steps", "_evaluated")

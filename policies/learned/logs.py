@@ -29,7 +29,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from marouting import InputError
 from marouting.files import naming
@@ -67,9 +67,10 @@ class Logs:
         problems: the names of all problems.
         reference: overflow and wirelength of the best known solutions, by the problem's name.
         drawn: whether every episode draws its problem.
+        wandb: the configuration, to log the same in Weights & Biases; None: it is not.
 
     Raises:
-        InputError: the folder cannot be written to.
+        InputError: the folder cannot be written to, or there is no package wandb.
     """
 
     def __init__(
@@ -81,7 +82,9 @@ class Logs:
         reference: Mapping[str, tuple[int, int]],
         *,
         drawn: bool = False,
+        wandb: Mapping[str, Any] | None = None,
     ) -> None:
+        self._wandb = None if wandb is None else _wandb_run(folder, wandb)
         self._episodes = _Lines(folder / METRICS, logged[0])
         self._walks = _Lines(folder / EVALUATIONS, logged[1])
         self._events: Events | None = None
@@ -135,6 +138,24 @@ class Logs:
         self._walks.close()
         if self._events is not None:
             self._events.close()
+        if self._wandb is not None:
+            self._wandb.finish(exit_code=int(kind is not None))
+
+
+def _wandb_run(folder: Path, config: Mapping[str, Any]) -> Any:
+    """A run of Weights & Biases, which follows TensorBoard's events from now on."""
+    try:
+        import wandb
+    except ImportError:
+        raise InputError("train.wandb: expected the package wandb (pip install wandb)") from None
+    with naming(folder, "cannot be written"):
+        return wandb.init(
+            project="marouting",
+            name=folder.resolve().name,
+            dir=folder,
+            config=dict(config),
+            sync_tensorboard=True,
+        )
 
 
 class _Lines:

@@ -26,6 +26,7 @@ from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.ppo import PPOOptions
 from policies.learned.checkpoint import checked
+from policies.learned.trainer import torch_device
 
 _NEVER = -1e9
 
@@ -38,17 +39,13 @@ class Iteration:
         steps: moves of agents in it.
         episodes: episodes that ended in it.
         joined: share of the tasks that ended in it that were connected.
-        reward: mean over its moves, times ``reward_scale``.
         loss: of the critic.
-        entropy: of the policy.
     """
 
     steps: int
     episodes: int
     joined: float
-    reward: float
     loss: float
-    entropy: float
 
 
 class DevicePPO:
@@ -68,7 +65,8 @@ class DevicePPO:
         critic: gives the value of what an agent sees.
 
     Raises:
-        InputError: the observation has an order of moves that is not known on a device.
+        InputError: the observation has an order of moves that is not known on a device, moves have
+            messages, or torch cannot use the device.
     """
 
     def __init__(
@@ -81,7 +79,7 @@ class DevicePPO:
         seed: int = 0,
     ) -> None:
         self.env, self.options, self.steps = env, options, steps
-        self.device = torch.device("cuda" if on_cuda(env) else "cpu")
+        self.device = torch_device("cuda" if on_cuda(env) else "cpu")
         known = not has_move_order(observation) or type(observation) is WindowObservation
         check("observation", known, "paper or window on a device")
         self.mirrored = has_move_order(observation)
@@ -234,29 +232,26 @@ class DevicePPO:
             late = torch.where(acted, zero, late)
         return advantage
 
-    def learn(self) -> tuple[Tensor, Tensor]:
-        """The updates of a rollout; returns the critic's mean loss and the mean entropy."""
+    def learn(self) -> Tensor:
+        """The updates of a rollout; returns the critic's mean loss."""
         o = self.options
         advantage = self.advantages()
         returns = advantage + self.value[: self.steps]
         left = max(1 - self.progress, 0.0) if o.anneal else 1.0
         for group in self.adam.param_groups:
             group["lr"] = o.learning_rate * left
-        losses, entropies = torch.zeros(2, device=self.device)
+        loss = torch.zeros((), device=self.device)
         size = max(1, min(self.steps, round(o.minibatch / self.rows)))
         count = 0
         for _ in range(o.epochs):
             order = torch.randperm(self.steps, generator=self.random, device=self.device)
             for part in torch.split(order.cpu(), size):
                 count += 1
-                loss, entropy = self._update(part.tolist(), advantage, returns)
-                losses, entropies = losses + loss, entropies + entropy
-        return losses / count, entropies / count
+                loss += self._update(part.tolist(), advantage, returns)
+        return loss / count
 
-    def _update(
-        self, steps: list[int], advantage: Tensor, returns: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """A gradient step on some steps of the rollout."""
+    def _update(self, steps: list[int], advantage: Tensor, returns: Tensor) -> Tensor:
+        """A gradient step on some steps of the rollout; returns the critic's loss."""
         o = self.options
 
         def of(rollout: Tensor) -> Tensor:
@@ -290,20 +285,18 @@ class DevicePPO:
             nn.utils.clip_grad_norm_(network.parameters(), o.max_gradient, foreach=True)
         self.adam.step()
         self.updates += 1
-        return error.detach(), entropy.detach()
+        return error.detach()
 
     def iterate(self) -> Iteration:
         """Plays a rollout and learns from it."""
         self.play()
-        loss, entropy = self.learn()
+        loss = self.learn()
         acted, joined, failed = (int(t.sum()) for t in (self.acted, self.joined, self.failed))
         return Iteration(
             steps=acted,
             episodes=int(self.over.sum()),
             joined=joined / max(joined + failed, 1),
-            reward=float(self.reward.sum()) / max(acted, 1),
             loss=float(loss),
-            entropy=float(entropy),
         )
 
     # --- checkpoints --------------------------------------------------------------------------
@@ -360,9 +353,9 @@ class DevicePPO:
                 np.frombuffer(part, now.dtype).reshape(now.shape)
                 for part, now in zip(parts, env.save(), strict=True)
             ]
+            env.restore(arrays)
         except ValueError:
             raise InputError(f"{where}: games: expected those of such a training") from None
-        env.restore(arrays)
 
     @torch.no_grad()
     def __call__(self, obs: Any, mask: Any) -> Any:

@@ -5,7 +5,7 @@ import functools
 import os
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from marouting.source import ProblemSampler
 from policies.learned import greedy
 from policies.learned.checkpoint import checked, read_checkpoint
 from policies.learned.learner import best_moves, play_steps
+from policies.results.run_folder import TrainingFigures
 
 
 def player_of(
@@ -92,6 +93,7 @@ class TrainedPolicy:
         env: the game that it was trained in.
         origin: where it is from, for reports.
         negotiation: its prices; None: none.
+        training: what its training took, as :class:`policies.results.run_folder.TrainingFigures`.
     """
 
     def __init__(
@@ -102,7 +104,9 @@ class TrainedPolicy:
         env: EnvOptions,
         origin: str = "",
         negotiation: Negotiation | None = None,
+        training: Mapping[str, Any] | None = None,
     ) -> None:
+        self.training = dict(training or {})
         self.module, self.masking = module, masking
         self.obs_shape, self.env, self.origin = obs_shape, env, origin
         self.negotiation = negotiation
@@ -139,6 +143,7 @@ class TrainedPolicy:
             env = build(EnvOptions, state["env"], f"{where}: env")
             told = state.get("negotiation")
             negotiation = told and build(Negotiation, told, f"{where}: negotiation")
+            training = asdict(build(TrainingFigures, state.get("figures", {}), f"{where}: figures"))
             learner = piece("learner", state["learner"], where=f"{where}: learner")
             if not names or len({len(names), len(weights), len(episodes)}) > 1:
                 raise ValueError(f"{len(names)} names, {len(weights)} networks")
@@ -163,7 +168,7 @@ class TrainedPolicy:
             reason = " ".join(str(error).split())[:120]
             raise InputError(f"{where}: weights do not fit the network: {reason}") from None
         origin = policy_origin(episodes[row])
-        return TrainedPolicy(module, masking, obs_shape, env, origin, negotiation)
+        return TrainedPolicy(module, masking, obs_shape, env, origin, negotiation, training)
 
     def act(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> int:
         """The best move; see :class:`policies.routers.base.Policy`."""
@@ -192,12 +197,21 @@ class TrainedPolicy:
         Raises:
             InputError: see :func:`marouting.evaluate_policy`.
         """
-        options = plain(self.env)
+        with allowing_code(code for _, code in code_named(self.env)):
+            return evaluate_policy(self.moves, scenario, split, **self.options)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The options of the environment in which it was trained."""
+        options: dict[str, Any] = plain(self.env)
         for name in (*PLAYED, "agents"):
             del options[name]
-        options["turn_order"] = self.env.turn_order or ORDERS[self.env.agents]
-        with allowing_code(code for _, code in code_named(self.env)):
-            return evaluate_policy(self.moves, scenario, split, **options)
+        return {**options, "turn_order": self.env.turn_order or ORDERS[self.env.agents]}
+
+    @property
+    def parameters(self) -> int:
+        """The number of its network's parameters."""
+        return sum(one.numel() for one in self.module.parameters())
 
     def check(self, problem: Problem) -> Player:
         """A player of a problem, with the options that the policy was trained with.

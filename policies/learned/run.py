@@ -11,7 +11,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -41,6 +41,7 @@ from policies.results.run_folder import (
     POLICY,
     RESULT,
     Episode,
+    TrainingFigures,
     read_episodes,
     read_result,
     solution_file,
@@ -193,7 +194,9 @@ class Run:
             fits = is_file_name(name, f".{config.learner.name}_policy.solution")
             check(f"problem {name[:80]!r}", fits, FILE_NAME)
         self.trainer = trainer_of(self.problems, episodes, config)
-        self._seconds = 0.0
+        self._seconds = self._processor_seconds = 0.0
+        self._began = time.process_time()
+        self.trainer.clock = self._share_of_time
         self._logged = self._evaluated = 0
         if resume:
             self._load()
@@ -245,8 +248,15 @@ class Run:
             self.trainer.load_state(state, str(path))
             self._seconds, self._logged = state["seconds"], state["logged"]
             self._evaluated = state["evaluated"]
-            if not (type(self._seconds) is float and 0 <= self._seconds < math.inf):
-                raise InputError(f"{path}: seconds: expected a number from 0")
+            self._processor_seconds = state["figures"]["processor_seconds"]
+            for name, time_ in (
+                ("seconds", self._seconds),
+                ("processor_seconds", self._processor_seconds),
+            ):
+                if not (type(time_) is float and 0 <= time_ < math.inf):
+                    raise InputError(f"{path}: {name}: expected a number from 0")
+            self._began = time.process_time() - self._processor_seconds
+            self.trainer.spent = self.trainer.clock()
             for name, size in (("logged", self._logged), ("evaluated", self._evaluated)):
                 if not (type(size) is int and size >= 0):
                     raise InputError(f"{path}: {name}: expected a whole number from 0")
@@ -257,7 +267,32 @@ class Run:
 
     def _state(self) -> dict[str, Any]:
         logged = {"logged": self._logged, "evaluated": self._evaluated}
-        return {**self.trainer.state(), "seconds": self._seconds, **logged}
+        told = {"figures": asdict(self.figures), "seconds": self._seconds}
+        return {**self.trainer.state(), **told, **logged}
+
+    @property
+    def figures(self) -> TrainingFigures:
+        """What the training took so far."""
+        learner = self.config.learner
+        guide = getattr(learner.options, "burn_in", "random")
+        told = guide != "random" or learner.name == "imitation"
+        return TrainingFigures(
+            agent_steps=int(self.trainer.steps.sum()),
+            processor_seconds=self._processor_seconds,
+            teacher=told or self.config.train.start is not None,
+        )
+
+    @property
+    def parameters(self) -> int:
+        """The number of the parameters of the network that plays."""
+        return self.trainer.policy_of(self.trainer.names[0]).parameters
+
+    def _share_of_time(self) -> float:
+        """The share of ``train.seconds`` that has passed; 0 without such a bound."""
+        seconds = self.config.train.seconds
+        if seconds is None:
+            return 0.0
+        return (time.process_time() - self._began) / seconds
 
     @property
     def episodes(self) -> tuple[int, int]:
@@ -320,6 +355,7 @@ class Run:
             write_config(config, self.folder / CONFIG)
             (self.folder / RESULT).unlink(missing_ok=True)
         started = time.monotonic() - self._seconds
+        self._began = time.process_time() - self._processor_seconds
         saved = time.monotonic()
         with (
             Logs(
@@ -329,6 +365,7 @@ class Run:
                 tuple(self.problems),
                 self.reference,
                 drawn=trainer.drawn,
+                wandb=plain(config) if config.train.wandb else None,
             ) as logs,
             _holding_interrupts() as interrupts,
         ):
@@ -336,6 +373,7 @@ class Run:
             def keep() -> None:
                 """Writes the checkpoint; then answers a signal that has been held back."""
                 self._seconds = time.monotonic() - started
+                self._processor_seconds = time.process_time() - self._began
                 self._logged, self._evaluated = logs.flush()
                 _save(self._state(), self.folder / CHECKPOINT)
                 if signal.SIGTERM in interrupts.held:
@@ -354,7 +392,8 @@ class Run:
                     saved = time.monotonic()
             keep()  # nothing is trained again if the results below are interrupted
         rows = self._results()
-        _save(self.trainer.policy(), self.folder / POLICY)
+        told = {"figures": asdict(self.figures)}
+        _save({**self.trainer.policy(), **told}, self.folder / POLICY)
         if config.train.figures:
             # matplotlib: only if it is wanted
             from policies.figures.plot import reward_figures, run_figures
@@ -438,5 +477,5 @@ def clear(folder: Path) -> None:
         return
     for name in _FILES:
         (folder / name).unlink(missing_ok=True)
-    for name in ("problems", "solutions", "tensorboard", "figures"):
+    for name in ("problems", "solutions", "tensorboard", "wandb", "figures"):
         shutil.rmtree(folder / name, ignore_errors=True)

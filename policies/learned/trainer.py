@@ -10,7 +10,7 @@ and with ``games`` as well, every episode may be that of another problem.
 
 import functools
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -68,7 +68,7 @@ class Trainer:
         learner: what learns.
         player: the games: of each problem that still trains, its copies one after another.
         episodes: (M,) int64, episodes finished; where games draw their problems (1,), of all games.
-        steps: likewise, the moves that agents made in them.
+        steps: likewise, the moves that agents have made, in games that go on as well.
         drawn: whether games draw their problems.
         path: how the learner is computed, in words.
         walks: the evaluations made since :meth:`run` last yielded.
@@ -85,7 +85,7 @@ class Trainer:
         self.config, self.problems, self.names = config, dict(problems), tuple(problems)
         train, learner = config.train, config.learner
         use_threads(train.threads)
-        device = _device(train.device)
+        device = torch_device(train.device)
         # What needs no game is checked first.
         if not issubclass(learner.cls, Learner):
             raise InputError(
@@ -135,6 +135,8 @@ class Trainer:
         alone = not drawn or self.learner.learning_starts == 0 or guide_ in GUIDES
         check("burn_in", alone, f"{' or '.join(GUIDES)} with train.games, found {guide_}")
         self.episodes, self.steps = np.zeros((2, count), np.int64)
+        self.spent = 0.0  # share of train.seconds that has passed, by the clock of a run
+        self.clock: Callable[[], float] = float
         # What stays of each problem, unless each is played once, and of each network.
         best = 0 if drawn else count
         self.score = np.full((best, 3), np.inf)  # of the best episode: less is better
@@ -184,6 +186,8 @@ class Trainer:
     def _trains(self) -> NDArray[np.bool_]:
         """(M,) which problems still have episodes to train."""
         train = self.config.train
+        if self.spent >= 1:
+            return np.zeros_like(self.episodes, np.bool_)
         most = np.inf if train.steps is None else train.steps
         return (self.episodes < train.episodes) & (self.steps < most)
 
@@ -260,8 +264,10 @@ class Trainer:
 
     def _tell_episodes(self) -> None:
         train, played = self.config.train, self.episodes
-        if train.steps is not None:  # as many episodes of all as steps have been made of all
-            share = np.minimum(self.steps / train.steps, 1)
+        if train.steps is not None or self.spent:
+            # As many episodes of all as there have been steps of all, or time.
+            made = self.steps / train.steps if train.steps else np.zeros(len(played))
+            share = np.clip(made, self.spent, 1)
             played = np.maximum(played, (share * train.episodes).astype(np.int64))
         self.learner.set_episodes(played[self.games])
 
@@ -277,9 +283,20 @@ class Trainer:
             self.burn_in()
         while self.running.any():
             self.walks = []
-            self.learner.play(self.player, _STEPS)
+            before = self.player.engine.games["steps"].copy()
+            self.learner.play(self.player, self._steps_ahead)
+            np.add.at(self.steps, self.games, self.player.engine.games["steps"] - before)
+            self.spent = self.clock()
             over = self.player.buffers.over.copy()
-            yield self._finish(over) if over.any() else []
+            yield self._finish(over) if over.any() or not self.running.any() else []
+
+    @property
+    def _steps_ahead(self) -> int:
+        """Steps of all games until the trainer looks again: it stops soon after ``train.steps``."""
+        if self.config.train.steps is None:
+            return _STEPS
+        left = self.config.train.steps - int(self.steps.sum())
+        return int(np.clip(left // self.player.buffers.actions.size, 1, _STEPS))
 
     def _finish(self, over: NDArray[np.bool_]) -> list[Episode]:
         """Scores the episodes that are over and starts the next ones."""
@@ -288,7 +305,7 @@ class Trainer:
         losses = np.repeat(self.learner.loss.cpu().numpy(), len(games) // len(self.learner.loss))
         for g in np.flatnonzero(over).tolist():
             problem = int(games[g])
-            if not self._trains[problem]:
+            if self.episodes[problem] >= self.config.train.episodes:
                 continue  # another copy has played the last one
             metrics = player.engine.metrics(g)
             reward = float(player.buffers.total[g])
@@ -317,10 +334,9 @@ class Trainer:
                 )
             )
             self.episodes[problem] += 1
-            self.steps[problem] += metrics.steps
         self._before[over, 0], self._before[over, 1] = losses[over], updates[over]
-        self._evaluate(np.unique(games[over]))
         running = self.running
+        self._evaluate(np.unique(games[over] if running.any() else games))
         if running.any() and not running.all() and not self.config.train.shared:
             # The games that go on are started below.
             over = over[np.repeat(running, self._copies)]
@@ -341,7 +357,8 @@ class Trainer:
         trains = np.broadcast_to(self._trains, len(self.names))
         ended = np.array([not trains[of == network].any() for network in networks])
         due = (episodes >= before + train.evaluate_every) | ended
-        due &= episodes != before
+        # A training that ends by its steps or its time ends within an episode.
+        due &= (episodes != before) | (ended & self.drawn)
         networks, episodes = networks[due], episodes[due]
         if not len(networks):
             return
@@ -578,7 +595,8 @@ def _score(metrics: Metrics, reward: float | None) -> tuple[float, ...]:
     return (metrics.tasks - metrics.joined, *by)
 
 
-def _device(name: str) -> torch.device:
+def torch_device(name: str) -> torch.device:
+    """A device of torch's; raises InputError if it cannot be used."""
     try:
         device = torch.device(name)
         torch.zeros(1, device=device).cpu()

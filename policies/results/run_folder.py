@@ -24,7 +24,16 @@ from typing import Annotated, TypeVar
 from marouting import InputError
 from marouting.config import between, build_json, check
 from marouting.files import plain_name, read_text, stem_of, suffix_of
-from policies.results.rows import MOST_BYTES, Count, Measure, Name, ResultRow, Row, read_rows
+from policies.results.rows import (
+    MOST_BYTES,
+    Count,
+    Measure,
+    Name,
+    ResultRow,
+    Row,
+    Seconds,
+    read_rows,
+)
 
 CONFIG, METRICS, CHECKPOINT = "config.yaml", "metrics.jsonl", "checkpoint.pt"
 EVALUATIONS = "evaluations.jsonl"
@@ -86,6 +95,21 @@ class Episode:
 
     def __post_init__(self) -> None:
         check("joined", self.joined <= self.tasks, "at most the tasks")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingFigures:
+    """What a policy's training took; None where that is not known.
+
+    Attributes:
+        agent_steps: moves of agents that it was trained for.
+        processor_seconds: processor time.
+        teacher: whether it learned from routes of something with sight of the whole problem.
+    """
+
+    agent_steps: Count | None = None
+    processor_seconds: Seconds | None = None
+    teacher: bool | None = None
 
 
 @dataclass(frozen=True)

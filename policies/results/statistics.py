@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
 
 from policies.results.rows import Row
 
@@ -68,6 +67,8 @@ def mean_interval(values: NDArray[np.float64]) -> dict[str, float | None]:
     Returns:
         ``mean``, ``low`` and ``high``; None where there are too few values.
     """
+    from scipy.special import stdtrit  # takes as long to import as all else that commands need
+
     count = len(values)
     mean = float(values.mean()) if count else None
     if mean is None or count < 2:
@@ -78,6 +79,8 @@ def mean_interval(values: NDArray[np.float64]) -> dict[str, float | None]:
 
 def share_interval(share: float, count: int) -> tuple[float, float]:
     """The 95 % interval of a share of ``count`` problems by Wilson's score (1927)."""
+    from scipy.special import ndtri
+
     z = float(ndtri((1 + CONFIDENCE) / 2))
     centre = (share + z * z / (2 * count)) / (1 + z * z / count)
     half = z * math.sqrt(share * (1 - share) / count + (z / (2 * count)) ** 2) / (1 + z * z / count)

@@ -102,13 +102,30 @@ class LocalRouter:
     def play(self, problems: Sequence[Problem], rules: Rules) -> Engine:
         """Plays problems of one grid shape to their end, by any rules without rip-up."""
         engine = Engine(problems, rules)
+        rng = np.random.default_rng(self.seed)
+        _play(engine.static, engine.dynamic, *self._prepared(engine, rng))
+        return engine
+
+    def moves(self, engine: Engine, rng: np.random.Generator) -> NDArray[np.int16]:
+        """(M, N) int16, what the agents of M games would do next in the present state.
+
+        Args:
+            engine: games of one grid shape, without rip-up.
+            rng: what random moves are drawn from.
+
+        Returns:
+            The moves; -1 for agents that are done or absent.
+        """
+        moves = np.full(engine.agents.shape, NOBODY, np.int16)
+        _choose(engine.static, engine.dynamic, *self._prepared(engine, rng), moves)
+        return moves
+
+    def _prepared(self, engine: Engine, rng: np.random.Generator) -> tuple["_Buffers", "_View"]:
+        """What compiled code takes beside the games."""
         radius = max(engine.grid.shape) if self.radius is None else self.radius
         price, seen = int(self.price * _EDGE), i64(self.seen)
         view = _View(i64(_NUMBERS[self.rule]), i64(radius), i64(price), seen)
-        rng = np.random.default_rng(self.seed)
-        buffers = _buffers(engine.problems[0], int(rng.integers(1, 2**62)))
-        _play(engine.static, engine.dynamic, buffers, view)
-        return engine
+        return _buffers(engine.problems[0], int(rng.integers(1, 2**62))), view
 
 
 class _View(NamedTuple):
@@ -167,6 +184,17 @@ def _play(static: Static, dynamic: Dynamic, b: _Buffers, view: _View) -> None:
             n = as_index(dynamic.games[m].agent)
             move_player(static, dynamic, m, _move(static, dynamic, b, view, m, n))
             settle_player(static, dynamic, m)
+
+
+@compiled
+def _choose(
+    static: Static, dynamic: Dynamic, b: _Buffers, view: _View, moves: NDArray[np.int16]
+) -> None:
+    """Writes what every agent would do next."""
+    for m in range(len(dynamic.games)):
+        for n in range(dynamic.agents.shape[1]):
+            if dynamic.agents[m, n].status == Status.ACTIVE:
+                moves[m, n] = _move(static, dynamic, b, view, m, n)
 
 
 @compiled

@@ -65,9 +65,10 @@ def is_learner(name: str, where: str = "router") -> bool:
     if name not in names("router") and ":" not in name:
         raise unknown(where, name, (*router_names(), "module:Class"))
     cls = lookup("router", name, where)
-    if not hasattr(cls, "route") and not hasattr(cls, "start"):
-        raise InputError(f"{where}: {name}: expected a class with a method route, or a learner")
-    return not hasattr(cls, "route")
+    if not any(hasattr(cls, method) for method in ("route", "moves", "start")):
+        expected = "a class with a method route or moves, or a learner"
+        raise InputError(f"{where}: {name}: expected {expected}")
+    return hasattr(cls, "start") and not hasattr(cls, "route")
 
 
 def has_seed(name: str) -> bool:

@@ -38,10 +38,10 @@ class Lines:
                 raise InputError(f"expected lines of at most {files.LONGEST_LINE} bytes")
             try:
                 # Of bytes, so that only ASCII blanks part them, as in the contests' own programs.
-                tokens = [token.decode(errors=self._errors) for token in line.split()]
+                tokens = b"\n".join(line.split()).decode(errors=self._errors).split("\n")
             except UnicodeDecodeError:
                 raise InputError("expected UTF-8 text") from None
-            if tokens:
+            if tokens[0]:
                 return tokens
         return []
 

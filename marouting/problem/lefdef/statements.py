@@ -45,7 +45,8 @@ class Statements:
     def __init__(self, lines: Lines, copy: Copy | None = None) -> None:
         self._lines = lines
         self._copy = copy
-        self._words: list[str] = []
+        self._words: list[str] = []  # of the line last read
+        self._at = 0  # the next one
 
     @property
     def line(self) -> int:
@@ -54,9 +55,9 @@ class Statements:
 
     def word(self) -> str:
         """The next word; empty at the end of the file."""
-        if not self._words:
-            self._fill()
-        return self._words.pop() if self._words else ""
+        word = self.peek()
+        self._at += 1
+        return word
 
     def keyword(self) -> str:
         """The next word in capitals: keywords may be in any case."""
@@ -64,20 +65,25 @@ class Statements:
 
     def peek(self) -> str:
         """The next word, which stays the next one."""
-        if not self._words:
+        if self._at >= len(self._words):
             self._fill()
-        return self._words[-1] if self._words else ""
+        return self._words[self._at] if self._words else ""
 
     def rest(self) -> list[str]:
         """The words up to the next ``;``, which is passed over."""
         found: list[str] = []
-        while (word := self.word()) != ";":
-            if not word:
-                raise InputError("file ends inside a statement, expected ';'")
-            if len(found) == _MOST_WORDS:
+        while self.peek():
+            try:
+                end = self._words.index(";", self._at)
+            except ValueError:
+                end = len(self._words)
+            found += self._words[self._at : end]
+            if len(found) > _MOST_WORDS:
                 raise InputError(f"expected statements of at most {_MOST_WORDS} words")
-            found.append(word)
-        return found
+            self._at = end + 1
+            if end < len(self._words):
+                return found
+        raise InputError("file ends inside a statement, expected ';'")
 
     def expect(self, what: str) -> None:
         """Passes over one word; raises InputError if it is another one."""
@@ -100,12 +106,15 @@ class Statements:
                 matched = int(word.upper() == end[0])
 
     def _fill(self) -> None:
-        """Takes the words of the next line that has any, last word first."""
+        """Takes the words of the next line that has any; none at the end of the file."""
+        self._words, self._at = [], 0
         while tokens := self._lines.next():
             begun = self.line
             words: list[str] = []
             at = 0
             tokens[0] = tokens[0].removeprefix(_BOM)  # of a file that was joined to others
+            if tokens[0] and not _unusual(" ".join(tokens)):
+                words, at = tokens, len(tokens)
             while at < len(tokens):
                 token = tokens[at]
                 at += 1
@@ -128,7 +137,6 @@ class Statements:
             if words:
                 if self._copy is not None:
                     self._copy.write(begun, words)
-                words.reverse()
                 self._words = words
                 return
 
@@ -148,6 +156,9 @@ class Statements:
             tokens = self._lines.next()
         raise InputError(f"file ends inside a text in quotes, which begins in line {begun}")
 
+
+_unusual = re.compile('[;()][^ ]|[^ ][;()]|(?:^| )["#]').search
+"""Whether a line has a comment, a quote, or a word with a semicolon or a parenthesis."""
 
 _BOM = "\ufeff"
 _MOST_WORDS = 2**22

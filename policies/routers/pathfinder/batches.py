@@ -24,6 +24,7 @@ from policies.routers.pathfinder.state import (
     DONE,
     EDGES,
     FIRST_BOX,
+    LAYERS,
     NEGOTIATE,
     POOL_TOO_SMALL,
     PROGRESS,
@@ -73,7 +74,7 @@ def _gather(problem: ProblemArrays, parameters: Parameters, routing: Routing, ba
     Where nets negotiate, a net whose edges would not overflow without those that are in the batch
     waits for the next batch: by then it may be better to stay.
     """
-    progress, order, via = routing.progress[0], routing.order, parameters.via
+    progress, order = routing.progress[0], routing.order
     negotiated = progress.kind == NEGOTIATE
     begin, count, points = i64(progress.next), i64(0), i64(0)
     end = min(begin + _SPREAD * len(batch.net), len(order))
@@ -85,14 +86,15 @@ def _gather(problem: ProblemArrays, parameters: Parameters, routing: Routing, ba
         if is_settled(problem, parameters, routing, net):
             continue
         batch.net[count], batch.random[count] = net, draw(progress)
-        points += set_box(problem, routing, net, parameters.margin, batch.low, batch.size)
+        margin = parameters.margin
+        points += set_box(problem, routing, net, margin, i64(LAYERS), batch.low, batch.size)
         if negotiated:
-            use_tree(problem, routing, via, net, i64(-1))
+            use_tree(problem, routing, net, i64(-1))
             order[progress.next - 1], order[begin + count] = order[begin + count], net
         count += 1
     if negotiated:
         for i in range(count):
-            use_tree(problem, routing, via, batch.net[i], i64(1))
+            use_tree(problem, routing, batch.net[i], i64(1))
         for i in range(progress.next - 1, begin + count - 1, -1):
             net = order[i]
             if overflows(routing, net):
@@ -140,9 +142,7 @@ def _plan_some(
 
 
 @compiled
-def _adopt_all(
-    problem: ProblemArrays, via: int, routing: Routing, batch: Batch, begin: int, end: int
-) -> int:
+def _adopt_all(problem: ProblemArrays, routing: Routing, batch: Batch, begin: int, end: int) -> int:
     """Carries out plans of a batch, in order; returns the first one that the pool has no room for.
 
     Where there is room for all, that is ``end``.
@@ -151,7 +151,7 @@ def _adopt_all(
         net, row, first = batch.net[i], batch.row[i], batch.first[i]
         code = POOL_TOO_SMALL
         while code != DONE:
-            code = adopt(problem, routing, via, net, batch.plan[i], batch.edge, row, first)
+            code = adopt(problem, routing, net, batch.plan[i], batch.edge, row, first)
             if code == POOL_TOO_SMALL and not compact(routing):
                 return i
     return end
@@ -276,8 +276,7 @@ class Crew:
                 self._batch = self._batch._replace(edge=widened(self._batch.edge, 2 * need))
         planned = 0
         while planned < end:
-            via = self._parameters.via
-            planned = _adopt_all(self._problem, via, routing, self._batch, planned, end)
+            planned = _adopt_all(self._problem, routing, self._batch, planned, end)
             if planned < end:
                 routing = with_larger_pool(routing, 2 * int(routing.progress[0]["need"]))
         return routing

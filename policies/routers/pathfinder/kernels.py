@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from marouting.kernels import compiled, i64
+from marouting.problem.contest import SLOPE, WITHOUT
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree
 from marouting.trees.lattice import CLOSED, Lattice, begin_lines, set_cost, set_size, sum_lines
@@ -23,6 +24,8 @@ from policies.routers.pathfinder.state import (
 )
 
 GOLDEN = -0x61C8864680B583EB  # odd: multiples of it are far apart
+_HALF = float((np.exp(SLOPE / 2) - 1) / (np.exp(SLOPE) - 1))  # a half track's share of a whole's
+_STEEPEST = 30.0  # exponent beyond which the cost of overflow no longer grows
 _MOST_OVERFLOW = 1000  # tracks of overflow beyond which more cost the same: costs have 32 bits
 
 
@@ -47,17 +50,66 @@ def draw(progress: Any) -> int:
 
 
 @compiled
+def via_cost(problem: ProblemArrays, gcell: int) -> int:
+    """The length of the via from a Gcell to the one above it."""
+    layer = problem.position[gcell, VIA_AXIS]
+    return i64(problem.height[layer + 1] - problem.height[layer])
+
+
+@compiled
+def wire_cost(problem: ProblemArrays, routing: Routing, edge: int) -> int:
+    """The length of an edge inside a layer."""
+    if not routing.progress[0].contest:
+        return i64(UNIT)
+    gcell = edge // AXES
+    axis = edge - AXES * gcell
+    return i64(problem.wire[axis, problem.position[gcell, axis]])
+
+
+@compiled
+def use_cost(problem: ProblemArrays, routing: Routing, edge: int, more: int) -> int:
+    """What nets pay together for the use of an edge inside a layer, and ``more`` half tracks.
+
+    By the rules of ISPD 2024 the overflow that it causes (:mod:`marouting.problem.contest`);
+    otherwise a parabola, which begins where the edge begins to be crowded.
+    """
+    progress = routing.progress[0]
+    if progress.crowding == 0:
+        return i64(0)
+    capacity = problem.capacity[edge]
+    used = capacity - routing.remaining[edge] + more / 2
+    if progress.contest:
+        gcell = edge // AXES
+        tracks, used = problem.tracks[edge], used + routing.vias[edge]
+        over = used - tracks if tracks > 0 else 2 * WITHOUT * used
+        if tracks == 0 and used == 0:
+            return i64(0)
+        cost = problem.overflow_cost[problem.position[gcell, VIA_AXIS]]
+        return i64(cost * np.exp(min(SLOPE * over, _STEEPEST)))
+    free = progress.crowded_from * capacity
+    if capacity <= 0 or used <= free:
+        return i64(0)
+    return i64(progress.crowding * UNIT / 2 * (used - free) ** 2 / (capacity - free))
+
+
+@compiled
 def edge_cost(problem: ProblemArrays, routing: Routing, edge: int, demand: int, own: int) -> int:
     """The cost of an edge inside a layer to a net that would take ``demand`` tracks of it.
 
     Of these it takes ``own`` at the moment. The cost is FULL or more if the net should avoid the
     edge at all costs.
     """
-    kind = routing.progress[0].kind
+    kind, length = routing.progress[0].kind, i64(UNIT)
+    if routing.progress[0].crowding > 0:
+        length = wire_cost(problem, routing, edge)
+        more = use_cost(problem, routing, edge, 2 * (demand - own))
+        length += min(more - use_cost(problem, routing, edge, -2 * own), i64(FULL // 2))
+        if routing.progress[0].contest:
+            return length
     over = demand - own - routing.remaining[edge]
     if kind >= SQUEEZE:
-        return UNIT + FULL * min(max(over, 0), min(demand, _MOST_OVERFLOW))
-    cost = UNIT + (0.0 if kind == DISPLACE else routing.price[edge])
+        return length + FULL * min(max(over, 0), min(demand, _MOST_OVERFLOW))
+    cost = length + (0.0 if kind == DISPLACE else routing.price[edge])
     if over > 0 and demand > 0:
         cost *= 1.0 + routing.progress[0].present * over / demand
     blocked = demand > problem.capacity[edge]
@@ -68,7 +120,6 @@ def edge_cost(problem: ProblemArrays, routing: Routing, edge: int, demand: int, 
 def tree_cost(
     problem: ProblemArrays,
     routing: Routing,
-    via: int,
     net: int,
     edges: Any,
     row: int,
@@ -81,11 +132,18 @@ def tree_cost(
     ``own`` is 1 if it is the net's tree at the moment, 0 if the net is ripped up.
     """
     cost = i64(0)
+    own = i64(own)
     for i in range(first, last):
         edge = i64(edges[row, i])
         gcell = edge // AXES
         if edge - AXES * gcell == VIA_AXIS:
-            cost += via
+            cost += via_cost(problem, gcell)
+            if routing.progress[0].contest and is_stacked(problem, edges, row, first, last, gcell):
+                for side in range(2):
+                    beside, halves = beside_via(problem, gcell, side)
+                    if halves > 0:
+                        cost += use_cost(problem, routing, beside, (1 - own) * halves)
+                        cost -= use_cost(problem, routing, beside, -own * halves)
         else:
             demand = i64(problem.demand[net, problem.position[gcell, VIA_AXIS]])
             cost += edge_cost(problem, routing, edge, demand, own * demand)
@@ -93,10 +151,78 @@ def tree_cost(
 
 
 @compiled
+def beside_via(problem: ProblemArrays, gcell: int, side: int) -> tuple[int, int]:
+    """An edge that a via above a Gcell takes by the rules of ISPD 2024, and how much of it.
+
+    Returns:
+        One of both edges beside the Gcell along its layer, and half tracks: 2 if it is the only
+        one, 0 if there is none on this side.
+    """
+    axis = i64(problem.along[problem.position[gcell, VIA_AXIS]])
+    at, last = i64(problem.position[gcell, axis]), problem.size[axis] - 1
+    before = problem.size[2] * (problem.size[1] if axis == 0 else 1)
+    if last == 0 or at == (0 if side == 0 else last):
+        return i64(0), i64(0)
+    edge = i64(AXES * (gcell - before if side == 0 else gcell) + axis)
+    return edge, i64(2 if at == (last if side == 0 else 0) else 1)
+
+
+@compiled
+def is_stacked(
+    problem: ProblemArrays, edges: Any, row: int, first: int, last: int, gcell: int
+) -> bool:
+    """Whether no wire of a tree ends in or passes through a Gcell, along the Gcell's layer."""
+    for side in range(2):
+        beside, halves = beside_via(problem, gcell, side)
+        low, high = i64(first), i64(last)
+        while low < high:  # edges are in order
+            middle = (low + high) // 2
+            if edges[row, middle] < beside:
+                low = middle + 1
+            else:
+                high = middle
+        if halves > 0 and low < last and edges[row, low] == beside:
+            return False
+    return True
+
+
+@compiled
+def _add_stacks(problem: ProblemArrays, lattice: Lattice, low: Any) -> None:
+    """Adds to the costs of vias what half a track of both edges beside their lower Gcell costs.
+
+    Where a wire of the net ends there, the contest does not count it; a search cannot know that.
+    """
+    nx, ny, nz = lattice.size[0], lattice.size[1], lattice.size[2]
+    for point in range(nx * ny * nz):
+        row = point // nz
+        z = low[2] + point - row * nz
+        axis = i64(problem.along[z])
+        at = low[axis] + (row // ny if axis == 0 else row % ny)
+        ahead, back = i64(lattice.cost[point, 2 * axis]), i64(lattice.cost[point, 2 * axis + 1])
+        if lattice.cost[point, 2 * VIA_AXIS] == CLOSED or ahead == back == CLOSED:
+            continue
+        more = i64(0)
+        if ahead != CLOSED:
+            more += ahead - problem.wire[axis, at]
+        if back != CLOSED:
+            more += back - problem.wire[axis, at - 1]
+        if ahead == CLOSED or back == CLOSED:
+            more *= 2
+        cost = lattice.cost[point, 2 * VIA_AXIS] + i64(_HALF * max(more, 0))
+        set_cost(lattice, i64(point), i64(VIA_AXIS), cost)
+
+
+@compiled
 def set_box(
-    problem: ProblemArrays, routing: Routing, net: int, margin: int, low: Any, size: Any
+    problem: ProblemArrays,
+    routing: Routing,
+    net: int,
+    margin: int,
+    layers: int,
+    low: Any,
+    size: Any,
 ) -> int:
-    """Puts a box around a net's pins and its current tree.
+    """Puts a box around a net's pins and its current tree, wider by a margin and some layers.
 
     Returns:
         The number of points in the box.
@@ -104,19 +230,17 @@ def set_box(
     points = 1
     for axis in range(AXES):
         least, most = problem.size[axis] - 1, i64(0)
-        if axis == VIA_AXIS:
-            least, most = most, least
-        else:
-            for i in range(problem.first[net], problem.first[net + 1]):
-                at = i64(problem.position[problem.pin[i], axis])
-                least, most = min(least, at), max(most, at)
-            for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-                edge = i64(routing.edge[routing.progress[0].pool, i])
-                at = i64(problem.position[edge // AXES, axis])
-                least, most = min(least, at), max(most, at)
-                if edge % AXES == axis:
-                    most = max(most, at + 1)
-            least, most = max(least - margin, 0), min(most + margin, problem.size[axis] - 1)
+        for i in range(problem.first[net], problem.first[net + 1]):
+            at = i64(problem.position[problem.pin[i], axis])
+            least, most = min(least, at), max(most, at)
+        for i in range(routing.start[net], routing.start[net] + routing.length[net]):
+            edge = i64(routing.edge[routing.progress[0].pool, i])
+            at = i64(problem.position[edge // AXES, axis])
+            least, most = min(least, at), max(most, at)
+            if edge % AXES == axis:
+                most = max(most, at + 1)
+        beyond = layers if axis == VIA_AXIS else margin
+        least, most = max(least - beyond, 0), min(most + beyond, problem.size[axis] - 1)
         low[axis], size[axis] = least, most - least + 1
         points *= most - least + 1
     return points
@@ -135,7 +259,6 @@ def set_costs(
     routing: Routing,
     lattice: Lattice,
     low: Any,
-    via: int,
     net: int,
     limit: int,
 ) -> None:
@@ -148,15 +271,17 @@ def set_costs(
     """
     nx, ny, nz = lattice.size[0], lattice.size[1], lattice.size[2]
     set_size(lattice, nx, ny, nz)
-    begin_lines(lattice, i64(via))
+    begin_lines(lattice, i64(0))
+    for z in range(nz):
+        lattice.line[VIA_AXIS, z] = problem.height[low[2] + z] - problem.height[low[2]]
     # Fields are read once: every access makes the compiler handle the whole tuple.
     costs, line, layers = lattice.cost, lattice.line, problem.size[2]
     point = i64(0)
     for x in range(nx):
         for y in range(ny):
-            gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * layers
+            gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * layers + low[2]
             for z in range(nz):
-                demand = i64(problem.demand[net, z])
+                demand = i64(problem.demand[net, low[2] + z])
                 beside = ny * nz
                 for axis in range(AXES):
                     at, last = x, nx - 1
@@ -169,8 +294,9 @@ def set_costs(
                     if at == last:
                         costs[point, 2 * axis] = CLOSED
                         continue
-                    cost = i64(via)
-                    if axis < VIA_AXIS:
+                    if axis == VIA_AXIS:
+                        cost = i64(problem.height[low[2] + z + 1] - problem.height[low[2] + z])
+                    else:
                         edge = AXES * (gcell + z) + axis
                         cost = edge_cost(problem, routing, edge, demand, i64(0))
                         if cost >= limit or problem.capacity[edge] < 0:
@@ -193,6 +319,8 @@ def set_costs(
             at = problem.position[gcell, axis] - low[axis] + 1
             lattice.line[axis, at] = min(lattice.line[axis, at], cost)
             set_cost(lattice, point_of(problem.position, low, lattice.size, gcell), axis, cost)
+    if routing.progress[0].contest:
+        _add_stacks(problem, lattice, low)
     sum_lines(lattice)
 
 
@@ -365,7 +493,7 @@ def _other_end(
     ny, nz = lattice.size[1], lattice.size[2]
     row = key // nz
     gcell = (low[0] + row // ny) * problem.size[1] + low[1] + row % ny
-    gcell = gcell * problem.size[2] + key - row * nz
+    gcell = gcell * problem.size[2] + low[2] + key - row * nz
     point, counts = key, not worn
     while True:
         beside, step = point + stride[move], 1 - 2 * (move & 1)

@@ -5,6 +5,8 @@ from typing import Literal
 
 from marouting.config import MOST, check
 
+_PASSES = 100_000
+
 
 @dataclass(frozen=True, kw_only=True)
 class PathfinderOptions:
@@ -18,9 +20,18 @@ class PathfinderOptions:
             which were tuned for problems that do not fit and for about the number of passes that
             there is time for (:mod:`policies.routers.pathfinder.schedule`). More time can come with
             other values, so it need not always bring a better solution.
+        cost: ``wirelength``: what is least, after overflow; or ``ispd2024``: the cost of the ISPD
+            2024 contest is least, for problems from ``.cap`` files, whatever ``via_weight`` and
+            ``crowding`` are (:mod:`policies.routers.pathfinder.contest`).
         via_weight: cost of a via, in edges inside a layer. 1 matches the ISPD 2008 evaluator. Use a
             value just above 0 to compare with wirelengths that leave vias out, such as those
-            published for ISPD'98.
+            published for ISPD'98. A list has the costs of vias from layer 1 to 2, from 2 to 3, and
+            so on.
+        crowding: what an edge inside a layer costs more when it is just full, in edges, so that
+            fewer edges are filled. The additional cost grows in proportion to the tracks in use
+            beyond ``crowded_from``. Wirelength and this cost together are what is least, after
+            overflow. 0: edges cost the same up to their capacity.
+        crowded_from: share of an edge's capacity from which on it costs more.
         exact_pins: nets with at most this many pins get a cheapest tree, provided that their box is
             small, and in negotiating passes, which are many, smaller still. The paper's problems
             have at most 5 pins per net. Each further pin triples the time.
@@ -69,6 +80,11 @@ class PathfinderOptions:
             several threads, of the one that works longest; None for no limit. The first pass, of
             patterns, is completed even if that takes longer: after it every net is joined. A
             solution cut off by the limit depends on the machine.
+        least_gain: a search whose best solution has no overflow ends when it has lately saved less
+            than this share of the wirelength per second of processor time. What counts are the
+            latest four seconds, or the latest quarter of the search if that is longer. 0: it goes
+            on. Not if ``passes`` is set, or without a limit of ``seconds``: what comes out then
+            does not depend on the machine.
         threads: how many threads plan trees, where there are more than 20 000 nets to route. What
             comes out does not depend on it, unless ``seconds`` cuts the search off.
         start: a file of a solution to begin with, such as one that was cut off; None: begin with
@@ -80,7 +96,10 @@ class PathfinderOptions:
     """
 
     schedule: Literal["standard", "tuned"] = "standard"
-    via_weight: float = 1.0
+    cost: Literal["wirelength", "ispd2024"] = "wirelength"
+    via_weight: float | tuple[float, ...] = 1.0
+    crowding: float = 0.0
+    crowded_from: float = 0.5
     exact_pins: int = 5
     margin: int = 2
     present_factor: float = 0.1
@@ -100,22 +119,34 @@ class PathfinderOptions:
     repair_stall_passes: int = 60
     min_repair_fraction: float = 0.0
     patience_factor: int = 16
-    passes: int = 100_000
+    passes: int = _PASSES
     seconds: float | None = 50.0
+    least_gain: float = 0.001
     threads: int = 1
     start: str | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
         for name, (least, most) in _RANGES.items():
-            fits = least <= getattr(self, name) <= most
+            found = getattr(self, name)
+            fits = all(
+                least <= n <= most for n in (found if isinstance(found, tuple) else (found,))
+            )
             check(name, fits, f"a number from {least} to {most}")
+        check("crowded_from", self.crowded_from < 1, "a number from 0, below 1")
         check("present_factor", self.present_factor > 0, "a number above 0, up to 1000")
         check("seconds", self.seconds is None or self.seconds >= 0, "a number from 0, or null")
+
+    @property
+    def by_the_clock(self) -> bool:
+        """Whether the time that the search takes may decide when it ends, within ``seconds``."""
+        return self.least_gain > 0 and self.seconds is not None and self.passes == _PASSES
 
 
 _RANGES = {
     "via_weight": (0, 1000),
+    "crowding": (0, 1000),
+    "crowded_from": (0, 1),
     "exact_pins": (2, 9),
     "margin": (0, MOST),
     "present_factor": (0, 1000),
@@ -136,6 +167,7 @@ _RANGES = {
     "min_repair_fraction": (0, 1),
     "patience_factor": (1, MOST),
     "passes": (1, MOST),
+    "least_gain": (0, 1),
     "threads": (1, 1024),
     "seed": (0, MOST),
 }

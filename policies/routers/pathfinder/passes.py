@@ -78,7 +78,7 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
         progress.since = 0 if progress.found > progress.began else progress.since + counts
     if round_over and progress.since >= parameters.repair_after:
         progress.kind, progress.since = REPAIR, 0
-        load_best(problem, routing, parameters.via)
+        load_best(problem, routing)
         link_all(routing)
     elif round_over or (
         progress.kind == REPAIR and progress.since >= parameters.repair_stall_passes
@@ -125,7 +125,7 @@ def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing)
     shortest_of_all = progress.length == shortest and progress.unproven == 0
     if progress.kind == REPAIR:
         least = i64(np.ceil(parameters.min_repair_fraction * len(routing.order)))
-        progress.next = len(routing.order) - max(least, repairable(parameters, routing))
+        progress.next = len(routing.order) - max(least, repairable(problem, routing))
     progress.proven = progress.overflow == 0 and shortest_of_all
     return more and not progress.proven
 
@@ -152,7 +152,7 @@ def advance(
                 return PAUSED
             net, code, routed = routing.order[progress.next], DONE, i64(1)
             if progress.kind == PATTERN:
-                code = route_pattern(problem, parameters, routing, lattice, buffers, net)
+                code = route_pattern(problem, routing, lattice, buffers, net)
                 search.tally[1] += 64  # about the work of so many labels
             elif progress.kind == REPAIR:
                 routed, code = repair(problem, parameters, routing, memory)

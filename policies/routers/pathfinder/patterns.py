@@ -20,7 +20,6 @@ from policies.routers.pathfinder.state import (
     POOL_TOO_SMALL,
     UNIT,
     NetBuffers,
-    Parameters,
     ProblemArrays,
     Routing,
 )
@@ -57,7 +56,15 @@ def _straight(
 
 
 @compiled
-def _best_layers(along: Any, across: Any, first: int, last: int, via: int) -> tuple[int, int, int]:
+def _climb(height: Any, one: int, other: int) -> int:
+    """What the vias from one layer to another cost; even free ones must not lead up and down."""
+    return max(abs(height[one] - height[other]), abs(one - other))
+
+
+@compiled
+def _best_layers(
+    along: Any, across: Any, first: int, last: int, height: Any
+) -> tuple[int, int, int]:
     """The cheapest pair of layers of an L, with the vias from one layer to another.
 
     Returns:
@@ -66,8 +73,8 @@ def _best_layers(along: Any, across: Any, first: int, last: int, via: int) -> tu
     least, one, two = 4 * _NEVER, i64(0), i64(0)
     for a in range(len(along)):
         for b in range(len(across)):
-            vias = abs(first - a) + abs(a - b) + abs(b - last)
-            cost = along[a] + across[b] + via * vias
+            vias = _climb(height, first, a) + _climb(height, a, b) + _climb(height, b, last)
+            cost = along[a] + across[b] + vias
             if cost < least:
                 least, one, two = i64(cost), i64(a), i64(b)
     return least, one, two
@@ -100,7 +107,6 @@ def _nearest(
     problem: ProblemArrays,
     lattice: Lattice,
     buffers: NetBuffers,
-    via: int,
     pin: int,
     begin: int,
     end: int,
@@ -113,7 +119,7 @@ def _nearest(
         row = buffers.key[i] // nz
         z = buffers.key[i] - row * nz
         across = abs(row // ny - x) + abs(row % ny - y)
-        far = i64(UNIT * across + via * abs(z - problem.position[pin, VIA_AXIS]))
+        far = UNIT * across + _climb(problem.height, z, i64(problem.position[pin, VIA_AXIS]))
         if far < least:
             nearest, least = i64(buffers.key[i]), far
     return nearest, least
@@ -122,7 +128,6 @@ def _nearest(
 @compiled
 def route_pattern(
     problem: ProblemArrays,
-    parameters: Parameters,
     routing: Routing,
     lattice: Lattice,
     buffers: NetBuffers,
@@ -135,9 +140,11 @@ def route_pattern(
     """
     progress = routing.progress[0]
     if routing.length[net] > 0:
-        use_tree(problem, routing, parameters.via, net, i64(1))
+        use_tree(problem, routing, net, i64(1))
         return DONE
-    points = set_box(problem, routing, net, i64(0), buffers.low, lattice.size)
+    points = set_box(
+        problem, routing, net, i64(0), problem.size[VIA_AXIS], buffers.low, lattice.size
+    )
     if points > len(buffers.pin):
         progress.need = points
         return BOX_TOO_SMALL
@@ -146,7 +153,6 @@ def route_pattern(
         return POOL_TOO_SMALL
     set_size(lattice, lattice.size[0], lattice.size[1], lattice.size[2])
     first, pins = problem.first[net], problem.first[net + 1] - problem.first[net]
-    via = max(parameters.via, 1)  # even free vias must not lead up and down again
     start = point_of(problem.position, buffers.low, lattice.size, problem.pin[first])
     buffers.key[0], buffers.inside[start] = start, 1
     for i in range(pins):
@@ -158,18 +164,18 @@ def route_pattern(
             if buffers.far[i] < 0:
                 continue
             at = problem.pin[first + i]
-            _, far = _nearest(problem, lattice, buffers, via, at, looked, size)
+            _, far = _nearest(problem, lattice, buffers, at, looked, size)
             buffers.far[i] = min(buffers.far[i], far)
             if pin < 0 or buffers.far[i] < buffers.far[pin]:
                 pin = i64(i)
         looked = size
-        size = _join(problem, routing, lattice, buffers, via, net, problem.pin[first + pin], size)
+        size = _join(problem, routing, lattice, buffers, net, problem.pin[first + pin], size)
         buffers.far[pin] = -1
     for i in range(size):
         buffers.inside[buffers.key[i]] = 0
     size = list_tree(problem, lattice, buffers)
     store_tree(routing, net, buffers.tree, i64(0), i64(0), size)
-    use_tree(problem, routing, parameters.via, net, i64(1))
+    use_tree(problem, routing, net, i64(1))
     progress.routed += 1
     return DONE
 
@@ -180,7 +186,6 @@ def _join(
     routing: Routing,
     lattice: Lattice,
     buffers: NetBuffers,
-    via: int,
     net: int,
     pin: int,
     size: int,
@@ -193,7 +198,7 @@ def _join(
     point = point_of(problem.position, buffers.low, lattice.size, pin)
     if buffers.inside[point]:
         return size
-    nearest, _ = _nearest(problem, lattice, buffers, via, pin, i64(0), size)
+    nearest, _ = _nearest(problem, lattice, buffers, pin, i64(0), size)
     nz = lattice.size[2]
     here = (i64(problem.position[pin, 0]), i64(problem.position[pin, 1]))
     row = nearest // nz
@@ -205,7 +210,7 @@ def _join(
         then = 1 - first
         _straight(problem, routing, net, first, here[first], there[first], here[then], one_wire)
         _straight(problem, routing, net, then, here[then], there[then], there[first], other_wire)
-        cost, a, b = _best_layers(one_wire, other_wire, top, bottom, via)
+        cost, a, b = _best_layers(one_wire, other_wire, top, bottom, problem.height)
         if cost < least:
             least, turn, one, two = cost, first, a, b
     end = size + 1

@@ -31,17 +31,17 @@ grows from one net to the next."""
 
 
 @compiled
-def repairable(parameters: Parameters, routing: Routing) -> int:
+def repairable(problem: ProblemArrays, routing: Routing) -> int:
     """How many nets overflow or take a detour; at least one."""
     count = 0
     for net in routing.order:
-        detour = tree_length(routing, parameters.via, net) > routing.ideal[net]
+        detour = tree_length(problem, routing, net) > routing.ideal[net]
         count += detour or overflows(routing, net)
     return max(count, 1)
 
 
 @compiled
-def _choose(parameters: Parameters, routing: Routing) -> int:
+def _choose(problem: ProblemArrays, routing: Routing) -> int:
     """A net that overflows, or that takes a detour; any net if there is none."""
     progress, count = routing.progress[0], len(routing.order)
     shorten = progress.overflow == 0 or draw(progress) % 4 == 0
@@ -49,7 +49,7 @@ def _choose(parameters: Parameters, routing: Routing) -> int:
     for i in range(count):
         net = routing.order[(begin + i) % count]
         if shorten:
-            if tree_length(routing, parameters.via, net) > routing.ideal[net]:
+            if tree_length(problem, routing, net) > routing.ideal[net]:
                 return net
         elif overflows(routing, net):
             return net
@@ -103,7 +103,7 @@ def repair(
     present = progress.present
     progress.kind, progress.present = DISPLACE, _PRESENT
     code, routed, together = DONE, i64(0), i64(0)
-    net = i64(_choose(parameters, routing))
+    net = i64(_choose(problem, routing))
     while code == DONE and net >= 0 and routed < _STEPS:
         known = False
         for k in range(together):
@@ -132,9 +132,9 @@ def repair(
     if code != DONE or progress.overflow > overflow or longer:
         for k in range(together):
             net = routing.together[k, 0]
-            use_tree(problem, routing, parameters.via, net, i64(-1))
+            use_tree(problem, routing, net, i64(-1))
             routing.start[net] = routing.together[k, 1]
             routing.length[net] = routing.together[k, 2]
-            use_tree(problem, routing, parameters.via, net, i64(1))
+            use_tree(problem, routing, net, i64(1))
         progress.top = top
     return routed, code

@@ -1,6 +1,7 @@
 """The router, and what it reports."""
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from marouting import Problem, Solution
 from policies.routers.pathfinder.batches import Crew
+from policies.routers.pathfinder.contest import with_contest
 from policies.routers.pathfinder.options import PathfinderOptions
 from policies.routers.pathfinder.relaxation import Relaxation
 from policies.routers.pathfinder.schedule import scheduled
@@ -21,6 +23,8 @@ from policies.routers.pathfinder.state import (
     Routing,
     make_arrays,
     make_parameters,
+    present_solution,
+    solution_of,
     with_trees,
 )
 
@@ -33,9 +37,13 @@ _LEAST_WORK, _MOST_WORK = 1 << 10, 1 << 18
 _WARM = 60
 """Passes of a search that is made to compile all that a search needs."""
 
-Stop = Literal["optimal", "settled", "passes", "seconds", "asked"]
-"""Why a search ended: no solution can be better; it finds nothing better any more; it had all the
-passes, or all the time, that it may take; or somebody asked it to stop."""
+_WINDOW, _SHARE = 4.0, 0.25
+"""What a search has saved lately is what it saved in so many seconds, and in this share of it."""
+
+Stop = Literal["optimal", "settled", "gain", "passes", "seconds", "asked"]
+"""Why a search ended: no solution can be better; it finds nothing better any more; or too little
+for the time; it had all the passes, or all the time, that it may take; or somebody asked it to
+stop."""
 
 
 class Pass(NamedTuple):
@@ -80,6 +88,25 @@ class Routed:
         return {"iterations": self.iterations, "stop": self.stop}
 
 
+class _Gain:
+    """How much of its length the best solution without overflow has lately lost."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, float]] = deque()  # seconds and length at ends of rounds
+
+    def too_little(self, seconds: float, length: float, least: float) -> bool:
+        """Notes the best solution's length; whether the search has saved too little lately."""
+        seen = self._seen
+        seen.append((seconds, length))
+        begin = seconds - max(_WINDOW, _SHARE * seconds)
+        if seen[0][0] > begin:
+            return False
+        while seen[1][0] <= begin:
+            seen.popleft()
+        then, before = seen[0]
+        return before - length < least * length * (seconds - then)
+
+
 class PathfinderRouter:
     """Negotiated congestion over Steiner trees, in all layers at once.
 
@@ -106,7 +133,14 @@ class PathfinderRouter:
     def warm_up(self, problem: Problem) -> None:
         """Compiles what routing needs, by a problem to which ``start`` is no solution."""
         passes = min(self.options.passes, _WARM)
-        options = replace(self.options, start=None, passes=passes, schedule="standard")
+        options = replace(
+            self.options,
+            start=None,
+            passes=passes,
+            schedule="standard",
+            cost="wirelength",
+            via_weight=1.0,
+        )
         PathfinderRouter(options).route(problem)
         if self.options.schedule == "tuned":  # which may use the linear program
             PathfinderRouter(replace(options, lp_passes=1)).route(problem)
@@ -154,6 +188,8 @@ class PathfinderRouter:
             routing = with_trees(routing, start)
         if prices is not None:
             routing.price[:] = prices * UNIT
+        if options.cost == "ispd2024":
+            arrays, routing = with_contest(problem, arrays, routing)
         progress = routing.progress[0]
         progress["present"] = present
         progress["large"] |= present > 0
@@ -165,13 +201,16 @@ class PathfinderRouter:
         if parameters.lp_passes > 0:
             relaxation = Relaxation(arrays, parameters, routing, options.lp_price_scale)
         passes: list[Pass] = []
+        gain = _Gain()
         ended = len(routing.order) == 0
         stop: Stop = "optimal" if ended else "settled"
         with Crew(arrays, parameters, int(progress["most"]), options.threads) as crew:
 
+            def spent() -> float:
+                return time.thread_time() - worked + crew.waited
+
             def left() -> float:
-                spent = time.thread_time() - worked + crew.waited
-                return np.inf if limit is None else limit - spent
+                return np.inf if limit is None else limit - spent()
 
             while not ended:
                 # Half of the time that is left, so that short searches end in time, too.
@@ -198,6 +237,10 @@ class PathfinderRouter:
                     stop = _reason(progress, parameters.passes)
                 elif passes and (asked or left() <= 0):  # the first pass has made a whole solution
                     stop, ended = "asked" if asked else "seconds", True
+                elif rows and options.by_the_clock and _round_over(progress):
+                    length = float(progress["best_length"])
+                    ended = gain.too_little(spent(), length, options.least_gain)
+                    stop = "gain" if ended else stop
         self._best = None
         solution = _best(problem, routing)
         prices = routing.price / UNIT
@@ -216,12 +259,14 @@ def _best(problem: Problem, routing: Routing) -> Solution:
         [progress[f"{when}{what}"] for what in ("overflow", "length")] for when in ("", "best_")
     )
     if KINDS[progress["kind"]] in ("squeeze", "repair") and now < best:
-        edges, first, length = routing.edge[progress["pool"]], routing.start, routing.length
-    else:
-        edges, first, length = routing.best, routing.best_first[:-1], np.diff(routing.best_first)
-    net = np.repeat(np.arange(len(length)), length)
-    place = np.arange(len(net)) + (first - np.cumsum(length) + length)[net]
-    return Solution.of_uses(problem, net, edges[place].astype(np.int64))
+        return present_solution(problem, routing)
+    first = routing.best_first
+    return solution_of(problem, routing.best, first[:-1], np.diff(first))
+
+
+def _round_over(progress: Any) -> bool:
+    """Whether a round without overflow has just ended: only then has it found its best solution."""
+    return progress["best_overflow"] == 0 and KINDS[progress["kind"]] in ("relax", "repair")
 
 
 def _reason(progress: Any, most: int) -> Stop:

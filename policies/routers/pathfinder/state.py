@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting import Problem, Solution, evaluate
+from marouting import InputError, Problem, Solution, evaluate
 from marouting.memory import NEGOTIATION, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.exact_tree import Search, make_search
@@ -31,6 +31,10 @@ NEGOTIATED_LABELS = 1 << 12
 MENDED = 80
 """Of a hundred nets that negotiate and are too large for a cheapest tree, so many keep their tree
 but for the paths that overflow. The others grow new ones, or all would keep their trees' shapes."""
+
+LAYERS = 2
+"""Layers by which a net's box extends beyond its pins and its tree: boxes with all ten layers of a
+chip would take twice the time. A net that is rerouted again comes higher each time."""
 
 FIRST_BOX = 4096
 """Points in the largest box that the working memory has room for at first."""
@@ -99,6 +103,9 @@ PROGRESS = np.dtype(
         ("proven", np.int64),  # whether the present solution is known to be the best
         ("rounds", np.int64),  # completed rounds
         ("pricing", np.int64),  # further relaxing passes of this round, each at new prices
+        ("crowding", np.float64),  # what an edge costs more when it is full, in edges
+        ("crowded_from", np.float64),  # the share of its capacity from which on it does
+        ("contest", np.int64),  # whether costs are those of ISPD 2024
         ("linked", np.int64),  # whether Routing.head leads to the users of every edge
         ("history", np.int64),  # filled rows of Routing.history
     ],
@@ -116,12 +123,17 @@ class ProblemArrays(NamedTuple):
     demand: NDArray[np.int32]  # (N, Z) tracks that a net takes from an edge in a layer
     first: NDArray[np.int64]  # (N + 1,) a net's pins are pin[first[net] : first[net + 1]]
     pin: NDArray[np.int64]  # (pins,) their Gcells
+    height: NDArray[np.int64]  # (Z,) what the vias up to a layer from the lowest one cost
+    # By the rules of ISPD 2024, in units of cost and in tracks; otherwise empty:
+    wire: NDArray[np.int64]  # (2, columns or rows) along each axis a wire to the next Gcell
+    overflow_cost: NDArray[np.float64]  # (Z,) of a Gcell that is just full
+    tracks: NDArray[np.float64]  # (E,) capacities
+    along: NDArray[np.int64]  # (Z,) the axis of each layer's wires
 
 
 class Parameters(NamedTuple):
     """The options as numbers that the compiled code uses directly."""
 
-    via: int  # in units of cost
     exact_pins: int
     margin: int
     present_factor: float
@@ -149,6 +161,7 @@ class Routing(NamedTuple):
     progress: NDArray[Any]  # (1,) PROGRESS
     order: NDArray[np.int64]  # (routable nets,) the order of the nets in this pass
     remaining: NDArray[np.int64]  # (E,) capacity minus demand; negative where edges overflow
+    vias: NDArray[np.float64]  # (E,) tracks that vias take by the rules of ISPD 2024, or empty
     price: NDArray[np.float64]  # (E,) price from past overflow, in units of cost
     ideal: NDArray[np.int64]  # (N,) length of the net's shortest tree so far; -1: none yet
     edge: NDArray[np.int32]  # (2, pool) edges of the trees, in the pool in use
@@ -186,9 +199,22 @@ class Memory(NamedTuple):
 
 def make_parameters(options: PathfinderOptions) -> Parameters:
     """The options as numbers for the compiled code."""
-    values = {name: getattr(options, name) for name in Parameters._fields if name != "via"}
+    values = {name: getattr(options, name) for name in Parameters._fields}
     values["reroute_fraction"] = round(options.reroute_fraction * (1 << 20))
-    return Parameters(via=round(options.via_weight * UNIT), **values)
+    return Parameters(**values)
+
+
+def _height(problem: Problem, options: PathfinderOptions) -> NDArray[np.int64]:
+    """(Z,) what the vias up to each layer from the lowest one cost."""
+    steps, weights = problem.grid[VIA_AXIS] - 1, options.via_weight
+    if not isinstance(weights, tuple):
+        weights = (weights,) * steps
+    if len(weights) != steps:
+        raise InputError(
+            f"via_weight: expected {steps} numbers, one for each layer but the highest, "
+            f"found {len(weights)}"
+        )
+    return np.cumsum([0, *(round(weight * UNIT) for weight in weights)])
 
 
 def _capacity(problem: Problem) -> NDArray[np.int32]:
@@ -219,6 +245,11 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         demand=problem.net_demand,
         first=first,
         pin=pin,
+        height=_height(problem, options),
+        wire=np.empty((2, 0), np.int64),
+        overflow_cost=np.empty(0),
+        tracks=np.empty(0),
+        along=np.empty(0, np.int64),
     )
     routable = np.flatnonzero(np.diff(first) > 1)
     # Short nets come first: they have fewer ways to choose from.
@@ -230,6 +261,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
     progress["large"] = len(routable) > LARGE
     batches = len(routable) > MANY
     progress["most"] = min(len(routable) // SHARE, MOST_PLANNED) if batches else 1
+    progress["crowding"], progress["crowded_from"] = options.crowding, options.crowded_from
     progress["best_overflow"] = progress["fewest"] = np.iinfo(np.int64).max
     pool = 4 * int(extent.sum()) + 4 * len(pin) + 1
     ideal = np.zeros(nets, np.int64)
@@ -238,6 +270,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         progress=progress,
         order=routable[np.argsort(extent[routable], kind="stable")],
         remaining=problem.capacity.astype(np.int64),
+        vias=np.empty(0),
         price=np.zeros(grid.edges),
         ideal=ideal,
         edge=np.empty((2, pool), np.int32),
@@ -269,6 +302,24 @@ def make_memory(problem: ProblemArrays, exact_pins: int, points: int) -> Memory:
     lattice = make_lattice(points, int(problem.size.max()))
     search = make_search(points, max(points, EXACT_LABELS), exact_pins - 1)
     return Memory(lattice, search, buffers)
+
+
+def present_solution(problem: Problem, routing: Routing) -> Solution:
+    """The trees that the nets have now."""
+    pool = routing.edge[routing.progress[0]["pool"]]
+    return solution_of(problem, pool, routing.start, routing.length)
+
+
+def solution_of(
+    problem: Problem,
+    edges: NDArray[np.int32],
+    first: NDArray[np.int64],
+    length: NDArray[np.int64],
+) -> Solution:
+    """The solution in which so many ``edges``, from the ``first`` on, are each net's."""
+    net = np.repeat(np.arange(len(length)), length)
+    place = np.arange(len(net)) + (first - np.cumsum(length) + length)[net]
+    return Solution.of_uses(problem, net, edges[place].astype(np.int64))
 
 
 def with_larger_pool(routing: Routing, size: int) -> Routing:

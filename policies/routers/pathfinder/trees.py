@@ -9,8 +9,10 @@ from marouting.kernels import compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.lattice import CLOSED, FAR, Lattice
 from policies.routers.pathfinder.kernels import (
+    beside_via,
     draw,
     grow,
+    is_stacked,
     join_all,
     load_tree,
     mend,
@@ -18,6 +20,9 @@ from policies.routers.pathfinder.kernels import (
     set_box,
     set_costs,
     tree_cost,
+    use_cost,
+    via_cost,
+    wire_cost,
 )
 from policies.routers.pathfinder.state import (
     BOX_TOO_SMALL,
@@ -27,12 +32,12 @@ from policies.routers.pathfinder.state import (
     EXACT,
     EXACT_LABELS,
     FULL,
+    LAYERS,
     MENDED,
     NEGOTIATE,
     NEGOTIATED_LABELS,
     POOL_TOO_SMALL,
     RELAX,
-    UNIT,
     Memory,
     NetBuffers,
     Parameters,
@@ -42,7 +47,7 @@ from policies.routers.pathfinder.state import (
 
 
 @compiled
-def use_tree(problem: ProblemArrays, routing: Routing, via: int, net: int, sign: int) -> None:
+def use_tree(problem: ProblemArrays, routing: Routing, net: int, sign: int) -> None:
     """Adds the demand of a net's tree (sign 1) or removes it (sign -1)."""
     progress = routing.progress[0]
     if progress.linked:
@@ -54,13 +59,34 @@ def use_tree(problem: ProblemArrays, routing: Routing, via: int, net: int, sign:
         edge = i64(routing.edge[progress.pool, i])
         gcell = edge // AXES
         if edge - AXES * gcell == VIA_AXIS:
-            progress.length += sign * via
+            progress.length += sign * via_cost(problem, gcell)
+            if progress.contest:
+                _use_via(problem, routing, net, gcell, sign)
             continue
-        progress.length += sign * UNIT
+        progress.length += sign * wire_cost(problem, routing, edge) - use_cost(
+            problem, routing, edge, i64(0)
+        )
         over = max(-routing.remaining[edge], 0)
         layer = problem.position[gcell, VIA_AXIS]
         routing.remaining[edge] -= sign * i64(problem.demand[net, layer])
-        progress.overflow += max(-routing.remaining[edge], 0) - over
+        progress.length += use_cost(problem, routing, edge, i64(0))
+        if not progress.contest:
+            progress.overflow += max(-routing.remaining[edge], 0) - over
+
+
+@compiled
+def _use_via(problem: ProblemArrays, routing: Routing, net: int, gcell: int, sign: int) -> None:
+    """Adds the tracks that a via of a net's tree takes beside its lower Gcell, or removes them."""
+    progress, first = routing.progress[0], i64(routing.start[net])
+    last = first + routing.length[net]
+    if not is_stacked(problem, routing.edge, i64(progress.pool), first, last, gcell):
+        return
+    for side in range(2):
+        beside, halves = beside_via(problem, gcell, side)
+        if halves > 0:
+            progress.length -= use_cost(problem, routing, beside, i64(0))
+            routing.vias[beside] += sign * halves / 2
+            progress.length += use_cost(problem, routing, beside, i64(0))
 
 
 @compiled
@@ -97,12 +123,15 @@ def link_all(routing: Routing) -> None:
 
 
 @compiled
-def tree_length(routing: Routing, via: int, net: int) -> int:
+def tree_length(problem: ProblemArrays, routing: Routing, net: int) -> int:
     """The length of a net's tree, in units of cost."""
     length = i64(0)
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
         edge = i64(routing.edge[routing.progress[0].pool, i])
-        length += via if edge % AXES == VIA_AXIS else UNIT
+        if edge % AXES == VIA_AXIS:
+            length += via_cost(problem, edge // AXES)
+        else:
+            length += wire_cost(problem, routing, edge)
     return length
 
 
@@ -143,7 +172,7 @@ def list_tree(problem: ProblemArrays, lattice: Lattice, buffers: NetBuffers) -> 
     low, size, point = buffers.low, i64(0), 0
     for x in range(lattice.size[0]):
         for y in range(lattice.size[1]):
-            gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * problem.size[2]
+            gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * problem.size[2] + low[2]
             for z in range(lattice.size[2]):
                 for axis in range(AXES):
                     if lattice.tree[point] >> 2 * axis & 1:
@@ -165,17 +194,17 @@ def store_tree(routing: Routing, net: int, edges: Any, row: int, first: int, las
 
 
 @compiled
-def present_cost(problem: ProblemArrays, routing: Routing, via: int, net: int, own: int) -> int:
+def present_cost(problem: ProblemArrays, routing: Routing, net: int, own: int) -> int:
     """The cost of a net's tree to the net, which is in place (``own`` 1) or ripped up (0)."""
     first, pool = i64(routing.start[net]), i64(routing.progress[0].pool)
     last = first + routing.length[net]
-    return tree_cost(problem, routing, via, net, routing.edge, pool, first, last, own)
+    return tree_cost(problem, routing, net, routing.edge, pool, first, last, own)
 
 
 @compiled
 def is_settled(problem: ProblemArrays, parameters: Parameters, routing: Routing, net: int) -> bool:
     """Whether a net keeps its tree without a search: none can be cheaper, and no lot fell on it."""
-    if routing.ideal[net] < present_cost(problem, routing, parameters.via, net, i64(1)):
+    if routing.ideal[net] < present_cost(problem, routing, net, i64(1)):
         return False
     return draw(routing.progress[0]) % (1 << 20) >= parameters.reroute_fraction
 
@@ -196,13 +225,13 @@ def plan(
     lattice, search, buffers = memory
     progress = routing.progress[0]
     pins = problem.first[net + 1] - problem.first[net]
-    margin, limit = parameters.margin, i64(FULL)
+    margin, layers, limit = parameters.margin, i64(LAYERS), i64(FULL)
     while True:
-        points = set_box(problem, routing, net, margin, buffers.low, lattice.size)
+        points = set_box(problem, routing, net, margin, layers, buffers.low, lattice.size)
         if points > len(buffers.pin):
             progress.need = points
             return BOX_TOO_SMALL
-        set_costs(problem, routing, lattice, buffers.low, parameters.via, net, limit)
+        set_costs(problem, routing, lattice, buffers.low, net, limit)
         search.tally[1] += points
         exact = True
         quick = progress.kind == NEGOTIATE or progress.kind == DISPLACE
@@ -231,7 +260,10 @@ def plan(
             break
         if lattice.size[0] == problem.size[0] and lattice.size[1] == problem.size[1]:
             limit = i64(FAR)
-        margin = 2 * margin + 1
+        margin, layers = 2 * margin + 1, problem.size[VIA_AXIS]
+    # What is cheapest is also shortest only where edges in use cost no more than others.
+    exact = exact and lattice.size[VIA_AXIS] == problem.size[VIA_AXIS]
+    exact = exact and progress.crowding == 0
     buffers.plan[EDGES], buffers.plan[EXACT] = list_tree(problem, lattice, buffers), i64(exact)
     return DONE
 
@@ -240,7 +272,6 @@ def plan(
 def adopt(
     problem: ProblemArrays,
     routing: Routing,
-    via: int,
     net: int,
     plan: Any,
     edges: Any,
@@ -257,14 +288,14 @@ def adopt(
     if progress.top + plan[EDGES] > routing.edge.shape[1]:
         progress.need = progress.top + plan[EDGES]
         return POOL_TOO_SMALL
-    use_tree(problem, routing, via, net, i64(-1))
-    cost = tree_cost(problem, routing, via, net, edges, row, first, last, i64(0))
-    if cost <= present_cost(problem, routing, via, net, i64(0)):
+    use_tree(problem, routing, net, i64(-1))
+    cost = tree_cost(problem, routing, net, edges, row, first, last, i64(0))
+    if cost <= present_cost(problem, routing, net, i64(0)):
         store_tree(routing, net, edges, row, first, last)
-    length, ideal = tree_length(routing, via, net), i64(routing.ideal[net])
+    length, ideal = tree_length(problem, routing, net), i64(routing.ideal[net])
     progress.unproven += ideal < 0 and not (plan[EXACT] and progress.kind == RELAX)
     routing.ideal[net] = length if ideal < 0 else min(ideal, length)
-    use_tree(problem, routing, via, net, i64(1))
+    use_tree(problem, routing, net, i64(1))
     progress.routed += 1
     return DONE
 
@@ -284,7 +315,7 @@ def reroute(
     if code != DONE:
         return code
     buffers = memory.buffers
-    return adopt(problem, routing, parameters.via, net, buffers.plan, buffers.tree, i64(0), i64(0))
+    return adopt(problem, routing, net, buffers.plan, buffers.tree, i64(0), i64(0))
 
 
 @compiled
@@ -310,11 +341,11 @@ def keep_best(routing: Routing) -> bool:
 
 
 @compiled
-def load_best(problem: ProblemArrays, routing: Routing, via: int) -> None:
+def load_best(problem: ProblemArrays, routing: Routing) -> None:
     """Makes the trees of the best solution so far the nets' trees."""
     progress = routing.progress[0]
     for net in range(len(routing.start)):
-        use_tree(problem, routing, via, net, i64(-1))
+        use_tree(problem, routing, net, i64(-1))
     progress.top = 0
     for net in range(len(routing.start)):
         routing.start[net] = progress.top
@@ -322,4 +353,4 @@ def load_best(problem: ProblemArrays, routing: Routing, via: int) -> None:
             routing.edge[progress.pool, progress.top] = routing.best[i]
             progress.top += 1
         routing.length[net] = progress.top - routing.start[net]
-        use_tree(problem, routing, via, net, i64(1))
+        use_tree(problem, routing, net, i64(1))

@@ -1,0 +1,185 @@
+"""VDN and QMIX of BenchMARL on a cooperative scenario, as rows of docs/cooperation.md.
+
+::
+
+    python -m policies.integrations.value_decomposition qmix --scenario gates-8x7-v0 \
+        --steps 1000000 --seed 0 --out runs/qmix
+
+All nets of a round move at once, see what the scenario suggests, and get one reward: the reduction
+of the team's cost, with :data:`REWARD` as its scale. Nets that are done have a single move, which
+does nothing. ``--steps`` are agent-steps, the moves that nets make. What is printed has the keys of
+``marouting train --json``. ``file`` is BenchMARL's checkpoint, which
+:class:`policies.integrations.benchmarl.Policy` plays.
+
+What is set here, of BenchMARL 1.5's options (``benchmarl/conf``):
+
+==============================  ==========  ========================================================
+``lr``                          5e-4        5e-5, the default, is for ten times as many frames
+``gamma``                       0.99        as our learners have
+``polyak_tau``                  0.01        twice as quick: the trainings are short
+frames of a batch               1280        20 moves of 64 games
+optimiser steps, of frames      40, of 256  a frame is learned from eight times
+memory                          50 000      frames; 100 000 agents' windows, 0.6 GB
+ε                               1 to 0.05   over the first third of the steps
+networks                        2 × 128     as our learners have
+==============================  ==========  ========================================================
+
+They were set before the first training, and nothing was tuned. All else is as BenchMARL has it. An
+evaluation on the validation problems after every twentieth of the steps gives the learning curve;
+the last network is kept.
+"""
+
+import contextlib
+import json
+import logging
+import pkgutil
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+import torch
+from benchmarl.algorithms import algorithm_config_registry
+from benchmarl.experiment import Callback, Experiment, ExperimentConfig
+from benchmarl.models.mlp import MlpConfig
+from torch import nn
+
+from marouting import InputError, evaluate_policy, scenarios
+from marouting.config import check
+from policies.integrations.benchmarl import Moves, RoutingClass
+
+REWARD = {"kind": "team", "overflow": 1.0, "open": 1.0, "wirelength": 0.05}
+"""The team reward of the cooperative scenarios, divided by 20."""
+
+AGENTS = 2.0
+"""Agent-steps of a frame, about; ε falls by frames."""
+
+
+class _Steps(Callback):
+    """Counts agent-steps, evaluates on the validation problems, and ends the training."""
+
+    def __init__(self, scenario: str, most: int, every: int) -> None:
+        super().__init__()
+        self.scenario, self.most, self.every = scenario, most, every
+        self.steps = 0
+        self.curve: list[tuple[int, float]] = []
+
+    def on_batch_collected(self, batch: Any) -> None:
+        """Counts the moves that nets made."""
+        self.steps += int(batch["next", "info", "acted"].sum())
+
+    def on_train_end(self, training_td: Any, group: str) -> None:
+        """Evaluates, and ends the training when all steps are made."""
+        del training_td, group
+        if self.steps >= self.every * (len(self.curve) + 1) or self.steps >= self.most:
+            result = evaluate_policy(Moves(self.experiment).moves, self.scenario, "validation")
+            self.curve.append((self.steps, round(result.cost, 4)))
+            click.echo(f"{self.steps} agent-steps: {result}", err=True)
+        if self.steps >= self.most:
+            self.file.parent.mkdir(exist_ok=True)
+            torch.save(self.experiment.state_dict(), self.file)
+            raise _AllMadeError
+
+    @property
+    def file(self) -> Path:
+        """BenchMARL's checkpoint."""
+        return Path(self.experiment.folder_name) / "checkpoints" / "checkpoint_last.pt"
+
+
+class _AllMadeError(KeyboardInterrupt):
+    """All agent-steps are made: BenchMARL counts frames only."""
+
+
+def train(
+    algorithm: str, scenario: str, steps: int, seed: int, out: Path, **changes: Any
+) -> dict[str, Any]:
+    """Trains on the scenario's training problems; returns the row.
+
+    Args:
+        algorithm: ``vdn`` or ``qmix``.
+        scenario: the name of a scenario.
+        steps: agent-steps.
+        seed: a whole number from 0.
+        out: the folder for BenchMARL's files.
+        **changes: options of BenchMARL's experiment in place of those above.
+
+    Raises:
+        InputError: there is no such scenario.
+    """
+    check("steps", steps >= 1, "a number from 1")
+    torch.set_num_threads(1)
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # its messages go to the standard output
+    began = time.process_time()
+    found = scenarios.get(scenario)
+    options = {"scenario": scenario, "reward": REWARD, "shared": True}
+    task = RoutingClass.of({**options, "max_cycles": 1})
+    config = ExperimentConfig.get_from_yaml()
+    config.max_n_frames = steps  # at least: a frame is one agent-step or more
+    config.gamma, config.lr, config.polyak_tau = 0.99, 5e-4, 0.01
+    config.off_policy_collected_frames_per_batch = 1280
+    config.off_policy_n_envs_per_worker = 64
+    config.off_policy_n_optimizer_steps, config.off_policy_train_batch_size = 40, 256
+    config.off_policy_memory_size = 50_000
+    config.exploration_eps_init, config.exploration_eps_end = 1.0, 0.05
+    config.exploration_anneal_frames = max(int(steps / AGENTS / 3), 1)
+    config.evaluation, config.loggers, config.create_json = False, [], False
+    config.render, config.save_folder = False, str(out)
+    config.exclude_buffer_from_checkpoint = True
+    for name, value in changes.items():
+        setattr(config, name, value)
+    network = MlpConfig(num_cells=[128, 128], layer_class=nn.Linear, activation_class=nn.ReLU)
+    counter = _Steps(found.name, steps, max(steps // 20, 1))
+    out.mkdir(parents=True, exist_ok=True)
+    with contextlib.redirect_stdout(sys.stderr):
+        experiment = Experiment(
+            task=task,
+            algorithm_config=algorithm_config_registry[algorithm].get_from_yaml(),
+            model_config=network,
+            critic_model_config=network,
+            config=config,
+            seed=seed,
+            callbacks=[counter],
+        )
+        with contextlib.suppress(_AllMadeError):
+            experiment.run()
+    seconds = time.process_time() - began
+    policy = Moves(experiment)
+    row = {
+        "row": algorithm,
+        "scenario": found.name,
+        "seed": seed,
+        "agent_steps": counter.steps,
+        "processor_seconds": round(seconds, 1),
+        "parameters": policy.parameters,
+        "file": str(counter.file),
+        "curve": counter.curve,
+    }
+    for split in scenarios.SPLITS[1:]:
+        row[split] = evaluate_policy(policy.moves, found.name, split, local=3).as_dict(rows=False)
+    return row
+
+
+@click.command()
+@click.argument("algorithm", type=click.Choice(["vdn", "qmix"]))
+@click.option("--scenario", required=True, help="Cooperative scenario to learn.")
+@click.option("--steps", default=1_000_000, show_default=True, help="Agent-steps.")
+@click.option("--seed", default=0, show_default=True)
+@click.option("--out", type=Path, default=Path("runs/value_decomposition"), show_default=True)
+@click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="Options of BenchMARL.")
+def main(
+    algorithm: str, scenario: str, steps: int, seed: int, out: Path, changes: tuple[str, ...]
+) -> None:
+    """Trains VDN or QMIX for so many agent-steps and prints the row in JSON."""
+    try:
+        pairs = (change.split("=", 1) for change in changes)
+        own = {name: json.loads(value) for name, value in pairs}
+        click.echo(json.dumps(train(algorithm, scenario, steps, seed, out, **own)))
+    except InputError as error:
+        click.echo(f"Error: {error}", err=True)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    # By its name, under which BenchMARL's checkpoints name what they hold.
+    pkgutil.resolve_name("policies.integrations.value_decomposition:main")()

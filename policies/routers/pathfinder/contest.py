@@ -1,0 +1,49 @@
+"""The cost of the ISPD 2024 contest as what is minimised (``cost: ispd2024``).
+
+Nets then pay for the length of their wires, for vias, and for what both add to the cost of overflow
+(:func:`~policies.routers.pathfinder.kernels.use_cost`). Apart from rounding, and from what edges
+without use cost, the length of a solution is its cost by the contest's rules
+(:func:`marouting.problem.contest.contest_cost`); there is no overflow beside that.
+"""
+
+import numpy as np
+
+from marouting import InputError, Problem
+from marouting.problem.contest import contest_of, usable
+from marouting.problem.grid import AXES, VIA_AXIS
+from policies.routers.pathfinder.state import UNIT, ProblemArrays, Routing
+
+
+def with_contest(
+    problem: Problem, arrays: ProblemArrays, routing: Routing
+) -> tuple[ProblemArrays, Routing]:
+    """The arrays with the contest's costs, of which a wire's usual one is UNIT.
+
+    Raises:
+        InputError: the problem is none of the contest.
+    """
+    try:
+        contest = contest_of(problem)
+    except InputError as error:
+        raise InputError(f"cost: ispd2024: {error}") from None
+    lengths = [contest.wire_cost * length for length in (contest.x_length, contest.y_length)]
+    usual = float(np.median(np.concatenate(lengths))) or contest.via_cost or 1.0
+    wire = np.zeros((2, max(problem.grid[:2])), np.int64)
+    for axis, length in enumerate(lengths):
+        wire[axis, : len(length)] = np.rint(length * UNIT / usual)
+    tracks = np.zeros((*problem.grid, AXES))
+    for z, axis in enumerate(contest.axis):
+        tracks[..., z, axis] = usable(contest.capacity[..., z])
+    overflow_cost = contest.overflow_cost * UNIT / usual
+    overflow_cost[0] = 0.0
+    routing.progress["contest"], routing.progress["crowding"] = 1, 1.0
+    return (
+        arrays._replace(
+            wire=wire,
+            height=np.arange(problem.grid[VIA_AXIS]) * round(contest.via_cost * UNIT / usual),
+            overflow_cost=overflow_cost,
+            tracks=tracks.reshape(-1),
+            along=contest.axis.astype(np.int64),
+        ),
+        routing._replace(vias=np.zeros(len(routing.price))),
+    )
