@@ -2,12 +2,14 @@
 
 import json
 import re
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from conftest import in_this_process
 from scipy import stats
 
@@ -19,7 +21,9 @@ from policies.experiment.benchmark import Course, from_text
 from policies.experiment.leaderboard import read_groups
 from policies.experiment.played import About
 from policies.experiment.result import Outcome, Result, Scale, Task, read_result, summarise
+from policies.learned.config import load_config
 from policies.learned.policy import TrainedPolicy
+from policies.learned.run import Run
 from policies.routers.local import LocalRouter
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -252,6 +256,26 @@ def test_a_training_ends_with_its_time(capsys: pytest.CaptureFixture[str]) -> No
     assert result.budget == "1500000 agent-steps, 1.5 s of training"
     entry = from_text("ppo", None, None, Course(scenario=GATES, seconds=2.5))
     assert entry.options["train"]["seconds"] == 2.5
+
+
+def test_weights_to_start_from_hand_on_their_teacher(tmp_path: Path) -> None:
+    def teacher(*words: str) -> bool | None:
+        config = load_config(None, [*TRAIN, "train.steps=300", f"out={tmp_path / 'run'}", *words])
+        return Run(config).figures.teacher
+
+    first = Run(load_config(None, [*TRAIN, "train.steps=300", f"out={tmp_path / 'first'}"]))
+    first.execute()
+    saved = tmp_path / "first" / "policy.pt"
+    state = torch.load(saved, weights_only=True)
+    assert state["figures"]["teacher"] is False
+    for told in (False, True, None):
+        state["figures"]["teacher"] = told
+        torch.save(state, saved)
+        assert teacher(f"train.start={saved}") is told
+        shutil.rmtree(tmp_path / "run")
+    assert teacher("learner.kind=iql") is True  # A* fills its memory
+    shutil.rmtree(tmp_path / "run")
+    assert teacher("learner.kind=iql", "learner.burn_in=random") is False
 
 
 # The table ----------------------------------------------------------------------------------------

@@ -123,7 +123,8 @@ def cloned(config: Config, rule: LocalRouter, out: Path, moves: int = MOVES) -> 
     nn.utils.vector_to_parameters(networks.flat[0], module.parameters())
     shown = demonstrations(str(config.env.scenario), rule, moves, config.seed)
     same = imitate(module, shown, config.seed)
-    state = trainer.policy() | {"weights": [dict(module.state_dict())]}
+    figures = {"teacher": rule.rule == "shortest" and rule.radius is None}
+    state = trainer.policy() | {"weights": [dict(module.state_dict())], "figures": figures}
     with writing(out) as temporary:
         torch.save(state, temporary)
     return same

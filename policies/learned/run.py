@@ -4,6 +4,7 @@ The run folder is described in :mod:`policies.results.run_folder`.
 """
 
 import contextlib
+import functools
 import json
 import math
 import shutil
@@ -30,6 +31,7 @@ from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
 from policies.learned.device_trainer import DeviceTrainer, on_device
 from policies.learned.logs import Logs
+from policies.learned.policy import TrainedPolicy
 from policies.learned.trainer import Trainer
 from policies.results.folder import check_own, working_in
 from policies.results.rows import Row, read_reference, solution_row
@@ -273,14 +275,25 @@ class Run:
     @property
     def figures(self) -> TrainingFigures:
         """What the training took so far."""
-        learner = self.config.learner
-        guide = getattr(learner.options, "burn_in", "random")
-        told = guide != "random" or learner.name == "imitation"
         return TrainingFigures(
             agent_steps=int(self.trainer.steps.sum()),
             processor_seconds=self._processor_seconds,
-            teacher=told or self.config.train.start is not None,
+            teacher=self._teacher,
         )
+
+    @functools.cached_property
+    def _teacher(self) -> bool | None:
+        """Whether it learns from something with sight of the whole problem; None: not known."""
+        learner, start = self.config.learner, self.config.train.start
+        guide = getattr(learner.options, "burn_in", "random")
+        if guide != "random" or learner.name == "imitation" or start == "generalist":
+            return True
+        if start is None:
+            return False
+        told = None  # what the weights to start from learned from
+        with contextlib.suppress(InputError), allowing_code(_own_code(self.config)):
+            told = TrainedPolicy.load(start, self.trainer.names[0]).training.get("teacher")
+        return told
 
     @property
     def parameters(self) -> int:
