@@ -30,8 +30,10 @@ from marouting import (
     sequential_astar,
 )
 from marouting.config import build, piece, read_yaml
+from marouting.problem.contest import contest_cost
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.steiner import EXACT_PINS
+from policies.bench.chips import write_contest
 from policies.routers.base import Router
 from policies.routers.pathfinder import (
     PathfinderOptions,
@@ -175,6 +177,117 @@ def test_demand_differs_between_layers() -> None:
     )
     judged = evaluate(problem, router().route(problem))
     assert (judged.overflow, judged.wirelength, judged.vias) == (0, 4, 2)
+
+
+def test_vias_cost_what_their_layer_says() -> None:
+    net = Net("n", 0, (Pin(0, 0, 1), Pin(3, 0, 1)))
+    for capacity, length in (((0, 1, 1), 3 + 2 * 1.5), ((0, 0, 1), 3 + 2 * (1.5 + 4.0))):
+        problem = Problem((4, 1, 3), (0, 0, 0), capacity, (net,), (1,) * 3, (0,) * 3, (0,) * 3)
+        routed = router(via_weight=(1.5, 4.0)).solve(problem)
+        assert routed.history[-1][1:3] == (0, length)
+    with pytest.raises(InputError, match="via_weight: expected 2 numbers, one for each layer"):
+        router(via_weight=(1.0,)).solve(problem)
+
+
+@pytest.mark.parametrize(("crowding", "wirelength"), [(0.0, 8), (0.4, 8), (2.0, 10)])
+def test_edges_cost_more_before_they_are_full(crowding: float, wirelength: int) -> None:
+    """Side by side, two nets pay ``crowding`` / 2 for each of four edges; apart, two edges."""
+    pins = [(0, 1), (4, 1)]
+    problem = plane(
+        {"a": pins, "b": pins}, (5, 3), vertical_capacity=(2,), horizontal_capacity=(2,)
+    )
+    routed = router(crowding=crowding).solve(problem)
+    assert figures(problem, routed.solution) == (0, wirelength)
+    paid = 4 * crowding / 2 if wirelength == 8 else 0.0
+    best = min(done.wirelength for done in routed.history)
+    assert best == pytest.approx(wirelength + paid, abs=0.02)
+
+
+def test_crowding_leaves_room() -> None:
+    """Fewer edges are full, and what is least is the length with what the use of edges costs."""
+    [problem] = generate(1, (16, 16, 2), nets=70, max_pins=4, capacity=6, reduced_edges=0, seed=4)
+    full, cost = {}, {}
+    for crowding in (0.0, 2.0):
+        routed = router(crowding=crowding, passes=60).solve(problem)
+        assert figures(problem, routed.solution)[0] == 0
+        full[crowding] = int(np.count_nonzero(routed.solution.edge_demand == 6))
+        share = (routed.solution.edge_demand - 3.0).clip(0) ** 2 / 3.0
+        length = figures(problem, routed.solution)[1]
+        cost[crowding] = length + 2.0 / 2 * float(share.sum())
+        if crowding > 0:
+            assert min(done.wirelength for done in routed.history) == pytest.approx(
+                cost[crowding], rel=2e-3
+            )
+    assert full[2.0] < full[0.0] / 2
+    assert cost[2.0] < cost[0.0]
+
+
+def contest_problem(tmp_path: Path, seed: int) -> Problem:
+    """Two nets of two pins each in 3x3 Gcells of four layers, in the form of ISPD 2024."""
+    rng = np.random.default_rng(seed)
+    lines = ["4 3 3", "1 2 " + " ".join(map(str, rng.choice([0.5, 1, 2], 4)))]
+    lines += [" ".join(map(str, rng.choice([2, 3], 2))) for _ in range(2)]
+    for z in range(4):
+        lines.append(f"metal{z + 1} {z % 2} 1")
+        free = rng.choice([0, 1, 1, 2], (3, 3)) if z else np.zeros((3, 3), np.int64)
+        lines += [" ".join(map(str, row)) for row in free.tolist()]
+    (tmp_path / "p.cap").write_text("\n".join(lines), encoding="utf-8")
+    text = ""
+    for name in ("a", "b"):
+        ends = [divmod(int(at), 3) for at in rng.choice(9, 2, replace=False)]
+        text += f"{name}\n(\n" + "".join(f"[(0,{x},{y})]\n" for x, y in ends) + ")\n"
+    (tmp_path / "p.net").write_text(text, encoding="utf-8")
+    return Problem.read(tmp_path / "p.cap")
+
+
+def paths(problem: Problem, net: int) -> list[np.ndarray]:
+    """The 40 shortest of a net's simple paths."""
+    graph = networkx.Graph()
+    assert problem.chip is not None
+    for gcell, place in enumerate(itertools.product(*map(range, problem.grid))):
+        for axis in range(AXES):
+            wired = axis == VIA_AXIS or problem.chip.wires[place[VIA_AXIS], axis]
+            if wired and place[axis] + 1 < problem.grid[axis]:
+                other = gcell + int(problem.strides[axis])
+                graph.add_edge(gcell, other, edge=AXES * gcell + axis)
+    found = networkx.shortest_simple_paths(graph, *problem.pin_gcells[net].tolist())
+    return [
+        np.array([graph[a][b]["edge"] for a, b in itertools.pairwise(path)])
+        for path in itertools.islice(found, 40)
+    ]
+
+
+def test_the_contests_cost_is_almost_the_least(tmp_path: Path) -> None:
+    """Against all pairs of short paths."""
+    exact = 0
+    for seed in range(8):
+        problem = contest_problem(tmp_path, seed)
+        pairs = itertools.product(paths(problem, 0), paths(problem, 1))
+        least = min(contest_cost(Solution(problem, pair)).total for pair in pairs)
+        routed = router(cost="ispd2024", passes=40).solve(problem)
+        cost = contest_cost(routed.solution)
+        assert cost.open == ()
+        assert cost.total <= 1.02 * least
+        exact += cost.total <= least + 1e-9
+    assert exact >= 5
+
+
+def test_the_contests_cost_is_what_the_search_counts(tmp_path: Path) -> None:
+    """From one pass to another they change alike, but for the rounding of edges' costs."""
+    write_contest(tmp_path / "p", 200)
+    problem = Problem.read(tmp_path / "p.cap")
+    first, last = (router(cost="ispd2024", passes=n).solve(problem) for n in (1, 12))
+    counted = 3800 * 0.00131579 * (first.history[0].wirelength - last.history[-1].wirelength)
+    costs = [contest_cost(routed.solution) for routed in (first, last)]
+    assert counted == pytest.approx(costs[0].total - costs[1].total, rel=0.05)
+    assert costs[1].total < costs[0].total
+    plain = contest_cost(router(passes=60).solve(problem).solution)
+    assert costs[1].total < plain.total
+
+
+def test_the_contests_cost_of_another_problem() -> None:
+    with pytest.raises(InputError, match="cost: ispd2024: problem: expected one of the ISPD 2024"):
+        router(cost="ispd2024").solve(congested())
 
 
 @pytest.mark.parametrize(("via_weight", "vias"), [(0.0, 2), (0.5, 2), (2.0, 0)])

@@ -499,7 +499,7 @@ def _are_trees(ends: NDArray[np.int64], pins: NDArray[np.int64], size: int) -> b
     """Whether all parts of a graph of so many vertices are trees that end in pins."""
     leaf = np.bincount(ends.reshape(-1), minlength=size) == 1
     leaf[pins] = False
-    parts = np.count_nonzero(joined_parts(*ends, size) == np.arange(size))
+    parts = np.count_nonzero(joined_parts(ends[0], ends[1], size) == np.arange(size))
     return not leaf.any() and ends.shape[1] == size - parts
 
 

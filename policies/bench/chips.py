@@ -64,8 +64,8 @@ def write_contest(path: Path, nets: int, seed: int = 1) -> None:
     text = []
     gcells = problem.pin_gcells
     for net, own in zip(problem.nets, gcells, strict=True):
-        x, y, z = np.unravel_index(np.asarray(own), problem.grid)
-        pins = [f"[({c},{a},{b})]" for a, b, c in zip(x, y, z, strict=True)]
+        at = np.stack(np.unravel_index(np.asarray(own), problem.grid), axis=1)
+        pins = [f"[({layer},{x},{y})]" for x, y, layer in at.tolist()]
         text.append("\n".join([net.name, "(", *pins, ")"]))
     path.with_suffix(".net").write_text("\n".join(text) + "\n", encoding="utf-8")
 

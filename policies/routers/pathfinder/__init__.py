@@ -28,7 +28,8 @@ nothing better any more, passes of a fourth kind improve the best solution:
   pass.
 
 The result is the best solution after any pass. Which kind of pass follows does not depend on
-the time limit, so that more time never gives a worse result.
+the time limit, so that more time never gives a worse result. A search without overflow also ends
+when it saves too little for its time (the option ``least_gain``).
 
 A net with few pins gets a cheapest tree (:func:`marouting.trees.exact_tree.exact_tree`) inside a
 box around its pins and its previous tree. A larger net grows pin by pin, from a random first pin,
@@ -48,6 +49,7 @@ Where to look:
 * :mod:`~policies.routers.pathfinder.repair`: compiled code for nets that displace each other.
 * :mod:`~policies.routers.pathfinder.passes`: compiled code for passes and rounds.
 * :mod:`~policies.routers.pathfinder.batches`: passes in batches, and their threads.
+* :mod:`~policies.routers.pathfinder.contest`: the cost of ISPD 2024 as what is minimised.
 * :mod:`~policies.routers.pathfinder.relaxation`: prices from a linear program.
 * :mod:`~policies.routers.pathfinder.router`: the router, and what it reports.
 * :mod:`~policies.routers.pathfinder.schedule`: the options of ``schedule: tuned``.
