@@ -64,7 +64,7 @@ ROOMS = {
         ("results",),
         ("figures",),
         ("generalist.outlook", "generalist.regrets", "generalist.cheapest_tree"),
-        ("learned.per_network", "learned.counter_rng", "learned.threads", "learned.checkpoint"),
+        ("learned.per_network", "learned.counter_rng", "learned.machine", "learned.checkpoint"),
         ("learned.networks", "learned.memory", "learned.exploration"),
         ("learned.compiled", "learned.logged_player"),
         ("generalist.walk",),

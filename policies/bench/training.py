@@ -13,7 +13,7 @@ from marouting.config import build
 from marouting.problem.grid import MOVES
 from policies.bench.measure import Bench, Measurement, Work
 from policies.learned.config import Config
-from policies.learned.threads import use_threads
+from policies.learned.machine import use_threads
 from policies.learned.trainer import Trainer
 
 PAPER = (32, 64, 32)

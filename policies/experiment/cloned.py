@@ -27,8 +27,8 @@ from marouting.scenarios.cooperation import COOPERATION
 from marouting.source import ProblemSampler
 from marouting.vector import BatchEnv
 from policies.learned.config import Config, load_config
+from policies.learned.machine import use_threads
 from policies.learned.run import problems_of
-from policies.learned.threads import use_threads
 from policies.learned.trainer import Trainer
 from policies.routers.local import LocalRouter
 

@@ -26,7 +26,7 @@ from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.ppo import PPOOptions
 from policies.learned.checkpoint import checked
-from policies.learned.trainer import torch_device
+from policies.learned.machine import torch_device
 
 _NEVER = -1e9
 

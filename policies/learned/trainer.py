@@ -35,10 +35,10 @@ from policies.learned.counter_rng import keys
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
 from policies.learned.logged_player import LoggedPlayer
+from policies.learned.machine import torch_device, use_threads
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.per_network import COUNT
 from policies.learned.policy import TrainedPolicy, check_weights, player_of, policy_origin
-from policies.learned.threads import use_threads
 from policies.results.rows import LARGEST
 from policies.results.run_folder import Episode, GreedyEvaluation
 
@@ -593,14 +593,3 @@ def _score(metrics: Metrics, reward: float | None) -> tuple[float, ...]:
     """What makes an episode better: less is better."""
     by = (metrics.overflow, metrics.wirelength) if reward is None else (-reward, 0.0)
     return (metrics.tasks - metrics.joined, *by)
-
-
-def torch_device(name: str) -> torch.device:
-    """A device of torch's; raises InputError if it cannot be used."""
-    try:
-        device = torch.device(name)
-        torch.zeros(1, device=device).cpu()
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"device: expected cpu or an available cuda device: {reason}") from None
-    return device
