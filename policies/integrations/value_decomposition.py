@@ -8,10 +8,9 @@
 All nets of a round move at once, see what the scenario suggests, and get one reward: the reduction
 of the team's cost, with :data:`REWARD` as its scale. Nets that are done have a single move, which
 does nothing. ``--steps`` are agent-steps, the moves that nets make. What is printed has the keys of
-``marouting train --json``. ``file`` is BenchMARL's checkpoint. One row of several seeds is made by::
-
-    marouting benchmark --scenario gates-8x7-v0 --seeds 5 --router \
-        'policies.integrations.benchmarl:Policy file=runs/qmix-{seed}/checkpoints/checkpoint_last.pt'
+``marouting train --json``; ``file`` is BenchMARL's checkpoint. One row of several seeds is made by
+``marouting benchmark`` with ``--seeds 5`` and, as the router,
+``policies.integrations.benchmarl:Policy file=runs/qmix-{seed}/checkpoints/checkpoint_last.pt``.
 
 What is set here, of BenchMARL 1.5's options (``benchmarl/conf``):
 
