@@ -26,8 +26,8 @@ from benchmarl.experiment import Experiment
 from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
-from marouting.config import check
-from marouting.files import naming
+from marouting.config import build_json, check
+from marouting.files import naming, read_text
 from policies.integrations.saved import Training
 from policies.integrations.torchrl import GROUP, GroupMoves, RoutingEnv
 
@@ -147,7 +147,8 @@ class Policy(Moves):
 
     Args:
         file: the checkpoint, as BenchMARL lays it down: in ``checkpoints`` of its run folder.
-        agent_steps, processor_seconds: what its training took; None: not known.
+        agent_steps, processor_seconds: what its training took; None: what
+            :mod:`.value_decomposition` has written in the run folder, or not known.
         teacher: whether it learned from something with sight of the whole problem; None: not known.
 
     Attributes:
@@ -174,9 +175,18 @@ class Policy(Moves):
         task = {key: of for key, of in experiment.task.config.items() if key not in _OF_THE_TASK}
         self.options = Training(task).options
         took = {"agent_steps": agent_steps, "processor_seconds": processor_seconds}
+        if (row := known.with_name(ROW)).exists():  # without a teacher
+            told = build_json(dict[str, Any], read_text(row, _MOST_BYTES), str(row))
+            took = {key: told.get(key) if of is None else of for key, of in took.items()}
+            teacher = bool(teacher)
         self.training = {**took, "teacher": teacher}
         self.obs_shape = tuple(experiment.observation_spec[GROUP, "observation"].shape[1:])
 
+
+ROW = "row.json"
+"""In the run folder of :mod:`.value_decomposition`: what its training took."""
+
+_MOST_BYTES = 2**24
 
 _OF_THE_TASK = ("max_cycles", "shared")
 """Keys of a task that are no options of its environment."""

@@ -3,13 +3,14 @@
 ::
 
     python -m policies.integrations.value_decomposition qmix --scenario gates-8x7-v0 \
-        --steps 1000000 --seed 0 --out runs/qmix
+        --steps 1000000 --seed 0 --out runs/qmix-0
 
 All nets of a round move at once, see what the scenario suggests, and get one reward: the reduction
 of the team's cost, with :data:`REWARD` as its scale. Nets that are done have a single move, which
 does nothing. ``--steps`` are agent-steps, the moves that nets make. What is printed has the keys of
-``marouting train --json``. ``file`` is BenchMARL's checkpoint, which
-:class:`policies.integrations.benchmarl.Policy` plays.
+``marouting train --json``; ``file`` is BenchMARL's checkpoint. One row of several seeds is made by
+``marouting benchmark`` with ``--seeds 5`` and, as the router,
+``policies.integrations.benchmarl:Policy file=runs/qmix-{seed}/checkpoints/checkpoint_last.pt``.
 
 What is set here, of BenchMARL 1.5's options (``benchmarl/conf``):
 
@@ -46,8 +47,9 @@ from benchmarl.models.mlp import MlpConfig
 from torch import nn
 
 from marouting import InputError, evaluate_policy, scenarios
-from marouting.config import check
-from policies.integrations.benchmarl import Moves, RoutingClass
+from marouting.config import build_json, check
+from marouting.files import read_text, write_text
+from policies.integrations.benchmarl import ROW, Moves, RoutingClass
 
 REWARD = {"kind": "team", "overflow": 1.0, "open": 1.0, "wirelength": 0.05}
 """The team reward of the cooperative scenarios, divided by 20."""
@@ -101,12 +103,15 @@ def train(
         scenario: the name of a scenario.
         steps: agent-steps.
         seed: a whole number from 0.
-        out: the folder for BenchMARL's files.
+        out: the folder for BenchMARL's files. The row of a training that it holds is returned.
         **changes: options of BenchMARL's experiment in place of those above.
 
     Raises:
-        InputError: there is no such scenario.
+        InputError: there is no such scenario, or the folder is in use.
     """
+    if (known := out / ROW).exists():
+        return build_json(dict[str, Any], read_text(known, 2**24), str(known))
+    check("out", not out.exists(), f"a new folder, found {out}")
     check("steps", steps >= 1, "a number from 1")
     torch.set_num_threads(1)
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # its messages go to the standard output
@@ -124,13 +129,13 @@ def train(
     config.exploration_eps_init, config.exploration_eps_end = 1.0, 0.05
     config.exploration_anneal_frames = max(int(steps / AGENTS / 3), 1)
     config.evaluation, config.loggers, config.create_json = False, [], False
-    config.render, config.save_folder = False, str(out)
+    config.render, config.save_folder = False, str(out.parent)
     config.exclude_buffer_from_checkpoint = True
     for name, value in changes.items():
         setattr(config, name, value)
     network = MlpConfig(num_cells=[128, 128], layer_class=nn.Linear, activation_class=nn.ReLU)
     counter = _Steps(found.name, steps, max(steps // 20, 1))
-    out.mkdir(parents=True, exist_ok=True)
+    out.parent.mkdir(parents=True, exist_ok=True)
     with contextlib.redirect_stdout(sys.stderr):
         experiment = Experiment(
             task=task,
@@ -144,6 +149,8 @@ def train(
         with contextlib.suppress(_AllMadeError):
             experiment.run()
     seconds = time.process_time() - began
+    file = out / counter.file.relative_to(experiment.folder_name)
+    Path(experiment.folder_name).rename(out)
     policy = Moves(experiment)
     row = {
         "row": algorithm,
@@ -152,11 +159,12 @@ def train(
         "agent_steps": counter.steps,
         "processor_seconds": round(seconds, 1),
         "parameters": policy.parameters,
-        "file": str(counter.file),
+        "file": str(file),
         "curve": counter.curve,
     }
     for split in scenarios.SPLITS[1:]:
         row[split] = evaluate_policy(policy.moves, found.name, split, local=3).as_dict(rows=False)
+    write_text(known, json.dumps(row, indent=1) + "\n")
     return row
 
 
