@@ -268,6 +268,38 @@ def test_dependencies_are_the_declared_ones() -> None:
         assert set(imports(ast.parse(file.read_text("utf-8")))) <= allowed | named
 
 
+def test_every_public_name_is_there() -> None:
+    """Names are imported when first used, so that a wrong module would show only then."""
+    code = (
+        "import marouting; print([getattr(marouting, name) is None for name in marouting.__all__])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    assert done.stdout.count("False") == len(marouting.__all__)
+    assert set(marouting._HOMES) <= set(marouting.__all__) <= set(dir(marouting))
+    with pytest.raises(AttributeError, match="module 'marouting' has no attribute 'missing'"):
+        marouting.missing  # noqa: B018
+
+
+def test_the_command_imports_what_it_needs(tmp_path: Path) -> None:
+    """Routing needs no environment and no SciPy; judging routes without loops no compiler."""
+    problem, routes = tmp_path / "p.gr", tmp_path / "p.solution"
+    marouting.generate(1)[0].write(problem)
+    route = ["route", str(problem), "--router", "pathfinder", "--out", str(routes)]
+    for command, heavy in (
+        (route, ("gymnasium", "pettingzoo", "scipy.linalg", "torch")),
+        (["evaluate", str(problem), str(routes)], ("gymnasium", "pettingzoo", "scipy", "numba")),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-X", "importtime", "-m", "marouting", *command],
+            capture_output=True, text=True, check=True, timeout=300,
+        )  # fmt: skip
+        imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
+        assert "marouting.problem.problem" in imported
+        assert imported.isdisjoint(heavy)
+
+
 def test_the_plain_environments_need_no_compiler() -> None:
     """Importing, making, resetting and a first step, in every interface and with options."""
     code = """
