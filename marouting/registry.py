@@ -45,6 +45,7 @@ ENVIRONMENT_ID = "marouting/GlobalRouting-v0"
 """What Gymnasium and PettingZoo call the environment."""
 
 
+@functools.cache
 def register_environments() -> None:
     """Makes the environment known to Gymnasium and PettingZoo, which takes a tenth of a second."""
     import gymnasium

@@ -42,7 +42,8 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
         metavar="KEY=VALUE",
         multiple=True,
         help="A control of the problem, such as layers=2..6, derate.met1=0.8 or keep=FILE; may be "
-        f"given several times. The keys are {', '.join(own.name for own in fields(Controls))}.",
+        f"given several times. The keys are {', '.join(own.name for own in fields(Controls))}. "
+        "Without it, the problem stays as it is read.",
     )
     @functools.wraps(command)
     def with_file(

@@ -108,7 +108,8 @@ def warm_up(router: Router) -> None:
             stack.callback(setattr, router, "watch", router.watch)
             router.watch = None
         stack.enter_context(contextlib.suppress(InputError))
-        Solution(small, [np.zeros(0, np.int64)] * len(small.nets)).pruned()  # for ``--prune``
+        # For ``--prune``: nobody has a pin at both ends of edge 0, so there is something to remove.
+        Solution(small, [np.zeros(1, np.int64)] * len(small.nets)).pruned()
         getattr(router, "warm_up", router.route)(small)
 
 
