@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
 from marouting.batch.locality import check_local
+from marouting.errors import InputError
 from marouting.options import game_options
 from marouting.problem.solution import evaluate
 from marouting.scenarios import Split, get
@@ -141,8 +142,7 @@ def evaluate_policy(
 
     Raises:
         InputError: there is no such scenario or split, an option cannot be used, or the observation
-            is not local.
-        ValueError: the policy returns something else than one action for each agent.
+            is not local; or the policy returns something else than one action for each agent.
     """
     env = play_split(policy, scenario, split, local=local, threads=threads, **options)
     return result_of(env.engine, scenario, split)
@@ -211,7 +211,11 @@ def play(policy: Policy, env: BatchEnv) -> Mapping[str, Any]:
         moves = np.asarray(policy(obs[active].copy(), info["action_mask"][active]))
         if moves.shape != (active.sum(),) or moves.dtype.kind not in "iu":
             expected = f"({active.sum()},) integers, one for each observation"
-            raise ValueError(f"policy: expected {expected}, found {moves.dtype} {moves.shape}")
+            raise InputError(f"policy: expected {expected}, found {moves.dtype} {moves.shape}")
+        most = env.engine.actions - 1
+        if moves.min() < 0 or moves.max() > most:
+            found = f"{moves.min()} to {moves.max()}"
+            raise InputError(f"policy: expected actions from 0 to {most}, found {found}")
         actions = np.full(active.shape, -1, np.int64)
         actions[active] = moves
         obs, *_, info = env.step(actions)

@@ -104,9 +104,9 @@ def test_what_is_refused() -> None:
     options["observation"] = Liar()
     with pytest.raises(InputError, match=r"Liar.local_radius: expected that agents see no furth"):
         evaluate_policy(first, toy, "validation", local=True, **options)
-    with pytest.raises(ValueError, match=r"policy: expected \(100,\) integers.*found float"):
+    with pytest.raises(InputError, match=r"policy: expected \(100,\) integers.*found float"):
         evaluate_policy(lambda obs, _: obs[:, 0], toy, "validation")
-    with pytest.raises(ValueError, match="policy: expected"):
+    with pytest.raises(InputError, match="policy: expected"):
         evaluate_policy(lambda obs, _: np.zeros(len(obs) - 1, int), toy)
-    with pytest.raises(ValueError, match="moves: expected 0 to 5"):
+    with pytest.raises(InputError, match="actions from 0 to 5, found 6 to 6"):
         evaluate_policy(lambda obs, _: np.full(len(obs), 6), toy)

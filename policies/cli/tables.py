@@ -185,7 +185,7 @@ _POLICY_NOTES = (
     "bootstrap interval]. cost: wirelength and open tasks, divided by the optimum's wirelength. "
     "solved: problems without open tasks; connected: tasks. gap: mean wirelength above the "
     "optimum, of the solved problems. sees: what a net sees when it chooses; planners see "
-    "the whole problem. teacher: whether it learned from somebody who does. training: processor "
+    "the whole problem. teacher: whether it learned from a planner. training: processor "
     "time of one seed. ?: not known. docs/cooperation.md explains the protocol."
 )
 

@@ -95,7 +95,9 @@ def play(
         radius = policy.radius if policy.rule == "shortest" else 0
         sight = FULL if radius is None else f"radius {radius}"
         return engine, build(About, {"sight": sight, **UNLEARNED})
-    options: Mapping[str, Any] = getattr(policy, "options", {})
+    check("moves", callable(policy.moves), "a method")
+    options: Mapping[str, Any] = getattr(policy, "options", None) or {}
+    check("options", isinstance(options, Mapping), f"a mapping, found {options!r}")
     with allowing_code(code for _, code in code_named(options)):
         own = {name: value for name, value in options.items() if name not in PLAYED}
         if isinstance(own.get("mask"), Mapping):  # its other keys are of interfaces
@@ -111,15 +113,15 @@ def play(
         env = play_split(policy.moves, scenario, split, local=radius is not None, **own)
     sight = WHOLE if radius is None else f"radius {radius}"
     sight += f", {game.message_bits} bits" if game.message_bits else ""
-    told = build(TrainingFigures, dict(getattr(policy, "training", None) or {}), "training")
-    about = About(
-        sight=sight,
-        teacher=told.teacher,
-        parameters=getattr(policy, "parameters", None),
-        agent_steps=told.agent_steps,
-        training_seconds=told.processor_seconds,
-    )
-    return env.engine, about
+    told = build(TrainingFigures, getattr(policy, "training", None) or {}, "training")
+    about = {
+        "sight": sight,
+        "teacher": told.teacher,
+        "parameters": getattr(policy, "parameters", None),
+        "agent_steps": told.agent_steps,
+        "training_seconds": told.processor_seconds,
+    }
+    return env.engine, build(About, about)
 
 
 def _check_game(game: GameOptions, scenario: str) -> None:
