@@ -93,8 +93,9 @@ class Controls:
         check_fields(self, Controls, long_nets=(1, 2**31 - 1))
         for layers, factor in self.derate.items():
             check(f"derate.{layers}", 0 <= factor <= 1, f"a number from 0 to 1, found {factor}")
-        both = (self.long_layers is None) == (self.long_nets is None)
-        check("long_layers", both, "long_nets beside it: from which length on nets are long")
+        long_layers, long_nets = self.long_layers is not None, self.long_nets is not None
+        check("long_layers", long_nets or not long_layers, "long_nets beside it, from what length")
+        check("long_nets", long_layers or not long_nets, "long_layers beside it, a range of layers")
         check("clock_nets", not self.clock_nets or self.clock_layers, "clock_layers beside them")
         check("keep_nets", not self.keep_nets or self.keep, "keep beside them, a file of routes")
 
