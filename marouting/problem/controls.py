@@ -133,6 +133,10 @@ class ProblemFile(Controls):
             raise InputError(f"{self.path}: {error}") from None
 
 
+_NONE = Controls()
+"""Controls that change nothing."""
+
+
 def adjusted(problem: Problem, controls: Controls) -> Problem:
     """A problem as controls adjust it; this one, if they say nothing.
 
@@ -171,9 +175,6 @@ def adjusted(problem: Problem, controls: Controls) -> Problem:
     nets = tuple(found.nets[i] for i in free.tolist())
     chip, own = _chip_of(problem.chip, free), Kept(problem, free, stays.uses)
     return replace(found, nets=nets, chip=chip, kept=own)
-
-
-_NONE = Controls()  # which change nothing
 
 
 # --- Layers ---------------------------------------------------------------------------------------
